@@ -18,6 +18,8 @@ from zlib import crc32
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+from fpk.clock import left_out
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 FLAGS = {"contract", "nsz", "arcp", "afn"}
@@ -131,8 +133,9 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
 
         _awaited.add(result)
         try:
-            threading.Thread(target=work, name=COMPILER).start()
-            return result.result()
+            with left_out():
+                threading.Thread(target=work, name=COMPILER).start()
+                return result.result()
         finally:
             _awaited.discard(result)
 

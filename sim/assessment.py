@@ -2,8 +2,6 @@
 
 from math import inf, nan
 
-import numpy as np
-
 from fpk.effects import effects_of
 from fpk.method import Result
 from sim.diagnostics import Diagnosis, diagnosis
@@ -24,30 +22,19 @@ STEP_BIAS = 1e-3
 leave beyond chance."""
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of trajectories on their way out: judged below
 def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) -> Result:
     """Return the certified densities, the moment identities and the report.
 
     ``interrupted``, in words and empty if it was not, stands against a certificate, as does what
-    the limit of time cut short so that nothing can be diagnosed (``limited``), and as lost
-    trajectories do. Of a system with mirror symmetry mirror images of samples count as samples.
+    the limit of time cut short so that nothing can be diagnosed (``limited``). Of a system with
+    mirror symmetry mirror images of samples count as samples.
     """
     ensemble = record.ensemble
     steps = _steps(setup, ensemble, record.stepping)
-    failures, lost = [words for words in (interrupted, limited) if words], ensemble.lost()
-    if lost:
-        failures.append(
-            f"{lost} of {ensemble.paths} trajectories left the finite range;"
-            f" use a smaller dt than {steps.dt:g}"
-        )
-    finite = bool(np.isfinite(ensemble.batch_means()).all())
-    if not (lost or finite):
-        words = "the moments left the range of double precision; use a smaller dt than"
-        failures.append(f"{words} {steps.dt:g}")
-    failures += setup.failures
+    failures = [*(words for words in (interrupted, limited) if words), *setup.failures]
     identities = moment_identities(setup.system, ensemble.batch_means())
     stationary = ensemble.done - ensemble.phase >= setup.burn_in_steps
-    judged = identities if stationary and not lost else ()
+    judged = identities if stationary else ()
     failures += [
         f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
         for identity in judged
@@ -55,7 +42,7 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
         > LARGEST_Z * identity.error + STEP_BIAS * (identity.expected or temperature(setup.system))
     ]
     diagnosed: Diagnosis | None = None
-    if finite and not (lost or interrupted or limited):
+    if not (interrupted or limited):
         diagnosed = diagnosis(
             record.effective(), record.names, record.means(),
             time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
@@ -77,9 +64,8 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
     report = Report(
         steps=steps,
         diagnosis=diagnosed,
-        moments=record.moments() if not lost else (),
+        moments=record.moments(),
         interrupted=interrupted,
-        lost=lost,
     )
     partial = bool(interrupted)
     return Result(setup.method, densities, identities=identities, partial=partial, report=report)

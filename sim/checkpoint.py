@@ -10,13 +10,13 @@ from io import BytesIO
 from math import inf
 from pathlib import Path
 from secrets import token_hex
-from time import perf_counter
 from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.clock import working_time
 from fpk.compiling import ROOT, abandon, checksum
 from fpk.errors import Unavailable, reason_of
 from fpk.lock import locked
@@ -55,7 +55,7 @@ class Checkpoint:
     States are saved as NumPy's .npz at ``path``, or not at all where that is None, with
     ``identity``, a hash of all that the numbers depend on, and ``notes``, arrays that the caller
     needs to go on. ``stopped()`` says after every piece whether to stop; at the ``deadline``, a
-    value of ``perf_counter``, it stops, too.
+    value of ``working_time``, it stops, too.
     """
 
     path: Path | None = None
@@ -65,7 +65,7 @@ class Checkpoint:
     deadline: float = inf
     interrupted: bool = False
     _piece: int = FIRST_PIECE
-    _saved: float = field(default_factory=perf_counter)
+    _saved: float = field(default_factory=working_time)
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -102,7 +102,7 @@ class Checkpoint:
                 part.unlink(missing_ok=True)
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be written: {reason_of(error)}") from None
-        self._saved = perf_counter()
+        self._saved = working_time()
 
     def load(self) -> dict[str, NDArray[Any]]:
         """Return the state and the notes saved last, nothing where there are none.
@@ -136,10 +136,10 @@ class Checkpoint:
         """Advance by ``steps``; return whether it was stopped (at least a piece is done)."""
         ended = False
         while steps > 0 and not ended:
-            piece, start = min(steps, self._piece), perf_counter()
+            piece, start = min(steps, self._piece), working_time()
             ensemble.advance(piece, stride=stride)
-            now = perf_counter()
-            # Pieces grow gently: the first ones may have been compiled.
+            now = working_time()
+            # Pieces grow gently: the first ones may have been loaded.
             left = min(ensemble.workers.piece, max(self.deadline - now, 0.0))
             in_time = int(piece * left / max(now - start, 1e-9))
             self._piece = max(1, min(4 * self._piece, in_time))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.arrays import Array, Flags, Integers
+from fpk.arrays import Array, Integers
 from fpk.system import System
 from sim.arrays import LANES, StepArrays, WatchArrays
 from sim.flow import factored
@@ -18,6 +18,7 @@ from sim.kernel import KernelKey, compiled_kernel
 from sim.parts.observed import FOLDED
 from sim.plan import step_arrays, watched
 from sim.random import START, mixed_seed, normals
+from sim.reachable import Reachable
 from sim.schemes import Scheme
 from sim.statistics import Product
 from sim.step_size import temperature
@@ -25,9 +26,6 @@ from sim.workers import TASKS_PER_THREAD, Workers
 
 CHANGING = ("states", "sums", "folded", "counts")
 """Arrays of an ensemble that a step changes."""
-
-MAX_COORDINATE = 1e154
-"""Largest displacement or momentum whose square is a number in double precision."""
 
 BATCHES = 64
 """Independent batches at most; a batch is made of whole blocks of lanes."""
@@ -108,6 +106,7 @@ class Ensemble:
     seed: int
     threads: int = 1
     workers: Any = None
+    reachable: Reachable = field(init=False)
     step: StepArrays = field(init=False)
     edges: Integers = field(init=False)  # first block of each batch, and the number of blocks
     live: Integers = field(init=False)  # (blocks,), lanes that are trajectories; all lanes run
@@ -132,6 +131,8 @@ class Ensemble:
         for piece in range(0, blocks, PIECE):
             drawn = start_states(self.system, self.seed, piece)
             self.states[piece : piece + PIECE] = drawn[: blocks - piece]
+        energy = float(np.max(self.system.hamiltonian(*self.phase_points())))
+        self.reachable = Reachable(self.system, self.scheme, self.dt, energy)
         self.watch()
 
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
@@ -149,6 +150,7 @@ class Ensemble:
         """Advance all trajectories; every ``stride``-th step since ``watch`` is observed, or none.
 
         ``stride`` 0: nothing is observed, and ``watch`` may be called with ranges still unknown.
+        Raises ``NotCertified`` where the step is seen to be unstable.
         """
         task = partial(
             advanced, key=self._key, step=self.step, watch=self._watch,
@@ -178,25 +180,16 @@ class Ensemble:
             self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
             self.phase += steps
         self.done += steps
-
-    def lost(self) -> int:
-        """Return how many trajectories have left the finite range, ±``MAX_COORDINATE``."""
-        return int(np.sum(~(np.abs(self.states) < MAX_COORDINATE).all(axis=1) & self._alive()))
+        self.reachable.require(self.states, self.done * self.dt)
 
     def batch_paths(self) -> Integers:
         """Return the number of trajectories of each batch."""
         return np.add.reduceat(self.live, self.edges[:-1])
 
     def batch_means(self) -> Array:
-        """Return (batches, products) means over the samples of each batch, in fixed order.
-
-        Of trajectories that are about to be lost they may be infinite.
-        """
-        with np.errstate(over="ignore"):
-            return self._batch_means()
-
-    def _batch_means(self) -> Array:
-        apart = np.where(self._alive()[: len(self.sums), None, :], self.sums, 0.0).sum(axis=2)
+        """Return (batches, products) means over the samples of each batch, in fixed order."""
+        alive = np.arange(LANES) < self.live[: len(self.sums), None]
+        apart = np.where(alive[:, None, :], self.sums, 0.0).sum(axis=2)
         blocks = np.concatenate([apart, self.folded.sum(axis=2)])
         sums = np.add.reduceat(blocks, self.edges[:-1], axis=0)
         return np.asarray(sums / (self.batch_paths()[:, None] * max(1, self.samples)))
@@ -222,7 +215,3 @@ class Ensemble:
         self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
         for name in CHANGING:
             getattr(self, name)[...] = saved[name]
-
-    def _alive(self) -> Flags:
-        """Which lanes (blocks, LANES) are trajectories."""
-        return np.arange(LANES) < self.live[:, None]

@@ -67,10 +67,9 @@ class Record:
         """Take a sample by one step, and note the variance of that one over the trajectories."""
         before = self.ensemble.sums.copy()
         self.ensemble.advance(1, stride=stride)
-        with np.errstate(over="ignore", invalid="ignore"):  # lost trajectories are counted later
-            samples = self._of_paths(self.ensemble.sums - before)
-            self.variances.append(samples.var(axis=1, ddof=1))
-            self.errors.append(variance_error(samples))
+        samples = self._of_paths(self.ensemble.sums - before)
+        self.variances.append(samples.var(axis=1, ddof=1))
+        self.errors.append(variance_error(samples))
 
     def chunk_ends(self) -> None:
         """Note where the sums and counts of the ensemble stand at the end of a chunk."""

@@ -31,16 +31,23 @@ def relaxation_time(system: System) -> float:
     else:
         slope = float(np.polynomial.Polynomial(dissipated_power(system)).deriv()(temperature))
     times = [2.0 * system.n / slope] if slope > 0 else []
-    shapes, omega = natural_modes(system)
+    if (balance := modal_temperatures(system)).size:
+        slowest = float(natural_modes(system)[1][0])
+        rates = np.linalg.eigvals(_jacobian(system, balance)).real
+        if np.all(rates > 0):
+            times += [_amplitude_time(float(rate), slowest) for rate in rates]
+    return max((time for time in times if isfinite(time)), default=inf)
+
+
+def modal_temperatures(system: System) -> Array:
+    """Return the temperatures θ (n,) of ``relaxation_time`` at which modes balance; none: empty."""
+    shapes, _ = natural_modes(system)
     noise = np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes)
-    start = np.full(system.n, temperature)
+    start = np.full(system.n, equivalent_temperature(system))
     root: Any = scipy.optimize.root  # the stubs want a function of a fixed shape
     balance: Any = root(lambda theta: noise - modal_powers(system, theta), start, method="hybr")
-    if balance.success and np.all(balance.x > 0):
-        rates = np.linalg.eigvals(_jacobian(system, balance.x)).real
-        if np.all(rates > 0):
-            times += [_amplitude_time(float(rate), float(omega[0])) for rate in rates]
-    return max((time for time in times if isfinite(time)), default=inf)
+    found = balance.success and np.all(balance.x > 0)
+    return np.asarray(balance.x) if found else np.zeros(0)
 
 
 def modal_powers(system: System, temperatures: Array) -> Array:

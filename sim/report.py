@@ -63,9 +63,9 @@ class Moment:
 class Report:
     """Everything a simulation says of itself beside its densities.
 
-    ``diagnosis`` is None where trajectories were ``lost`` (left the finite range) or Ctrl-C ended
-    the sampling, as ``interrupted`` then says. ``step_pair`` says whether a second simulation at
-    half the step could be compared, and ``step_biases`` has what that gave, by the names of the
+    ``diagnosis`` is None where Ctrl-C ended the sampling, as ``interrupted`` then says, or the
+    limit of time did, in its first chunk. ``step_pair`` says whether a second simulation at half
+    the step could be compared, and ``step_biases`` has what that gave, by the names of the
     densities (such as ``q2,p2``) and of the moments.
     """
 
@@ -73,7 +73,6 @@ class Report:
     diagnosis: Diagnosis | None = None
     moments: tuple[Moment, ...] = ()
     interrupted: str = ""
-    lost: int = 0
     step_pair: str = "not measured"
     step_biases: Mapping[str, StepBias] = field(default_factory=dict)
 

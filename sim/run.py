@@ -63,8 +63,7 @@ def run(
 def with_step_bias(result: Result, at_half: Result) -> Report:
     """Return the report of ``result`` with the differences from the run at half the step.
 
-    Of a run that was interrupted or has no chunk by the limit of time there are none, and of one
-    that lost trajectories no moments.
+    Of a run that was interrupted or has no chunk by the limit of time there are none.
     """
     report, half = result.report, at_half.report
     assert isinstance(report, Report) and isinstance(half, Report)
@@ -73,9 +72,6 @@ def with_step_bias(result: Result, at_half: Result) -> Report:
         return replace(report, step_pair=f"not measured: {words}")
     pairs: Any = zip(result.densities, at_half.densities, strict=True)  # of histograms
     biases = {a.name: StepBias(*l1_difference(a, b)) for a, b in pairs}
-    if half.lost:
-        words = f"{half.lost} trajectories left the finite range at dt/2"
-        return replace(report, step_biases=biases, step_pair=words)
     for a, b in zip(report.moments, half.moments, strict=True):
         biases[a.name] = StepBias(a.mean - b.mean, hypot(a.error, b.error))
     return replace(report, step_biases=biases, step_pair="dt against dt/2")

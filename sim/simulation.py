@@ -2,12 +2,12 @@
 
 from functools import partial
 from math import ceil, inf
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.clock import left_out, working_time
 from fpk.effects import effects_of
 from fpk.method import Progress, Result, silent
 from sim.assessment import assessed
@@ -60,15 +60,16 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
         # Any ranges: with the kinds of observables as later there is one kernel for all.
         reached = np.full((sum(map(len, setup.observables)), 2), (-1.0, 1.0))
         ensemble.watch(covered(reached), products)
-        ensemble.advance(0, stride=0)  # compiles: the time that is limited begins here
-        begin = perf_counter()
+        with left_out():
+            ensemble.advance(0, stride=0)  # compiles
+        begin = working_time()
         checkpoint.deadline = begin + setup.seconds
         if "reached" in saved:
             reached = saved["reached"]
         else:
             reached, cut = _burnt_in(setup, ensemble, checkpoint, saved, progress=progress)
         ensemble.watch(setup.histograms or covered(reached), products)
-        record = Record(ensemble, elapsed=perf_counter() - begin)
+        record = Record(ensemble, elapsed=working_time() - begin)
         if "reached" in saved:
             ensemble.restore(saved)
             record.restore(saved)
@@ -117,34 +118,32 @@ def _burnt_in(
 
 
 def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: Progress) -> None:
-    """Advance until ``setup`` is met, a trajectory is lost or ``checkpoint`` is interrupted.
+    """Advance until ``setup`` is met or ``checkpoint`` is interrupted.
 
     ``record`` gets the sums at the end of every chunk, and single samples of all trajectories at
     the beginning of some; a chunk that was interrupted, or that the limit of time cut short, is not
     recorded.
     """
     ensemble, stride, tol = record.ensemble, setup.stride, setup.tol
-    begin = perf_counter() - record.elapsed
+    begin = working_time() - record.elapsed
     checkpoint.deadline = begin + setup.seconds
     chunks = CHUNKS * (FIRST_CHUNK if setup.open else 1)
     first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
     record.chunk_samples = record.chunk_samples or first
     while True:
-        start, length = perf_counter(), record.chunk_samples * stride
+        start, length = working_time(), record.chunk_samples * stride
         begun = len(record.ends) * length
         if ensemble.phase == begun and record.chunks in SNAPSHOTS:
             record.snapshot(stride)
         record.elapsed = start - begin
         checkpoint.notes |= record.saved()
         stopped = checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride)
-        record.stepping += perf_counter() - start
+        record.stepping += working_time() - start
         if stopped:
             return
         record.chunks += 1
-        if ensemble.lost():
-            return
         record.chunk_ends()
-        record.elapsed = perf_counter() - begin
+        record.elapsed = working_time() - begin
         ends = record.elapsed > setup.seconds or (not setup.open and record.chunks == CHUNKS)
         enough = record.chunks >= LEAST_CHUNKS and ensemble.samples >= record.target
         if tol < inf and (ends or enough):

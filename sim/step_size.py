@@ -5,8 +5,9 @@ from math import exp, inf, isfinite, pi, sqrt
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
+from fpk.arrays import Array
 from fpk.equivalent import balance_energy, equivalent_temperature
-from fpk.linear import natural_modes
+from fpk.linear import drift_matrix, natural_modes
 from fpk.system import System
 from sim.schemes import Scheme
 
@@ -63,12 +64,22 @@ def contact_frequency(
 ) -> float:
     """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i); 0 if none.
 
+    ``energy`` and ``kT`` as of ``contact_slopes``.
+    """
+    slopes = contact_slopes(system, energy=energy, kT=kT)
+    whole = slopes + np.diag(system.stiffness_matrix) if springs else slopes
+    return sqrt(float(np.max(np.where(slopes > 0.0, whole, 0.0) / system.mass)))
+
+
+def contact_slopes(system: System, *, energy: float = 0.0, kT: float | None = None) -> Array:
+    """Return the largest slope g' (n,) of each contact force that is reached; 0 if none.
+
     A mass that moves alone, the others following statically, has the potential
     ``½ k_eff q² + U(q)`` with k_eff the Schur complement of K. It reaches ``REACHED`` kT, or one kT
     of contact energy where the stop is too far for that, or ``energy`` where that is more. ``kT``
     None: that of the stationary state.
     """
-    largest, kT = 0.0, temperature(system) if kT is None else kT
+    slopes, kT = np.zeros(system.n), temperature(system) if kT is None else kT
     kT = kT if isfinite(kT) else 0.0  # of undamped motion ``energy`` alone counts
 
     def excess(q: float, i: int, sign: float, k_eff: float, level: float) -> float:
@@ -85,10 +96,8 @@ def contact_frequency(
             for s in system.stops
             if (s.index, s.side) == (i, stop.side) and q > s.clearance
         )
-        if springs:
-            stiffness += float(system.stiffness_matrix[i, i])
-        largest = max(largest, stiffness / float(system.mass[i]))
-    return sqrt(largest)
+        slopes[i] = max(slopes[i], stiffness)
+    return slopes
 
 
 def highest_frequency(system: System) -> float:
@@ -169,10 +178,25 @@ def samples_in(system: System, dt: float, seconds: float) -> float:
 
 
 def stability_limit(
-    system: System, scheme: Scheme, *, energy: float = 0.0, kT: float | None = None
-) -> float:
-    """Return 2/ω, where steps become unstable; ω of the contact, with the springs if they kick."""
-    square = contact_frequency(system, energy=energy, kT=kT) ** 2
-    if scheme.springs_kicked or not scheme.kick_first:
-        square += highest_frequency(system) ** 2
-    return 2.0 / sqrt(square) if square > 0 else inf
+    system: System, scheme: Scheme, *, energy: float = 0.0, kT: float | None = None,
+    touching: bool = True,
+) -> float:  # fmt: skip
+    """Return 2/ω, where steps become unstable; ω of the contact, with the springs if they kick.
+
+    Of Euler's rule it is the least −2 Re λ/|λ|², 2 ζ/ω of a vibration, λ the eigenvalues of the
+    drift out of contact and, where ``touching``, in it; damping terms count as constant damping
+    that balances the noise.
+    """
+    if scheme.kick_first:
+        square = contact_frequency(system, energy=energy, kT=kT) ** 2
+        square += highest_frequency(system) ** 2 if scheme.springs_kicked else 0.0
+        return 2.0 / sqrt(square) if square > 0 else inf
+    n, free = system.n, drift_matrix(system)
+    if system.damping_terms:
+        power = float(np.sum(np.diag(system.noise_matrix) / system.mass))
+        free[n:, n:] = -np.eye(n) * power / (n * temperature(system))
+    both = np.stack([free, free])
+    if touching:
+        both[1, n:, :n] -= np.diag(contact_slopes(system, energy=energy, kT=kT))
+    roots = np.linalg.eigvals(both)
+    return float(np.min(-2.0 * roots.real / np.abs(roots) ** 2))

@@ -55,7 +55,7 @@ as_json = click.option(
 tol = click.option("--tol", type=float, help="L1 error wanted; a solver adapts to meet it.")
 seed = click.option("--seed", type=click.IntRange(0, 2**64 - 1), help="Seed of the simulation.")
 threads = click.option("--threads", type=click.IntRange(1), help="Threads of the simulation.")
-seconds = click.option("--seconds", type=float, help="Wall time after which the simulation stops.")
+seconds = click.option("--seconds", type=float, help="Wall time of all simulations together, in s.")
 dt = click.option("--dt", type=float, help="Step of the simulation; chosen if left out.")
 cluster = click.option(
     "--cluster", metavar="ADDRESS", help="Simulate on the Dask cluster there: tcp://HOST:PORT."

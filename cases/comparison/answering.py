@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cases.comparison.budget import Budget
 from cases.comparison.in_time import Given, Replies
 from cases.comparison.loosened import loosened, note_of
 from cases.comparison.rare import SPLITTING, split_passage, splitting_of
@@ -36,24 +37,27 @@ def replies_of(
     partial: bool = False,
     relax: bool = False,
     tol: float | None = None,
+    budget: Budget | None = None,
 ) -> Replies:
     """Return the answers of those of ``methods`` that are able to answer ``question``.
 
     ``partial`` and ``relax`` as of ``answers_of``; ``tol`` is asked of the methods that solve, None
-    their own default. Simulations follow their paths until the last
-    time. Splitting takes the place of the simulation of the full system
-    where that would see few failures, by an answer that came before, or is not certified.
+    their own default; ``budget`` is the time of all simulations. Simulations follow their paths
+    until the last time. Splitting takes the place of the simulation of the full system where that
+    would see few failures, by an answer that came before, or is not certified.
     """
-    attempts, names = Attempts(partial), (question.name,)
+    attempts, names, budget = Attempts(partial), (question.name,), budget or Budget()
     kind: Any = Passages if isinstance(question, PassageQuestion) else Transients
     able: list[Any] = [method for method in methods if isinstance(method, kind)]
+    # Splitting, or the choice of the window, may come beside them.
+    budget.begin(1 + sum(method.route.sampled for method in able))
     given: list[Given] = []
     notes: list[str] = []
 
     @cache
     def window() -> tuple[Array | None, tuple[Any, ...]]:
         if isinstance(question, TransientQuestion) and able:
-            return window_of(system, question, able)
+            return window_of(system, question, able, budget)
         return None, ()
 
     def ask(route: Any, work: Any) -> bool:
@@ -66,7 +70,7 @@ def replies_of(
         given.extend([answer] if answer else [])
         return answer is not None
 
-    def answered(method: Any, points: Array | None) -> Passage | Transient:
+    def answered(points: Array | None, method: Any) -> Passage | Transient:
         options: Any = {"relax": relax, "progress": progress}
         wanted = None if method.route.sampled else tol
         answer, met = _answer(method, system, question, points, tol=wanted, **options)
@@ -78,12 +82,19 @@ def replies_of(
         if reason := _too_rare(question, method, given):
             attempts.refuse(method.route, names, reason)
             continue
-        ask(method.route, partial_of(answered, method))
+        ask(method.route, lambda points, m=method: budget.spend(m, partial_of(answered, points)))
     if isinstance(question, PassageQuestion) and not attempts.interrupted:
         plain = _to_be_replaced(system, question, able, given)
 
         def split(_: Any) -> Passage:
-            return split_passage(system, question, splitting_of(plain), progress=progress)
+            def work(own: Any) -> Passage:
+                settings, later = splitting_of(own), sum(t > 0.0 for t in question.times)
+                if budget.seconds is not None:
+                    settings = replace(settings, seconds=settings.seconds / max(1, later))
+                return split_passage(system, question, settings, progress=progress)
+
+            answer: Passage = budget.spend(plain, work)
+            return answer
 
         if plain and ask(SPLITTING, split):
             replaced = [g for g in given if g.route == plain.route]

@@ -27,6 +27,9 @@ from fpk.system import System
 BURN_IN, SAMPLED = 10.0, 20.0
 """Relaxation times that each path runs before it is sampled, and that it is sampled for."""
 
+STEP = 0.1
+"""Step, in units of the fastest relaxation time, of motion in time, beside one of half of it."""
+
 STATIONARY = 0.25
 """Share of ``step`` with which stationary densities are sampled: no second step says their bias.
 With steps of 0.1 that of the standard deviation of H was 5 standard errors on vanderpol, with 0.025
@@ -55,7 +58,7 @@ class AveragedSimulation(Method):
 
     theory: Theory
     paths: int = 8192
-    step: float = 0.1
+    step: float = STEP
     seed: int = 1
     threads: int | None = None
     tol: float | None = None
@@ -227,6 +230,7 @@ class AveragedSimulation(Method):
         form = self._form(process)
         slowest, steps = self._steps(form)
         interval = 0.5 * slowest
+        too_long = f"the bias of step = {self.step:g} is not known; use {STEP:g}"
         densities = simulate_energies(
             form,
             observables,
@@ -237,6 +241,7 @@ class AveragedSimulation(Method):
             paths=self.paths,
             **self._sampling(),
             tol=inf if self.tol is None else self.tol,
+            failures=() if form.damping is None or self.step <= STEP else (too_long,),
             progress=progress,
         )
         settings: dict[str, str | float | int] = {

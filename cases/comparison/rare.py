@@ -97,8 +97,9 @@ def passage_answer(
 
 
 def splitting_of(method: MonteCarlo, **settings: Any) -> Splitting:
-    """Return ``settings`` of splitting with step, seed, threads and cluster of ``method``."""
+    """Return ``settings`` of splitting with step, seed, threads, cluster, seconds of ``method``."""
     own = {name: getattr(method, name) for name in ("dt", "seed", "threads", "cluster")}
+    own |= {"seconds": method.seconds} if method.seconds else {}
     return Splitting(**{"replicas": REPLICAS, "repetitions": REPETITIONS, **own, **settings})
 
 

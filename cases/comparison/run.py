@@ -7,6 +7,7 @@ from typing import Any
 
 from cases.comparison.answering import replies_of
 from cases.comparison.answers import Answers
+from cases.comparison.budget import budget_of
 from cases.comparison.in_time import Replies
 from cases.comparison.stationary import answers_of
 from cases.scene.questions import Question
@@ -41,11 +42,14 @@ def run_scene(
     """Return the answers of ``methods`` for every curve of ``scene``, as they are taken unasked.
 
     ``partial`` and ``relax`` as in ``answers_of``, ``tol`` as in ``replies_of``; once one was
-    interrupted, the curves that follow are not run. ``save`` gets the outcome so far when the
+    interrupted, the curves that follow are not run. The ``seconds`` of the simulations are shared
+    as ``Budget`` says. ``save`` gets the outcome so far when the
     answers of a curve have been made, before they are compared.
     """
     start, share = perf_counter(), 1.0 / len(scene.curves)
-    options: Any = {"progress": progress, "partial": partial, "relax": relax}
+    questions = 1 + len(scene.passages) + len(scene.transients)
+    budget = budget_of(methods, len(scene.curves) * questions)
+    options: Any = {"progress": progress, "partial": partial, "relax": relax, "budget": budget}
     curves: list[Answers] = []
     for k, curve in enumerate(scene.curves, start=1):
         interrupted = any(c.interrupted for c in curves)

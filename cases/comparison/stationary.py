@@ -7,6 +7,7 @@ from math import inf
 from typing import Any
 
 from cases.comparison.answers import Answers
+from cases.comparison.budget import Budget
 from cases.comparison.loosened import loosened, note_of
 from cases.comparison.refusal import INTERRUPTED, REFUSALS, Attempts
 from cases.written import bound
@@ -28,6 +29,7 @@ def answers_of(
     relax: bool = False,
     share: float | None = None,
     rates: bool = False,
+    budget: Budget | None = None,
 ) -> Answers:
     """Return the answers of ``methods``, each for the observables that it gives.
 
@@ -35,8 +37,10 @@ def answers_of(
     work; None: they were named. ``partial``: Ctrl-C ends the work with the answers that there are
     by then. ``relax``: tolerances are defaults that nobody asked for; an answer that misses its own
     is solved for again as ``loosened`` says, with a note. ``rates``: joint densities that crossing
-    rates of stops follow from are wanted ``beside``.
+    rates of stops follow from are wanted ``beside``. ``budget``: the time of simulations.
     """
+    budget = budget or Budget()
+    budget.begin(sum(m.route.sampled and _is_taken(m, system, share) for m in methods))
     results: list[Result] = []
     notes: list[str] = []
     attempts = Attempts(partial)
@@ -57,10 +61,15 @@ def answers_of(
         given = [observable for observable, reason in reasons.items() if not reason]
         if not given:
             continue
+
+        def solve(own: Method, taken: Method = taken, plan: Plan = plan, given: Any = given) -> Any:
+            plan = plan if own is taken else own.prepare(system)
+            return _solved(plan, system, given, notes, relax, progress, rates)
+
         result = attempts.answer_of(
             method.route,
             map(observable_name, given),
-            partial_of(_solved, plan, system, given, notes, relax, progress, rates),
+            partial_of(budget.spend, taken, solve),
             failures=REFUSALS if taken is method else (),
         )
         if result is None:
@@ -76,6 +85,15 @@ def answers_of(
     return Answers(
         system, tuple(results), refused, notes=tuple(notes), interrupted=attempts.interrupted
     )
+
+
+def _is_taken(method: Method, system: System, share: float | None) -> bool:
+    """Whether the method, named or unasked, is for the system."""
+    try:
+        (method if share is None else method.unasked(system, share=share)).prepare(system)
+    except NotApplicable:
+        return False
+    return True
 
 
 def _solved(

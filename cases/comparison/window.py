@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from cases.comparison.budget import Budget
 from cases.scene.questions import TransientQuestion
 from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
@@ -25,7 +27,7 @@ REACH = 12.0
 SHOWN = 1e-3
 """Share of the largest density below which it lies outside the window of its time."""
 
-SCOUT = {"paths": LEAST_PATHS, "seconds": None, "checkpoint": None, "partial": False}
+SCOUT = {"paths": LEAST_PATHS, "checkpoint": None, "partial": False}
 """Settings of a simulation by which windows are chosen."""
 
 TOL = 1e-3
@@ -33,11 +35,11 @@ TOL = 1e-3
 
 
 def window_of(
-    system: System, question: TransientQuestion, methods: Sequence[Any]
+    system: System, question: TransientQuestion, methods: Sequence[Any], budget: Budget
 ) -> tuple[Array, tuple[Any, ...]]:
     """Return ascending points, and of each time the indices of the ``POINTS`` in its window.
 
-    By the first of ``methods`` that answers; none at all where none does.
+    By the first of ``methods`` that answers, within the ``budget``; none at all where none does.
     """
     at = _wide(system, question)
     for method in methods:
@@ -45,14 +47,18 @@ def window_of(
         quick = replace(method, **{k: v for k, v in SCOUT.items() if k in known})
         asked = system, question.of, question.start, np.array(question.times), (at,)
         try:
-            tol = None if method.route.sampled else TOL
-            answer = quick.transient(*asked, tol=tol, progress=silent)
+            work = partial(_transient, asked, None if method.route.sampled else TOL)
+            answer = budget.spend(quick, work)
             grids = [_window(at, p) for p in answer.values]
         except (NotApplicable, NotCertified, InvalidInput):
             continue  # its reason is that of its answer, which is asked for later
         points = np.unique(np.concatenate(grids))
         return points, tuple(np.searchsorted(points, grid) for grid in grids)
     return at, ()
+
+
+def _transient(asked: Any, tol: float | None, method: Any) -> Any:
+    return method.transient(*asked, tol=tol, progress=silent)
 
 
 def _wide(system: System, question: TransientQuestion) -> Array:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import ceil, isfinite, nan, sqrt
+from math import ceil, inf, nan, sqrt
 from typing import Any, Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from cases.studies.simulation import (
     squared,
 )
 from fpk.arrays import Array
+from fpk.errors import NotCertified
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.schemes import SCHEMES
@@ -108,9 +109,11 @@ def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrd
             replace(method, relaxations=relaxations, step_factor=first / RATIO**k, seed=seed + k)
             for k in range(count)
         ]
-        runs = [run(system, level)[0] for level in levels]
-        stable = all(isfinite(r.value) for r in runs)
-        return judged(unusable, runs, truth) if stable else unusable, sum(r.seconds for r in runs)
+        try:
+            runs = [run(system, level)[0] for level in levels]
+        except NotCertified:  # an unstable step
+            return unusable, inf
+        return judged(unusable, runs, truth), sum(r.seconds for r in runs)
 
     order, taken = result(PILOT)
     # Burn-in costs once; where it takes all the time the pilot is all that there is.

@@ -14,8 +14,8 @@ from fpk.evolution import Passage
 from fpk.method import Progress, silent
 from fpk.modulation import Modulation
 from fpk.number import SMALLEST
-from sim.averaged.paths import BATCHES, batch_stream, share_of
-from sim.averaged.square_root import SquareRootForm, square_root_step
+from sim.averaged.paths import BATCHES, Shares, batch_stream
+from sim.averaged.square_root import SquareRootForm, never, square_root_step
 from sim.motion.failure_times import Times
 from sim.motion.steps import STEP_TO_LIMIT, first_step, stages
 from sim.motion.survival import followed_for, passage_of, settled_at
@@ -114,15 +114,16 @@ def energy_passage(
     steps = list(stages(first, dt, horizon, most=MOST_STEPS))
     halved = [(0.5 * h, 2 * many) for h, many in steps]
     failed = partial(_failed, form, limits, modulation=modulation)
+    shares = Shares(seconds, threads)
 
     def followed(batch: int) -> tuple[Array, Array, Array]:
         stream = batch_stream(seed, batch)
         X = from_energies(form, starts(own, stream))
         if exact:
-            ends = share_of(seconds, threads)
+            ends = shares.ends(batch)
             until, fine, coarse = failed(X, halved, stream, ends, strides=(1, 2))
         else:
-            ends = share_of(seconds and seconds * 2.0 / 3.0, threads)
+            ends = shares.ends(batch, 2.0 / 3.0)
             until, fine = failed(X, halved, stream, ends)
             _, coarse = failed(X, steps, stream, end=until)
         return fine, coarse, np.full(own, until)
@@ -156,7 +157,7 @@ def _failed(
     X: Array,
     steps: Sequence[tuple[float, int]],
     stream: np.random.Generator,
-    ends: Callable[[], bool] = lambda: False,
+    ends: Callable[[], bool] = never,
     *,
     strides: tuple[int, ...] = (1,),
     end: float = inf,

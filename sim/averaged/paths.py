@@ -2,20 +2,20 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil, inf, nan
-from time import perf_counter
 
 import numpy as np
 
 from fpk.arrays import Array
 from fpk.bins import BinAxis
+from fpk.clock import working_time
 from fpk.errors import InvalidInput
 from fpk.method import Progress, silent
 from fpk.observable import Coordinate, Observable
 from fpk.sampled_density import SampledDensity
-from sim.averaged.square_root import SquareRootForm, advanced
+from sim.averaged.square_root import SquareRootForm, advanced, never
 from sim.histogram import MARGIN, binned, covering, log_states, sampled_density
 
 BATCHES = 64
@@ -26,6 +26,9 @@ LEAST_PATHS = 4 * BATCHES
 
 PILOT_PATHS = 4096
 """Paths whose largest energies choose the ranges of the histograms."""
+
+PILOT_SHARE = 0.25
+"""Share of the time that a pilot may take: as many paths as half of those that follow it."""
 
 BINS = (512, 64)
 """Bins of each axis of a histogram of one and of two energies."""
@@ -44,14 +47,15 @@ def simulate_energies(
     threads: int = 1,
     seconds: float | None = None,
     tol: float = inf,
+    failures: Sequence[str] = (),
     progress: Progress = silent,
 ) -> tuple[SampledDensity, ...]:
     """Return sampled densities of energies H_i, pairs of them and H = Σ H_i, with their errors.
 
     ``paths`` in all are sampled every ``interval``, in ``steps`` steps, for ``time`` after
     ``burn_in``. Streams belong to batches of paths: the answer does not depend on ``threads``.
-    Ranges come from a pilot with a stream of its own. ``seconds`` of wall time end the sampling,
-    after the burn-in and one sample at the least.
+    Ranges come from a pilot with a stream of its own. ``seconds`` of wall time end it; nothing is
+    certified where they are over in the burn-in.
 
     Raises ``InvalidInput`` for paths that fill no batches.
     """
@@ -59,29 +63,33 @@ def simulate_energies(
         raise InvalidInput("paths", paths, f"use a multiple of {BATCHES}, {LEAST_PATHS} or more")
     own, samples = paths // BATCHES, max(1, round(time / interval))
     begun = partial(burnt_in, form, interval=interval, steps=steps, time=burn_in)
-    pilot = form.energies(begun(PILOT_PATHS, batch_stream(seed, BATCHES)))
+    pilot_ends = Shares(seconds and PILOT_SHARE * seconds, 1).ends(BATCHES)
+    shares = Shares(seconds, threads)
+    pilot = form.energies(begun(PILOT_PATHS, batch_stream(seed, BATCHES), pilot_ends))
     reached = np.array([(0.0, column(pilot, c).max()) for o in observables for c in o])
     histograms = covering(observables, reached, partial(energy_axis, form), bins=BINS)
     counts = [np.zeros((BATCHES, h.size + 1), dtype=np.int64) for h in histograms]
-    lost, taken = np.zeros(BATCHES, dtype=bool), np.zeros(BATCHES, dtype=np.int64)
+    short, taken = np.zeros(BATCHES, dtype=bool), np.zeros(BATCHES, dtype=np.int64)
 
     def sample(batch: int) -> None:
-        stream, ends = batch_stream(seed, batch), share_of(seconds, threads)
-        X = begun(own, stream)
+        stream, ends = batch_stream(seed, batch), shares.ends(batch)
+        X = begun(own, stream, ends)
+        short[batch] = ends()
         for number in range(samples):
             if number and ends():
                 break
             taken[batch] += own
-            X = advanced(form, X, interval / steps, steps, stream)
+            X = advanced(form, X, interval / steps, steps, stream, ends=ends)
             H = form.energies(X)
             for total, histogram in zip(counts, histograms, strict=True):
                 bins = histogram.bins_of([column(H, c) for c in histogram.observable])
                 total[batch] += np.bincount(bins, minlength=histogram.size + 1)
-        lost[batch] = not np.isfinite(X).all()
 
     with ThreadPoolExecutor(threads) as pool:
         for done, _ in enumerate(pool.map(sample, range(BATCHES)), start=1):
             progress(done, BATCHES, "averaged simulation")
+    over = f"{seconds or 0.0:.3g} s were over in the burn-in; give it more time"
+    too_short = [over] if short.any() else []
     densities = []
     for histogram, total in zip(histograms, counts, strict=True):
         density = sampled_density(
@@ -90,7 +98,7 @@ def simulate_energies(
             taken=int(taken.sum()),
             residual=nan,  # no identity of the averaged equations is evaluated
             tol=tol,
-            failures=("an energy left the finite range",) if lost.any() else (),
+            failures=[*failures, *too_short],
         )
         densities.append(replace(density, values=density.batch_values.mean(axis=0)))
     return tuple(densities)
@@ -100,22 +108,39 @@ def burnt_in(
     form: SquareRootForm,
     paths: int,
     stream: np.random.Generator,
+    ends: Callable[[], bool] = never,
     *,
     interval: float,
     steps: int,
     time: float,
 ) -> Array:
-    """Return X (paths, d) after ``time``, in intervals of ``steps`` each, from exponential ones."""
+    """Return X (paths, d) after ``time``, in intervals of ``steps`` each, from exponential ones.
+
+    Or from the step on after which it ``ends()``.
+    """
     X = stream.exponential(form.scales, (paths, form.scales.size))
-    return advanced(form, X, interval / steps, ceil(time / interval) * steps, stream)
+    return advanced(form, X, interval / steps, ceil(time / interval) * steps, stream, ends=ends)
 
 
-def share_of(seconds: float | None, threads: int) -> Callable[[], bool]:
-    """Return what says that a batch, which begins now, has had its share of ``seconds``."""
-    if seconds is None:
-        return lambda: False
-    end = perf_counter() + seconds * threads / BATCHES
-    return lambda: perf_counter() > end
+@dataclass(frozen=True)
+class Shares:
+    """The ``seconds`` of wall time from now on, None for ever, of batches in ``threads``."""
+
+    seconds: float | None
+    threads: int
+    begin: float = field(default_factory=working_time)
+
+    def ends(self, batch: int, part: float = 1.0) -> Callable[[], bool]:
+        """Return what says that a batch, which begins now, has had a ``part`` of its share.
+
+        Batches begin in order. What one takes less, or more, those that follow have more, or less.
+        """
+        if self.seconds is None:
+            return never
+        now, turns = working_time(), -(-BATCHES // self.threads)
+        end = self.begin + self.seconds * min(1.0, (batch // self.threads + 1) / turns)
+        end = now + part * (end - now)
+        return lambda: working_time() > end
 
 
 def batch_stream(seed: int, batch: int) -> np.random.Generator:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.errors import NotApplicable
+from fpk.errors import NotApplicable, NotCertified
 from fpk.modulation import Modulation
 from fpk.process import Process, log_density_slope
 from fpk.quadrature import panel_rule
@@ -30,6 +30,11 @@ CELLS = 4096
 
 FIRST = 8
 """Cells next to 0 with the γ of the next one: a difference of equal numbers is divided by X."""
+
+
+def never() -> bool:
+    """Return that it does not end."""
+    return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +178,8 @@ def square_root_step(
     of freedom and noncentrality X e^{−γ₀t}/k. Weak order two. Of modulated noise, the step being
     from ``begin`` on, (1 − e^{−γ₀t})/γ₀ is ∫e(s)² e^{−γ₀(t−s)} ds, exact as well, and γ that of the
     mean of e².
+
+    Raises ``NotCertified`` where a step is so long that energies grow beyond all bounds.
     """
     factor = 1.0 if modulation is None else float(modulation.mean_square(np.array(begin), dt))
     form = form if modulation is None else form.under(factor)
@@ -187,7 +194,11 @@ def square_root_step(
         grown = modulation.faded(begin, begin + dt, form.linear) / factor
     k = 0.25 * form.slope * grown
     freedom = 4.0 * form.noise / form.slope
-    return _damped(form, k * stream.noncentral_chisquare(freedom, X * decay / k), 0.5 * dt)
+    X = _damped(form, k * stream.noncentral_chisquare(freedom, X * decay / k), 0.5 * dt)
+    if not np.isfinite(X).all():
+        words = "energies left the range of double precision: steps of"
+        raise NotCertified(f"{words} {dt:g} are unstable; use a smaller step")
+    return X
 
 
 def advanced(
@@ -198,10 +209,16 @@ def advanced(
     stream: np.random.Generator,
     modulation: Modulation | None = None,
     begin: float = 0.0,
+    ends: Callable[[], bool] = never,
 ) -> Array:
-    """Draw X (paths, d) so many ``steps`` of ``dt`` later; the noise as of ``square_root_step``."""
+    """Draw X (paths, d) so many ``steps`` of ``dt`` later, or after that in which it ``ends()``.
+
+    The noise is as of ``square_root_step``.
+    """
     for k in range(steps):
         X = square_root_step(form, X, dt, stream, modulation, begin + k * dt)
+        if ends():
+            break
     return X
 
 

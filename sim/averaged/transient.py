@@ -1,20 +1,21 @@
 """Transient densities of averaged energies by simulation, in steps of dt/2 and of dt."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from math import ceil
-from time import perf_counter
 
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.errors import InvalidInput
 from fpk.evolution import Transient
 from fpk.method import Progress, silent
 from fpk.modulation import Modulation
 from fpk.observable import Observable
 from sim.arrays import MAX_TRAJECTORIES
 from sim.averaged.passage import Starts, from_energies
-from sim.averaged.paths import batch_stream, column, energy_axis
+from sim.averaged.paths import BATCHES, Shares, batch_stream, column, energy_axis
 from sim.averaged.square_root import SquareRootForm, advanced
 from sim.motion.densities import Counted, answer_of
 
@@ -51,19 +52,21 @@ def energy_transient(
     """
     axis = partial(energy_axis, form)
     counted = Counted(observable, len(times), lambda H: [column(H, c) for c in observable], axis)
-    simulated = partial(_simulated, form, starts, times, dt, paths, seed, modulation)
-    begin, number, most = perf_counter(), 0, max(ROUNDS, MAX_TRAJECTORIES // paths)
+    over = Shares(seconds, 1).ends(BATCHES)
+    simulated = partial(_simulated, form, starts, times, dt, paths, seed, modulation, over)
+    number, most = 0, max(ROUNDS, MAX_TRAJECTORIES // paths)
     with ThreadPoolExecutor(threads) as pool:
         while True:
             rounds = range(number, min(number + ROUNDS, most))
             for states in pool.map(simulated, rounds):
                 number += 1
+                if not (states or counted.histograms):
+                    raise InvalidInput("seconds", seconds, "are over in the first round; give more")
                 for k, (fine, coarse) in enumerate(states):
                     counted.add(k, times[k], fine, coarse)
                 progress(min(number, ROUNDS), ROUNDS, "transient, averaged")
             error = max(density.l1_error for density in counted.densities())
-            over = seconds is not None and perf_counter() - begin > seconds
-            if tol is None or error <= tol or number >= most or over:
+            if tol is None or error <= tol or number >= most or over():
                 break
     settings = {"seed": seed, "steps": "exact" if form.damping is None else "Strang splitting"}
     return answer_of(counted, times, at, dt, settings=settings, tol=np.inf if tol is None else tol)
@@ -71,25 +74,28 @@ def energy_transient(
 
 def _simulated(
     form: SquareRootForm, starts: Starts, times: Array, dt: float, paths: int, seed: int,
-    modulation: Modulation | None, number: int,
+    modulation: Modulation | None, over: Callable[[], bool], number: int,
 ) -> list[States]:  # fmt: skip
-    """The states at all times of round ``number``."""
+    """The states at all times of round ``number``; none where it is ``over()`` before its end."""
     stream = batch_stream(seed, number)
     X = from_energies(form, starts(paths, stream))
-    fine = _followed(form, X, times, 0.5 * dt, stream, modulation)
+    fine = _followed(form, X, times, 0.5 * dt, stream, modulation, over)
+    if over():
+        return []
     if form.damping is None:
         return [(H, None) for H in fine]
-    return list(zip(fine, _followed(form, X, times, dt, stream, modulation), strict=True))
+    coarse = _followed(form, X, times, dt, stream, modulation, over)
+    return [] if over() else list(zip(fine, coarse, strict=True))
 
 
 def _followed(
     form: SquareRootForm, X: Array, times: Array, dt: float, stream: np.random.Generator,
-    modulation: Modulation | None,
+    modulation: Modulation | None, over: Callable[[], bool],
 ) -> list[Array]:  # fmt: skip
-    """The energies (paths, d) at the times, in steps of ``dt`` at most."""
+    """The energies (paths, d) at the times, in steps of ``dt`` at most, wrong where ``over()``."""
     rows, gaps = [], np.diff(times, prepend=0.0).tolist()
     for time, gap in zip(times.tolist(), gaps, strict=True):
         steps = 0 if gap == 0.0 else 1 if form.damping is None else ceil(gap / dt * (1.0 - 1e-12))
-        X = advanced(form, X, gap / max(1, steps), steps, stream, modulation, time - gap)
+        X = advanced(form, X, gap / max(1, steps), steps, stream, modulation, time - gap, over)
         rows.append(form.energies(X))
     return rows

@@ -17,7 +17,6 @@ from sim.motion.stationary import (
     Watch,
     error_of,
     interruption,
-    losses,
     not_met,
     sampled_curve,
     working,
@@ -81,7 +80,7 @@ def crossings(method: MonteCarlo, asked: Question) -> Curve:
             if watch.ends():
                 break
         failures = [] if done or method.seconds else ["it was ended before all chunks were done"]
-        failures += interruption(watch) + losses(states[:, : 2 * system.n], dt)
+        failures += interruption(watch)
     failures += too_long + _drifting(ends, times)
     total = paths * pair[0].time
     bias = (rates - at_half).mean(axis=0)

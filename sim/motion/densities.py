@@ -13,9 +13,7 @@ from fpk.errors import InvalidInput
 from fpk.evolution import Transient
 from fpk.observable import Observable
 from fpk.sampled_density import SampledDensity
-from fpk.system import System
 from sim.histogram import Histogram, covering, rises, sampled_density, unresolved_words
-from sim.motion.stationary import lost_words
 
 GROUPS = 64
 """Independent batches of trajectories, from which errors are taken."""
@@ -41,7 +39,7 @@ class Counted:
         self.observable, self.read, self.axis, self.mirror = observable, read, axis, mirror
         self.histograms: list[Histogram] = []
         self.counts: list[Integers] = []  # of each time: (2, GROUPS, bins + 1)
-        self.paths, self.lost = [0] * times, 0
+        self.paths = [0] * times
         self.stepped = False
 
     def add(self, k: int, time: float, fine: Array, coarse: Array | None) -> None:
@@ -56,7 +54,6 @@ class Counted:
             index = group * (histogram.size + 1) + histogram.bins_of(columns)
             counts = np.bincount(index, minlength=GROUPS * (histogram.size + 1))
             self.counts[k][which] += counts.reshape(GROUPS, -1)
-            self.lost += int(np.count_nonzero(~np.isfinite(states).all(axis=1)))
         self.paths[k] += len(fine)
 
     def densities(self, which: int = 0) -> list[SampledDensity]:
@@ -73,8 +70,7 @@ class Counted:
     def _covering(self, columns: Sequence[Array], time: float) -> Histogram:
         reached = np.zeros((len(columns), 2))
         for c, x, ends in zip(self.observable, columns, reached, strict=True):
-            x = x[np.isfinite(x)]
-            ends[:] = (x.min(), x.max()) if x.size else (0.0, 1.0)
+            ends[:] = x.min(), x.max()
             if not ends[1] - ends[0] > 1e-9 * np.max(np.abs(ends)):
                 words = f"{c} is one value at t = {time:g}, and has no density; ask for later times"
                 raise InvalidInput("times", time, words)
@@ -86,13 +82,11 @@ class Counted:
 def answer_of(
     counted: Counted, times: Array, at: tuple[Array, ...], dt: float, *,
     settings: Mapping[str, str | float | int], failures: Sequence[str] = (), tol: float,
-    system: System | None = None,
 ) -> Transient:  # fmt: skip
     """Return the densities at ``times`` at the points ``at``, ``dt`` being the longer step.
 
     In the error are, in quadrature, one standard error by the groups and what changes at the longer
-    step. Where the bins do not show the density errors are inf and nothing is certified. The
-    motion of ``system`` may be what loses trajectories.
+    step. Where the bins do not show the density errors are inf and nothing is certified.
     """
     fine = counted.densities()
     coarse = counted.densities(1) if counted.stepped else fine
@@ -113,7 +107,7 @@ def answer_of(
         minimum=min((x for c in certificates if (x := c.minimum) is not None), default=None),
         residual=worst(c.residual for c in certificates),
         tail_mass=max(map(outside, certificates)),
-        failures=(*failures, *lost_words(counted.lost, dt, system), *own, *wide[:1]),
+        failures=(*failures, *own, *wide[:1]),
     )
     settings = {
         "trajectories": min(counted.paths),

@@ -17,8 +17,10 @@ from fpk.system import System
 from sim.arrays import LANES, StepArrays, WatchArrays
 from sim.ensemble import LEAST_WORK
 from sim.kernel import KernelKey, compiled_kernel
+from sim.motion.steps import loudest
 from sim.plan import step_arrays, watched
 from sim.random import Singles, mixed_seed
+from sim.reachable import Reachable
 from sim.schemes import SCHEMES, Scheme
 from sim.workers import Workers
 
@@ -68,6 +70,7 @@ class Motion:
     last: Array = field(init=False)
     samples: int = 0
     _states: Array = field(init=False)  # (blocks, 2n, LANES), one step further, before its kick
+    _reachable: Reachable = field(init=False)
 
     def __post_init__(self) -> None:
         """Find the states whose observation is (q, p); that is the sample number 0."""
@@ -80,6 +83,8 @@ class Motion:
             halved=self.halved,
         )  # fmt: skip
         self._key = replace(self._key, modulated=self.modulation is not None)
+        energy = float(np.max(self.system.hamiltonian(self.q, self.p)))
+        self._reachable = Reachable(loudest(self.system), self.scheme, self.dt, energy)
         wanted = in_blocks(np.hstack([self.q, self.p]))
         self._states = wanted.copy()
         # Displacements in units of momenta.
@@ -114,10 +119,13 @@ class Motion:
         """The first word that no sample has depended on."""
         return self.word + self.samples * self.stride * self._step.words
 
-    def advance(self, samples: int, read: Reader = nothing, *arrays: Any) -> None:
+    def advance(
+        self, samples: int, read: Reader = nothing, *arrays: Any, passed: Array | None = None
+    ) -> None:
         """Advance by so many samples; ``read`` sees each, with the one before the first of them.
 
-        ``arrays`` are split by blocks, their first axis.
+        ``arrays`` are split by blocks, their first axis. Raises ``NotCertified`` where the step is
+        seen to be unstable, by trajectories of which ``passed`` (blocks, 1, LANES) is then inf.
         """
         task = partial(
             followed, key=self._key, step=self._step, watch=self._watch,
@@ -137,6 +145,8 @@ class Motion:
                 if view is not array:  # it comes from another process
                     view[...] = array
         self.samples += samples
+        running = None if passed is None else np.isinf(passed[:, 0])
+        self._reachable.require(self.last, self.time - self.begin, running)
 
     def keep(self, lanes: Integers) -> None:
         """Go on with the trajectories ``lanes``, counted along the blocks; one may come twice.

@@ -8,6 +8,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.certificate import tolerance
+from fpk.clock import left_out
 from fpk.errors import InvalidInput
 from fpk.evolution import Passage
 from fpk.limit import Limit
@@ -16,14 +17,13 @@ from fpk.modulation import Modulation
 from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES
-from sim.ensemble import MAX_COORDINATE
 from sim.montecarlo import MonteCarlo
 from sim.motion.failure_times import Times
 from sim.motion.limits import beyond, energies_of, reach_of
 from sim.motion.motion import Motion, gathered, in_blocks
 from sim.motion.passing import reader_of
 from sim.motion.starts import Origin
-from sim.motion.stationary import interruption, lost_words, not_met, working
+from sim.motion.stationary import interruption, not_met, working
 from sim.motion.steps import first_step, loudest, motion_step, require_times, stages
 from sim.motion.survival import followed_for, passage_of, settled_at
 from sim.random import OTHER_SEED
@@ -72,16 +72,16 @@ def passage(
     settled = settled_at(modulation)
     # Under noise that varies none may fail for long, and many later.
     hopeless = method.time or max(longest / HOPELESS, last, min(settled, longest))
-    sampled, lost, number, done = Times(*np.zeros((3, 0))), 0, 0, False
+    sampled, number, done = Times(*np.zeros((3, 0))), 0, False
     with working(method, system, wanted, start) as (workers, watch, origin):
         rounds = Rounds(method, system, limit, origin, dt, first, longest, hopeless, workers)
         while not done:
-            more, lost = rounds.run(number, watch.ends, progress)
-            sampled, number = sampled.joined(more), number + 1
+            sampled = sampled.joined(rounds.run(number, watch.ends, progress))
+            number += 1
             enough = sampled.fine.size >= method.paths
             enough = enough and not not_met(method, wanted, _relative_error(sampled))
-            done = bool(lost) or enough or watch.ends() or (number + 1) * AT_ONCE > 1 << 24
-    failures += interruption(watch) + lost_words(lost, dt, system)
+            done = enough or watch.ends() or (number + 1) * AT_ONCE > 1 << 24
+    failures += interruption(watch)
     return passage_of(
         sampled,
         times,
@@ -120,8 +120,8 @@ class Rounds:
     hopeless: float
     workers: Workers
 
-    def run(self, number: int, ends: Callable[[], bool], progress: Progress) -> tuple[Times, int]:
-        """Return the times of up to ``AT_ONCE`` trajectories, and how many of them were lost.
+    def run(self, number: int, ends: Callable[[], bool], progress: Progress) -> Times:
+        """Return the times of up to ``AT_ONCE`` trajectories.
 
         They are followed until both simulations of each have failed, and end at the ``horizon``,
         at ``hopeless`` if none has failed by then, and after a chunk when ``ends()``; times so cut
@@ -134,20 +134,14 @@ class Rounds:
             raise InvalidInput("start", str(self.origin.start), f"is beyond the limit {self.limit}")
         energies = energies_of(self.limit, self.system.n)
         seed = (self.method.seed + number * OTHER_SEED) % 2**64
-        pair = [
-            Motion(
-                self.system,
-                q,
-                p,
-                dt,
-                seed,
-                energies=energies,
-                halved=halved,
-                workers=self.workers,
-                modulation=self.system.modulation,
-            )
-            for dt, halved in ((0.5 * self.first, False), (self.first, True))
-        ]
+        with left_out():
+            pair = [
+                Motion(
+                    self.system, q, p, dt, seed, energies=energies, halved=halved,
+                    workers=self.workers, modulation=self.system.modulation,
+                )
+                for dt, halved in ((0.5 * self.first, False), (self.first, True))
+            ]  # fmt: skip
         stream = np.random.Generator(
             np.random.Philox(key=np.array([seed, number + 2**63], dtype=np.uint64))
         )
@@ -155,7 +149,7 @@ class Rounds:
         chances = [in_blocks(exponential), in_blocks(exponential)]
         found = [in_blocks(np.where(past, 0.0, inf)[:, None]) for _ in pair]
         failed = np.full((2, paths), inf)
-        lanes, lost = np.arange(paths), 0
+        lanes = np.arange(paths)
         until = np.full(paths, self.horizon)
         readers = [reader_of(self.system, self.limit, motion.dt) for motion in pair]
         for dt, chunk in stages(self.first, self.dt, self.horizon, most=CHUNK):
@@ -163,20 +157,16 @@ class Rounds:
                 pair = [motion.onward(dt if motion.halved else 0.5 * dt) for motion in pair]
                 readers = [reader_of(self.system, self.limit, m.dt, m.begin) for m in pair]
             for motion, read, *arrays in zip(pair, readers, found, chances, strict=True):
-                motion.advance(chunk if motion.halved else 2 * chunk, read, *arrays)
+                many = chunk if motion.halved else 2 * chunk
+                motion.advance(many, read, *arrays, passed=arrays[0])
             now = np.array([times.transpose(0, 2, 1).ravel()[: lanes.size] for times in found])
             failed[:, lanes] = now
-            finite = np.ones(lanes.size, dtype=bool)
-            for motion in pair:
-                own = np.abs(motion.last[:, : 2 * self.system.n]) < MAX_COORDINATE
-                finite &= own.all(axis=1).ravel()[: lanes.size]
-            lost = int(np.count_nonzero(~finite & np.isinf(now).any(axis=0)))
             running = np.isinf(now).any(axis=0)
             alive = int(np.count_nonzero(running))
             done = max(1.0 - alive / paths, min(1.0, pair[1].time / self.horizon))
             progress(int(PROGRESS * done), PROGRESS, "first passage")
             hopeless = not np.isfinite(failed).any() and pair[1].time >= self.hopeless
-            if not alive or lost or hopeless or ends():
+            if not alive or hopeless or ends():
                 break
             if 2 * alive <= pair[1].last.shape[0] * LANES and pair[1].last.shape[0] > 1:
                 kept = np.flatnonzero(running)
@@ -187,7 +177,7 @@ class Rounds:
         until = np.full(paths, min(self.horizon, pair[1].time))
         # What passes in the part of the last step beyond the horizon counts as not failed.
         failed[failed > until] = inf
-        return Times(failed[0], failed[1], until), lost
+        return Times(failed[0], failed[1], until)
 
 
 def _relative_error(sampled: Times) -> float:

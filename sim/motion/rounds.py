@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.clock import left_out
 from fpk.method import Progress
 from fpk.system import System
 from sim.arrays import LANES
 from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.motion.motion import Motion, Reader, in_rows
-from sim.motion.stationary import interruption, losses, not_met, working
+from sim.motion.stationary import interruption, not_met, working
 from sim.random import OTHER_SEED
 
 MOST_STEPS, MOST_SAMPLES = 1 << 22, 64
@@ -62,7 +63,7 @@ def in_rounds(
         while number * own < paths or not_met(method, wanted, error):
             seed = (method.seed + number * OTHER_SEED) % 2**64
             q, p = origin.drawn(own, number)
-            with watch.held():
+            with left_out():
                 running = [Motion(system, q, p, seed=seed, workers=workers, **m) for m in motions]
             sums = [np.zeros((own // LANES, *window.numbers)) for _ in motions]
             piece = max(1, min(MOST_SAMPLES, MOST_STEPS // (own * running[0].stride)))
@@ -79,7 +80,7 @@ def in_rounds(
             progress(min(number * own, paths), paths, what)
             if watch.ends():
                 break
-        failures = interruption(watch) + losses(states, running[0].dt)
+        failures = interruption(watch)
         if number * own < LEAST_PATHS:
             failures.append(f"it ended after {number * own} trajectories of {LEAST_PATHS}")
     return number * own, failures

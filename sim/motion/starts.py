@@ -1,6 +1,5 @@
 """States in which motions begin: one state, on an energy shell, by modes, or under other noise."""
 
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from math import ceil
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array, Flags
+from fpk.clock import left_out
 from fpk.errors import NotApplicable
 from fpk.linear import natural_modes
 from fpk.start import Start
@@ -91,7 +91,7 @@ class Origin:
         pieces = ceil(steps / BURN_IN_STEPS)
         stride = ceil(steps / pieces)
         seed = (self.seed + number * OTHER_SEED + 2**63) % 2**64  # no seed of a round
-        with self.watch.held() if self.watch else nullcontext():
+        with left_out():
             dt = dt if needs_steps(system) else time
             motion = Motion(system, q, p, dt, seed, stride=stride, workers=self.workers)
         for k in range(pieces):

@@ -4,21 +4,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import inf
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
+from fpk.clock import working_time
 from fpk.cores import usable_cores
 from fpk.dynamics import Curve
 from fpk.errors import InvalidInput
-from fpk.escape import escape
 from fpk.start import Start
 from fpk.system import System
 from sim.checkpoint import interruptible
-from sim.ensemble import MAX_COORDINATE
 from sim.montecarlo import MonteCarlo
 from sim.motion.starts import Origin
 from sim.workers import workers_of
@@ -36,7 +34,7 @@ class Watch:
 
     def ends(self) -> bool:
         """Return whether it is time to stop."""
-        return bool(self.stopped()) or perf_counter() - self.begin > self.seconds
+        return bool(self.stopped()) or working_time() - self.begin > self.seconds
 
     def require(self, what: str, share: float) -> None:
         """Raise ``InvalidInput`` where it is time to stop and only a ``share`` of ``what`` is done.
@@ -47,16 +45,9 @@ class Watch:
             return
         if self.stopped():
             raise KeyboardInterrupt
-        taken = perf_counter() - self.begin
+        taken = working_time() - self.begin
         needed = f"which takes about {taken / share:.2g} s" if share > 0.0 else "which takes longer"
         raise InvalidInput("seconds", self.seconds, f"are over in {what}, {needed}; give it more")
-
-    @contextmanager
-    def held(self) -> Iterator[None]:
-        """Do not count the time of what is within: of compiling."""
-        now = perf_counter()
-        yield
-        self.begin += perf_counter() - now
 
 
 @contextmanager
@@ -69,7 +60,7 @@ def working(
         workers_of(method.cluster, method.threads or usable_cores()) as workers,
         interruptible(method.partial) as stopped,
     ):
-        watch = Watch(seconds, stopped, perf_counter())
+        watch = Watch(seconds, stopped, working_time())
         yield workers, watch, Origin(system, start, method.seed, method.burn_in, workers, watch)
 
 
@@ -86,21 +77,6 @@ def error_of(blocks: Array) -> Array:
 def interruption(watch: Watch) -> list[str]:
     """Return that Ctrl-C came, in words, if it did."""
     return ["partial: interrupted by Ctrl-C"] if watch.stopped() else []
-
-
-def losses(states: Array, dt: float) -> list[str]:
-    """Return how many ``states`` (paths, 2n) left the finite range, in words, if some did."""
-    return lost_words(int(np.count_nonzero(~(np.abs(states) < MAX_COORDINATE).all(axis=1))), dt)
-
-
-def lost_words(lost: int, dt: float, system: System | None = None) -> list[str]:
-    """Return how many trajectories left the finite range, in words, if some did, and what to do.
-
-    Where the motion of ``system`` escapes it is the reason, which no step changes.
-    """
-    reason = system and system.fact(escape)
-    remedy = f": {reason}" if reason else f"; use a smaller dt than {dt:g}"
-    return [f"{lost} trajectories left the finite range{remedy}"] if lost else []
 
 
 def sampled_curve(

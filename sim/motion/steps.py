@@ -92,7 +92,7 @@ def motion_step(
     dt = method.dt or method.step_factor * min(longest, step_for(system, error, kT=kT))
     limit = stability_limit(system, SCHEMES[method.scheme], energy=energy, kT=kT)
     if not 0.0 < dt < limit and not method.allow_unstable:
-        remedy = f"must be > 0 and below the stability limit 2/ω = {limit:.4g} of {method.scheme}"
+        remedy = f"must be > 0 and below the stability limit {limit:.4g} of {method.scheme}"
         raise InvalidInput("dt", dt, remedy)
     words = f"between steps as long as dt = {dt:g} not all is seen; use {longest:.2g}"
     return dt, [words] if dt > too_long * longest else []

@@ -8,6 +8,7 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.certificate import tolerance
+from fpk.clock import left_out
 from fpk.effects import effects_of
 from fpk.evolution import Transient
 from fpk.method import Progress
@@ -84,7 +85,6 @@ def transient(
         dt,
         settings={"seed": method.seed, "scheme": method.scheme},
         failures=failures,
-        system=system,
         tol=inf if wanted is None else wanted,
     )
 
@@ -94,7 +94,8 @@ def ensembles(
 ) -> Iterator[tuple[Array, Array | None]]:
     """Yield the states (paths, 2n) at each time, at steps of dt/2 and of ``dt``.
 
-    The second is None where the step has no error: it is then as long as the time.
+    The second is None where the step has no error: it is then as long as the time. Where the watch
+    of the origin ends it there are no more; in the first round it raises ``InvalidInput``.
     """
     system, seed = origin.system, (origin.seed + number * OTHER_SEED) % 2**64
     stepped = needs_steps(system) or system.modulation is not None
@@ -109,13 +110,19 @@ def ensembles(
             long = (time - now) / (parts * stride)
             for k, (halved, many) in enumerate(((False, 2), (True, 1))[: len(states)]):
                 q, p = np.split(states[k], 2, axis=1)
-                motion = Motion(
-                    system, q, p, long / (many if stepped else 1), seed, halved=halved,
-                    stride=stride * (many if stepped else 1), word=words[k], workers=workers,
-                    modulation=system.modulation, begin=now,
-                )  # fmt: skip
-                for _ in range(parts):
+                with left_out():
+                    motion = Motion(
+                        system, q, p, long / (many if stepped else 1), seed, halved=halved,
+                        stride=stride * (many if stepped else 1), word=words[k], workers=workers,
+                        modulation=system.modulation, begin=now,
+                    )  # fmt: skip
+                for done in range(parts):
                     motion.advance(1)
+                    if origin.watch.ends():
+                        if number:  # what there is will do
+                            return
+                        share = (now + (time - now) * (done + 1) / parts) / times[-1]
+                        origin.watch.require("the first round", share)
                 states[k], words[k] = in_rows(motion.last)[:, : 2 * system.n], motion.next_word
         now = float(time)
         yield states[0], states[1] if stepped else None

@@ -7,7 +7,8 @@ by a copy of a survivor up to the first time at which its score exceeds Z, and b
 there. For a Markov chain in discrete time and any score the probability has the mean P exactly.
 """
 
-from math import inf, log
+from collections.abc import Callable
+from math import inf, log, nan
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -38,15 +39,21 @@ class Repetition(NamedTuple):
     steps: int = 0
 
 
-def split(replicas: Replicas, failure: int, killed: int, stream: np.random.Generator) -> Repetition:
+def split(
+    replicas: Replicas, failure: int, killed: int, stream: np.random.Generator,
+    over: Callable[[], bool] = lambda: False,
+) -> Repetition:  # fmt: skip
     """Return the estimate of the probability that a path's score reaches ``failure``.
 
     ``killed`` is the least number of ``replicas`` that each level kills; ties may make it more.
+    Where it is ``over()`` before the last level, the probability is not a number.
     """
     log_probability, levels = 0.0, 0
     failed = int(np.sum(replicas.best >= failure))
     while True:
         best = replicas.best
+        if over():
+            return Repetition(nan, levels, failed)
         level = int(np.partition(best, killed - 1)[killed - 1])
         if level >= failure:
             return Repetition(log_probability + log(np.mean(best >= failure)), levels, failed)

@@ -1,11 +1,11 @@
 """Repetitions of splitting on workers, at two steps, until the error is small enough."""
 
 from functools import partial
-from math import ceil, isfinite
-from time import perf_counter
+from math import ceil, inf, isfinite
 
 import numpy as np
 
+from fpk.clock import working_time
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotCertified
 from fpk.limit import Limit
@@ -62,13 +62,20 @@ def rare_failure(
     return failure_of(problem, own, progress)
 
 
-def repetition(problem: Problem, settings: Splitting, fine: int, number: int) -> Repetition:
-    """Return one repetition at the step dt / 2**``fine``; each has streams of its own."""
+def repetition(
+    problem: Problem, settings: Splitting, fine: int, number: int, left: float = inf
+) -> Repetition:
+    """Return one repetition at the step dt / 2**``fine``; each has streams of its own.
+
+    It is not finished, its probability not a number, where more than ``left`` seconds are needed.
+    """
+    begin = working_time()
     key = np.array([settings.seed, 2 * number + fine], dtype=np.uint64)
     stream = np.random.Generator(np.random.Philox(key=key))
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
     replicas = problem.replicas(settings.replicas, steps, seed, stream)
-    result = split(replicas, LEVELS, settings.killed, stream)
+    over = lambda: working_time() - begin > left  # noqa: E731
+    result = split(replicas, LEVELS, settings.killed, stream, over)
     return result._replace(steps=replicas.moved)
 
 
@@ -112,17 +119,18 @@ def _repeat(
     progress: Progress,
 ) -> None:
     """Make rounds of repetitions until the error is reached or the time is over."""
-    wanted, begin = settings.repetitions, perf_counter() - done.seconds
+    wanted, begin = settings.repetitions, working_time() - done.seconds
     step = 0.5 * problem.time / step_count(problem)
     while True:
         done.grow(wanted)
         left = np.argwhere(np.isnan(done.log_probability[:, :wanted]).T).tolist()
         for first in range(0, len(left), workers.threads):
             tasks = left[first : first + workers.threads]
-            calls = [partial(_numbered, problem, settings, fine, number) for number, fine in tasks]
+            most = settings.seconds - (working_time() - begin)
+            calls = [partial(_numbered, problem, settings, most, *task) for task in tasks]
             for number, fine, result in workers.as_finished(calls):
                 done.finish(fine, number, result)
-                done.seconds = perf_counter() - begin
+                done.seconds = working_time() - begin
                 checkpoint.save(done)
             progress(done.whole, wanted, "splitting")
             if checkpoint.stopped() or done.seconds >= settings.seconds:
@@ -136,6 +144,6 @@ def _repeat(
 
 
 def _numbered(
-    problem: Problem, settings: Splitting, fine: int, number: int
+    problem: Problem, settings: Splitting, left: float, number: int, fine: int
 ) -> tuple[int, int, Repetition]:
-    return number, fine, repetition(problem, settings, fine, number)
+    return number, fine, repetition(problem, settings, fine, number, left)

@@ -59,7 +59,7 @@ def sampled(ensemble: Any, *, between: Callable[[], None] = lambda: None) -> dic
         ensemble.advance(31, stride=3)
         between()
     q, p = ensemble.phase_points()
-    found = {"q": q, "p": p, "means": ensemble.batch_means(), "lost": ensemble.lost()}
+    found = {"q": q, "p": p, "means": ensemble.batch_means()}
     return {**ensemble.saved(), **found, "live": ensemble.live}
 
 

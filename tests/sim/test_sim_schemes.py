@@ -69,7 +69,7 @@ FIVE = pytest.param(lambda: linear(5), marks=pytest.mark.slow, id="five")
 
 
 def assert_kernel_equals_its_twin(name: str, system: System) -> None:
-    h, paths, seed = 0.11, 150, 977
+    h, paths, seed = 0.02 if name == "euler_maruyama" else 0.11, 150, 977
     ensemble = Ensemble(system, SCHEMES[name], h, paths, seed, 1)
     q, p = (x.T * 3.0 for x in ensemble.phase_points())
     place(ensemble, 3.0 * ensemble.states)

@@ -1,0 +1,87 @@
+"""How far exact motions get: a simulation of which one gets farther is unstable, and ends."""
+
+from dataclasses import dataclass
+from math import exp, inf, sqrt
+
+import numpy as np
+from scipy.special import gammainccinv
+
+from fpk.arrays import Array, Flags
+from fpk.equivalent import balance_energy
+from fpk.errors import NotCertified
+from fpk.escape import escape
+from fpk.linear import UNDAMPED
+from fpk.system import System
+from sim.relaxation import modal_temperatures
+from sim.schemes import Scheme
+from sim.step_size import BEYOND_BALANCE, stability_limit, temperature
+
+CHANCE = exp(-100.0)
+"""Probability that a state has more energy. Of 1e13 states one in 1e30 has it by chance; where the
+density is not Gibbs', and falls by e^−30 only instead of e^−100, none of them has."""
+
+SHADOW = 2.0
+"""Size of a state in units of what its energy allows that a stable step leads to: a kick keeps
+½p² + ½(1 − h²ω²/4) ω²q², a quarter of the energy at the least up to hω = √3 of at most 2."""
+
+
+def hottest(system: System) -> float:
+    """Return the least T with N <= T c, as quadratic forms of v; inf where some v is not damped.
+
+    N = f D fᵀ, and c its symmetric part: of no damped linear motion is the mean of m v² larger.
+    With damping terms it is the largest temperature of a mode, or that of all.
+    """
+    if system.damping_terms:
+        return float(max(temperature(system), *modal_temperatures(system)))
+    c = 0.5 * (system.damping + system.damping.T)
+    rates, v = np.linalg.eigh(c)
+    noise = v.T @ system.noise_matrix @ v
+    damped = rates > UNDAMPED * rates[-1]
+    if np.any(np.diag(noise)[~damped] > 0.0):
+        return inf
+    roots = np.sqrt(rates[damped])
+    return float(np.linalg.eigvalsh(noise[damped][:, damped] / np.outer(roots, roots))[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Reachable:
+    """States that motions of ``system``, simulated in steps ``dt`` of ``scheme``, can reach.
+
+    ``energy`` is the largest H at their start.
+    """
+
+    system: System
+    scheme: Scheme
+    dt: float
+    energy: float
+
+    def largest(self, time: float) -> Array:
+        """Return the largest |q| and |p| (2n,) that motions get to in the ``time`` since the start.
+
+        The linear motion from the start and that by the noise add up, of which the second has 2n
+        normal coordinates in units of √T: T is that of the ``hottest`` mode or, as energy comes
+        from the noise alone, twice all that by then. Stops and springs only take room away.
+        """
+        s, T, energy = self.system, self.system.fact(hottest), self.energy
+        if s.damping_terms:
+            energy = max(energy, BEYOND_BALANCE * balance_energy(s))
+        else:
+            T = min(T, 2.0 * time * float(np.sum(np.diag(s.noise_matrix) / s.mass)))
+        root = SHADOW * sqrt(energy) + sqrt(T * float(gammainccinv(s.n, CHANCE)))
+        return root * np.sqrt(2.0 * np.concatenate([np.diag(s.compliance), s.mass]))
+
+    def require(self, states: Array, time: float, running: Flags | None = None) -> None:
+        """Raise ``NotCertified`` where ``states`` (blocks, 2n or more, LANES) lie beyond.
+
+        ``time`` is since the start; ``running`` (blocks, LANES) are trajectories that count.
+        """
+        within = np.abs(states[:, : 2 * self.system.n]) <= self.largest(time)[:, None]
+        beyond = ~within.all(axis=1)
+        if lost := int(np.count_nonzero(beyond if running is None else beyond & running)):
+            stable = stability_limit(self.system, self.scheme, energy=self.energy)
+            reason = self.system.fact(escape) or (
+                f"steps of {self.dt / self.scheme.small:g} by {self.scheme.name} are unstable;"
+                f" use a dt below {min(stable, 0.5 * self.dt / self.scheme.small):.2g}"
+            )
+            words = f"{lost} trajectories left the range that the energy allows"
+            raise NotCertified(f"{words}: {reason}")

@@ -1,0 +1,136 @@
+"""The wall time that a command's simulations share: what each is given, by a clock of the test."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cases.comparison import answering
+from cases.comparison.averaged import AveragedSimulation
+from cases.comparison.budget import LEAST, Budget, budget_of
+from cases.comparison.run import run_scene
+from cases.scene.scene import load_scene
+from fpk.errors import InvalidInput, NotCertified
+from fpk.limit import parse_limit
+from fpk.method import silent
+from fpk.observable import parse_observable
+from fpk.start import REST
+from sim.averaged import paths
+from sim.montecarlo import MonteCarlo
+from sim.splitting.run import rare_failure
+from sim.splitting.settings import Splitting
+
+SCENE = """
+[system]
+mass = [1.0]
+stiffness = [1.0]
+damping = [0.1]
+noise_intensity = [0.1]
+[observe]
+densities = ["q1"]
+[[passage]]
+limit = "H=1.0"
+times = [5.0, 20.0]
+[[transient]]
+of = "H"
+times = [5.0]
+"""
+
+
+def test_time_that_is_not_used_goes_on_to_those_that_follow() -> None:
+    now, given = [0.0], []
+    budget = Budget(12.0, 3, clock=lambda: now[0])
+
+    def work(taken: float) -> Any:
+        def simulated(method: MonteCarlo) -> None:
+            given.append(method.seconds)
+            now[0] += taken
+
+        return simulated
+
+    budget.begin(2)  # 12 of 3 questions: 4
+    budget.spend(MonteCarlo(), work(1.0))
+    budget.spend(MonteCarlo(), work(1.0))
+    budget.begin(1)  # 10 are left of 2
+    budget.spend(MonteCarlo(), work(7.0))
+    budget.begin(2)
+    budget.spend(MonteCarlo(), work(4.0))
+    budget.spend(MonteCarlo(), work(0.0))
+    assert given == pytest.approx([2.0, 3.0, 5.0, 1.5, LEAST])
+
+
+def test_nothing_is_bounded_where_no_time_is_given() -> None:
+    budget = budget_of([MonteCarlo()], 3)
+    budget.begin(1)
+    assert budget.spend(MonteCarlo(), lambda own: own.seconds) is None
+
+
+@dataclass(frozen=True)
+class Asked(MonteCarlo):
+    """A simulation that notes what time it is given, and takes none."""
+
+    given: Any = ()
+
+    def prepare(self, system: Any) -> Any:
+        plan = super().prepare(system)
+        return replace(plan, solve=self._note, solve_beside=None)
+
+    def _note(self, *asked: Any, **how: Any) -> Any:
+        self.given.append(self.seconds)
+        raise NotCertified("no time was taken")
+
+    passage = transient = _note
+
+
+def test_a_run_shares_its_seconds(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, given = tmp_path / "scene.toml", []
+    path.write_text(SCENE)
+
+    def split(*asked: Any, **how: Any) -> Any:
+        given.append(asked[2].seconds)
+        raise NotCertified("no time was taken")
+
+    monkeypatch.setattr(answering, "split_passage", split)
+    run_scene(load_scene(str(path)), [Asked(seconds=8.0, given=given)])
+    stationary, passage, each_split, scout, transient = given
+    assert stationary == pytest.approx(8.0 / 3.0, rel=1e-2)
+    assert passage == pytest.approx(8.0 / 2.0 / 2.0, rel=2e-2)
+    assert each_split == pytest.approx(4.0 / 2.0, rel=2e-2)  # two times
+    assert scout == pytest.approx(8.0 / 2.0, rel=2e-2)
+    assert transient == pytest.approx(8.0, rel=2e-2)
+
+
+NO_TIME = 1e-9
+
+
+def test_too_little_time_is_said_in_one_line(tmp_path: Any) -> None:
+    path = tmp_path / "scene.toml"
+    term = "[[damping_term]]\ni = 1\nj = 1\ncoefficient = 0.1\nq = { 1 = 2 }\n[observe]"
+    path.write_text(SCENE.replace("[observe]", term))
+    system, H, at = load_scene(str(path)).system, parse_observable("H", 1), np.linspace(0, 1, 5)
+    limit, later, quiet = parse_limit("H=1", 1), np.array([20.0]), {"tol": None, "progress": silent}
+    averaged = AveragedSimulation("nonintegrable", seconds=NO_TIME)
+    plain = replace(system, damping_terms=())
+    for method, own in ((MonteCarlo(seconds=NO_TIME), plain), (averaged, system)):
+        with pytest.raises(InvalidInput, match="are over in the first round"):
+            method.transient(own, H, REST, later, (at,), **quiet)
+        (density,) = method.solve(own, [H]).densities
+        assert "give it more time" in density.certificate.failures[0]
+    assert not averaged.passage(system, limit, REST, later, **quiet).certificate.certified
+    with pytest.raises(NotCertified, match="0 repetitions were finished"):
+        rare_failure(plain, limit, REST, 5.0, settings=Splitting(seconds=NO_TIME))
+
+
+def test_batches_have_absolute_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(paths, "working_time", lambda: now[0])
+    shares = paths.Shares(64.0, 2, 0.0)  # 32 turns of two batches each, 2 s a turn
+    now[0] = 1.0
+    ends, part = shares.ends(1), shares.ends(3, 0.5)  # until 2 s; half of what is left until 4 s
+    now[0] = 2.4
+    assert ends() and not part()
+    now[0] = 2.6
+    assert part() and shares.ends(63)() is False
+    now[0] = 64.1
+    assert shares.ends(63)()

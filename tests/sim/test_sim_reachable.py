@@ -1,0 +1,124 @@
+"""Steps that are unstable end a simulation in one line, by every scheme and every reader."""
+
+import numpy as np
+import pytest
+from scipy.special import gammaincc
+
+from fpk.contact import Contact
+from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.limit import parse_limit
+from fpk.observable import parse_observable
+from fpk.start import REST, parse_start
+from fpk.system import System
+from sim.averaged.square_root import SquareRootForm, square_root_step
+from sim.montecarlo import MonteCarlo
+from sim.reachable import CHANCE, Reachable, hottest
+from sim.schemes import SCHEMES
+from sim.step_size import stability_limit
+
+Q = parse_observable("q1", 1)
+
+
+def hertz(**fields) -> System:
+    """One mass between Hertz stops; at 5 kT they are six times as stiff as the spring."""
+    stop = Contact(1, "both", 4.0, 0.5, law="hertz")
+    return System([1.0], [1.0], [0.6], [0.3], contacts=(stop,), **fields)
+
+
+def small(**fields) -> MonteCarlo:
+    return MonteCarlo(**{"paths": 4096, "relaxations": 10.0, **fields})
+
+
+@pytest.mark.parametrize(
+    ("scheme", "dt"),
+    [("euler_maruyama", 0.2), ("euler_maruyama", 0.1), ("baoab", 1.5), ("exact_flow", 1.5)],
+)
+def test_an_unstable_step_ends_in_one_line(scheme: str, dt: float) -> None:
+    limit = stability_limit(hertz(), SCHEMES[scheme])
+    with pytest.raises(NotCertified, match="unstable; use a dt below") as end:
+        small(scheme=scheme, dt=dt, allow_unstable=True, relaxations=150.0).solve(hertz(), [Q])
+    assert float(str(end.value).rsplit(maxsplit=1)[1]) <= min(1.01 * limit, 0.5 * dt)
+
+
+@pytest.mark.parametrize(("scheme", "limit"), [("euler_maruyama", 0.6), ("exact_flow", 0.8253)])
+def test_a_step_of_ones_own_beyond_the_limit_is_refused(scheme: str, limit: float) -> None:
+    """2 ζ/ω = c/k without contact; 2/ω in contact."""
+    with pytest.raises(InvalidInput, match=f"stability limit {limit}"):
+        small(scheme=scheme, dt=1.001 * limit).solve(hertz(), [Q])
+
+
+def test_the_stable_step_of_eulers_rule_is_that_of_its_eigenvalues() -> None:
+    system = System([2.0, 1.0], [3.0, 1.0], [0.3, 0.2], [0.1, 0.1])
+    limit = stability_limit(system, SCHEMES["euler_maruyama"])
+
+    def radius(h: float) -> float:
+        step = SCHEMES["euler_maruyama"].linear_map(system, h).propagator
+        return float(np.max(np.abs(np.linalg.eigvals(step))))
+
+    assert radius(0.999 * limit) < 1.0 < radius(1.001 * limit)
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.01])
+def test_a_biased_step_below_the_limit_is_not_certified(dt: float) -> None:
+    result = small(scheme="euler_maruyama", dt=dt, relaxations=40.0).solve(hertz(), [Q])
+    assert any("standard errors" in f for f in result.densities[0].certificate.failures)
+
+
+def test_readers_of_motions_in_time_end_in_one_line() -> None:
+    system, at, times = hertz(), np.array([0.2]), np.array([40.0])
+    own = small(dt=1.5, allow_unstable=True, time=40.0)
+    asked = {
+        "passage": lambda: own.passage(system, parse_limit("q1=9", 1), REST, times),
+        "transient": lambda: own.transient(system, Q, REST, times, (at,)),
+        "crossings": lambda: own.crossings(system, Q, at),
+        "correlation": lambda: own.correlation(system, Q, at),
+    }
+    for name, question in asked.items():
+        words = "are unstable; use a dt below|no step of 1.5 begins in the start; use a smaller dt"
+        with pytest.raises((NotCertified, NotApplicable), match=words):
+            pytest.fail(f"{name}: {question()}")
+
+
+def test_the_range_holds_whatever_the_noise_and_the_start() -> None:
+    """Of one mass H/T is exponential: e^−100 of the states have more than 100 T."""
+    free = System([2.0], [8.0], [0.4], [0.1])
+    assert gammaincc(1.0, 100.0) == pytest.approx(CHANCE)
+    assert hottest(free) == pytest.approx(0.25)
+    reachable = Reachable(free, SCHEMES["exact_flow"], 0.1, 0.0)
+    q, p = reachable.largest(np.inf)
+    assert 0.5 * 8.0 * q**2 == pytest.approx(25.0) == pytest.approx(0.5 * p**2 / 2.0)
+    soon = reachable.largest(0.01)  # less than 2 N t/m = 0.001 of energy has come
+    assert np.all(soon < 0.07 * np.array([q, p]))
+    started = Reachable(free, SCHEMES["exact_flow"], 0.1, 40.0).largest(0.0)
+    assert np.all(started >= np.sqrt(2.0 * 40.0 * np.array([1.0 / 8.0, 2.0])))
+
+
+def test_a_mass_that_is_hotter_than_the_others_stays_within() -> None:
+    """Noise on a mass that is hardly damped: T is 500 times the mean that kT is."""
+    system = System([1.0, 1.0], [1.0, 1.0], [1.0, 1e-3], [0.0, 1e-3])
+    assert hottest(system) == pytest.approx(1.0)
+    own = small(dt=0.5, time=50.0, burn_in=2.0)
+    assert own.solve(system, [parse_observable("q2", 2)]).identities
+
+
+def test_motions_without_damping_or_from_far_stay_within() -> None:
+    system, later = hertz(), np.array([0.5, 3.0])
+    loose = System([1.0], [1e-4], [0.0], [0.5])
+    own = small(most_steps=4000)
+    far = own.transient(system, Q, parse_start("q1=6", system), later, (np.array([0.0]),))
+    assert np.all(np.isfinite(far.values))
+    grown = own.transient(loose, Q, REST, np.array([100.0]), (np.zeros(1),))
+    # Var q = (2/3) D t³ but for the soft spring, which takes a tenth of it.
+    assert grown.values[0, 0] == pytest.approx((2 * np.pi * 2 / 3 * 0.5 * 1e6) ** -0.5, rel=0.3)
+
+
+def test_energies_that_grow_beyond_all_bounds_end_in_one_line() -> None:
+    """dX = … + X² dt without bound: it escapes, whatever the step."""
+    form = SquareRootForm(
+        noise=np.ones(1), slope=np.ones(1), damping=lambda X: -X, linear=np.ones(1),
+        energies=lambda X: X, scales=np.ones(1),
+    )  # fmt: skip
+    stream, X = np.random.default_rng(1), np.full((64, 1), 10.0)
+    with np.errstate(over="ignore"), pytest.raises(NotCertified, match="use a smaller step"):
+        for _ in range(40):
+            X = square_root_step(form, X, 1.0, stream)
