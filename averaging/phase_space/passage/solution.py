@@ -135,7 +135,8 @@ class Solution:
             V[n], MV[n], KV[n] = v, Mv, Kv
             if (n + 1) % EVERY == 0:
                 H, g = V[: n + 1] @ KV[: n + 1].T, V[: n + 1] @ start
-                values = at_limit + _projected(H, V[: n + 1] @ e.exit, g, times)
+                with np.errstate(over="ignore", invalid="ignore"):  # by round-off H may grow
+                    values = at_limit + _projected(H, V[: n + 1] @ e.exit, g, times)
                 before, change, last = change, np.abs(values - last), values
                 enough = tol * min(1.0, float(np.max(np.abs(values))))
                 if np.max(change) <= KRYLOV * enough and np.max(before) <= enough:
