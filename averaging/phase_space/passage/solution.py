@@ -142,8 +142,8 @@ class Solution:
                 if np.max(change) <= KRYLOV * enough and np.max(before) <= enough:
                     break
             v = self.shifted.solve(Mv)
-            ahead = e.M @ v
-            Kv, Mv, parts = Mv - self.sigma * ahead, ahead, np.zeros(n + 1)
+            v += self.shifted.solve(Mv - e.K @ v - self.sigma * (e.M @ v))
+            Kv, Mv, parts = e.K @ v, e.M @ v, np.zeros(n + 1)
             for _ in range(2):
                 more = MV[: n + 1] @ v
                 v -= more @ V[: n + 1]
