@@ -15,6 +15,7 @@ from fpk.clearance import stop_clearances
 from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.escape import escape
 from fpk.linear import natural_modes
 from fpk.observable import observable_name
 from fpk.route import ROUTES, solvers_of
@@ -164,8 +165,13 @@ def theories(scene: Scene) -> list[Record]:
 
 
 def _boundaries(system: System) -> list[Record]:
-    """The ends of the averaged energies (24) and (17), of each theory that applies."""
+    """The ends of the averaged energies (24) and (17), of each theory that applies.
+
+    None where the motion escapes, which averages do not show.
+    """
     ends: list[tuple[str, BoundaryClass]] = []
+    if system.fact(escape):
+        return []
     with suppress(NotApplicable):
         ends += [("nonintegrable", end) for end in classify(energy_process(system))]
     with suppress(NotApplicable):
