@@ -118,7 +118,7 @@ def ensembles(
                     )  # fmt: skip
                 for done in range(parts):
                     motion.advance(1)
-                    if origin.watch.ends():
+                    if origin.watch and origin.watch.ends():
                         if number:  # what there is will do
                             return
                         share = (now + (time - now) * (done + 1) / parts) / times[-1]

@@ -149,11 +149,11 @@ def test_an_end_by_the_wall_time_has_no_bias(monkeypatch: pytest.MonkeyPatch) ->
     # Each batch ends after another number of steps, 50 to 199.
     numbers = iter(range(10**6))
 
-    def share_of(*_: Any) -> Any:
+    def ends(*_: Any) -> Any:
         left = iter([False] * (50 + 37 * next(numbers) % 150))
         return lambda: next(left, True)
 
-    monkeypatch.setattr("sim.averaged.passage.share_of", share_of)
+    monkeypatch.setattr("sim.averaged.passage.Shares.ends", ends)
     answer = passed("integrable", oscillator(0.1), "H=1.5", paths=4096)
     assert int(answer.settings["not failed"]) > 200 and answer.certificate.certified
     assert abs(answer.mean.value - CIR_MEAN / 0.1) < 4.0 * answer.mean.error
