@@ -292,7 +292,7 @@ def test_random_stops_on_one_side_are_solved_within_the_error_or_refused(capfd):
             assert abs(a.value - b.value) <= a.error + b.error
         solved += coarse.certificate.certified
         if coarse.certificate.certified and solved % 5 == 0 and coarse.mean.value * frequency < 60:
-            sampled = ask(system, limit, start, method=MonteCarlo(paths=4000, seed=3))
+            sampled = ask(system, limit, start, method=MonteCarlo(paths=4096, seed=3))
             allowed = 5.0 * sampled.mean.error + coarse.mean.error
             assert abs(sampled.mean.value - coarse.mean.value) < allowed
     assert solved >= 45
