@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from averaging import Integrable, NonIntegrable
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.routes import listed_routes
+from cases.studies.equations import energy_equation
 from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
@@ -261,6 +262,8 @@ def test_what_does_not_need_a_stationary_state_is_answered() -> None:
             method.relaxation(ODD, 2)
     with pytest.raises(NotApplicable, match="the motion escapes"):
         PhaseSpace().relaxation(ODD, 2)
+    with pytest.raises(NotApplicable, match="the motion escapes"):
+        energy_equation(ODD)
     with pytest.raises(InvalidInput, match="no stationary state"):
         parse_start("noise=0.5", ODD)
     # After 10 time units most trajectories are gone: no smaller step brings them back.
@@ -301,6 +304,21 @@ def test_units_do_not_matter(name: str) -> None:
         damping_terms=tuple(terms),
     )
     assert (escape(other) is not None) == escapes
+
+
+ODD_ALONE = [
+    (n, f"{i}{j}: {monomial}")
+    for n in (1, 2)
+    for i in range(1, n + 1)
+    for j in range(1, n + 1)
+    for monomial in ("q1", "v1", "q1 q1 q1", "q1 q1 v1", "q1 v1 v1", "v1 v1 v1", "q1 H", "v1 H")
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n, text", ODD_ALONE)
+def test_every_odd_term_alone_lets_the_motion_escape(n: int, text: str) -> None:
+    assert damped((0.4, text), n=n).fact(escape)
 
 
 @pytest.mark.slow
