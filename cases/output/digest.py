@@ -5,13 +5,12 @@ from collections.abc import Iterable
 from typing import get_args
 
 from cases.comparison.answers import Answers
-from cases.comparison.claims import Verdict, findings
+from cases.comparison.claims import Verdict, findings, time_findings
 from cases.comparison.compare import Comparison
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import Quantity
 from cases.comparison.refusal import Refusal
 from cases.comparison.run import Outcome
-from cases.comparison.time_claims import time_findings
 from cases.output.facts import facts_record
 from cases.output.records import Record, answer_tail, answer_units, passage_numbers, plain
 from cases.output.words import stationary_note, theory_of_route
