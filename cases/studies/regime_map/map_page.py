@@ -11,8 +11,7 @@ from cases.output.words import named, stationary_note
 from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
 from cases.studies.picture import Field, Panel, curves_over, spans_decades
-from cases.studies.regime_map.map import RegimeMap
-from cases.studies.regime_map.points import NEITHER, THEORIES, UNDECIDED
+from cases.studies.regime_map.map import NEITHER, THEORIES, UNDECIDED, RegimeMap
 from fpk.clearance import CLEARANCE_RULE
 from fpk.observable import observable_name
 
