@@ -8,12 +8,11 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.output.digest import claims_counted, curves_of, refusals_of, verdict_of
-from cases.output.duration import duration
 from cases.output.records import Record
 from cases.output.tables import quantity_tables, text_table
 from cases.output.words import effects_in_words, named, theory_of_route, with_key
 from cases.scene.units import bracketed
-from cases.written import NOTE, bound, number, up, with_error
+from cases.written import NOTE, bound, duration, number, up, with_error
 
 
 def rendered(template: str, record: Mapping[str, Any]) -> str:

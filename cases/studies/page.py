@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from cases.output.duration import duration
 from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
 from cases.output.page import PLOTS, as_script_data, origin_record, page_record, script_record
@@ -26,6 +25,7 @@ from cases.output.words import named
 from cases.scene.scene import Scene
 from cases.scene.units import attribute, bracketed
 from cases.studies.picture import Field, Panel, live_plots, study_figure
+from cases.written import duration
 
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
 """Characters to which Markdown gives a meaning inside a line, HTML and formulas included."""

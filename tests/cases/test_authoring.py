@@ -14,11 +14,11 @@ import pytest
 from cases.commands.app import app
 from cases.commands.examples import EXAMPLES
 from cases.commands.parts import as_wide
-from cases.output.duration import duration
 from cases.scene.json_schema import DIRECTIVE, FILE, scene_schema
 from cases.scene.key_table import key_table, with_table
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.schema import SCENE
+from cases.written import duration
 from fpk.clearance import stop_clearances
 from fpk.contact_law import LAWS
 from sim.montecarlo import MonteCarlo

@@ -8,7 +8,6 @@ import pytest
 
 from averaging.closed_form import averaged_density
 from averaging.nonintegrable import NonIntegrable
-from cases.output.duration import duration
 from cases.scene.scene import load_scene
 from cases.studies import passage
 from cases.studies.cost import CostStudy, candidates, equation_routes, study_cost
@@ -21,6 +20,7 @@ from cases.studies.passage import passage_routes
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import full_reference
 from cases.studies.solved import solved_routes
+from cases.written import duration
 from fpk.density import l1_distance
 from fpk.line.stationary import solve_stationary
 from fpk.observable import parse_observable
