@@ -15,8 +15,7 @@ from cases.comparison.run import Outcome
 from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
 from cases.output.records import plain, program_version
-from cases.output.time_fields import time_variables
-from cases.output.variables import ByRoute, Variables
+from cases.output.variables import ByRoute, Variables, time_variables
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, Units, attribute
 from fpk.arrays import Array
