@@ -1,7 +1,7 @@
-"""The record of a run, from which all that is shown is written."""
+"""The record of a run, from which all that is shown is written, and that of many, the gate's."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import get_args
 
 from cases.comparison.answers import Answers
@@ -13,7 +13,7 @@ from cases.comparison.refusal import Refusal
 from cases.comparison.run import Outcome
 from cases.output.facts import facts_record
 from cases.output.records import Record, answer_tail, answer_units, passage_numbers, plain
-from cases.output.words import stationary_note, theory_of_route
+from cases.output.words import stationary_note
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import NO_UNITS, Units
 from cases.written import SCHEMA
@@ -21,7 +21,7 @@ from fpk.density import AnyDensity
 from fpk.evolution import Passage
 from fpk.method import Result
 from fpk.observable import observable_name
-from fpk.route import Route, solvers_of
+from fpk.route import Route
 from sim.report import Report, StepBias
 
 ROW = ("observable", "measures", "norm", "L1", "band", "error")
@@ -60,51 +60,6 @@ def curves_of(digest: Record) -> list[Record]:
     Where that is no number they stay as they are: the scene's own system, then the order written.
     """
     return sorted([digest, *digest["curves"]], key=lambda curve: curve["value"] or 0.0)
-
-
-def refusals_of(curve: Record) -> list[Record]:
-    """Return the refusals of one curve, those with the same reason joined in one entry.
-
-    ``routes`` has the theories, with their solvers where a theory has several.
-    """
-    joined: dict[tuple[str, bool], Record] = {}
-    for r in curve["methods"]:
-        if r["applies"]:
-            continue
-        reason, failed = r["reason"], r["failed"]
-        for name in r["observables"]:
-            reason = reason.removeprefix(f"{name}: ")
-        entry = joined.setdefault((reason, failed), {"solvers": {}, "observables": []})
-        entry["observables"] += [o for o in r["observables"] if o not in entry["observables"]]
-        entry["solvers"].setdefault(r["method"], {})[r["solver"]] = None
-    for (reason, failed), entry in joined.items():
-        routes = ", ".join(
-            theory_of_route(method)
-            + (f" ({', '.join(own)})" if len(solvers_of(method)) > 1 else "")
-            for method, own in entry.pop("solvers").items()
-        )
-        entry |= {"routes": routes, "reason": reason, "failed": failed}
-    return list(joined.values())
-
-
-def verdict_of(digest: Record) -> str:
-    """Return the verdict in one sentence."""
-    if digest["problems"]:
-        return f"{digest['judged']} judged comparisons, {len(digest['problems'])} checks fail"
-    if not digest["judged"]:
-        return "nothing to compare, every certificate holds"
-    return f"{digest['judged']} judged comparisons, every check holds"
-
-
-def claims_counted(claims: list[Record]) -> str:
-    """Return how many claims of the source have which verdict: ``2 hold, 1 undecided``."""
-    count = Counter(claim["verdict"] for claim in claims)
-    plural = {"holds": "hold", "does not hold": "do not hold"}
-    return ", ".join(
-        f"{count[verdict]} {verdict if count[verdict] == 1 else plural.get(verdict, verdict)}"
-        for verdict in get_args(Verdict)
-        if count[verdict]
-    )
 
 
 def _curve(curve: Answers, key: str, units: Units) -> Record:
@@ -272,3 +227,45 @@ def _three_errors(
 def _theory(route: Route) -> str:
     """A theory's solvers by one name; its simulation is another route to it."""
     return route.label if route.sampled else route.method
+
+
+def verify_row(digest: Record) -> Record:
+    """Return what the gate says of a scene; a curve about which nothing is judged is a problem."""
+    curves = curves_of(digest)
+    unjudged = [
+        f"{curve['label'] or digest['scene']}: no comparison was judged"
+        for curve in curves
+        for part in [(curve, *curve["passages"], *curve["transients"])]
+        if all(c["band"] is None for answers in part for c in answers["comparisons"])
+    ]
+    problems = [*digest["problems"], *unjudged]
+    taken = [method for curve in curves for method in curve["methods"] if method["applies"]]
+    in_time = [
+        answer["certificate"]["certified"]
+        for curve in curves
+        for question in curve["passages"] + curve["transients"]
+        for answer in question["answers"]
+    ]
+    return {
+        "scene": digest["scene"],
+        "curves": len(curves),
+        "judged": digest["judged"],
+        "certificates": sum(
+            [d["certificate"]["certified"] for m in taken for d in m["densities"]] + in_time
+        ),
+        "problems": problems,
+        "claims": digest["claims"],
+        "seconds": digest["seconds"],
+        "holds": not problems,
+    }
+
+
+def verify_record(rows: Sequence[Record]) -> Record:
+    """Return the record of ``fpk verify``."""
+    verdicts = Counter(claim["verdict"] for row in rows for claim in row["claims"])
+    return {
+        "scenes": list(rows),
+        "holds": all(row["holds"] for row in rows),
+        "claims": {word: verdicts[word] for word in get_args(Verdict)},
+        "seconds": sum(row["seconds"] for row in rows),
+    }

@@ -24,8 +24,7 @@ from cases.output.pictures.lines import line_pictures
 from cases.output.pictures.style import STYLE, in_units
 from cases.output.pictures.svg import inline_svg, svg_text
 from cases.output.records import Record
-from cases.output.tables import theory_table
-from cases.output.text import rendered
+from cases.output.text import rendered, theory_table
 from cases.scene.scene import Scene
 from fpk.clearance import CLEARANCE_RULE
 from fpk.method import Progress, silent

@@ -18,8 +18,7 @@ from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
 from cases.output.page import PLOTS, as_script_data, origin_record, page_record, script_record
 from cases.output.pictures.svg import inline_svg, svg_text
-from cases.output.tables import text_table
-from cases.output.text import rendered
+from cases.output.text import rendered, text_table
 from cases.output.variables import Variables
 from cases.output.words import named
 from cases.scene.scene import Scene
