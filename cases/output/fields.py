@@ -15,7 +15,7 @@ from cases.comparison.run import Outcome
 from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
 from cases.output.records import plain, program_version
-from cases.output.variables import ByRoute, Variables, time_variables
+from cases.output.variables import Part, Variables, by_route, time_variables
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, Units, attribute
 from fpk.arrays import Array
@@ -147,12 +147,12 @@ def density_variables(all_of: Sequence[Answers], observable: Observable, units: 
         point: ((point,), g, {"long_name": axis, "units": attribute(units.coordinate(c))})
         for point, axis, g, c in zip(points, axes, grid, observable, strict=True)
     }
-    of = ByRoute(name, len(all_of), answers, {"coordinates": LABELS})
     words = f"probability density of {observable_name(observable)}"
     sizes = dict(zip(points, mesh[0].shape, strict=True))
     unit = attribute(units.density(observable))
-    density = of.pair(("p", "error"), words, unit, lambda d: d.at(*mesh), sizes)
-    return variables | of.labels({}) | density
+    part: Part = (("p", "error"), words, unit, lambda d: d.at(*mesh), sizes)
+    of_curves = {"coordinates": LABELS}
+    return variables | by_route(name, len(all_of), answers, [part], of_curves=of_curves)
 
 
 def variable_name(observable: Observable) -> str:
