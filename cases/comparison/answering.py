@@ -1,7 +1,4 @@
-"""Answers of methods to one question about motion in time; splitting where failure is rare.
-
-Transient densities are compared and drawn where a quick solution is large.
-"""
+"""Answers of methods to one question in time; windows of densities, splitting of rare failure."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace

@@ -12,7 +12,6 @@ from cases.comparison.run import Outcome
 from cases.output.facts import units_record
 from cases.output.fields import common_grid
 from cases.output.page import MARKS, rounded, script_record
-from cases.output.pictures.choice import lines_of
 from cases.output.pictures.in_time import EVERY, asked_in_time, drawn_passage, shades_of, styled
 from cases.output.pictures.joint import LOWEST
 from cases.output.pictures.lines import MARKERS, TAIL, dashes_of, marks_within, walls_of
@@ -21,6 +20,7 @@ from cases.output.pictures.style import (
     SHOWN,
     density_words,
     in_units,
+    lines_of,
     time_words,
     words_of,
 )

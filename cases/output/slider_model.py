@@ -9,7 +9,7 @@ from averaging.conditional import conditional
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.modal.resonance import MAX_NEGLECTED
 from cases.comparison.answers import Answers
-from cases.output.pictures.chain import SUBSCRIPTS
+from cases.output.pictures.style import SUBSCRIPTS
 from cases.output.records import Record
 from fpk.arrays import Array
 from fpk.contact import Contact

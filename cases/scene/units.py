@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+from cases.written import SUPERSCRIPTS
 from fpk.errors import InvalidInput
 from fpk.observable import Coordinate, Observable
 
@@ -12,8 +13,6 @@ CONSISTENT = "the scene's own consistent units"
 
 DATES = ("days", "hours", "minutes", "seconds", "milliseconds", "microseconds", "nanoseconds")
 """Units of time that xarray decodes to time differences of whole nanoseconds."""
-
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 Powers = tuple[float, float, float]
 """Exponents (a, b, c) of a quantity whose unit is length^a mass^b time^c."""

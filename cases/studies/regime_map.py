@@ -1,8 +1,4 @@
-"""The map of regimes: which theory is nearer to the full system, over a grid of parameters.
-
-It is a sweep of the averaging errors. As a page: its table, and the distance of each theory with
-the nearer one as a picture.
-"""
+"""The map of regimes: a sweep of averaging errors, the nearer theory at its points, its page."""
 
 from collections import Counter
 from collections.abc import Sequence

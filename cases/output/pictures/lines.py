@@ -13,20 +13,18 @@ from matplotlib.lines import Line2D
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
 from cases.output.fields import common_grid
-from cases.output.pictures.choice import (
-    Differences,
-    lines_of,
-    samples_of,
-    solver_difference,
-)
 from cases.output.pictures.style import (
     COLOURS,
     GAP,
     INK,
     SHOWN,
     SOLVER_WORDS,
+    Differences,
     arrange,
     density_words,
+    lines_of,
+    samples_of,
+    solver_difference,
     symbol_of,
     words_of,
 )
