@@ -17,12 +17,11 @@ from cases.output.words import stationary_note
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import NO_UNITS, Units
 from cases.written import SCHEMA
-from fpk.density import AnyDensity
 from fpk.evolution import Passage
 from fpk.method import Result
 from fpk.observable import observable_name
 from fpk.route import Route
-from sim.report import Report, StepBias
+from sim.report import Report
 
 ROW = ("observable", "measures", "norm", "L1", "band", "error")
 """Fields of a comparison that its row has as they are."""
@@ -82,11 +81,23 @@ def _curve(curve: Answers, key: str, units: Units) -> Record:
         ],
         "passages": [_replies(replies, units) for replies in curve.passages],
         "transients": [_replies(replies, units) for replies in curve.transients],
+        # The three errors of a density of a simulation, never mixed: ``sampling`` is the expected
+        # L1 error by chance; ``step_bias`` the L1 distance from the density of half the step and
+        # what chance makes of that.
         "errors": [
-            _three_errors(r.method.route, d, r.report.step_biases.get(d.name), curve.comparisons)
+            {
+                "route": r.method.route.label,
+                "observable": d.name,
+                "sampling": d.l1_error,
+                "step_bias": {"L1": bias.difference, "by_chance": bias.chance}
+                if bias
+                else "not measured",
+                "averaging": averaging_errors(d.name, curve.comparisons),
+            }
             for r in curve.results
             if isinstance(r.report, Report)
             for d in r.densities
+            for bias in [r.report.step_biases.get(d.name)]
         ],
         "identities": [
             {"method": r.method.route.label, **plain(i), "z": i.z}
@@ -205,23 +216,6 @@ def averaging_errors(name: str, comparisons: Iterable[Comparison]) -> list[Recor
             row = {"theory": theory, "L1": c.L1, "error": c.error, "reference": full[0].label}
             averaging.setdefault(theory, row)
     return list(averaging.values())
-
-
-def _three_errors(
-    route: Route, density: AnyDensity, bias: StepBias | None, comparisons: Iterable[Comparison]
-) -> Record:
-    """The three errors of one density of a simulation, never mixed.
-
-    ``sampling`` is the expected L1 error by chance; ``step_bias`` the L1 distance from the density
-    of half the step and what chance makes of that; ``averaging`` is as of ``averaging_errors``.
-    """
-    return {
-        "route": route.label,
-        "observable": density.name,
-        "sampling": density.l1_error,
-        "step_bias": {"L1": bias.difference, "by_chance": bias.chance} if bias else "not measured",
-        "averaging": averaging_errors(density.name, comparisons),
-    }
 
 
 def _theory(route: Route) -> str:
