@@ -18,7 +18,7 @@ from cases.comparison.time_distances import failure_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
 from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.evolution import Passage, Passages, Transient, Transients
+from fpk.evolution import Passage, Passages, Transients
 from fpk.method import Method, Progress, silent
 from fpk.system import System
 from sim.montecarlo import LEAST_PATHS
@@ -88,10 +88,23 @@ def replies_of(
         given.extend([answer] if answer else [])
         return answer is not None
 
-    def answered(points: Array | None, method: Any) -> Passage | Transient:
-        options: Any = {"relax": relax, "progress": progress}
-        wanted = None if method.route.sampled else tol
-        answer, met = _answer(method, system, question, points, tol=wanted, **options)
+    def answered(points: Array | None, method: Any) -> Any:
+        bounds: dict[str, Any] = {"checkpoint": None, "partial": False}
+        if isinstance(question, PassageQuestion) and question.times:
+            bounds["time"] = question.times[-1]
+        known = {f.name for f in fields(method)}
+        bounded = replace(method, **{k: v for k, v in bounds.items() if k in known})
+        start, times = question.start, np.array(question.times)
+
+        def at_tolerance(tol: float | None) -> Any:
+            how: Any = {"tol": tol, "progress": progress}
+            if isinstance(question, PassageQuestion):
+                return bounded.passage(system, question.limit, start, times, **how)
+            return bounded.transient(system, question.of, start, times, (points,), **how)
+
+        if not relax:
+            return at_tolerance(None if method.route.sampled else tol)
+        answer, met = loosened(at_tolerance, lambda answer: [answer.certificate])
         if met is not None:
             notes.append(f"{question.name}: {note_of(method.route.label, met)}")
         return answer
@@ -156,37 +169,6 @@ def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | 
     )
 
 
-def _answer(
-    method: Any,
-    system: System,
-    question: Question,
-    points: Array | None,
-    *,
-    tol: float | None,
-    relax: bool,
-    progress: Progress,
-) -> tuple[Passage | Transient, float | None]:
-    """The answer of one method, and the tolerance of ``loosened`` where ``relax`` led to one."""
-    bounds: dict[str, Any] = {"checkpoint": None, "partial": False}
-    if isinstance(question, PassageQuestion) and question.times:
-        bounds["time"] = question.times[-1]
-    known = {f.name for f in fields(method)}
-    method = replace(method, **{k: v for k, v in bounds.items() if k in known})
-    start, times = question.start, np.array(question.times)
-
-    def ask(tol: float | None) -> Passage | Transient:
-        answer: Passage | Transient
-        if isinstance(question, PassageQuestion):
-            asked = system, question.limit, start, times
-            answer = method.passage(*asked, tol=tol, progress=progress)
-        else:
-            asked_of = system, question.of, start, times, (points,)
-            answer = method.transient(*asked_of, tol=tol, progress=progress)
-        return answer
-
-    return loosened(ask, lambda answer: [answer.certificate]) if relax else (ask(tol), None)
-
-
 def window_of(
     system: System, question: TransientQuestion, methods: Sequence[Any], budget: Budget
 ) -> tuple[Array, tuple[Any, ...]]:
@@ -202,7 +184,13 @@ def window_of(
         try:
             work = partial_of(_transient, asked, None if method.route.sampled else SCOUT_TOL)
             answer = budget.spend(quick, work)
-            grids = [_window(at, p) for p in answer.values]
+            grids = []
+            for density in answer.values:
+                inside = np.flatnonzero(density > WINDOW_SHARE * density.max())
+                if not inside.size:
+                    raise NotCertified("no density is seen at any energy or displacement")
+                low, high = max(inside[0] - 1, 0), min(inside[-1] + 1, at.size - 1)
+                grids.append(np.linspace(at[low], at[high], WINDOW_POINTS))
         except (NotApplicable, NotCertified, InvalidInput):
             continue  # its reason is that of its answer, which is asked for later
         points = np.unique(np.concatenate(grids))
@@ -229,12 +217,3 @@ def _wide(system: System, question: TransientQuestion) -> Array:
     row = coordinate.row
     unit = system.mass[row] if coordinate.kind == "p" else system.compliance[row, row]
     return np.linspace(-REACH, REACH, MANY) * float(np.sqrt(2.0 * energy * unit))
-
-
-def _window(at: Array, density: Array) -> Array:
-    """``WINDOW_POINTS`` points over the part of ``at`` with a density above ``WINDOW_SHARE``."""
-    inside = np.flatnonzero(density > WINDOW_SHARE * density.max())
-    if not inside.size:
-        raise NotCertified("no density is seen at any energy or displacement of the scene's scale")
-    low, high = max(inside[0] - 1, 0), min(inside[-1] + 1, at.size - 1)
-    return np.linspace(at[low], at[high], WINDOW_POINTS)
