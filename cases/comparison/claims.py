@@ -188,7 +188,7 @@ def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
 def _finding(
     label: str, question: PassageQuestion, words: str, limits: Range, own: Sequence[Comparison]
 ) -> Finding:
-    sign, _ = RELATIONS[limits.relation]
+    sign, holds = RELATIONS[limits.relation]
     what = "P(T ≤ t)" if words.startswith("P") else words
     claim = (
         f"{question.name}: averaging error of the {what} by the {question.theory} theory"
@@ -198,7 +198,10 @@ def _finding(
         return Finding(claim, label, "no answer to compare with", "not checked")
     c = min(own, key=lambda c: c.error)
     measured = f"relative {with_error(c.L1, c.error)}, {c.a.label} against {c.b.label}"
-    return Finding(claim, label, measured, verdict_within(c.L1, 2.0 * c.error, limits))
+    undecided = abs(c.L1 - limits.limit) <= 2.0 * c.error
+    return Finding(
+        claim, label, measured, _verdict(None if undecided else holds(c.L1, limits.limit))
+    )
 
 
 def _is_of(c: Comparison, question: PassageQuestion, words: str) -> bool:
@@ -211,12 +214,6 @@ def _is_of(c: Comparison, question: PassageQuestion, words: str) -> bool:
 def _below(value: float, limit: float, slack: float) -> bool | None:
     """Whether value < limit; None where the difference does not exceed what both may be off."""
     return None if abs(value - limit) <= slack else value < limit
-
-
-def verdict_within(value: float, slack: float, limits: Range) -> Verdict:
-    """Whether a value is in the range; undecided where the limit is no farther than ``slack``."""
-    holds = RELATIONS[limits.relation][1](value, limits.limit)
-    return _verdict(None if abs(value - limits.limit) <= slack else holds)
 
 
 def _verdict(holds: bool | None) -> Verdict:
