@@ -52,8 +52,12 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
     for observable in outcome.scene.observables:
         variables |= density_variables(outcome.curves, observable, outcome.scene.units)
     variables |= time_variables(outcome)
-    variables |= curve_variables(outcome) if variables else {}
-    order = np.argsort(curve_numbers(outcome), kind="stable")
+    labels, numbers = [curve.label for curve in outcome.curves], curve_numbers(outcome)
+    if variables:
+        varied = {"long_name": labels[0].partition(" = ")[0] or "number of the curve"}
+        variables["curve"] = ("curve",), np.array(numbers, dtype=float), varied
+        variables[LABELS] = ("curve",), np.array(labels), {"long_name": "label of the curve"}
+    order = np.argsort(numbers, kind="stable")
     for name, (dimensions, values, words) in variables.items():
         if dimensions[0] == "curve":
             variables[name] = dimensions, values[order], words
@@ -165,16 +169,6 @@ def curve_numbers(outcome: Outcome) -> list[float]:
     numbers = [curve.value for curve in outcome.curves]
     distinct = None not in numbers and len(set(numbers)) == len(numbers)
     return [number if distinct and number is not None else k for k, number in enumerate(numbers)]
-
-
-def curve_variables(outcome: Outcome) -> Variables:
-    """Return the coordinate ``curve`` of all that belongs to a curve, and the labels beside it."""
-    labels = [curve.label for curve in outcome.curves]
-    words = {"long_name": labels[0].partition(" = ")[0] or "number of the curve"}
-    return {
-        "curve": (("curve",), np.array(curve_numbers(outcome), dtype=float), words),
-        LABELS: (("curve",), np.array(labels), {"long_name": "label of the curve"}),
-    }
 
 
 def common_grid(
