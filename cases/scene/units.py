@@ -82,11 +82,10 @@ class Units:
         length, mass, time = (sign * sum(powers) for powers in zip(*dimensions, strict=True))
         named = (self.mass, mass), (self.length, length), (self.time, time)
         caret = any(power != int(power) for _, power in named)
-        factors = [
-            name + _power(power, caret=caret)
-            for name, power in sorted(named, key=lambda factor: factor[1] < 0)
-            if power
-        ]
+        factors = []
+        for name, power in sorted(named, key=lambda factor: factor[1] < 0):
+            raised = f"^{power:g}" if caret else str(int(power)).translate(SUPERSCRIPTS)
+            factors += [name + raised * (power != 1)] if power else []
         return " ".join(factors) or "1"
 
     def __bool__(self) -> bool:
@@ -121,12 +120,6 @@ class Units:
 
 
 NO_UNITS = Units()
-
-
-def _power(power: float, *, caret: bool) -> str:
-    if power == 1:
-        return ""
-    return f"^{power:g}" if caret else str(int(power)).translate(SUPERSCRIPTS)
 
 
 def attribute(unit: str) -> str:
