@@ -85,7 +85,7 @@ class Units:
         factors = []
         for name, power in sorted(named, key=lambda factor: factor[1] < 0):
             raised = f"^{power:g}" if caret else str(int(power)).translate(SUPERSCRIPTS)
-            factors += [name + raised * (power != 1)] if power else []
+            factors += [name if power == 1 else name + raised] if power else []
         return " ".join(factors) or "1"
 
     def __bool__(self) -> bool:

@@ -128,14 +128,6 @@ class Table:
             columns[variable] = ((self.name,), column, words)
         return columns
 
-    def csv(self) -> str:
-        """Return the rows as comma-separated values below their columns."""
-        stream = StringIO()
-        writer = csv.DictWriter(stream, list(self.rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        return stream.getvalue()
-
 
 @dataclass(frozen=True)
 class Page:
@@ -180,7 +172,11 @@ class Page:
         if variables is None:
             variables = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
         else:
-            texts["csv"] = self.tables[0].csv()
+            stream, rows = StringIO(), self.tables[0].rows
+            writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+            texts["csv"] = stream.getvalue()
         paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "html", "nc")}
         downloads = [path.name for ending, path in paths.items() if ending != "html"]
         data = script_record(live_plots(self.panels, "picture"))
