@@ -14,6 +14,11 @@ SCHEMA = 2
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
+TIME_UNITS = (
+    (3.156e7, "years"), (86400.0, "days"), (3600.0, "h"), (60.0, "min"), (1.0, "s"), (1e-3, "ms"),
+)  # fmt: skip
+"""Units of time in seconds, with their names."""
+
 NOTE = (
     "(3): error of the last digits, numerical or one standard error of sampling; "
     "without it the error is below the last digit."
@@ -110,3 +115,11 @@ def concise(value: float | None, error: float | None) -> str:
         bracket = f"({count})" if decimals >= 0 else f"({count * 10**-decimals})"
     decimals = max(shift - last, 0)
     return f"{value / 10.0**shift:z.{decimals}f}{bracket}{suffix}"
+
+
+def duration(seconds: float, digits: int = 3) -> str:
+    """Return a time with a unit that suits it: ``1.5 min``, ``2 days``, ``3.2e+06 years``."""
+    size, unit = next((u for u in TIME_UNITS if seconds >= u[0]), TIME_UNITS[-1])
+    value = seconds / size
+    text = f"{float(f'{value:.{digits}g}'):g}" if value < 1e4 else f"{value:.1e}"
+    return f"{text} {unit.removesuffix('s') if text == '1' and len(unit) > 2 else unit}"

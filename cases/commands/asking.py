@@ -146,11 +146,3 @@ def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:
         return click.command()(command)
 
     return command_of
-
-
-def read(option: str, text: str, parse: Callable[[], Any]) -> Any:
-    """Return what ``parse`` makes of ``text``; raise ``BadInput`` naming the option."""
-    try:
-        return parse()
-    except InvalidInput as error:
-        raise BadInput(f'--{option} "{text}": {error.remedy}') from None

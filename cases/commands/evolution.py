@@ -4,8 +4,8 @@ from typing import Any
 
 import click
 
-from cases.commands.asking import AT, SIMULATED, TOL, Asked, asking, observed, read
-from cases.commands.parts import observable_of
+from cases.commands.asking import AT, SIMULATED, TOL, Asked, asking, observed
+from cases.commands.parts import observable_of, read
 
 START = click.option(
     "--start", metavar="START", default="rest",

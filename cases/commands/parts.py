@@ -124,10 +124,16 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
     """Return what ``--of`` names; raise ``BadInput`` where it is no observable of the scene."""
     from fpk.observable import parse_observable
 
+    observable: Observable = read("of", name, lambda: parse_observable(name, scene.system.n))
+    return observable
+
+
+def read(option: str, text: str, parse: Callable[[], Any]) -> Any:
+    """Return what ``parse`` makes of ``text``; raise ``BadInput`` naming the option."""
     try:
-        return parse_observable(name, scene.system.n)
+        return parse()
     except InvalidInput as error:
-        raise BadInput(f'--of "{name}": {error.remedy}') from None
+        raise BadInput(f'--{option} "{text}": {error.remedy}') from None
 
 
 def narrowed(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":

@@ -132,8 +132,7 @@ def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any,
 
     A map goes on from the finished points in its folder.
     """
-    from cases.studies.regime_map.map import build_map
-    from cases.studies.regime_map.map_page import map_page
+    from cases.studies.regime_map import build_map, map_page
 
     result = build_map(scene, vary, **_over_grid(settings))
     return result, map_page(result)

@@ -30,8 +30,7 @@ def verify(scenes: tuple[str, ...], coarse: bool, **settings: Any) -> None:
     shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
     loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
     from cases.comparison.routes import all_methods
-    from cases.output.digest import digest_of
-    from cases.output.gate import verify_record, verify_row
+    from cases.output.digest import digest_of, verify_record, verify_row
     from cases.output.text import rendered
 
     if coarse:

@@ -1,4 +1,4 @@
-"""Answers of methods to one question about motion in time; splitting where failure is rare."""
+"""Answers of methods to one question in time; windows of densities, splitting of rare failure."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -15,17 +15,35 @@ from cases.comparison.loosened import loosened, note_of
 from cases.comparison.rare import SPLITTING, split_passage, splitting_of
 from cases.comparison.refusal import Attempts
 from cases.comparison.time_distances import failure_of
-from cases.comparison.window import window_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
 from fpk.arrays import Array
-from fpk.errors import InvalidInput, NotCertified
-from fpk.evolution import Passage, Passages, Transient, Transients
+from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.evolution import Passage, Passages, Transients
 from fpk.method import Method, Progress, silent
 from fpk.system import System
+from sim.montecarlo import LEAST_PATHS
 
 LEAST_FAILURES = 400.0
 """Least expected number of failures by the last time for which a plain simulation is run, 5 % of
 its default 8192 paths; of fewer the failure rate, by which the curve is continued, is not known."""
+
+WINDOW_POINTS = 129
+"""Points in the window of one time."""
+
+DECADES, MANY = (-8.0, 3.0), 4401
+"""Range of energies of the quick solution, in decades of the energy scale, and its points."""
+
+REACH = 12.0
+"""Largest displacement or momentum of the quick solution, in units of its scale."""
+
+WINDOW_SHARE = 1e-3
+"""Share of the largest density below which it lies outside the window of its time."""
+
+SCOUT = {"paths": LEAST_PATHS, "checkpoint": None, "partial": False}
+"""Settings of a simulation by which windows are chosen."""
+
+SCOUT_TOL = 1e-3
+"""Tolerance of a solver by which windows are chosen."""
 
 
 def replies_of(
@@ -70,10 +88,23 @@ def replies_of(
         given.extend([answer] if answer else [])
         return answer is not None
 
-    def answered(points: Array | None, method: Any) -> Passage | Transient:
-        options: Any = {"relax": relax, "progress": progress}
-        wanted = None if method.route.sampled else tol
-        answer, met = _answer(method, system, question, points, tol=wanted, **options)
+    def answered(points: Array | None, method: Any) -> Any:
+        bounds: dict[str, Any] = {"checkpoint": None, "partial": False}
+        if isinstance(question, PassageQuestion) and question.times:
+            bounds["time"] = question.times[-1]
+        known = {f.name for f in fields(method)}
+        bounded = replace(method, **{k: v for k, v in bounds.items() if k in known})
+        start, times = question.start, np.array(question.times)
+
+        def at_tolerance(tol: float | None) -> Any:
+            how: Any = {"tol": tol, "progress": progress}
+            if isinstance(question, PassageQuestion):
+                return bounded.passage(system, question.limit, start, times, **how)
+            return bounded.transient(system, question.of, start, times, (points,), **how)
+
+        if not relax:
+            return at_tolerance(None if method.route.sampled else tol)
+        answer, met = loosened(at_tolerance, lambda answer: [answer.certificate])
         if met is not None:
             notes.append(f"{question.name}: {note_of(method.route.label, met)}")
         return answer
@@ -138,32 +169,51 @@ def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | 
     )
 
 
-def _answer(
-    method: Any,
-    system: System,
-    question: Question,
-    points: Array | None,
-    *,
-    tol: float | None,
-    relax: bool,
-    progress: Progress,
-) -> tuple[Passage | Transient, float | None]:
-    """The answer of one method, and the tolerance of ``loosened`` where ``relax`` led to one."""
-    bounds: dict[str, Any] = {"checkpoint": None, "partial": False}
-    if isinstance(question, PassageQuestion) and question.times:
-        bounds["time"] = question.times[-1]
-    known = {f.name for f in fields(method)}
-    method = replace(method, **{k: v for k, v in bounds.items() if k in known})
-    start, times = question.start, np.array(question.times)
+def window_of(
+    system: System, question: TransientQuestion, methods: Sequence[Any], budget: Budget
+) -> tuple[Array, tuple[Any, ...]]:
+    """Return ascending points, and of each time the indices of the ``WINDOW_POINTS`` in its window.
 
-    def ask(tol: float | None) -> Passage | Transient:
-        answer: Passage | Transient
-        if isinstance(question, PassageQuestion):
-            asked = system, question.limit, start, times
-            answer = method.passage(*asked, tol=tol, progress=progress)
-        else:
-            asked_of = system, question.of, start, times, (points,)
-            answer = method.transient(*asked_of, tol=tol, progress=progress)
-        return answer
+    By the first of ``methods`` that answers, within the ``budget``; none at all where none does.
+    """
+    at = _wide(system, question)
+    for method in methods:
+        known = {f.name for f in fields(method)}
+        quick = replace(method, **{k: v for k, v in SCOUT.items() if k in known})
+        asked = system, question.of, question.start, np.array(question.times), (at,)
+        try:
+            work = partial_of(_transient, asked, None if method.route.sampled else SCOUT_TOL)
+            answer = budget.spend(quick, work)
+            grids = []
+            for density in answer.values:
+                inside = np.flatnonzero(density > WINDOW_SHARE * density.max())
+                if not inside.size:
+                    raise NotCertified("no density is seen at any energy or displacement")
+                low, high = max(inside[0] - 1, 0), min(inside[-1] + 1, at.size - 1)
+                grids.append(np.linspace(at[low], at[high], WINDOW_POINTS))
+        except (NotApplicable, NotCertified, InvalidInput):
+            continue  # its reason is that of its answer, which is asked for later
+        points = np.unique(np.concatenate(grids))
+        return points, tuple(np.searchsorted(points, grid) for grid in grids)
+    return at, ()
 
-    return loosened(ask, lambda answer: [answer.certificate]) if relax else (ask(tol), None)
+
+def _transient(asked: Any, tol: float | None, method: Any) -> Any:
+    return method.transient(*asked, tol=tol, progress=silent)
+
+
+def _wide(system: System, question: TransientQuestion) -> Array:
+    """Points up to the largest scale of the coordinate, that of the noise or that of the start."""
+    (coordinate,) = question.of
+    damping, noise = np.diag(system.damping), np.diag(system.noise_matrix)
+    warm = noise.sum() / damping.sum() if damping.sum() > 0.0 else noise.sum()
+    values = question.start.values
+    energy = float(max(warm, 1e-300) * max(1.0, values.get("noise", 1.0)))
+    energy = max([energy, *(v for k, v in values.items() if k.startswith("H"))])
+    if question.start.kind == "state":
+        energy = max(energy, float(system.hamiltonian(*question.start.state(system.n))))
+    if coordinate.kind == "H":
+        return np.concatenate([[0.0], energy * np.logspace(*DECADES, MANY)])
+    row = coordinate.row
+    unit = system.mass[row] if coordinate.kind == "p" else system.compliance[row, row]
+    return np.linspace(-REACH, REACH, MANY) * float(np.sqrt(2.0 * energy * unit))

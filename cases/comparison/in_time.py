@@ -4,7 +4,6 @@ The three errors are those of ``compare``. An averaged equation is never exact i
 its stationary density: what is left between it and the full system is its averaging error.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -14,7 +13,7 @@ import numpy as np
 
 from cases.comparison.compare import Comparison, discrepancies, what_is_measured
 from cases.comparison.refusal import Refusal
-from cases.comparison.time_distances import Distance, density_distances, passage_distances
+from cases.comparison.time_distances import density_distances, passage_distances
 from cases.scene.questions import Question
 from fpk.arrays import Array
 from fpk.evolution import Passage, Transient
@@ -63,7 +62,13 @@ class Replies:
                 continue  # a solution of the same equation says it better
             uncertified = tuple(g.route for g in (a, b) if not g.answer.certificate.certified)
             judged = kind != "averaging"
-            for name, norm, distance, error, band in self._distances(a, b, judged):
+            if isinstance(a.answer, Passage) and isinstance(b.answer, Passage):
+                distances = passage_distances(a.answer, b.answer, judged)
+            else:
+                assert isinstance(a.answer, Transient) and isinstance(b.answer, Transient)
+                of = a.answer, b.answer, np.asarray(self.points), self.windows
+                distances = density_distances(*of, judged)
+            for name, norm, distance, error, band in distances:
                 if judged and not np.isfinite(band):
                     continue  # nothing is stated: the answer is not certified
                 allowed = band if judged else None
@@ -90,10 +95,3 @@ class Replies:
         if self.points is not None and not self.windows:
             none.append(f"{name}: not compared: no route says where the densities are")
         return (*discrepancies(self.comparisons), *uncertified, *failed, *none)
-
-    def _distances(self, a: Given, b: Given, judged: bool) -> Iterator[Distance]:
-        if isinstance(a.answer, Passage) and isinstance(b.answer, Passage):
-            return passage_distances(a.answer, b.answer, judged)
-        assert isinstance(a.answer, Transient) and isinstance(b.answer, Transient)
-        assert self.points is not None
-        return density_distances(a.answer, b.answer, self.points, self.windows, judged)

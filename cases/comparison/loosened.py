@@ -24,7 +24,9 @@ def loosened(
     """
     first = answer = ask(None)
     tol = None
-    while (missed := _missed(certificates(answer))) is not None and missed <= LOOSEST:
+    while errors := [c.missed for c in certificates(answer) if c.missed is not None]:
+        if not (missed := max(inf if isnan(error) else error for error in errors)) <= LOOSEST:
+            break
         tol = 10.0 ** ceil(log10(missed))
         answer = ask(tol)
     certified = all(certificate.certified for certificate in certificates(answer))
@@ -34,9 +36,3 @@ def loosened(
 def note_of(label: str, tol: float) -> str:
     """Return the words by which a run says that a route was certified to ``tol`` only."""
     return f"{label}: certified to {tol:.0e}, as the default tolerance could not be met"
-
-
-def _missed(certificates: Iterable[Certificate]) -> float | None:
-    """Largest error above its tolerance; infinite where one is not a number."""
-    missed = [certificate.missed for certificate in certificates if certificate.missed is not None]
-    return max((inf if isnan(error) else error for error in missed), default=None)

@@ -43,12 +43,22 @@ def method_for(name: str, solver: str | None = None, **settings: Any) -> Method:
 
     A setting that is None is left to the method. Raises ``InvalidInput`` for names of no route.
     """
-    return _made(_routes_of(name, solver)[0], settings)
+    return methods_of(name, solver, **settings)[0]
 
 
 def methods_of(name: str, solver: str | None = None, **settings: Any) -> tuple[Method, ...]:
     """Return the method ``name`` by ``solver``, or by each of its solvers, its default first."""
-    return tuple(_made(route, settings) for route in _routes_of(name, solver))
+    register_routes(name)
+    choices = [ROUTES[name, each] for each in solvers_of(name)]
+    if not choices:
+        names = dict.fromkeys(route.method for route in listed_routes())
+        raise InvalidInput("method", name, f"use one of {', '.join(names)}")
+    wanted = [route for route in choices if solver in (None, route.solver)]
+    if not wanted:
+        labels = ", ".join(route.label for route in choices)
+        remedy = f"use one of {labels}" if len(choices) > 1 else "leave it out"
+        raise InvalidInput("solver", solver, f"is not a solver of {name}; {remedy}")
+    return tuple(_made(route, settings) for route in wanted)
 
 
 def all_methods(*, tol: float | None = None, **settings: Any) -> tuple[Method, ...]:
@@ -86,20 +96,6 @@ def require_settings(method: Method, name: str, settings: Mapping[str, Any]) -> 
         if value not in (None, False) and setting not in known:
             remedy = f"is not an option of {name} by {method.solver}; leave it out"
             raise InvalidInput(f"--{setting.replace('_', '-')}", value, remedy)
-
-
-def _routes_of(name: str, solver: str | None) -> list[Route]:
-    register_routes(name)
-    choices = [ROUTES[name, each] for each in solvers_of(name)]
-    if not choices:
-        names = dict.fromkeys(route.method for route in listed_routes())
-        raise InvalidInput("method", name, f"use one of {', '.join(names)}")
-    wanted = [route for route in choices if solver in (None, route.solver)]
-    if not wanted:
-        labels = ", ".join(route.label for route in choices)
-        remedy = f"use one of {labels}" if len(choices) > 1 else "leave it out"
-        raise InvalidInput("solver", solver, f"is not a solver of {name}; {remedy}")
-    return wanted
 
 
 def _settings_of(method: Method) -> set[str]:

@@ -60,38 +60,26 @@ def run_scene(
         own["asked"] = scene.observables if scene.densities_asked else ()
         answers = replace(answers, **own)
         if not (interrupted or answers.interrupted):
-            answers = _with_time(answers, scene, methods, tol=tol, **options)
+            replies: list[Replies] = []
+            asked: tuple[Question, ...] = (*scene.passages, *scene.transients)
+            for question in asked:
+                if any(r.interrupted for r in replies):
+                    replies.append(Replies(question, interrupted=True))
+                else:
+                    replies.append(replies_of(curve.system, question, methods, tol=tol, **options))
+            count = len(scene.passages)
+            absence = answers.absence if replies and answers.asked else None
+            none = [f"no stationary density: {absence}"] if absence else []
+            answers = replace(
+                answers,
+                passages=tuple(replies[:count]),
+                transients=tuple(replies[count:]),
+                notes=(*answers.notes, *none, *(note for r in replies for note in r.notes)),
+                interrupted=any(r.interrupted for r in replies),
+            )
         curves.append(answers)
         save(Outcome(scene, tuple(curves), perf_counter() - start))
         progress(k - 1, len(scene.curves), "comparing")
         _ = answers.problems  # compares, once and for all: the comparisons are cached
         progress(k, len(scene.curves), "comparing")
     return Outcome(scene, tuple(curves), perf_counter() - start)
-
-
-def _with_time(
-    answers: Answers, scene: Scene, methods: Sequence[Method], **options: Any
-) -> Answers:
-    """Return the answers with the replies to the scene's questions about motion in time.
-
-    ``options`` are those of ``replies_of``; once one was interrupted, the rest are not asked.
-    """
-    replies: list[Replies] = []
-    questions: tuple[Question, ...] = (*scene.passages, *scene.transients)
-    for question in questions:
-        interrupted = any(r.interrupted for r in replies)
-        replies.append(
-            Replies(question, interrupted=True)
-            if interrupted
-            else replies_of(answers.system, question, methods, **options)
-        )
-    count = len(scene.passages)
-    absence = answers.absence if replies and answers.asked else None
-    none = [f"no stationary density: {absence}"] if absence else []
-    return replace(
-        answers,
-        passages=tuple(replies[:count]),
-        transients=tuple(replies[count:]),
-        notes=(*answers.notes, *none, *(note for r in replies for note in r.notes)),
-        interrupted=any(r.interrupted for r in replies),
-    )

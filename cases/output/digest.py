@@ -1,29 +1,27 @@
-"""The record of a run, from which all that is shown is written."""
+"""The record of a run, from which all that is shown is written, and that of many, the gate's."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import get_args
 
 from cases.comparison.answers import Answers
-from cases.comparison.claims import Verdict, findings
+from cases.comparison.claims import Verdict, findings, time_findings
 from cases.comparison.compare import Comparison
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import Quantity
 from cases.comparison.refusal import Refusal
 from cases.comparison.run import Outcome
-from cases.comparison.time_claims import time_findings
 from cases.output.facts import facts_record
 from cases.output.records import Record, answer_tail, answer_units, passage_numbers, plain
-from cases.output.words import stationary_note, theory_of_route
+from cases.output.words import stationary_note
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import NO_UNITS, Units
 from cases.written import SCHEMA
-from fpk.density import AnyDensity
 from fpk.evolution import Passage
 from fpk.method import Result
 from fpk.observable import observable_name
-from fpk.route import Route, solvers_of
-from sim.report import Report, StepBias
+from fpk.route import Route
+from sim.report import Report
 
 ROW = ("observable", "measures", "norm", "L1", "band", "error")
 """Fields of a comparison that its row has as they are."""
@@ -63,51 +61,6 @@ def curves_of(digest: Record) -> list[Record]:
     return sorted([digest, *digest["curves"]], key=lambda curve: curve["value"] or 0.0)
 
 
-def refusals_of(curve: Record) -> list[Record]:
-    """Return the refusals of one curve, those with the same reason joined in one entry.
-
-    ``routes`` has the theories, with their solvers where a theory has several.
-    """
-    joined: dict[tuple[str, bool], Record] = {}
-    for r in curve["methods"]:
-        if r["applies"]:
-            continue
-        reason, failed = r["reason"], r["failed"]
-        for name in r["observables"]:
-            reason = reason.removeprefix(f"{name}: ")
-        entry = joined.setdefault((reason, failed), {"solvers": {}, "observables": []})
-        entry["observables"] += [o for o in r["observables"] if o not in entry["observables"]]
-        entry["solvers"].setdefault(r["method"], {})[r["solver"]] = None
-    for (reason, failed), entry in joined.items():
-        routes = ", ".join(
-            theory_of_route(method)
-            + (f" ({', '.join(own)})" if len(solvers_of(method)) > 1 else "")
-            for method, own in entry.pop("solvers").items()
-        )
-        entry |= {"routes": routes, "reason": reason, "failed": failed}
-    return list(joined.values())
-
-
-def verdict_of(digest: Record) -> str:
-    """Return the verdict in one sentence."""
-    if digest["problems"]:
-        return f"{digest['judged']} judged comparisons, {len(digest['problems'])} checks fail"
-    if not digest["judged"]:
-        return "nothing to compare, every certificate holds"
-    return f"{digest['judged']} judged comparisons, every check holds"
-
-
-def claims_counted(claims: list[Record]) -> str:
-    """Return how many claims of the source have which verdict: ``2 hold, 1 undecided``."""
-    count = Counter(claim["verdict"] for claim in claims)
-    plural = {"holds": "hold", "does not hold": "do not hold"}
-    return ", ".join(
-        f"{count[verdict]} {verdict if count[verdict] == 1 else plural.get(verdict, verdict)}"
-        for verdict in get_args(Verdict)
-        if count[verdict]
-    )
-
-
 def _curve(curve: Answers, key: str, units: Units) -> Record:
     return {
         "label": curve.label,
@@ -128,11 +81,23 @@ def _curve(curve: Answers, key: str, units: Units) -> Record:
         ],
         "passages": [_replies(replies, units) for replies in curve.passages],
         "transients": [_replies(replies, units) for replies in curve.transients],
+        # The three errors of a density of a simulation, never mixed: ``sampling`` is the expected
+        # L1 error by chance; ``step_bias`` the L1 distance from the density of half the step and
+        # what chance makes of that.
         "errors": [
-            _three_errors(r.method.route, d, r.report.step_biases.get(d.name), curve.comparisons)
+            {
+                "route": r.method.route.label,
+                "observable": d.name,
+                "sampling": d.l1_error,
+                "step_bias": {"L1": bias.difference, "by_chance": bias.chance}
+                if bias
+                else "not measured",
+                "averaging": averaging_errors(d.name, curve.comparisons),
+            }
             for r in curve.results
             if isinstance(r.report, Report)
             for d in r.densities
+            for bias in [r.report.step_biases.get(d.name)]
         ],
         "identities": [
             {"method": r.method.route.label, **plain(i), "z": i.z}
@@ -253,23 +218,48 @@ def averaging_errors(name: str, comparisons: Iterable[Comparison]) -> list[Recor
     return list(averaging.values())
 
 
-def _three_errors(
-    route: Route, density: AnyDensity, bias: StepBias | None, comparisons: Iterable[Comparison]
-) -> Record:
-    """The three errors of one density of a simulation, never mixed.
-
-    ``sampling`` is the expected L1 error by chance; ``step_bias`` the L1 distance from the density
-    of half the step and what chance makes of that; ``averaging`` is as of ``averaging_errors``.
-    """
-    return {
-        "route": route.label,
-        "observable": density.name,
-        "sampling": density.l1_error,
-        "step_bias": {"L1": bias.difference, "by_chance": bias.chance} if bias else "not measured",
-        "averaging": averaging_errors(density.name, comparisons),
-    }
-
-
 def _theory(route: Route) -> str:
     """A theory's solvers by one name; its simulation is another route to it."""
     return route.label if route.sampled else route.method
+
+
+def verify_row(digest: Record) -> Record:
+    """Return what the gate says of a scene; a curve about which nothing is judged is a problem."""
+    curves = curves_of(digest)
+    unjudged = [
+        f"{curve['label'] or digest['scene']}: no comparison was judged"
+        for curve in curves
+        for part in [(curve, *curve["passages"], *curve["transients"])]
+        if all(c["band"] is None for answers in part for c in answers["comparisons"])
+    ]
+    problems = [*digest["problems"], *unjudged]
+    taken = [method for curve in curves for method in curve["methods"] if method["applies"]]
+    in_time = [
+        answer["certificate"]["certified"]
+        for curve in curves
+        for question in curve["passages"] + curve["transients"]
+        for answer in question["answers"]
+    ]
+    return {
+        "scene": digest["scene"],
+        "curves": len(curves),
+        "judged": digest["judged"],
+        "certificates": sum(
+            [d["certificate"]["certified"] for m in taken for d in m["densities"]] + in_time
+        ),
+        "problems": problems,
+        "claims": digest["claims"],
+        "seconds": digest["seconds"],
+        "holds": not problems,
+    }
+
+
+def verify_record(rows: Sequence[Record]) -> Record:
+    """Return the record of ``fpk verify``."""
+    verdicts = Counter(claim["verdict"] for row in rows for claim in row["claims"])
+    return {
+        "scenes": list(rows),
+        "holds": all(row["holds"] for row in rows),
+        "claims": {word: verdicts[word] for word in get_args(Verdict)},
+        "seconds": sum(row["seconds"] for row in rows),
+    }

@@ -15,8 +15,7 @@ from cases.comparison.run import Outcome
 from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
 from cases.output.records import plain, program_version
-from cases.output.time_fields import time_variables
-from cases.output.variables import ByRoute, Variables
+from cases.output.variables import Part, Variables, by_route, time_variables
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, Units, attribute
 from fpk.arrays import Array
@@ -53,8 +52,12 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
     for observable in outcome.scene.observables:
         variables |= density_variables(outcome.curves, observable, outcome.scene.units)
     variables |= time_variables(outcome)
-    variables |= curve_variables(outcome) if variables else {}
-    order = np.argsort(curve_numbers(outcome), kind="stable")
+    labels, numbers = [curve.label for curve in outcome.curves], curve_numbers(outcome)
+    if variables:
+        varied = {"long_name": labels[0].partition(" = ")[0] or "number of the curve"}
+        variables["curve"] = ("curve",), np.array(numbers, dtype=float), varied
+        variables[LABELS] = ("curve",), np.array(labels), {"long_name": "label of the curve"}
+    order = np.argsort(numbers, kind="stable")
     for name, (dimensions, values, words) in variables.items():
         if dimensions[0] == "curve":
             variables[name] = dimensions, values[order], words
@@ -148,12 +151,12 @@ def density_variables(all_of: Sequence[Answers], observable: Observable, units: 
         point: ((point,), g, {"long_name": axis, "units": attribute(units.coordinate(c))})
         for point, axis, g, c in zip(points, axes, grid, observable, strict=True)
     }
-    of = ByRoute(name, len(all_of), answers, {"coordinates": LABELS})
     words = f"probability density of {observable_name(observable)}"
     sizes = dict(zip(points, mesh[0].shape, strict=True))
     unit = attribute(units.density(observable))
-    density = of.pair(("p", "error"), words, unit, lambda d: d.at(*mesh), sizes)
-    return variables | of.labels({}) | density
+    part: Part = (("p", "error"), words, unit, lambda d: d.at(*mesh), sizes)
+    of_curves = {"coordinates": LABELS}
+    return variables | by_route(name, len(all_of), answers, [part], of_curves=of_curves)
 
 
 def variable_name(observable: Observable) -> str:
@@ -166,16 +169,6 @@ def curve_numbers(outcome: Outcome) -> list[float]:
     numbers = [curve.value for curve in outcome.curves]
     distinct = None not in numbers and len(set(numbers)) == len(numbers)
     return [number if distinct and number is not None else k for k, number in enumerate(numbers)]
-
-
-def curve_variables(outcome: Outcome) -> Variables:
-    """Return the coordinate ``curve`` of all that belongs to a curve, and the labels beside it."""
-    labels = [curve.label for curve in outcome.curves]
-    words = {"long_name": labels[0].partition(" = ")[0] or "number of the curve"}
-    return {
-        "curve": (("curve",), np.array(curve_numbers(outcome), dtype=float), words),
-        LABELS: (("curve",), np.array(labels), {"long_name": "label of the curve"}),
-    }
 
 
 def common_grid(

@@ -12,7 +12,6 @@ from cases.comparison.run import Outcome
 from cases.output.facts import units_record
 from cases.output.fields import common_grid
 from cases.output.page import MARKS, rounded, script_record
-from cases.output.pictures.choice import lines_of
 from cases.output.pictures.in_time import EVERY, asked_in_time, drawn_passage, shades_of, styled
 from cases.output.pictures.joint import LOWEST
 from cases.output.pictures.lines import MARKERS, TAIL, dashes_of, marks_within, walls_of
@@ -21,6 +20,7 @@ from cases.output.pictures.style import (
     SHOWN,
     density_words,
     in_units,
+    lines_of,
     time_words,
     words_of,
 )
@@ -28,10 +28,8 @@ from cases.output.records import Record
 from cases.output.slider_model import slider_model, slider_series
 from cases.scene.questions import TransientQuestion
 from fpk.arrays import Array
-from fpk.density import AnyDensity
 from fpk.evolution import Passage, Transient
 from fpk.observable import Observable, observable_name
-from fpk.route import Route
 from fpk.sampled_density import SampledDensity
 
 POINTS, MAP_POINTS, MAP_BINS = 301, 61, 40
@@ -126,10 +124,20 @@ def _map(curves: Sequence[Answers], observable: Observable) -> Record | None:
     curve, densities = found[0]
     drawn = lines_of(curve, observable)
     grid = common_grid(densities.values(), cut=SHOWN, count=MAP_POINTS)
-    fields = [
-        _field(route, density, grid, shown=route in drawn or route.sampled)
-        for route, density in densities.items()
-    ]
+    fields = []
+    for route, density in densities.items():  # of a function at the points, of a sample its bins
+        if isinstance(density, SampledDensity):
+            few = joined(density, MAP_BINS)
+            middles = [0.5 * (e[1:] + e[:-1]) for e in few.edges]
+            inside = [(m >= g[0]) & (m <= g[-1]) for m, g in zip(middles, grid, strict=True)]
+            values, errors = few.values[np.ix_(*inside)], few.standard_error[np.ix_(*inside)]
+            own: Record = {"x": middles[0][inside[0]], "y": middles[1][inside[1]]}
+        else:
+            values, errors = density.at(*np.meshgrid(*grid, indexing="ij"))
+            own = {"smooth": True}
+        shown = {"name": route.words, "shown": route in drawn or route.sampled}
+        numbers = rounded(z=values.ravel(), error=errors.ravel())
+        fields.append({**shown, "high": float(values.max()), **numbers, **own})
     energies = all(c.kind == "H" for c in observable)  # they fall exponentially
     top = max(field["high"] for field in fields)
     for field in fields:
@@ -148,22 +156,6 @@ def _map(curves: Sequence[Answers], observable: Observable) -> Record | None:
         "walls": [walls_of([curve], (c,)) for c in observable],
         "fields": fields,
     }
-
-
-def _field(route: Route, density: AnyDensity, grid: tuple[Array, ...], *, shown: bool) -> Record:
-    """The field of one route: of a function at the points of ``grid``, of a sample its bins."""
-    if isinstance(density, SampledDensity):
-        few = joined(density, MAP_BINS)
-        middles = [0.5 * (e[1:] + e[:-1]) for e in few.edges]
-        inside = [(m >= g[0]) & (m <= g[-1]) for m, g in zip(middles, grid, strict=True)]
-        x, y = (m[i] for m, i in zip(middles, inside, strict=True))
-        values, errors = few.values[np.ix_(*inside)], few.standard_error[np.ix_(*inside)]
-        own: Record = {"x": x, "y": y}
-    else:
-        values, errors = density.at(*np.meshgrid(*grid, indexing="ij"))
-        own = {"smooth": True}
-    numbers = rounded(z=values.ravel(), error=errors.ravel())
-    return {"name": route.words, "shown": shown, "high": float(values.max()), **numbers, **own}
 
 
 def _in_time(curve: Answers, label: str) -> list[Record]:

@@ -71,11 +71,23 @@ class PageStyle:
             for t, columns in enumerate(self._tables)
             for k, name in enumerate(columns, start=1)
         ]
-        names = "".join(f"{c}::before{{content:{_css_string(name)}}}" for c, name, _ in tables)
+        # In a string of CSS special characters stand by their hexadecimal numbers.
+        strings = [re.sub(r"[^\w ]", lambda c: rf"\{ord(c[0]):x} ", name) for _, name, _ in tables]
+        names = "".join(
+            f'{cells}::before{{content:"{name}"}}'
+            for (cells, *_), name in zip(tables, strings, strict=True)
+        )
         numbers = ",".join(cells for cells, _, number in tables if number)
         rules = f"""@media screen and (max-width: 44rem) {{ {names} }}
 :where({numbers}) {{ text-align: right; white-space: nowrap; }}"""
-        return Markup("\n").join((_source("report.css"), _dark_curves(), Markup(rules)))
+        # On a dark page curves take their colours by rules, to which those of an attribute yield.
+        dark = "".join(
+            f'[{key}="{light}"]{{{key}:{colour}}}'
+            for light, colour in zip(COLOURS, DARK, strict=True)
+            for key in ("fill", "stroke")
+        )
+        curves = f"@media screen and (prefers-color-scheme: dark) {{ {dark} }}"
+        return Markup("\n").join((_source("report.css"), Markup(curves), Markup(rules)))
 
     @property
     def hash(self) -> Markup:
@@ -139,22 +151,6 @@ def as_script_data(record: Record) -> Markup:
 def _source(name: str) -> Markup:
     """The text of a file in ``templates``, which the page takes over without escaping."""
     return Markup((TEMPLATES / name).read_text(encoding="utf-8").strip())
-
-
-def _dark_curves() -> Markup:
-    """Rules by which curves take their colours on a dark page; those of an attribute yield."""
-    rules = "".join(
-        f'[{key}="{light}"]{{{key}:{dark}}}'
-        for light, dark in zip(COLOURS, DARK, strict=True)
-        for key in ("fill", "stroke")
-    )
-    return Markup(f"@media screen and (prefers-color-scheme: dark) {{ {rules} }}")
-
-
-def _css_string(text: str) -> str:
-    """The text as a string of CSS, with special characters by their hexadecimal numbers."""
-    inside = re.sub(r"[^\w ]", lambda special: rf"\{ord(special[0]):x} ", text)
-    return f'"{inside}"'
 
 
 def _hash(text: str) -> Markup:

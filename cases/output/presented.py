@@ -15,7 +15,7 @@ from cases.output.pictures.joint import LOWEST, contour_panels, joint_figure
 from cases.output.pictures.lines import POINTS, density_figure
 from cases.output.pictures.style import COLOURS, SHOWN, STYLE, density_words, words_of
 from cases.output.records import UNITS, plain, program_version
-from cases.output.tables import quantity_columns
+from cases.output.text import quantity_columns
 from cases.output.variables import Variables
 from cases.output.words import named
 from cases.scene.units import Units

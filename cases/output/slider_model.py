@@ -9,10 +9,9 @@ from averaging.conditional import conditional
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.modal.resonance import MAX_NEGLECTED
 from cases.comparison.answers import Answers
-from cases.output.pictures.chain import SUBSCRIPTS
+from cases.output.pictures.style import SUBSCRIPTS
 from cases.output.records import Record
 from fpk.arrays import Array
-from fpk.contact import Contact
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.system import System
 
@@ -104,14 +103,12 @@ def _obstacle(system: System) -> str:
         return "for modulated noise"
     if len(system.contact_masses) != 1:
         return "unless one mass has contacts"
-    return "" if all(map(_power_law, system.stops)) else "for this law of contact"
-
-
-def _power_law(stop: Contact) -> bool:
-    """Whether the contact energy is that of a power law, which the page knows."""
     x = np.array([0.3, 1.7])
-    expected = stop.stiffness * x ** (stop.power + 1.0) / (stop.power + 1.0)
-    return bool(np.allclose(stop.energy(x), expected, rtol=1e-12))
+    for stop in system.stops:
+        expected = stop.stiffness * x ** (stop.power + 1.0) / (stop.power + 1.0)
+        if not np.allclose(stop.energy(x), expected, rtol=1e-12):
+            return "for this law of contact"
+    return ""
 
 
 def _contacts(system: System, words: str, key: str) -> list[Record]:

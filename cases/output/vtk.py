@@ -238,28 +238,26 @@ def _origin(outcome: Outcome) -> dict[str, str]:
 
 
 def _write_mesh(mesh: meshio.Mesh, data: Mapping[str, str | float], path: Path) -> None:
-    def write(temporary: Path) -> None:
-        meshio.vtu.write(temporary, mesh)
-        # meshio writes no field data, and no array as the active one.
-        text, head = temporary.read_text(encoding="utf-8"), "<UnstructuredGrid>"
-        text = text.replace(head, head + _field_data(data), 1)
-        for kind, arrays in (("PointData", mesh.point_data), ("CellData", mesh.cell_data)):
-            active = f"<{kind} Scalars={quoteattr(next(iter(arrays), ''))}>"
-            text = text.replace(f"<{kind}>", active, 1)
-        temporary.write_text(text, encoding="utf-8")
-
-    write_by(path, write)
-
-
-def _field_data(data: Mapping[str, str | float]) -> str:
-    """The field data of a file; texts as VTK has them, zero-ended codes."""
+    """Write the mesh with ``data`` as field data; texts as VTK has them, zero-ended codes."""
     root = ElementTree.Element("FieldData")
     for name, value in data.items():
         kind = "Float64" if isinstance(value, float) else "String"
         entry = {"type": kind, "Name": name, "NumberOfTuples": "1", "format": "ascii"}
         codes = [value] if isinstance(value, float) else [*value.encode(), 0]
         ElementTree.SubElement(root, "DataArray", entry).text = " ".join(map(repr, codes))
-    return ElementTree.tostring(root, encoding="unicode")
+    fields = ElementTree.tostring(root, encoding="unicode")
+
+    def write(temporary: Path) -> None:
+        meshio.vtu.write(temporary, mesh)
+        # meshio writes no field data, and no array as the active one.
+        text, head = temporary.read_text(encoding="utf-8"), "<UnstructuredGrid>"
+        text = text.replace(head, head + fields, 1)
+        for kind, arrays in (("PointData", mesh.point_data), ("CellData", mesh.cell_data)):
+            active = f"<{kind} Scalars={quoteattr(next(iter(arrays), ''))}>"
+            text = text.replace(f"<{kind}>", active, 1)
+        temporary.write_text(text, encoding="utf-8")
+
+    write_by(path, write)
 
 
 def _with_middles(ends: Array, only: Flags | None = None) -> Array:

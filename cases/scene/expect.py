@@ -26,6 +26,13 @@ class Range(NamedTuple):
     limit: float
 
 
+def range_of(key: str, given: Mapping[str, float]) -> Range:
+    """Return the range that a claim gives; raise ``InvalidInput`` for none or several."""
+    if len(given) != 1:
+        raise InvalidInput(key, given, f"must have exactly one of {', '.join(RELATIONS)}")
+    return Range(*next(iter(given.items())))
+
+
 @dataclass(frozen=True)
 class Expect:
     """The claims of one figure; a claim that is not made is None.
@@ -62,12 +69,9 @@ def expect_of(
         raise InvalidInput("expect.of", given, remedy)
     claims = {**table, "of": by_name[name]}
     for key in table.keys() & {"non_gaussian", "almost_gaussian"}:
-        if len(table[key]) != 1:
-            remedy = f"must have exactly one of {', '.join(RELATIONS)}"
-            raise InvalidInput(f"expect.{key}", table[key], remedy)
+        claims[key] = range_of(f"expect.{key}", table[key])
         if len(by_name[name]) > 1:
             raise InvalidInput(f"expect.{key}", table[key], "is for one coordinate, not a pair")
-        claims[key] = Range(*next(iter(table[key].items())))
     for key in table.keys() & {"non_gaussian", "almost_gaussian", "nonintegrable_better_with"}:
         if curves < 2:
             remedy = "is about the curves of [vary]; add it"

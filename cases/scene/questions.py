@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cases.scene.expect import RELATIONS, Range, Theory
+from cases.scene.expect import Range, Theory, range_of
 from fpk.errors import InvalidInput
 from fpk.evolution import checked_times
 from fpk.limit import Limit, parse_limit
@@ -74,7 +74,7 @@ def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[Pa
             require_below(system, limit, start)
             times = _times(table)
         claims: dict[str, Any] = {
-            key: _range(f"{place}.{key}", table) for key in CLAIMS if key in table
+            key: range_of(f"{place}.{key}", table[key]) for key in CLAIMS if key in table
         }
         if "failure_error" in claims and not times:
             raise InvalidInput(f"{place}.times", None, "failure_error is about them; add them")
@@ -123,13 +123,6 @@ def _times(table: Mapping[str, Any]) -> tuple[float, ...]:
     except InvalidInput as error:
         raise InvalidInput("times", times, error.remedy) from None
     return tuple(map(float, times))
-
-
-def _range(key: str, table: Mapping[str, Any]) -> Range:
-    given = table[key.rpartition(".")[2]]
-    if len(given) != 1:
-        raise InvalidInput(key, given, f"must have exactly one of {', '.join(RELATIONS)}")
-    return Range(*next(iter(given.items())))
 
 
 def require_below(system: System, limit: Limit, start: Start) -> None:

@@ -277,7 +277,8 @@ def validated(data: dict[str, Any]) -> dict[str, Any]:
 
 def _refusal(error: ErrorDetails) -> InvalidInput:
     kind, place = error["type"], [p for p in error["loc"] if not str(p).startswith(("<", "[key"))]
-    key, context = _toml_key(place), error.get("ctx", {})
+    parts = (f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place)
+    key, context = "".join(parts).removeprefix("."), error.get("ctx", {})
     if isinstance(inner := context.get("error"), InvalidInput):
         return InvalidInput(f"{key}.{inner.key}", inner.value, inner.remedy)
     if kind == "missing":
@@ -292,11 +293,6 @@ def _refusal(error: ErrorDetails) -> InvalidInput:
     if key in ("contact", "damping_term", "passage", "transient") and kind == "list_type":
         remedy = f"must be written as [[{key}]]"
     return InvalidInput(key, error["input"], remedy)
-
-
-def _toml_key(place: Sequence[int | str]) -> str:
-    parts = (f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place)
-    return "".join(parts).removeprefix(".")
 
 
 def _known_keys(place: Sequence[int | str]) -> str:

@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+from cases.written import SUPERSCRIPTS
 from fpk.errors import InvalidInput
 from fpk.observable import Coordinate, Observable
 
@@ -12,8 +13,6 @@ CONSISTENT = "the scene's own consistent units"
 
 DATES = ("days", "hours", "minutes", "seconds", "milliseconds", "microseconds", "nanoseconds")
 """Units of time that xarray decodes to time differences of whole nanoseconds."""
-
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 Powers = tuple[float, float, float]
 """Exponents (a, b, c) of a quantity whose unit is length^a mass^b time^c."""
@@ -83,11 +82,10 @@ class Units:
         length, mass, time = (sign * sum(powers) for powers in zip(*dimensions, strict=True))
         named = (self.mass, mass), (self.length, length), (self.time, time)
         caret = any(power != int(power) for _, power in named)
-        factors = [
-            name + _power(power, caret=caret)
-            for name, power in sorted(named, key=lambda factor: factor[1] < 0)
-            if power
-        ]
+        factors = []
+        for name, power in sorted(named, key=lambda factor: factor[1] < 0):
+            raised = f"^{power:g}" if caret else str(int(power)).translate(SUPERSCRIPTS)
+            factors += [name if power == 1 else name + raised] if power else []
         return " ".join(factors) or "1"
 
     def __bool__(self) -> bool:
@@ -122,12 +120,6 @@ class Units:
 
 
 NO_UNITS = Units()
-
-
-def _power(power: float, *, caret: bool) -> str:
-    if power == 1:
-        return ""
-    return f"^{power:g}" if caret else str(int(power)).translate(SUPERSCRIPTS)
 
 
 def attribute(unit: str) -> str:

@@ -13,12 +13,11 @@ from cases.comparison.compare import distance_between
 from cases.scene.scene import Scene
 from cases.studies.converge import H_LEVELS
 from cases.studies.equations import EQUATIONS, Equation
-from cases.studies.law import FULL, Law, averaged_route, full_routes
+from cases.studies.law import FULL, Law, averaged_route, full_routes, solved_routes
 from cases.studies.levels import Discretisation, refined_levels, timed_first, timing
 from cases.studies.passage import passage_routes
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import Reference, deterministic, full_reference
-from cases.studies.solved import solved_routes
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Progress, silent
 from fpk.system import System
@@ -103,7 +102,7 @@ def study_cost(
             tried += equation_routes(equation, candidates(equation), progress=progress)
             if simulate and equation.dimension == 1:
                 tried.append(averaged_route(system, equation, seed=seed))
-    solved, best = solved_routes(system, FULL, progress=progress)
+    solved, best = solved_routes(system, progress=progress)
     tried += solved
     if best is not None:
         study.full_reference, study.floors[FULL] = best.words, best.density.l1_error

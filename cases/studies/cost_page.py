@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from cases.output.duration import duration
 from cases.output.words import theory_of_route
 from cases.studies.cost import CostStudy
 from cases.studies.law import FULL
@@ -13,7 +12,7 @@ from cases.studies.levels import Level
 from cases.studies.page import Page, Table
 from cases.studies.picture import Curve, Panel
 from cases.studies.prices import Cheapest, by_equation, crossovers, price_list
-from cases.written import bound
+from cases.written import bound, duration
 
 MEANING = (
     "Processor times on one thread after a warm-up, the median of 3 to 21 runs where one takes"

@@ -14,18 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from cases.output.duration import duration
 from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
 from cases.output.page import PLOTS, as_script_data, origin_record, page_record, script_record
 from cases.output.pictures.svg import inline_svg, svg_text
-from cases.output.tables import text_table
-from cases.output.text import rendered
+from cases.output.text import rendered, text_table
 from cases.output.variables import Variables
 from cases.output.words import named
 from cases.scene.scene import Scene
 from cases.scene.units import attribute, bracketed
 from cases.studies.picture import Field, Panel, live_plots, study_figure
+from cases.written import duration
 
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
 """Characters to which Markdown gives a meaning inside a line, HTML and formulas included."""
@@ -129,14 +128,6 @@ class Table:
             columns[variable] = ((self.name,), column, words)
         return columns
 
-    def csv(self) -> str:
-        """Return the rows as comma-separated values below their columns."""
-        stream = StringIO()
-        writer = csv.DictWriter(stream, list(self.rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        return stream.getvalue()
-
 
 @dataclass(frozen=True)
 class Page:
@@ -181,7 +172,11 @@ class Page:
         if variables is None:
             variables = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
         else:
-            texts["csv"] = self.tables[0].csv()
+            stream, rows = StringIO(), self.tables[0].rows
+            writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+            texts["csv"] = stream.getvalue()
         paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "html", "nc")}
         downloads = [path.name for ending, path in paths.items() if ending != "html"]
         data = script_record(live_plots(self.panels, "picture"))

@@ -50,7 +50,8 @@ def passage_routes(
         method: Any = route.make()
         if not isinstance(method, Passages) or (route.sampled and not simulate):
             continue
-        equation = equation_name(question, route.method, route.solves)
+        whose = "full system (6)" if route.solves == "full" else f"{route.method} theory"
+        equation = f"first passage of {question.name}, {whose}"
         try:
             if route.sampled:
                 few = {"paths": PATHS, "seed": seed, "threads": 1}
@@ -66,12 +67,6 @@ def passage_routes(
         for _, rate in measured:
             best[equation] = min(best.get(equation, rate), rate, key=_relative)
     return refused + [_priced(*answer, best[answer[1]]) for answer in answers]
-
-
-def equation_name(question: PassageQuestion, method: str, solves: str) -> str:
-    """Return the name of the equation whose first passage it is."""
-    whose = "full system (6)" if solves == "full" else f"{method} theory"
-    return f"first passage of {question.name}, {whose}"
 
 
 def _rate(

@@ -14,11 +14,10 @@ import pytest
 from cases.commands.app import app
 from cases.commands.examples import EXAMPLES
 from cases.commands.parts import as_wide
-from cases.output.duration import duration
-from cases.scene.json_schema import DIRECTIVE, FILE, scene_schema
-from cases.scene.key_table import key_table, with_table
+from cases.scene.json_schema import DIRECTIVE, FILE, key_table, scene_schema, with_table
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.schema import SCENE
+from cases.written import duration
 from fpk.clearance import stop_clearances
 from fpk.contact_law import LAWS
 from sim.montecarlo import MonteCarlo
@@ -130,7 +129,7 @@ def test_the_cost_of_a_simulation_is_that_of_all_its_systems(fpk):
 
 
 def test_the_table_of_keys_is_that_of_the_schema():
-    """``python -m cases.scene.key_table docs/scene.md`` writes it anew."""
+    """``python -m cases.scene.json_schema docs/scene.md`` writes it anew."""
     page = (Path(__file__).parents[2] / "docs" / "scene.md").read_text(encoding="utf-8")
     assert with_table(page) == page
     rows = [line.split(" | ") for line in key_table().splitlines()[2:]]

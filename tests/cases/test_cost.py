@@ -8,19 +8,18 @@ import pytest
 
 from averaging.closed_form import averaged_density
 from averaging.nonintegrable import NonIntegrable
-from cases.output.duration import duration
 from cases.scene.scene import load_scene
 from cases.studies import passage
 from cases.studies.cost import CostStudy, candidates, equation_routes, study_cost
 from cases.studies.cost_page import cost_page
 from cases.studies.equations import energy_equation
-from cases.studies.law import FULL, Law, full_routes
+from cases.studies.law import FULL, Law, full_routes, solved_routes
 from cases.studies.levels import Level, density_of, errors
 from cases.studies.page import Table, cell
 from cases.studies.passage import passage_routes
 from cases.studies.prices import NotTimed, Priced, crossovers, price_list
 from cases.studies.simulation import full_reference
-from cases.studies.solved import solved_routes
+from cases.written import duration
 from fpk.density import l1_distance
 from fpk.line.stationary import solve_stationary
 from fpk.observable import parse_observable
@@ -268,9 +267,9 @@ def test_a_table_is_markdown_in_aligned_columns_without_repeats():
 
 def test_the_full_system_is_priced_where_it_is_solved(monkeypatch):
     """Two small solutions of weak contact; each tolerance is met by the answer that it gave."""
-    monkeypatch.setattr("cases.studies.solved.TOLERANCES", (1e-1, 1e-2))
+    monkeypatch.setattr("cases.studies.law.TOLERANCES", (1e-1, 1e-2))
     monkeypatch.setattr("cases.studies.levels.LONG", 0.0)  # no repeats: no time is looked at
-    (priced,), best = solved_routes(load_scene("fig8a").system, FULL)
+    (priced,), best = solved_routes(load_scene("fig8a").system)
     assert isinstance(priced, Priced) and priced.route == best.words == "phase-space"
     assert [p.promised for p in priced.points] == [1e-1, 1e-2]
     assert all(p.honest and p.stated <= p.promised and not p.modelled for p in priced.points)
@@ -278,7 +277,7 @@ def test_the_full_system_is_priced_where_it_is_solved(monkeypatch):
 
 
 def test_where_the_full_density_is_known_no_other_solution_is_priced():
-    (lost,), best = solved_routes(load_scene("fig3a").system, FULL)
+    (lost,), best = solved_routes(load_scene("fig3a").system)
     assert best is None and "exact has the same density" in lost.reason and not lost.wrong
 
 

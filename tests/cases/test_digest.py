@@ -3,7 +3,8 @@
 from cases.comparison.compare import Comparison
 from cases.comparison.refusal import Refusal
 from cases.comparison.routes import register_routes
-from cases.output.digest import comparison_rows, refusal_record, refusals_of
+from cases.output.digest import comparison_rows, refusal_record
+from cases.output.text import refusals_of
 from fpk.route import ROUTES
 
 register_routes()

@@ -20,8 +20,7 @@ from cases.output.report import write_report
 from cases.output.vtk import write_pvd, write_vtu
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.studies.regime_map.map import build_map
-from cases.studies.regime_map.map_page import map_page
+from cases.studies.regime_map import build_map, map_page
 
 resource = pytest.importorskip("resource", reason="limits of a process are Unix's")
 

@@ -21,8 +21,7 @@ from cases.studies.cost_page import cost_page
 from cases.studies.levels import Level
 from cases.studies.picture import HALO, Curve, Field, Panel, live_plots, study_figure
 from cases.studies.prices import Priced
-from cases.studies.regime_map.map import build_map
-from cases.studies.regime_map.map_page import map_page
+from cases.studies.regime_map import build_map, map_page
 from cases.studies.sweep.sweep_page import sweep_page
 
 QUESTIONS = """

@@ -9,8 +9,8 @@ from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
-from cases.output.digest import digest_of, verdict_of
-from cases.output.text import rendered
+from cases.output.digest import digest_of
+from cases.output.text import rendered, verdict_of
 from cases.scene.scene import load_scene
 from fpk.certificate import Measured
 from fpk.density import certified_density

@@ -17,7 +17,7 @@ from cases.comparison.answers import Answers
 from cases.comparison.routes import method_for
 from cases.comparison.run import run_scene
 from cases.output.digest import digest_of
-from cases.output.tables import quantity_tables
+from cases.output.text import quantity_tables
 from cases.scene.scene import load_scene
 from cases.written import concise, up, with_error
 from fpk.contact import Contact

@@ -9,8 +9,7 @@ import xarray as xr
 from cases.output.files import write_text
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.studies.regime_map.map import build_map
-from cases.studies.regime_map.points import winner_of
+from cases.studies.regime_map import build_map, winner_of
 from cases.studies.sweep.grid import parse_axes
 
 GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--vary", "contact.clearance=0.5:2:2"]

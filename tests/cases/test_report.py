@@ -17,17 +17,15 @@ from cases.commands.parts import command_line
 from cases.comparison.rare import SPLITTING
 from cases.comparison.routes import method_for, register_routes
 from cases.comparison.run import run_scene
-from cases.output.digest import claims_counted, digest_of
-from cases.output.headline import headline_of, measure_of
+from cases.output.digest import digest_of
 from cases.output.live import MARKS
 from cases.output.page import TEMPLATES
 from cases.output.pictures.chain import chain_svg
 from cases.output.pictures.lines import CURVE_MARKS, LINES
 from cases.output.pictures.style import COLOURS, DARK, STYLE
 from cases.output.pictures.svg import TOLERANCE, inline_svg, svg_text
-from cases.output.report import report_html
-from cases.output.tables import theory_table
-from cases.output.text import rendered
+from cases.output.report import headline_of, measure_of, report_html
+from cases.output.text import claims_counted, rendered, theory_table
 from cases.output.words import CONSTANT_NOISE, named
 from cases.scene.scene import load_scene
 from cases.scene.units import Units

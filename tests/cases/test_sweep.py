@@ -24,7 +24,7 @@ from cases.scene.errors import BadInput
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import load_scene
 from cases.studies.picture import study_figure
-from cases.studies.regime_map.map import build_map
+from cases.studies.regime_map import build_map
 from cases.studies.sweep.grid import parse_axes
 from cases.studies.sweep.sweep_page import sweep_panels
 from fpk.number import Number

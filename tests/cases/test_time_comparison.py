@@ -11,13 +11,12 @@ import pytest
 
 from cases.comparison import answering, time_distances
 from cases.comparison.answering import replies_of
+from cases.comparison.claims import time_findings
 from cases.comparison.in_time import Given, Replies
 from cases.comparison.routes import method_for, register_routes
 from cases.comparison.run import run_scene
-from cases.comparison.time_claims import time_findings
-from cases.output.digest import digest_of
+from cases.output.digest import digest_of, verify_row
 from cases.output.fields import write_netcdf
-from cases.output.gate import verify_row
 from cases.output.report import write_report
 from cases.output.text import rendered
 from cases.output.vtk import write_time_pvd

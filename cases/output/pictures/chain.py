@@ -2,6 +2,7 @@
 
 from markupsafe import Markup, escape
 
+from cases.output.pictures.style import SUBSCRIPTS
 from cases.scene.units import NO_UNITS, Units
 from fpk.system import System
 
@@ -11,8 +12,6 @@ SHOWN_MASSES = 8
 CELL, BOX, FLOOR, TOP = 150, 46, 96, 40
 """Width of a mass with what joins it to the one before, width of its box, height of the floor and
 of the top of a box, in pixels."""
-
-SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def chain_svg(system: System, units: Units = NO_UNITS) -> Markup:

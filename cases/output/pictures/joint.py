@@ -11,9 +11,16 @@ from mpl_toolkits.mplot3d import Axes3D
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
 from cases.output.fields import common_grid
-from cases.output.pictures.choice import lines_of, samples_of, solver_difference
 from cases.output.pictures.lines import walls_of
-from cases.output.pictures.style import SHOWN, SOLVER_WORDS, density_words, words_of
+from cases.output.pictures.style import (
+    SHOWN,
+    SOLVER_WORDS,
+    density_words,
+    lines_of,
+    samples_of,
+    solver_difference,
+    words_of,
+)
 from fpk.arrays import Array
 from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name

@@ -6,27 +6,24 @@ from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
 from cases.output.fields import common_grid
-from cases.output.pictures.choice import (
-    Differences,
-    lines_of,
-    samples_of,
-    solver_difference,
-)
 from cases.output.pictures.style import (
     COLOURS,
     GAP,
     INK,
     SHOWN,
     SOLVER_WORDS,
+    Differences,
     arrange,
     density_words,
+    lines_of,
+    samples_of,
+    solver_difference,
     symbol_of,
     words_of,
 )
@@ -139,20 +136,6 @@ def dashes_of(route: Route) -> Any:
     return LINES[min(place, len(LINES) - 1)]
 
 
-def _draw_walls(axes: Axes, curves: Sequence[Answers], observable: Observable) -> None:
-    """Shade where the mass overlaps its stops; of several clearances only mark them."""
-    walls = walls_of(curves, observable)
-    left, right = axes.get_xlim()
-    for wall in walls:
-        axes.axvline(wall, color=INK, linewidth=0.8, alpha=0.5)
-    for sign, end in ((-1.0, left), (1.0, right)):
-        own = {s.clearance for c in curves for s in c.system.stops
-               if s.sign == sign and s.index == observable[0].row}  # fmt: skip
-        if walls and len(own) == 1:
-            axes.axvspan(sign * own.pop(), end, color=INK, alpha=0.07, linewidth=0)
-    axes.set_xlim(left, right)
-
-
 def density_figure(
     curves: Sequence[Answers],
     observable: Observable,
@@ -204,8 +187,16 @@ def density_figure(
         axes.set(yscale="log", ylim=(lowest * top, 2.0 * top))
     else:
         axes.set_ylim(bottom=0)
-    if observable[0].kind == "q":
-        _draw_walls(axes, curves, observable)
+    # Where the mass overlaps its stops is shaded; several clearances are only marked.
+    walls, ends = walls_of(curves, observable), axes.get_xlim()
+    for wall in walls:
+        axes.axvline(wall, color=INK, linewidth=0.8, alpha=0.5)
+    for sign, end in zip((-1.0, 1.0), ends, strict=True) if walls else ():
+        own = {s.clearance for c in curves for s in c.system.stops
+               if s.sign == sign and s.index == observable[0].row}  # fmt: skip
+        if len(own) == 1:
+            axes.axvspan(sign * own.pop(), end, color=INK, alpha=0.07, linewidth=0)
+    axes.set_xlim(ends)
     arrange(figure, HEIGHT, legend, head=0.12)
     return figure
 

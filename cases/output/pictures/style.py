@@ -1,8 +1,9 @@
-"""Style of all pictures: ink and colours, words for axes, fixed margins."""
+"""Style of all pictures: ink and colours, words for axes, margins; which answers are drawn."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,13 @@ from matplotlib import rc_params_from_file
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
+from cases.comparison.answers import Answers
 from cases.scene.units import NO_UNITS, Units, bracketed
+from fpk.arrays import Array
+from fpk.density import Density
 from fpk.observable import Coordinate, Observable
+from fpk.route import Route
+from fpk.sampled_density import SampledDensity
 
 STYLE: Any = rc_params_from_file(
     Path(__file__).with_name("fpk.mplstyle"), use_default_template=False
@@ -48,6 +54,9 @@ SOLVER_WORDS = (
 """Caption of the differences of two solvers of an observable."""
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+
+Differences = tuple[Array, Array, dict[str, Array]]
+"""Points along the first axis, the band in which differences of two answers may lie, and these."""
 
 
 def arrange(figure: Figure, height: float, legend: Mapping[str, Artist], *, head: float) -> None:
@@ -105,3 +114,38 @@ def words_of(coordinate: Coordinate) -> str:
     modal = "modal " if coordinate.kind == "H" and coordinate.index is not None else ""
     unit = bracketed(SHOWN_UNITS.get().coordinate(coordinate))
     return f"{modal}{words} {symbol_of(coordinate)}{unit}"
+
+
+def lines_of(curve: Answers, observable: Observable) -> dict[Route, Density]:
+    """Return the densities drawn as lines: an exact one, and of each averaged method its first.
+
+    An averaged method that is exact itself is not drawn beside the exact density.
+    """
+    drawn: dict[str, tuple[Route, Density]] = {}
+    for route, density in curve.densities(observable).items():
+        full = route.solves == "full"
+        if isinstance(density, Density) and (full or "" not in drawn or not curve.is_exact(route)):
+            drawn.setdefault("" if full else route.method, (route, density))
+    return dict(drawn.values())
+
+
+def samples_of(curve: Answers, observable: Observable) -> dict[Route, SampledDensity]:
+    """Return the histograms of one observable, that of the full system first."""
+    densities = curve.densities(observable).items()
+    return {route: d for route, d in densities if isinstance(d, SampledDensity)}
+
+
+def solver_difference(curve: Answers, observable: Observable, *points: Array) -> Differences | None:
+    """Return how far two solvers of one averaged equation differ; the band is what both state.
+
+    None where no equation has two deterministic answers. The one that states the larger error comes
+    first.
+    """
+    answers = curve.densities(observable).items()
+    functions = [(r, d) for r, d in answers if r.solves == "averaged" and isinstance(d, Density)]
+    for pair in combinations(functions, 2):
+        (a, first), (b, second) = sorted(pair, key=lambda answer: -answer[1].l1_error)
+        if a.method == b.method:
+            (value, stated), (other, also_stated) = first.at(*points), second.at(*points)
+            return points[0], stated + also_stated, {f"{a.solver} − {b.solver}": value - other}
+    return None

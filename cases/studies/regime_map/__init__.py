@@ -1,1 +1,0 @@
-"""The map of regimes: which theory is nearer to the full system, over a grid of parameters."""
