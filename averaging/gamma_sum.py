@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 
 NODES, COARSE_NODES = 40, 30
 """Nodes on half of the contour, and of the coarser sum for the error: 32 reach round-off."""
@@ -17,7 +17,6 @@ SADDLE_STEPS = 12
 """Fixed-point steps to the saddle; any point between it and the first guess serves."""
 MIN_ENERGY = 1e-200
 """Least x, in units of the largest scale, for which the contour is taken: the limit at 0."""
-EPS = float(np.finfo(float).eps)
 
 
 def gamma_sum(scales: Array, shape: float, errors: Array, x: Array) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import qr, solve_triangular
 
 from averaging.gamma_sum import gamma_density, gamma_sum
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.observable import Observable
@@ -22,7 +22,6 @@ PANELS = (17, 120)
 """Least and largest number of panels along an axis; correlations above 0.999 would need more."""
 ENERGY_TAIL = 4e-18
 """Bound of the probability beyond the last energy of the support."""
-EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)

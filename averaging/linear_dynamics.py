@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eig, expm
 
-from fpk.arrays import Array, Complexes
-from fpk.linear import EPS, linear_covariance, natural_modes
+from fpk.arrays import EPS, Array, Complexes
+from fpk.linear import linear_covariance, natural_modes
 from fpk.system import System
 
 EXPM = 160.0

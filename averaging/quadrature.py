@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from averaging.zero_flux import ZeroFluxDensity, flux_residual
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.certificate import Measured
 from fpk.line.mesh import initial_nodes, split_points
 from fpk.piecewise import Piecewise, fit
@@ -14,7 +14,6 @@ from fpk.probe import probed
 from fpk.process import Process, log_density_slope_error
 from fpk.quadrature import panel_rule
 
-EPS = float(np.finfo(float).eps)
 POINTS = 16
 """Gauss points per panel: the exponent is expanded in Legendre polynomials of degree 15."""
 MOST_ROUNDS = 30

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.certificate import Measured
 from fpk.process import Coefficients, Process, log_density_slope_error
 from fpk.quadrature import panel_rule
 
 POINTS = (16, 20)
 """Gauss points per panel of ∫2s/σ² dH, and of the finer rule whose distance is its error."""
-ROUND_OFF = 16.0 * float(np.finfo(float).eps)
+ROUND_OFF = 16.0 * EPS
 """Round-off of a logarithm of p or of σ², relative to 1 + |ln|, of some dozens of operations."""
 
 

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.function_quantities import FunctionQuantities
-from fpk.number import SMALLEST
 from fpk.observable import Observable, observable_name
 from fpk.piecewise import PiecewiseTensor, interpolated_tensor
 from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral

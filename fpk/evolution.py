@@ -13,7 +13,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.certificate import Certificate, Measured, certify, with_values
 from fpk.errors import InvalidInput
 from fpk.limit import Limit
@@ -23,7 +23,6 @@ from fpk.observable import Observable
 from fpk.start import Start
 from fpk.system import System
 
-EPS = float(np.finfo(float).eps)
 ErrorKind = Literal["numerical", "sampling"]
 
 STARTS = 101

@@ -5,16 +5,15 @@ from functools import cached_property
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Certificate, missing, outside
-from fpk.number import SMALLEST, Number
+from fpk.number import Number
 from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral
 from fpk.quantities import Function, Quantities, beyond
 
 FEWER = {1: 16, 2: 9}
 """Gauss points per panel and axis, by the number of axes, of the coarser rule: its distance from
 that of ``GAUSS_POINTS`` is in the error of an expectation."""
-EPS = float(np.finfo(float).eps)
 
 
 class FunctionQuantities(Quantities):

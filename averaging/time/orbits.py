@@ -14,14 +14,12 @@ from math import exp, pi, prod
 import numpy as np
 from scipy.special import hyp0f1, j0
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient, checked_times
-from fpk.number import SMALLEST
 from fpk.square_root import SquareRoot
 
-EPS = float(np.finfo(float).eps)
 REACH = 9.0
 """Standard deviations up to which a Gaussian counts, of the coordinates and of the waves."""
 BEYOND = exp(-0.5 * REACH**2)

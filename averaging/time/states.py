@@ -13,12 +13,11 @@ from averaging.back_transformation import hidden_quadratic
 from averaging.conditional import Conditional, conditionals
 from averaging.shell.averages import log_linear_states
 from averaging.time.weyl import WeylInTime
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient
 from fpk.line.time.transition import Transition
-from fpk.number import SMALLEST
 from fpk.observable import Observable, observable_name
 from fpk.quadrature import gauss_legendre
 from fpk.system import System

@@ -8,9 +8,8 @@ from math import gamma
 import numpy as np
 
 from averaging.weyl import weyl_integral
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.line.mesh import with_layers
-from fpk.line.time.modes import EPS
 from fpk.line.time.transition import ROUND_OFF, SAFETY, Transition, common_error
 from fpk.piecewise import Piecewise, interpolated
 from fpk.quadrature import panel_rule

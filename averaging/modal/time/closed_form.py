@@ -15,17 +15,17 @@ from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.time.questions import limited_modes, observed_modes
 from averaging.time.orbits import OrbitPart, orbit_transient
 from averaging.time.start import FROM_NOISE, EnergyStart
-from fpk.arrays import Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, certified_passage, checked_times
 from fpk.limit import Limit
 from fpk.modulation import ROUND_OFF, Modulation
-from fpk.number import SMALLEST, Number
+from fpk.number import Number
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
-from fpk.square_root import EPS, SquareRoot
+from fpk.square_root import SquareRoot
 
 EQUAL = 1e-12
 """Relative difference of decay or temperature, beyond round-off, up to which modes are alike."""

@@ -4,11 +4,10 @@ import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.certificate import Measured, outside
 from fpk.density import Density, certified_density
 from fpk.evolution import Transient
-from fpk.number import SMALLEST
 from fpk.observable import Coordinate, Observable
 from fpk.plane.time.levels import Frame
 from fpk.plane.time.start import Start

@@ -23,7 +23,6 @@ from fpk.process import Process, log_density_slope_error
 
 BEYOND_BULK = 1e-6
 """Share of the mass beyond the bulk, which ends where errors are weighted."""
-EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from functools import lru_cache, partial
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import NO_NOISE_YET, Transient
@@ -18,7 +18,6 @@ from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
 from fpk.line.time.transition import SAFETY, Solutions, Transition, adapted, judged, posed
 from fpk.modulation import Modulation
-from fpk.number import SMALLEST
 from fpk.observable import number_text
 from fpk.process import Process
 

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, certified_passage
 from fpk.line.time.evolution import fem_passage
 from fpk.line.time.mesh import HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes
+from fpk.line.time.modes import Modes
 from fpk.line.time.modulated import LEVELS, Settings, begins, halved, settings_of, times_factor
 from fpk.line.time.pair import Pair, degree_for, meshed
 from fpk.line.time.passage import THINNEST, FirstPassage, first_passage
@@ -28,7 +28,7 @@ from fpk.line.time.transition import (
     width_of,
 )
 from fpk.modulation import Modulation
-from fpk.number import SMALLEST, Number
+from fpk.number import Number
 from fpk.process import Process
 
 NEVER = Number(np.inf, np.inf)

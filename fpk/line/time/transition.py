@@ -7,14 +7,13 @@ from functools import partial
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import InvalidInput
 from fpk.line.time.mesh import time_nodes
-from fpk.line.time.modes import EPS, Modes
+from fpk.line.time.modes import Modes
 from fpk.line.time.pair import ENRICHMENT, MOST_ROUNDS, Pair, cut, degree_for, meshed
 from fpk.line.time.propagation import Solution, Source, points, propagated
-from fpk.number import SMALLEST
 from fpk.observable import number_text
 from fpk.probe import Probe, probed
 from fpk.process import Process

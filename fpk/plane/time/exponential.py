@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from fpk.arrays import Array, Integers
+from fpk.arrays import EPS, Array, Integers
 from fpk.errors import NotCertified
 
 RATIO = 30.0
@@ -31,7 +31,6 @@ DECAYED = 1e-200
 LARGEST = 20.0
 """Largest growth of a mode of a small space, whose numerical range leans into the right half plane;
 e^20 of anything is far from converged, and NaN says so."""
-EPS = float(np.finfo(float).eps)
 
 
 class Evolved(NamedTuple):

@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.evolution import Transient
-from fpk.number import SMALLEST
 from fpk.plane.solution import Nodes, graded
 from fpk.plane.time.exponential import Evolved, evolved
 from fpk.plane.time.levels import Frame, operators
