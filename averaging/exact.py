@@ -6,9 +6,8 @@ from functools import partial
 
 import numpy as np
 
-from averaging.back_transformation import back_transformed
+from averaging.back_transformation import back_transformed, crossing_rates
 from averaging.closed_form import state_closed_form
-from averaging.crossing_rates import crossing_rates
 from averaging.energy_process import damping_by_energy, energy_process
 from averaging.theory import Theory, energy_only_refusal
 from averaging.weyl import StateDensity

@@ -10,9 +10,8 @@ from averaging.modal.groups import unsolved
 from averaging.modal.observables import gaussian_modes, modal_densities
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from averaging.modal.time import closed_form, elements
-from averaging.modal.time.questions import TOL
 from averaging.theory import Theory
-from averaging.time.start import modal_start
+from averaging.time.start import TOL, modal_start
 from fpk.arrays import Array
 from fpk.certificate import tolerance
 from fpk.clearance import CLEARANCE_RULE

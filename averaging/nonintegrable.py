@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from averaging.back_transformation import back_transformed
+from averaging.back_transformation import back_transformed, crossing_rates
 from averaging.closed_form import averaged_rate, state_closed_form
-from averaging.crossing_rates import crossing_rates
 from averaging.energy_process import energy_process
 from averaging.quadrature import solve_by_quadrature
 from averaging.theory import Theory, energy_only_refusal

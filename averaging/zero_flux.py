@@ -1,4 +1,4 @@
-"""Densities of one energy by zero flux, (11): what they answer, and how far the flux is from 0."""
+"""Densities of energies with their certificates; of one energy by zero flux, (11)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,6 +7,10 @@ import numpy as np
 
 from fpk.arrays import EPS, Array
 from fpk.certificate import Measured
+from fpk.density import Density, certified_density
+from fpk.line.stationary import StationarySolution
+from fpk.observable import Observable
+from fpk.plane.solution import PlaneSolution
 from fpk.process import Coefficients, Process, log_density_slope_error
 from fpk.quadrature import panel_rule
 
@@ -92,3 +96,40 @@ def flux_residual(process: Process, nodes: Array, log_density: Callable[[Array],
     ends = 2.0 * at_nodes.relative_error + ROUND_OFF * (1.0 + np.abs(log_flux))
     allowed += ends[1:] + ends[:-1]
     return float(np.max(np.maximum(defect - allowed, 0.0) / np.sum(w * parts, axis=1)))
+
+
+def density_of_energies(
+    observable: Observable,
+    solution: StationarySolution | ZeroFluxDensity | PlaneSolution,
+    panels: tuple[Array, ...],
+    relative_error: Callable[..., Array],
+    *,
+    tol: float,
+    added: bool,
+) -> Density:
+    """Return the density of one or two energies that ``solution`` gives, with its certificate.
+
+    ``relative_error`` returns at energies the relative error of p by that of the density of states
+    or of the modes, which the solver does not know of; ``added`` says that it counts in L1, too.
+    """
+
+    def of_model(p: Array, *energies: Array) -> Array:
+        return np.asarray(relative_error(*energies) * np.abs(p))
+
+    def pointwise(*energies: Array) -> Array:
+        p = solution.density(*energies)
+        # Beyond the last energy, where p is 0, the error is what was dropped: less than at the end.
+        within = [np.minimum(H, x[-1]) for H, x in zip(energies, panels, strict=True)]
+        dropped = np.abs(solution.density(*within) - p)
+        error = np.abs(solution.pointwise_error(*energies)) + of_model(p, *energies) + dropped
+        return np.where(np.min(np.broadcast_arrays(*energies), axis=0) >= 0.0, error, 0.0)
+
+    return certified_density(
+        observable,
+        panels,
+        solution.density,
+        pointwise,
+        measured=solution.measured,
+        tol=tol,
+        added_error=of_model if added else None,
+    )

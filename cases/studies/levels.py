@@ -16,9 +16,8 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from averaging.energy_density import density_of_energies
 from averaging.quadrature import POINTS
-from averaging.zero_flux import ZeroFluxDensity
+from averaging.zero_flux import ZeroFluxDensity, density_of_energies
 from fpk.arrays import Array
 from fpk.density import Density
 from fpk.line.stationary import StationarySolution

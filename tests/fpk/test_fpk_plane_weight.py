@@ -23,13 +23,11 @@ from test_fpk_plane import (
 
 from fpk.errors import NotCertified
 from fpk.plane import plain, spectral, stationary
-from fpk.plane.balance import detailed_balance
-from fpk.plane.on_mesh import solve_plane_on_mesh
-from fpk.plane.plain import solve_by_elements
+from fpk.plane.on_mesh import solve_by_elements, solve_plane_on_mesh
 from fpk.plane.probe import probed
 from fpk.plane.solution import PlaneSolution
 from fpk.plane.spectral import solve_with_weight
-from fpk.plane.stationary import solve_plane
+from fpk.plane.stationary import detailed_balance, solve_plane
 from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
 from fpk.process import Coefficients, Process
 from fpk.quadrature import panel_rule

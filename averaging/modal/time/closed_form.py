@@ -12,9 +12,8 @@ import numpy as np
 
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.time.questions import limited_modes, observed_modes
 from averaging.time.orbits import OrbitPart, orbit_transient
-from averaging.time.start import FROM_NOISE, EnergyStart
+from averaging.time.start import FROM_NOISE, EnergyStart, limited_modes, observed_modes
 from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.dynamics import Rates

@@ -12,8 +12,7 @@ from fpk.arrays import SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import NO_NOISE_YET, Transient
-from fpk.line.time.modes import Modes
-from fpk.line.time.pair import Pair
+from fpk.line.time.modes import Modes, Pair
 from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
 from fpk.line.time.transition import SAFETY, Solutions, Transition, adapted, judged, posed

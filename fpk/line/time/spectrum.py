@@ -11,8 +11,7 @@ from fpk.errors import NotCertified
 from fpk.line.mesh import split_points
 from fpk.line.time.chain import admittances, eliminated
 from fpk.line.time.mesh import time_nodes
-from fpk.line.time.modes import Modes
-from fpk.line.time.pair import degree_for, meshed
+from fpk.line.time.modes import Modes, degree_for, meshed
 from fpk.probe import probed
 from fpk.process import Process
 

@@ -11,8 +11,7 @@ from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import InvalidInput
 from fpk.line.time.mesh import time_nodes
-from fpk.line.time.modes import Modes
-from fpk.line.time.pair import ENRICHMENT, MOST_ROUNDS, Pair, cut, degree_for, meshed
+from fpk.line.time.modes import ENRICHMENT, MOST_ROUNDS, Modes, Pair, cut, degree_for, meshed
 from fpk.line.time.propagation import Solution, Source, points, propagated
 from fpk.observable import number_text
 from fpk.probe import Probe, probed

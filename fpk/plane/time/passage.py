@@ -21,7 +21,7 @@ from fpk.plane.time.domain import Domain, Rectangle, Triangle
 from fpk.plane.time.exponential import evolved, factorised, relative_residual
 from fpk.plane.time.levels import Frame, operators
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.start import PointStart, Start
+from fpk.plane.time.view import PointStart, Start
 
 FOLDS = 5.0
 """Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root

@@ -13,8 +13,7 @@ from fpk.plane.solution import Nodes, graded
 from fpk.plane.time.exponential import Evolved, evolved
 from fpk.plane.time.levels import Frame, operators
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.start import PointStart, Start
-from fpk.plane.time.view import View
+from fpk.plane.time.view import PointStart, Start, View
 
 HEIGHT = 12.0
 """Largest rise of −ln w up to a start: errors of p grow by the root of its exponential, here 400.
