@@ -7,11 +7,11 @@ from functools import partial
 from averaging.back_transformation import back_transformed, crossing_rates
 from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import energy_process
-from averaging.quadrature import solve_by_quadrature
 from averaging.theory import Theory, energy_only_refusal
 from averaging.time.energy import total_energy
 from averaging.time.start import total_energy_start
 from averaging.weyl import Solution, StateDensity, tabulated
+from averaging.zero_flux import solve_by_quadrature
 from fpk.arrays import Array
 from fpk.certificate import tolerance
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates

@@ -10,8 +10,7 @@ import numpy as np
 
 from averaging.closed_form import closed_form
 from averaging.modal.analysis import ModalAnalysis
-from averaging.quadrature import solve_by_quadrature
-from averaging.zero_flux import ZeroFluxDensity, density_of_energies
+from averaging.zero_flux import ZeroFluxDensity, density_of_energies, solve_by_quadrature
 from fpk.arrays import Array
 from fpk.certificate import Measured, outside, worst
 from fpk.density import Density, certified_density
