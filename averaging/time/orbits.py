@@ -14,6 +14,7 @@ from math import exp, pi, prod
 import numpy as np
 from scipy.special import hyp0f1, j0
 
+from averaging.time.start import DensityQuestion
 from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.errors import NotApplicable
@@ -45,19 +46,13 @@ class OrbitPart:
     shape: Array
 
 
-def orbit_transient(
-    parts: Sequence[OrbitPart],
-    noise: float | None,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float,
-) -> Transient:
-    """Return the densities at ``times`` > 0 of one or two coordinates at points (points,) each.
+def orbit_transient(parts: Sequence[OrbitPart], asked: DensityQuestion) -> Transient:
+    """Return the densities at times > 0 of one or two coordinates, the sum of ``parts``.
 
-    From the start of each part, or the stationary state under ``noise``. Raises ``NotApplicable``
-    where an orbit is too thin for ``MOST_WAVES``.
+    From the start of each part, or the stationary state under the noise of the start. Raises
+    ``NotApplicable`` where an orbit is too thin for ``MOST_WAVES``.
     """
+    noise, times, at = asked.start.noise, asked.times, asked.at
     checked_times(times, positive=noise is None)
     values, errors = np.empty((2, times.size, at[0].size))
     largest, least = 0.0, 0.0
@@ -69,7 +64,7 @@ def orbit_transient(
     tail = 2.0 * len(at) * BEYOND
     measured = Measured(largest + tail, tail, least, None, tail, absolute_error=largest)
     return Transient(
-        times, values, errors + SMALLEST, "numerical", certify(measured, tol=tol),
+        times, values, errors + SMALLEST, "numerical", certify(measured, tol=asked.tol),
         {"equation": "characteristic function"},
     )  # fmt: skip
 

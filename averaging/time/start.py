@@ -36,6 +36,20 @@ class EnergyStart:
             raise InvalidInput("start", given, f"must be below the limit {limit}")
 
 
+@dataclass(frozen=True, eq=False)
+class DensityQuestion:
+    """Densities of ``observable`` after ``start``, asked for at ``times`` to the tolerance ``tol``.
+
+    They are given at the points ``at``, one array (points,) for each coordinate.
+    """
+
+    observable: Observable
+    start: EnergyStart
+    times: Array
+    at: tuple[Array, ...]
+    tol: float
+
+
 def total_energy_start(system: System, start: Start) -> EnergyStart:
     """Return where the total energy begins; raise ``NotApplicable`` for energies of the modes."""
     if start.rest or start.kind == "noise":

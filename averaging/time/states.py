@@ -15,6 +15,7 @@ import numpy as np
 from averaging.back_transformation import hidden_quadratic
 from averaging.conditional import Conditional, conditionals
 from averaging.shell.averages import log_linear_states
+from averaging.time.start import DensityQuestion
 from averaging.weyl import weyl_integral
 from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import certify
@@ -22,7 +23,7 @@ from fpk.errors import NotApplicable
 from fpk.evolution import Transient
 from fpk.line.mesh import with_layers
 from fpk.line.time.transition import ROUND_OFF, SAFETY, Transition, common_error
-from fpk.observable import Observable, observable_name
+from fpk.observable import observable_name
 from fpk.piecewise import Piecewise, interpolated
 from fpk.quadrature import gauss_legendre, panel_rule
 from fpk.system import System
@@ -131,21 +132,14 @@ class WeylInTime:
         return weyl_integral(self.order, self.nodes, self._u, energy, points=points)
 
 
-def state_transient(
-    system: System,
-    solved: Transition,
-    observable: Observable,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float,
-) -> Transient:
-    """Return the densities of one or two of (q, p) at ``times``, at points ``at`` (points,) each.
+def state_transient(system: System, solved: Transition, asked: DensityQuestion) -> Transient:
+    """Return the densities of one or two of (q, p).
 
     Momenta and masses without contact are integrated out exactly, one contact mass that is not
     observed by quadrature. The L1 error is that of the energy, as integrating out increases none,
     and what tables and quadrature add. Raises ``NotApplicable`` for more hidden contact masses.
     """
+    observable, at = asked.observable, asked.at
     q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
     hidden = [i for i in system.contact_masses if i not in q]
     if len(hidden) > 1:
@@ -183,20 +177,13 @@ def state_transient(
         minimum=float(values.min(initial=0.0)) / highest,
         absolute_error=float(errors.max(initial=0.0)) / highest,
     )
-    e = solved.elements
-    settings: dict[str, str | float | int] = {
-        "degree": e.degree,
-        "elements": e.count,
-        "last energy": float(e.right[-1]),
-        "tol": tol,
-    }
     return Transient(
-        times,
+        asked.times,
         factor * values.T,
         factor * errors.T + SMALLEST,
         "numerical",
-        certify(measured, tol=tol),
-        settings,
+        certify(measured, tol=asked.tol),
+        solved.settings,
     )
 
 

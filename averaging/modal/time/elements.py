@@ -11,7 +11,7 @@ import numpy as np
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from averaging.modal.groups import unsolved
-from averaging.time.start import EnergyStart, limited_modes, observed_modes
+from averaging.time.start import DensityQuestion, EnergyStart, limited_modes, observed_modes
 from fpk.arrays import SMALLEST, Array
 from fpk.certificate import Measured, outside
 from fpk.density import Density, certified_density
@@ -19,7 +19,7 @@ from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
 from fpk.limit import Limit
-from fpk.observable import Coordinate, Observable
+from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
 from fpk.plane.time.levels import Frame
 from fpk.plane.time.passage import PlaneLimit, first_passage
@@ -36,20 +36,14 @@ SHARE = 0.5
 """Share of the tolerance to which the energies are resolved."""
 
 
-def transient(
-    modes: ModalAnalysis,
-    observable: Observable,
-    start: EnergyStart,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float,
-) -> Transient:
+def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
     """Return the densities of one or two modal energies, of the sum of two, or of (q, p)."""
+    observable, start, times = asked.observable, asked.start, asked.times
+    at, tol = asked.at, asked.tol
     checked_times(times, positive=True)
     if {c.kind for c in observable} <= {"q", "p"}:
         posed = _posed(modes, _pair(modes, range(modes.n)), start, tol)
-        return state_transient(modes, *posed, observable, times, at, tol=tol)
+        return _state_transient(modes, *posed, asked)
     rows = observed_modes(observable)
     pair = _pair(modes, rows or range(modes.n))
     if rows == pair[::-1]:
@@ -134,21 +128,15 @@ def _frame(process: Process, tol: float) -> Frame:
     return Frame(process, solve_plane(process, tol=max(share * tol, least)))
 
 
-def state_transient(
-    modes: ModalAnalysis,
-    frame: Frame,
-    start: Start,
-    observable: Observable,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float,
+def _state_transient(
+    modes: ModalAnalysis, frame: Frame, start: Start, asked: DensityQuestion
 ) -> Transient:
-    """Return the densities of one or two of (q, p) of two modes at points ``at`` (points,) each.
+    """Return the densities of one or two of (q, p) of two modes.
 
     The phases are independent and uniform, whatever the energies. The certificate is that of the
     worst time; a time too short for the operator is not certified, its errors infinite.
     """
+    times, at, tol = asked.times, asked.at, asked.tol
     none = np.zeros(0), np.zeros(0)
     answer, levels = transient_densities(frame, start, View("pair"), times, none, tol=SHARE * tol)
     tail = outside(answer.certificate)
@@ -156,7 +144,7 @@ def state_transient(
     densities = []
     for k, t in enumerate(times.tolist()):
         group = _energies(modes, levels, k, t, l1_error=start.l1_error, tail=tail, tol=tol)
-        densities.append(state_density(modes, [group], observable, tol=tol))
+        densities.append(state_density(modes, [group], asked.observable, tol=tol))
         values[k], errors[k] = densities[k].at(*at)
         errors[k] = errors[k] if group.l1_error <= UNRESOLVED else np.inf
     worst = max(densities, key=lambda d: (not d.certificate.certified, d.l1_error))

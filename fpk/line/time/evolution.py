@@ -22,13 +22,7 @@ def fem_transient(
     """Return the densities of the energy at ``times`` > 0 after ``source`` at energies ``at``."""
     solved = transition(process, source, times, tol=tol)
     values, errors = solved.density(at)
-    settings: dict[str, str | float | int] = {
-        "degree": solved.elements.degree,
-        "elements": solved.elements.count,
-        "last energy": float(solved.elements.right[-1]),
-        "tol": tol,
-    }
-    return Transient(times, values, errors, "numerical", solved.certificate, settings)
+    return Transient(times, values, errors, "numerical", solved.certificate, solved.settings)
 
 
 def fem_passage(

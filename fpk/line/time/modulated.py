@@ -15,7 +15,7 @@ from fpk.evolution import NO_NOISE_YET, Transient
 from fpk.line.time.modes import Modes, Pair
 from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
-from fpk.line.time.transition import SAFETY, Solutions, Transition, adapted, judged, posed
+from fpk.line.time.transition import SAFETY, Settings, Solutions, Transition, adapted, judged, posed
 from fpk.modulation import Modulation
 from fpk.observable import number_text
 from fpk.process import Process
@@ -26,7 +26,6 @@ UNRESOLVED = 0.1
 """L1 error above which nothing is known of the density."""
 ODE_TOLS = (1e-12, 1e-10)
 """Tolerances of two solutions of dH/dt = F(H): the answer, and one whose distance is its error."""
-Settings = dict[str, str | float | int]
 
 
 def modulated_transient(

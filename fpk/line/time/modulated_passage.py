@@ -13,7 +13,7 @@ from fpk.evolution import Passage, certified_passage
 from fpk.line.time.evolution import fem_passage
 from fpk.line.time.mesh import HIGHEST, time_nodes
 from fpk.line.time.modes import Modes, Pair, degree_for, meshed
-from fpk.line.time.modulated import LEVELS, Settings, begins, halved, settings_of, times_factor
+from fpk.line.time.modulated import LEVELS, begins, halved, settings_of, times_factor
 from fpk.line.time.passage import THINNEST, FirstPassage, first_passage
 from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, matrices, radau, shares_of, start_of, steps_of
@@ -22,6 +22,7 @@ from fpk.line.time.transition import (
     ROUND_OFF,
     SAFETY,
     Question,
+    Settings,
     Solutions,
     adapted,
     width_of,

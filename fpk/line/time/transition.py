@@ -40,6 +40,7 @@ STALLED = 0.9
 """Ratio of the error to that of the round before that shows that finer elements do not help."""
 CHECKED_TIMES = 6
 """Times at which the mesh is adapted first, then at all."""
+Settings = dict[str, str | float | int]
 Solutions = tuple[Solution, Solution]
 """Densities on the two meshes of a ``Pair``."""
 
@@ -82,6 +83,13 @@ class Transition:
     def pair(self) -> Pair:
         """The elements of the answer and of the enriched solution."""
         return self.solution.elements, self.enriched.elements
+
+    @property
+    def settings(self) -> Settings:
+        """The settings of an answer."""
+        e, tol = self.elements, self.question.tol
+        last = float(e.right[-1])
+        return {"degree": e.degree, "elements": e.count, "last energy": last, "tol": tol}
 
     def density(self, x: Array) -> tuple[Array, Array]:
         """Return p and its error at energies x (points,): two arrays (times, points).
