@@ -15,11 +15,11 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
 from fpk.arrays import Array, Flags, Integers
 from fpk.line.mesh import split_points
 from fpk.line.time.mesh import HIGHEST, NONE, first_degree, rule
+from fpk.piecewise import legendre_at
 from fpk.process import Process, log_density_slope_error
 
 BEYOND_BULK = 1e-6
@@ -126,9 +126,7 @@ class Modes:
 
     def shapes(self, x: Array) -> tuple[Integers, Array, Array]:
         """Elements of the points x, h_1 (points,) there and the v_j (points, modes)."""
-        k = self.element_of(x)
-        t = (2.0 * x - self.left[k] - self.right[k]) / (self.right[k] - self.left[k])
-        P = legvander(np.clip(t, -1.0, 1.0), self.series.shape[1] - 1)
+        k, P = legendre_at(self.nodes, x, self.degree)
         f = np.einsum("xp,xpv->xv", P, self.series[k])
         return k, f[:, 0], f[:, 1:]
 
