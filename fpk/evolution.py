@@ -88,6 +88,8 @@ class StartCurve:
 
 LARGEST_ERROR = 0.1
 """Error of a probability above which it is not certified: some tenths tell no two scenes apart."""
+UNRESOLVED = 0.1
+"""L1 error above which nothing is known of a density: its errors are then infinite."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from scipy.special import j0
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.groups import POINTS, joined
-from fpk.arrays import EPS, Array
+from fpk.arrays import CHUNK, EPS, Array
 from fpk.density import Density, certified_density
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
@@ -32,8 +32,6 @@ HALF_PANELS = (4.0, 400.0)
 """Least and largest number of panels of an axis on either side of 0."""
 LATTICE = 65
 """Points along an axis of the grid on which the largest density and error are looked for."""
-CHUNK = 4_000_000
-"""Numbers held at once: 32 MB."""
 
 
 @dataclass(frozen=True, eq=False)

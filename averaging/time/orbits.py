@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import hyp0f1, j0
 
 from averaging.time.start import DensityQuestion
-from fpk.arrays import EPS, SMALLEST, Array
+from fpk.arrays import CHUNK, EPS, SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient, checked_times
@@ -27,8 +27,6 @@ BEYOND = exp(-0.5 * REACH**2)
 """A standard normal density at ``REACH``, relative to its maximum: 3e-18."""
 MOST_WAVES = {1: 400_000, 2: 1_000_000}
 """Largest number of waves, by the number of coordinates: seconds for each time."""
-CHUNK = 4_000_000
-"""Numbers held at once: 32 MB."""
 ROUNDINGS = 4.0
 """Roundings of each radian of the phase of a wave, and of the arguments of its factors."""
 

@@ -17,7 +17,7 @@ from averaging.conditional import Conditional, conditionals
 from averaging.shell.averages import log_linear_states
 from averaging.time.start import DensityQuestion
 from averaging.weyl import weyl_integral
-from fpk.arrays import EPS, SMALLEST, Array
+from fpk.arrays import CHUNK, EPS, SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient
@@ -36,8 +36,6 @@ BISECTIONS = 50
 """Halvings by which ends of panels are found: 1e-15 of the range."""
 LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
 """Ends of panels beyond a stop, as shares of the way to the end: (H − V) ~ overlap^2.5 there."""
-CHUNK = 4_000_000
-"""Numbers held at once: 32 MB."""
 POINTS = (20, 24)
 """Gauss points an element of the coarser table of Ψ, and of the answer."""
 CHECKED = 21

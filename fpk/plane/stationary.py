@@ -20,13 +20,11 @@ from fpk.plane.on_mesh import solve_by_elements
 from fpk.plane.probe import Probe, divided_by_diffusion, probed
 from fpk.plane.solution import ROUND_OFF, PlaneSolution, gauss_grid, graded, tails
 from fpk.plane.spectral import solve_with_weight
-from fpk.plane.weight import Weight, flux_free_weight
+from fpk.plane.weight import BEYOND, Weight, flux_free_weight
 from fpk.process import Process
 
 RISE = 36.0
 """Least rise of −ln w up to the far edges: e^−36 = 2e-16."""
-BEYOND = 1e-3
-"""Fraction of the tolerance that w falls to at the far edges."""
 POINTS = 22
 """Gauss points of each panel of the integral of w: e^(−32 t) is integrated to 4e-14."""
 PANELS = (2, 4, 8, 16, 24)

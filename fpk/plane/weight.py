@@ -18,6 +18,8 @@ from fpk.plane.probe import PROBE, Probe
 
 Powers = Integers
 
+BEYOND = 1e-3
+"""Fraction of the tolerance that w falls to at the far edges of the first mesh."""
 DEGREES = range(1, 7)
 """Total degrees of Φ. Damping of degree k in the energies gives k + 1 under detailed balance."""
 EXACT = 1e-12

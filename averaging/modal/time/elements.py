@@ -17,14 +17,14 @@ from fpk.certificate import Measured, outside
 from fpk.density import Density, certified_density
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
-from fpk.evolution import Passage, Transient, checked_times
+from fpk.evolution import UNRESOLVED, Passage, Transient, checked_times
 from fpk.limit import Limit
 from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
 from fpk.plane.time.levels import Frame
 from fpk.plane.time.passage import PlaneLimit, first_passage
 from fpk.plane.time.relaxation import relaxation_rates
-from fpk.plane.time.transient import ROUNDING, UNRESOLVED, Level, transient_densities
+from fpk.plane.time.transient import ROUNDING, Level, transient_densities
 from fpk.plane.time.view import DensityStart, PointStart, Start, View
 from fpk.process import Coefficients, Process
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from fpk.arrays import SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import NO_NOISE_YET, Transient
+from fpk.evolution import NO_NOISE_YET, UNRESOLVED, Transient
 from fpk.line.time.modes import Modes, Pair
 from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
@@ -22,8 +22,6 @@ from fpk.process import Process
 
 LEVELS = (1, 4)
 """Halvings of all steps: those with which the mesh is adapted, and the most."""
-UNRESOLVED = 0.1
-"""L1 error above which nothing is known of the density."""
 ODE_TOLS = (1e-12, 1e-10)
 """Tolerances of two solutions of dH/dt = F(H): the answer, and one whose distance is its error."""
 

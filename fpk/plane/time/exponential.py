@@ -16,6 +16,8 @@ POLE = 0.03
 """Shift γ over the largest time. A rational function of one pole approximates e^(−x) on the whole
 half-axis with an error that falls by (√2 − 1) a degree (Andersson 1981), of a pole of this order,
 so that the number of solves does not depend on the mesh."""
+KRYLOV = 1e-2
+"""Fraction of the tolerance of an answer to which e^(tA) is computed."""
 CHUNK = 8
 """Dimensions by which a space grows; the answer without the last ones gives the error."""
 MOST = 160
