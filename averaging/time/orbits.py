@@ -14,6 +14,7 @@ from math import exp, pi, prod
 import numpy as np
 from scipy.special import hyp0f1, j0
 
+from averaging.modal.characteristic import FourierSeries
 from averaging.time.start import DensityQuestion
 from fpk.arrays import CHUNK, EPS, SMALLEST, Array
 from fpk.certificate import Measured, certify
@@ -112,28 +113,14 @@ def _density(
     model = 4.0 * relative * gauss * (1.0 + square + (1.0 + elapsed) * argued)
     condition = float(np.linalg.cond(factor)) ** 2
     floor = float(np.sum(EPS * condition * rounded + model)) + 4.0 * count * BEYOND
-    y = whitened @ np.array(at)
-    inside = np.all(np.abs(y) <= box[:, None], axis=0)
-    p = np.where(inside, _summed(wave, s[:, :, :1], s[:, :1, :], y), 0.0)
+    pad = 0, 2 - count
+    series = FourierSeries(np.pad(pi * whitened / box[:, None], pad), wave[None])
+    chunks = np.array_split(np.array(at), 1 + at[0].size * sum(wave.shape) // CHUNK, axis=1)
+    p = np.concatenate([series(*chunk)[0] for chunk in chunks])
     jacobian = abs(float(np.linalg.det(whitened)))
     total = np.eye(count) + sum(orbit / (2.0 * n) for n, orbit in orbits)
     height = (2.0 * pi) ** (-0.5 * count) * jacobian / np.sqrt(float(np.linalg.det(total)))
     return p * jacobian, np.full(p.shape, floor * jacobian), height
-
-
-def _summed(wave: Array, first: Array, second: Array, y: Array) -> Array:
-    """Σ wave exp(i s·y) at the points y (count, points), whose imaginary part vanishes."""
-    total = np.empty(y.shape[1])
-    step = max(CHUNK // sum(wave.shape), 1)
-    for start in range(0, total.size, step):
-        part = slice(start, start + step)
-        rows = np.exp(1j * np.multiply.outer(y[0, part], first[0].ravel()))
-        if y.shape[0] == 1:
-            total[part] = (rows @ wave[:, 0]).real
-        else:
-            columns = np.exp(1j * np.multiply.outer(y[1, part], second[1].ravel()))
-            total[part] = np.sum((rows @ wave) * columns, axis=1).real
-    return total
 
 
 def _sphere(n: int, z: Array) -> Array:
