@@ -15,7 +15,7 @@ from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
-from fpk.line.time.evolution import fem_passage, fem_transient
+from fpk.line.time.evolution import fem_passage
 from fpk.line.time.modulated import modulated_transient, modulated_transition
 from fpk.line.time.modulated_passage import modulated_passage
 from fpk.line.time.propagation import Source
@@ -52,7 +52,9 @@ class OneEnergy:
                 self.under, self.modulation, self._source(start), times, at, tol=tol
             )
         if solver == "fem":
-            return fem_transient(self.under(1.0), self._source(start), times, at, tol=tol)
+            solved = transition(self.under(1.0), self._source(start), times, tol=tol)
+            numbers = solved.density(at)
+            return Transient(times, *numbers, "numerical", solved.certificate, solved.settings)
         closed = self._closed(solver)
         return closed.transient(float(start.energies[0]), start.noise, times, at, tol=tol)
 

@@ -12,10 +12,10 @@ from fpk.arrays import SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import NO_NOISE_YET, UNRESOLVED, Transient
-from fpk.line.time.modes import Modes, Pair
+from fpk.line.time.modes import Modes
 from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
-from fpk.line.time.transition import SAFETY, Settings, Solutions, Transition, adapted, judged, posed
+from fpk.line.time.transition import SAFETY, Settings, Transition, adapted, judged, posed
 from fpk.modulation import Modulation
 from fpk.observable import number_text
 from fpk.process import Process
@@ -134,10 +134,7 @@ def modulated_transition(
         g, residual = stepped(m, start_of(m, e, source), modulation, unit, times, level=level)
         return Solution(process, e, partial(times_factor, e, m, g), residual)
 
-    def carried_pair(pair: Pair) -> Solutions:
-        return carried(pair[0], LEVELS[0]), carried(pair[1], LEVELS[0])
-
-    solved = adapted(question, pair, carried_pair)
+    solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0]))
     e, finer = solved.pair
     x, w = points(process, e)
 

@@ -23,7 +23,6 @@ from fpk.line.time.transition import (
     SAFETY,
     Question,
     Settings,
-    Solutions,
     adapted,
     width_of,
 )
@@ -160,10 +159,7 @@ def _converged(motion: Absorbed, limit: float, tol: float) -> Converged:
     question, pair = _posed(motion.process, motion.source, limit, first, SHARE * tol)
     solve = lru_cache(maxsize=len(pair))(motion.solved)
 
-    def solved_pair(pair: Pair) -> Solutions:
-        return solve(pair[0], LEVELS[0])[0], solve(pair[1], LEVELS[0])[0]
-
-    e, finer = adapted(question, pair, solved_pair).pair
+    e, finer = adapted(question, pair, lambda e, **_: solve(e, LEVELS[0])[0]).pair
     off = np.abs(solve(e, LEVELS[0])[1] - solve(finer, LEVELS[0])[1])
 
     def size(moved: Array, numbers: Array) -> float:

@@ -41,8 +41,6 @@ STALLED = 0.9
 CHECKED_TIMES = 6
 """Times at which the mesh is adapted first, then at all."""
 Settings = dict[str, str | float | int]
-Solutions = tuple[Solution, Solution]
-"""Densities on the two meshes of a ``Pair``."""
 
 
 @dataclass(frozen=True)
@@ -117,18 +115,10 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     question, pair = posed(process, source, float(times.min()), tol)
     few = np.unique(np.linspace(0, times.size - 1, CHECKED_TIMES).astype(int))
     for chosen in (times[few], times) if few.size < times.size else (times,):
-        solve = partial(_propagated_pair, process, source, chosen)
+        solve = partial(propagated, process, source=source, times=chosen)
         solved = adapted(question, pair, solve)
         pair = solved.pair
     return solved
-
-
-def _propagated_pair(process: Process, source: Source, times: Array, pair: Pair) -> Solutions:
-    own, finer = (
-        propagated(process, e, source, times, more=more)
-        for e, more in zip(pair, (0, ENRICHMENT), strict=True)
-    )
-    return own, finer
 
 
 def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Question, Pair]:
@@ -157,11 +147,15 @@ def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Qu
     return Question(process, source, width, tol), pair
 
 
-def adapted(question: Question, pair: Pair, solve: Callable[[Pair], Solutions]) -> Transition:
-    """Return what ``solve`` gives on meshes cut where they have to be, judged."""
+def adapted(question: Question, pair: Pair, solve: Callable[..., Solution]) -> Transition:
+    """Return what ``solve(elements, more=0)`` gives on meshes cut where they have to be, judged.
+
+    For the enriched solution ``more`` is ``ENRICHMENT``.
+    """
     before, tol, process = math.inf, question.tol, question.process
     for _ in range(MOST_ROUNDS):
-        solved, own, rounding = judged(question, *solve(pair))
+        solutions = solve(pair[0], more=0), solve(pair[1], more=ENRICHMENT)
+        solved, own, rounding = judged(question, *solutions)
         marked = own > np.maximum(0.1 * tol / own.size, rounding)
         small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < STALLED * before
         if small or not marked.any() or marked.size > MOST_ELEMENTS:
