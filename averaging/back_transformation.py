@@ -1,4 +1,4 @@
-"""From a density of the energy to densities of displacements and momenta, Eqs. (23), (30)."""
+"""From a density of the energy to q, p and crossing rates, Eqs. (23), (30)."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -7,7 +7,6 @@ from math import ceil, pi
 import numpy as np
 
 from averaging.conditional import Conditional, conditionals
-from averaging.energy_density import density_of_energies
 from averaging.hidden import (
     HiddenIntegral,
     contact_levels,
@@ -17,8 +16,10 @@ from averaging.hidden import (
 )
 from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.weyl import Part, StateDensity
+from averaging.zero_flux import density_of_energies
 from fpk.arrays import Array
 from fpk.density import Density, certified_density
+from fpk.dynamics import Curve, certified_curve
 from fpk.line.mesh import DEEP_LAYERS, with_layers
 from fpk.observable import Coordinate, Observable
 from fpk.system import System
@@ -203,3 +204,19 @@ def _ridge(
     along = displacement_panels(system, first.mass, temperature=temperature, end=end)
     frame = np.array([[1.0, 0.0], [second.weights[0], 1.0]])
     return frame[::-1] if swapped else frame, (along, parted)
+
+
+def crossing_rates(source: StateDensity, row: int, at: Array, *, tol: float) -> Curve:
+    """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row`` (of 0).
+
+    Rice's ∫_0^∞ v f(q, p) dp, v = p/m, of a density of the energy is its integral over p²/2m: a
+    Weyl integral of half an order above that of p(q). The scale is σ_v/(2πσ_q).
+    """
+    observable, mass = (Coordinate("q", row),), float(source.system.mass[row])
+    q = back_transformed(source, observable, tol=tol)
+    p = back_transformed(source, (Coordinate("p", row),), tol=tol)
+    flux = marginal_of(source, observable, flux_of=mass)
+    values = flux(at)
+    errors = flux(at, part="error") + integration_error(source, observable, flux, values, at)
+    scale = p.std().value / mass / (2.0 * pi * q.std().value)
+    return certified_curve(values, errors, scale=scale, of=q, tol=tol)

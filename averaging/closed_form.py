@@ -12,7 +12,7 @@ from averaging.hidden import gibbs_integral, rules_of
 from averaging.shell.averages import log_linear_states
 from averaging.weyl import Part, Solution, StateDensity, tabulated
 from averaging.zero_flux import ZeroFluxDensity, flux_residual
-from fpk.arrays import Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured
 from fpk.errors import NotApplicable
 from fpk.line.mesh import DEEP_LAYERS, initial_nodes, with_layers
@@ -25,7 +25,6 @@ TAIL = 1e-17
 """Share of the probability beyond the last energy of a closed form."""
 POINTS = (16, 20)
 """Gauss points per panel of the normalisation, and of the finer rule that estimates its error."""
-EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 
 
 def closed_form(
@@ -111,9 +110,9 @@ def state_closed_form(
 
     # Contact only takes states away: T exp(−αH) is below that of the chain without, a Gamma law.
     ratio = float(np.exp(log_gibbs_norm(replace(system, contacts=()), alpha)[0] - log_norm))
-    beyond = max(TAIL * ratio, TINY)
+    beyond = max(TAIL * ratio, SMALLEST)
     begin, end = (float(inv(system.n, beyond)) / alpha for inv in (gammaincinv, gammainccinv))
-    tail = 2.0 * beyond / max(ratio, TINY)
+    tail = 2.0 * beyond / max(ratio, SMALLEST)
     # Where none is given it is that of the flux, T τ (noise α − damping) u, whose parts cancel.
     damping, noise = damping_and_noise(system)
     left = abs(noise * alpha - damping) / damping if residual is None else residual

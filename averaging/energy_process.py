@@ -7,7 +7,7 @@ import numpy as np
 
 from averaging.shell.averages import shell_averages
 from averaging.shell.energy_shell import EnergyShell
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.process import Coefficients, Process
@@ -71,7 +71,7 @@ def energy_process(system: System) -> Process:
         if system.damping_terms:
             # The constant part is exact relative to τ, whose error is counted already; the error is
             # relative to the parts of s, which is less where the terms cancel the constant part.
-            constant = np.abs(dissipation) * (error + np.finfo(float).eps)
+            constant = np.abs(dissipation) * (error + EPS)
             dissipation = dissipation - shell.power
             error = error + (shell.power_error + constant) / (np.abs(dissipation) + noise)
         return Coefficients(

@@ -6,13 +6,12 @@ from functools import partial
 
 import numpy as np
 
-from averaging.back_transformation import back_transformed
+from averaging.back_transformation import back_transformed, crossing_rates
 from averaging.closed_form import state_closed_form
-from averaging.crossing_rates import crossing_rates
 from averaging.energy_process import damping_by_energy, energy_process
 from averaging.theory import Theory, energy_only_refusal
 from averaging.weyl import StateDensity
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.dynamics import CrossingsMethod, Curve, Question
 from fpk.errors import NotApplicable
 from fpk.method import Plan, Progress, Result
@@ -41,7 +40,7 @@ def compatibility(system: System) -> Array:
     if not np.any(matrices):
         raise NotApplicable("nothing is damped: (8) holds with h = 0 only, no stationary density")
     h: Array = np.einsum("eij,ij->e", matrices, D) / np.sum(D * D)
-    sizes = np.maximum(np.max(np.abs(matrices), axis=(1, 2)), np.finfo(float).tiny)
+    sizes = np.maximum(np.max(np.abs(matrices), axis=(1, 2)), SMALLEST)
     left = np.max(np.abs(matrices - h[:, None, None] * D), axis=(1, 2)) / sizes
     worst = float(left.max())
     h = np.asarray(np.trim_zeros(h, "b"), dtype=float)

@@ -10,9 +10,8 @@ from averaging.modal.groups import unsolved
 from averaging.modal.observables import gaussian_modes, modal_densities
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from averaging.modal.time import closed_form, elements
-from averaging.modal.time.questions import TOL
 from averaging.theory import Theory
-from averaging.time.start import modal_start
+from averaging.time.start import TOL, DensityQuestion, modal_start
 from fpk.arrays import Array
 from fpk.certificate import tolerance
 from fpk.clearance import CLEARANCE_RULE
@@ -118,12 +117,12 @@ class Integrable(CrossingsMethod, Theory):
         require_held(system)
         modes = self._in_time(system)
         begins = modal_start(system, modes, start)
-        asked, wanted = (modes, observable, begins, times, at), tolerance(tol, TOL)
+        asked = DensityQuestion(observable, begins, times, at, tolerance(tol, TOL))
         if self.solver == "closed-form":
-            answer = closed_form.transient(*asked, tol=wanted, modulation=system.modulation)
+            answer = closed_form.transient(modes, asked, system.modulation)
         else:
             require_constant_noise(system.modulation)
-            answer = elements.transient(*asked, tol=wanted)
+            answer = elements.transient(modes, asked)
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def passage(

@@ -4,15 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from averaging.back_transformation import back_transformed
+from averaging.back_transformation import back_transformed, crossing_rates
 from averaging.closed_form import averaged_rate, state_closed_form
-from averaging.crossing_rates import crossing_rates
 from averaging.energy_process import energy_process
-from averaging.quadrature import solve_by_quadrature
 from averaging.theory import Theory, energy_only_refusal
 from averaging.time.energy import total_energy
-from averaging.time.start import total_energy_start
+from averaging.time.start import DensityQuestion, total_energy_start
 from averaging.weyl import Solution, StateDensity, tabulated
+from averaging.zero_flux import solve_by_quadrature
 from fpk.arrays import Array
 from fpk.certificate import tolerance
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates
@@ -105,11 +104,12 @@ class NonIntegrable(CrossingsMethod, Theory):
         require_held(system)
         wanted = tolerance(tol, self._tol_in_time(system))
         one, begins = total_energy(system), total_energy_start(system, start)
+        asked = DensityQuestion(observable, begins, times, at, wanted)
         if observable == (ENERGY,):
-            return one.transient(self.solver, begins, times, at[0], tol=wanted)
+            return one.transient(self.solver, asked)
         if reason := energy_only_refusal(system, observable):
             raise NotApplicable(reason)
-        return one.state_transient(system, self.solver, begins, observable, times, at, tol=wanted)
+        return one.state_transient(system, self.solver, asked)
 
     def passage(
         self,

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from averaging.zero_flux import ZeroFluxDensity
-from fpk.arrays import Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured
 from fpk.line.stationary import StationarySolution
 from fpk.piecewise import Piecewise, interpolated
@@ -27,7 +27,6 @@ POINTS = (14, 18)
 """Gauss points per element of a table and of its integrals, and of the finer table."""
 COMPARED = (1.0 - 1e-12) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 2 * POINTS[1])))
 """Where two tables are compared, in [0, 1) of an element: dense at its ends, where they part."""
-EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
 MOST_NODES = 100
 """Nodes up to which a mesh is halved once more: with 14 points an element, error falls by 2^-14."""
 
@@ -131,8 +130,8 @@ class WeylIntegrals:
         beyond = continued(self.order, right, fine, u) / np.exp(self.value(right))
         if not self.solution.process.state_damping:
             x, _ = panel_rule(fine[-2:], POINTS[0])
-            error = float((self.solution.phase_space_error(x) / np.maximum(u(x), TINY)).max())
-            before, end = np.maximum(u(fine[-2:]), TINY)
+            error = float((self.solution.phase_space_error(x) / np.maximum(u(x), SMALLEST)).max())
+            before, end = np.maximum(u(fine[-2:]), SMALLEST)
             beyond *= error * (1.0 + 2.0 * self.order / max(float(np.log(before / end)), EPS))
         return Piecewise(fine, (relative + beyond)[:, None])
 
@@ -169,10 +168,10 @@ def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[
 
     def log_weyl(energy: Array) -> Array:
         if order == 0.0:
-            return np.log(np.maximum(u(energy), TINY))
+            return np.log(np.maximum(u(energy), SMALLEST))
         beyond = continued(order, energy, nodes, u)
         total = beyond + weyl_integral(order, nodes, u, energy, points=points)
-        return np.log(np.maximum(total, TINY))
+        return np.log(np.maximum(total, SMALLEST))
 
     coefficients = interpolated(log_weyl, nodes[:-1], nodes[1:], points - 1)
     return Piecewise(nodes, coefficients, outside=-np.inf)

@@ -24,7 +24,7 @@ from report import machine, markdown_table
 
 from averaging.closed_form import averaged_density
 from averaging.energy_process import energy_process
-from averaging.quadrature import solve_by_quadrature
+from averaging.zero_flux import solve_by_quadrature
 from cases.scene.scene import load_scene
 from fpk.line.stationary import solve_stationary
 from fpk.quadrature import panel_rule

@@ -1,4 +1,4 @@
-"""Types of arrays; their shapes stand in the docstrings."""
+"""Types of arrays, whose shapes stand in the docstrings, and the precision of their numbers."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,3 +7,10 @@ Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
+
+EPS = float(np.finfo(float).eps)
+"""Distance of 1 to the next number, 2.2e-16: twice the largest relative round-off."""
+SMALLEST = float(np.finfo(float).tiny)
+"""Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
+CHUNK = 4_000_000
+"""Numbers of intermediate results that are held at once: 32 MB."""

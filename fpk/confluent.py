@@ -5,11 +5,9 @@ from math import pi, sqrt
 import numpy as np
 from scipy.special import gammaln, ive, xlogy
 
-from fpk.arrays import Array, Complexes
-from fpk.number import SMALLEST
+from fpk.arrays import EPS, SMALLEST, Array, Complexes
 from fpk.quadrature import panel_rule
 
-EPS = float(np.finfo(float).eps)
 MOST_TERMS = 20_000
 """Terms of a series of 1F1, beyond which it is left to the finite elements."""
 BESSEL = 50.0

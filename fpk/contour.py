@@ -5,11 +5,10 @@ from math import acosh, ceil, log, pi, sin
 
 import numpy as np
 
-from fpk.arrays import Array, Complexes
+from fpk.arrays import EPS, Array, Complexes
 
 SPREAD = 10.0
 """Largest ratio of the times that share one contour: 75 points, where one time has 46."""
-EPS = float(np.finfo(float).eps)
 PHI = 0.5
 """Inclination of the hyperbola. Faster converging ones (1.17) lie flat along the negative axis,
 where the transform of what has drifted for a time t_0 grows as e^(−z t_0): that cancels to

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.function_quantities import FunctionQuantities
-from fpk.number import SMALLEST
 from fpk.observable import Observable, observable_name
 from fpk.piecewise import PiecewiseTensor, interpolated_tensor
 from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral
+from fpk.quantities import with_points
 from fpk.sampled_density import ErrorKind, SampledDensity, described
 
 CHECKED, SAFETY = 7, 3.0
@@ -96,7 +96,7 @@ class Density(FunctionQuantities):
 
     def cell_averages(self, *edges: Array) -> Array:
         """Return the mean of the density over each cell of the grid of ``edges``."""
-        mesh, grids = gauss_grid(list(map(_refined_by, edges, self.panels)))
+        mesh, grids = gauss_grid(list(map(with_points, edges, self.panels)))
         values = self.tabulated(*mesh)
         for axis, (e, (x, w)) in enumerate(zip(edges, grids, strict=True)):
             cell = np.searchsorted(e, x, side="right") - 1
@@ -194,9 +194,3 @@ def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:
     if not all(map(np.array_equal, sampled.edges, other.edges)):
         raise ValueError("two histograms can be compared on the same bins only")
     return sampled.values - other.values
-
-
-def _refined_by(nodes: Array, others: Array) -> Array:
-    """``nodes`` and those of ``others`` that lie between its first and last."""
-    between = (others > nodes[0]) & (others < nodes[-1])
-    return np.unique(np.concatenate([nodes, others[between]]))

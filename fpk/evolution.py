@@ -13,7 +13,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.certificate import Certificate, Measured, certify, with_values
 from fpk.errors import InvalidInput
 from fpk.limit import Limit
@@ -23,7 +23,6 @@ from fpk.observable import Observable
 from fpk.start import Start
 from fpk.system import System
 
-EPS = float(np.finfo(float).eps)
 ErrorKind = Literal["numerical", "sampling"]
 
 STARTS = 101
@@ -89,6 +88,8 @@ class StartCurve:
 
 LARGEST_ERROR = 0.1
 """Error of a probability above which it is not certified: some tenths tell no two scenes apart."""
+UNRESOLVED = 0.1
+"""L1 error above which nothing is known of a density: its errors are then infinite."""
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,9 @@ from math import inf
 
 import numpy as np
 
-from fpk.arrays import Array, Flags, Integers
+from fpk.arrays import SMALLEST, Array, Flags, Integers
 from fpk.bin_fit import ALARM, Box, Model, powers
 from fpk.bins import LARGEST_LOG, NODES, BinAxis
-from fpk.number import SMALLEST
 from fpk.quadrature import panel_rule
 
 Values = tuple[Array, Array]

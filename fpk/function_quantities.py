@@ -5,16 +5,15 @@ from functools import cached_property
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Certificate, missing, outside
-from fpk.number import SMALLEST, Number
+from fpk.number import Number
 from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral
 from fpk.quantities import Function, Quantities, beyond
 
 FEWER = {1: 16, 2: 9}
 """Gauss points per panel and axis, by the number of axes, of the coarser rule: its distance from
 that of ``GAUSS_POINTS`` is in the error of an expectation."""
-EPS = float(np.finfo(float).eps)
 
 
 class FunctionQuantities(Quantities):
@@ -47,7 +46,8 @@ class FunctionQuantities(Quantities):
         f = np.asarray(function(*mesh))
         value = integral(f * p, grids)
         e = e + SMALLEST  # where there is none at points the L1 error is spread evenly
-        error = integral(np.abs(f) * e, grids) * max(1.0, self._least_l1 / integral(e, grids))
+        least_l1 = max(self.l1_error, missing(self.certificate))
+        error = integral(np.abs(f) * e, grids) * max(1.0, least_l1 / integral(e, grids))
         rounding = EPS * integral(np.abs(f * p) * _condition(panels), grids)
         tail = outside(self.certificate) * beyond(function, self.panels, kinks)
         return Number(value, error + rounding + abs(value - coarse) + tail)
@@ -57,7 +57,7 @@ class FunctionQuantities(Quantities):
 
         The error is the integral of the error at points over the interval or, as the whole mass is
         1, over all that is outside it, whichever is less. The part of the L1 error that the errors
-        at points do not add up to may lie anywhere and is added.
+        at points do not add up to, at least |1 − mass|, may lie anywhere and is added.
         """
         nodes = self._axis()
         first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
@@ -65,26 +65,11 @@ class FunctionQuantities(Quantities):
         beyond_ends = (tail if low < nodes[0] else 0.0) + (tail if high > nodes[-1] else 0.0)
         shares = self._share(first, last, self.pdf, self.pointwise)
         value, error = (float(x) for x in shares)
-        beside = self._error_of_all - error
+        of_all = float(self._panel_shares[1].sum())
+        unlocated = max(self.l1_error - of_all, missing(self.certificate))
         rounding = float(self._share(first, last, self.pdf, rounding=True)[0])
-        return Number(
-            value, max(min(error, beside), 0.0) + self._unlocated + beyond_ends + rounding
-        )
-
-    @property
-    def _least_l1(self) -> float:
-        """The L1 error of the density, but no less than |1 − its mass|."""
-        return max(self.l1_error, missing(self.certificate))
-
-    @property
-    def _error_of_all(self) -> float:
-        """Integral of the error at points over the support."""
-        return float(self._panel_shares[1].sum())
-
-    @property
-    def _unlocated(self) -> float:
-        """L1 error less the integral of the errors at points, but no less than |1 − mass|."""
-        return max(self.l1_error - self._error_of_all, missing(self.certificate))
+        located = max(min(error, of_all - error), 0.0)
+        return Number(value, located + unlocated + beyond_ends + rounding)
 
     def share(self, low: float, high: float) -> float:
         """Return P(low < X <= high) without its error, which takes as long again."""

@@ -6,11 +6,10 @@ from math import inf
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.errors import NotApplicable
 from fpk.system import System
 
-EPS = float(np.finfo(float).eps)
 CORRECTIONS = 2
 """Corrections of the covariance by its own residual: the first leaves the square of the solver's
 relative error, which is below 1e-6 where a mode decays by more than 1e-10 of a radian."""

@@ -2,11 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
-SMALLEST = float(np.finfo(float).tiny)
-"""Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
-
 
 @dataclass(frozen=True)
 class Number:

@@ -159,7 +159,7 @@ class PiecewiseTensor:
 
     def _legendre(self, axis: int, x: Array) -> tuple[Integers, Array]:
         nodes, degree = self.nodes[axis], self.coefficients.shape[2 + axis] - 1
-        k, P = _legendre_at(nodes, x, degree)
+        k, P = legendre_at(nodes, x, degree)
         return k, P * ((x >= nodes[0]) & (x <= nodes[-1]))[:, None]
 
 
@@ -176,8 +176,8 @@ def interpolated_tensor(panels: tuple[Array, Array], values: Array, points: int)
     return PiecewiseTensor(panels, coefficients)
 
 
-def _legendre_at(nodes: Array, x: Array, degree: int) -> tuple[Integers, Array]:
-    """Panels of the points x, and all P_j there (points, degree + 1); beyond, those of the end."""
+def legendre_at(nodes: Array, x: Array, degree: int) -> tuple[Integers, Array]:
+    """Return panels of the points x, and all P_j there (points, degree + 1), constant beyond."""
     k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
     t = (2.0 * x - nodes[k] - nodes[k + 1]) / (nodes[k + 1] - nodes[k])
     return k, np.asarray(legendre.legvander(np.clip(t, -1.0, 1.0), degree), float)

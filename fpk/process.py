@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fpk.arrays import Array, Flags
+from fpk.arrays import SMALLEST, Array, Flags
 
 REST = 1e-250
 """Energy, over the last one of a mesh, that stands for H = 0 where coefficients are wanted: their
@@ -75,7 +75,7 @@ class Process:
         The first are clipped between 0 and the ``last`` one of a mesh, a hair beyond 0 itself. p is
         0 outside, and where all of several degrees of freedom are at rest.
         """
-        least = max(REST * last, float(np.finfo(float).tiny))
+        least = max(REST * last, SMALLEST)
         above = energy >= 0.0 if self.degrees_of_freedom == 1 else energy > 0.0
         return np.clip(energy, least, last), above & (energy <= last)
 

@@ -173,8 +173,7 @@ class Quantities(ABC):
         """The nodes of the one coordinate, and those of ``points`` that lie between them."""
         if len(self.axes()) != 1:
             raise InvalidInput("density", "joint", "of two coordinates: ask for that of one")
-        nodes, more = self.axes()[0], np.asarray(points)
-        return np.union1d(nodes, more[(more > nodes[0]) & (more < nodes[-1])])
+        return with_points(self.axes()[0], np.asarray(points))
 
     def _middle(self) -> tuple[float, float]:
         """E X and E Y of a joint density."""
@@ -213,6 +212,11 @@ def _number(key: str, value: Any) -> float:
 
 def _is_power(value: Any) -> bool:
     return isinstance(value, Integral) and int(value) >= 0
+
+
+def with_points(nodes: Array, points: Array) -> Array:
+    """Return the nodes and those of ``points`` that lie between the first and the last."""
+    return np.union1d(nodes, points[(points > nodes[0]) & (points < nodes[-1])])
 
 
 def monomial(powers: Sequence[int], about: Sequence[float]) -> Function:

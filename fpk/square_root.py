@@ -8,7 +8,7 @@ from math import exp, expm1, sqrt
 
 import numpy as np
 
-from fpk.arrays import Array, Complexes
+from fpk.arrays import EPS, SMALLEST, Array, Complexes
 from fpk.certificate import Measured, certify
 from fpk.confluent import kummer, log_kummer_ratio, noncentral, series_terms
 from fpk.contour import contours
@@ -24,10 +24,9 @@ from fpk.evolution import (
     certified_passage,
 )
 from fpk.modulation import Modulation, require_constant_noise
-from fpk.number import SMALLEST, Number
+from fpk.number import Number
 from fpk.quadrature import panel_rule
 
-EPS = float(np.finfo(float).eps)
 FARTHEST = 690.0
 """Largest c H/d of a limit: the mean time is e^690 of its unit."""
 MORE = 8

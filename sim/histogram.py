@@ -8,14 +8,13 @@ from math import inf, isfinite, nan, pi, sqrt
 
 import numpy as np
 
-from fpk.arrays import Array, Integers
+from fpk.arrays import SMALLEST, Array, Integers
 from fpk.bins import BinAxis, LogReference, no_reference
 from fpk.certificate import Measured, certify
 from fpk.effects import effects_of
 from fpk.fits import NEAR
 from fpk.kinks import kinks_of
 from fpk.linear import natural_modes
-from fpk.number import SMALLEST
 from fpk.observable import Coordinate, Observable
 from fpk.sampled_density import SampledDensity
 from fpk.system import System

@@ -7,15 +7,13 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from averaging.modal.damping import NEGLIGIBLE, AveragedDamping, averaged_damping, balanced_energies
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.ends import require_confined
 from fpk.errors import NotApplicable, NotCertified
 from fpk.linear import natural_modes
 from fpk.probe import probed
 from fpk.process import Coefficients, Process
 from fpk.system import System
-
-EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from scipy.special import j0
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.groups import POINTS, joined
-from fpk.arrays import Array
+from fpk.arrays import CHUNK, EPS, Array
 from fpk.density import Density, certified_density
 from fpk.observable import Observable
 from fpk.quadrature import panel_rule
@@ -32,24 +32,21 @@ HALF_PANELS = (4.0, 400.0)
 """Least and largest number of panels of an axis on either side of 0."""
 LATTICE = 65
 """Points along an axis of the grid on which the largest density and error are looked for."""
-CHUNK = 4_000_000
-"""Numbers held at once: 32 MB."""
-EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
-class _FourierSeries:
+class FourierSeries:
     """Σ_km coefficients_km exp(i (k a_0 + m a_1)) where |a| <= π and 0 elsewhere, a = ``phases`` x.
 
-    ``phases`` (2, 2) is lower triangular. ``coefficients`` (2, k = 0 .. K, m = −M .. M) are those
-    of p and of its error, k and −k in one; of one coordinate M = 0. ``l1_beyond`` and
-    ``highest_beyond`` estimate ∫|·| and max |·| of the waves beyond the band.
+    ``phases`` (2, 2) is lower triangular. ``coefficients`` (functions, k = 0 .. K, m = −M .. M),
+    of p and of its error or of p alone, have k and −k in one; of one coordinate M = 0.
+    ``l1_beyond`` and ``highest_beyond`` estimate ∫|·| and max |·| of the waves beyond the band.
     """
 
     phases: Array
     coefficients: Array
-    l1_beyond: float
-    highest_beyond: float
+    l1_beyond: float = 0.0
+    highest_beyond: float = 0.0
 
     @property
     def counts(self) -> Array:
@@ -57,7 +54,7 @@ class _FourierSeries:
         return np.array(self.coefficients.shape[1:]) // [1, 2] - [1, 0]
 
     def __call__(self, x: Array, y: Array | float = 0.0) -> Array:
-        """p and its error (2, ...) at points that broadcast together."""
+        """The functions (functions, ...) at points that broadcast together."""
         K, M = self.counts
         (u, i), (v, j) = (np.unique(z, return_inverse=True) for z in (x, y))
         k, m = 1j * np.arange(K + 1), 1j * np.arange(-M, M + 1)
@@ -134,7 +131,7 @@ def _series(
     box: Array,
     *,
     tol: float,
-) -> _FourierSeries:
+) -> FourierSeries:
     """Widen the band until what lies beyond it is below ``tol`` in L1."""
     count = box.size
     phases = np.pi * whitened / box[:, None]
@@ -159,7 +156,7 @@ def _series(
         if l1_beyond <= tol or (2.0 * WIDER * K + 1.0) * (2.0 * WIDER * M + 1.0) > MAX_WAVES:
             break
         band *= WIDER
-    return _FourierSeries(
+    return FourierSeries(
         phases=np.pad(phases, (0, 2 - count)),
         coefficients=scale * both_signs * np.stack([p, error]),
         l1_beyond=l1_beyond,

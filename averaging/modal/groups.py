@@ -1,26 +1,36 @@
-"""Densities of the energies of one mode, or of two that damping couples, Eqs. (11), (19), (34)."""
+"""Densities of the groups of modes whose energies the damping couples, and of their sum.
+
+Eqs. (11), (19), (34).
+"""
 
 from collections.abc import Sequence
+from functools import partial, reduce
 
 import numpy as np
 
 from averaging.closed_form import closed_form
-from averaging.energy_density import density_of_energies
 from averaging.modal.analysis import ModalAnalysis
-from averaging.quadrature import solve_by_quadrature
-from averaging.zero_flux import ZeroFluxDensity
+from averaging.zero_flux import ZeroFluxDensity, density_of_energies, solve_by_quadrature
 from fpk.arrays import Array
 from fpk.certificate import Measured, outside, worst
-from fpk.density import Density
+from fpk.density import Density, certified_density
 from fpk.line.stationary import StationarySolution, solve_stationary
-from fpk.observable import Coordinate
+from fpk.observable import Coordinate, Observable
+from fpk.piecewise import fit
 from fpk.plane.solution import PlaneSolution
 from fpk.plane.stationary import solve_plane
+from fpk.quadrature import panel_rule
 
 Group = tuple[int, ...]
 
 POINTS = 24
 """Gauss points per panel where an energy is integrated out: over three e-folds they miss 1e-30."""
+SUM_POINTS = 20
+"""Gauss points per panel of the integral along H1 + H2 = H, where p is a product of polynomials."""
+ROUNDS = 12
+"""Halvings of a panel of the sum, at the most."""
+CHUNK = 2_000_000
+"""Points evaluated at once: 16 MB of each quantity."""
 
 
 def unsolved(modes: ModalAnalysis, solver: str) -> str | None:
@@ -71,4 +81,64 @@ def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
         tail_mass=sum(outside(c) for c in checks),
         net_flux=worst(c.net_flux for c in checks),
         failures=tuple(dict.fromkeys(words for c in checks for words in c.failures)),
+    )
+
+
+def total_energy(observable: Observable, parts: Sequence[Density], *, tol: float) -> Density:
+    """Return p(H) of H = Σ H_i over independent groups of one or two energies.
+
+    p(H) = ∫p(H1, H − H1) dH1 within a group, and convolutions between groups; each is expanded
+    panel by panel, halved until its last coefficients fall below a share of ``tol``.
+    """
+    of_sum = partial(_of_sum, observable, share=tol / (2 * len(parts)), tol=tol)
+    return reduce(of_sum, (part if len(part.panels) == 1 else of_sum(part) for part in parts))
+
+
+def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -> Density:
+    """The density of H1 + H2 from p(H1, H2), or from those of two independent energies."""
+    panels = tuple(x for part in parts for x in part.panels)
+    end = panels[0][-1] + panels[1][-1]
+    nodes = np.unique(np.concatenate([*panels, np.linspace(0.0, end, 9), [end]]))
+    nodes = nodes[np.append(True, np.diff(nodes) > 1e-12 * end)]
+
+    def joint(x: Array, y: Array) -> tuple[Array, Array]:
+        if len(parts) == 1:
+            return parts[0].at(x, y)
+        (p, p_error), (r, r_error) = parts[0].at(x), parts[1].at(y)
+        return p * r, p_error * np.abs(r) + np.abs(p) * r_error
+
+    def along(energy: Array) -> Array:
+        """∫joint(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
+        H = energy[:, None]
+        ends = np.concatenate([np.minimum(panels[0], H), np.maximum(H - panels[1], 0.0)], axis=1)
+        ends = np.sort(np.clip(ends, 0.0, np.minimum(H, panels[0][-1])), axis=1)
+        t, w = panel_rule(np.array([0.0, 1.0]), SUM_POINTS)
+        length = np.diff(ends, axis=1)[:, :, None]
+        x = ends[:, :-1, None] + length * t
+        values = np.stack(joint(x, np.clip(H[:, :, None] - x, 0.0, None)), axis=-1)
+        return np.asarray(np.einsum("hkt,hktc->hc", length * w, values))
+
+    def in_chunks(energy: Array) -> Array:
+        count = 1 + energy.size * SUM_POINTS * (panels[0].size + panels[1].size) // CHUNK
+        return np.concatenate([along(part) for part in np.array_split(energy, count)])
+
+    def truncation(lengths: Array, coefficients: Array) -> Array:
+        """L1 norm of the last two terms of p on each panel."""
+        return np.asarray(lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1))
+
+    both = fit(in_chunks, nodes, 0.5 * share / nodes.size, estimate=truncation, rounds=ROUNDS)
+    assert both.error is not None
+    local = 2.0 * both.error / np.diff(both.nodes)
+
+    def pointwise(energy: Array) -> Array:
+        k = np.clip(np.searchsorted(both.nodes, energy, side="right") - 1, 0, local.size - 1)
+        return np.asarray(np.abs(both(energy)[..., 1]) + local[k])
+
+    return certified_density(
+        observable,
+        (both.nodes,),
+        lambda energy: both(energy)[..., 0],
+        pointwise,
+        measured=joined(parts, 2.0 * float(both.error.sum())),
+        tol=tol,
     )

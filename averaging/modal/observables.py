@@ -8,8 +8,7 @@ import numpy as np
 from averaging.gaussian_state import Gaussian
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
-from averaging.modal.groups import POINTS, Group, joined, solved_group
-from averaging.modal.total import total_energy
+from averaging.modal.groups import POINTS, Group, joined, solved_group, total_energy
 from averaging.zero_flux import flux_residual
 from fpk.arrays import Array
 from fpk.density import Density, certified_density

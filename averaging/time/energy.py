@@ -9,20 +9,19 @@ from scipy.linalg import block_diag
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.gaussian_state import state_rows
 from averaging.time.orbits import OrbitPart, orbit_transient
-from averaging.time.start import FROM_NOISE, EnergyStart
+from averaging.time.start import FROM_NOISE, DensityQuestion, EnergyStart
 from averaging.time.states import state_transient
 from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
-from fpk.line.time.evolution import fem_passage, fem_transient
-from fpk.line.time.modulated import Settings, modulated_transient, modulated_transition
+from fpk.line.time.evolution import fem_passage
+from fpk.line.time.modulated import modulated_transient, modulated_transition
 from fpk.line.time.modulated_passage import modulated_passage
 from fpk.line.time.propagation import Source
 from fpk.line.time.spectrum import spectrum
-from fpk.line.time.transition import transition
+from fpk.line.time.transition import Settings, transition
 from fpk.modulation import ROUND_OFF, Modulation, require_constant_noise
-from fpk.observable import Observable
 from fpk.process import Process
 from fpk.square_root import SquareRoot
 from fpk.system import System
@@ -44,32 +43,24 @@ class OneEnergy:
     reason: str = ""
     modulation: Modulation | None = None
 
-    def transient(
-        self, solver: str, start: EnergyStart, times: Array, at: Array, *, tol: float
-    ) -> Transient:
-        """Return the densities at energies ``at``; ``InvalidInput`` at the time 0 of an energy."""
+    def transient(self, solver: str, asked: DensityQuestion) -> Transient:
+        """Return the densities of the energy; ``InvalidInput`` at the time 0 of an energy."""
+        start, times, (at,), tol = asked.start, asked.times, asked.at, asked.tol
         checked_times(times, positive=start.noise is None)
         if solver == "fem" and self.modulation is not None:
             return modulated_transient(
                 self.under, self.modulation, self._source(start), times, at, tol=tol
             )
         if solver == "fem":
-            return fem_transient(self.under(1.0), self._source(start), times, at, tol=tol)
+            solved = transition(self.under(1.0), self._source(start), times, tol=tol)
+            numbers = solved.density(at)
+            return Transient(times, *numbers, "numerical", solved.certificate, solved.settings)
         closed = self._closed(solver)
         return closed.transient(float(start.energies[0]), start.noise, times, at, tol=tol)
 
-    def state_transient(
-        self,
-        system: System,
-        solver: str,
-        start: EnergyStart,
-        observable: Observable,
-        times: Array,
-        at: tuple[Array, ...],
-        *,
-        tol: float,
-    ) -> Transient:
+    def state_transient(self, system: System, solver: str, asked: DensityQuestion) -> Transient:
         """Return the densities of one or two of (q, p) of ``system``, whose energy this is."""
+        start, times, tol = asked.start, asked.times, asked.tol
         checked_times(times, positive=start.noise is None or solver == "fem")
         if solver == "fem":
             source = self._source(start)
@@ -77,17 +68,18 @@ class OneEnergy:
             if self.modulation is None:
                 solved = transition(self.under(1.0), source, times, tol=tol)
             else:
-                asked = self.under, self.modulation, source, times
                 if not self.modulation.last and times[-1] > self.modulation.times[-1]:
                     raise NotApplicable(AFTER_THE_NOISE)
-                solved, settings = modulated_transition(*asked, tol=tol)
-            answer = state_transient(system, solved, observable, times, at, tol=tol)
+                solved, settings = modulated_transition(
+                    self.under, self.modulation, source, times, tol=tol
+                )
+            answer = state_transient(system, solved, asked)
             return replace(answer, settings={**answer.settings, **settings})
-        closed, rows = self._closed(solver), state_rows(observable, system.n)
+        closed, rows = self._closed(solver), state_rows(asked.observable, system.n)
         # At temperature 1; K and M are not coupled.
         shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]
         part = OrbitPart(closed, float(start.energies[0]), shape)
-        return orbit_transient([part], start.noise, times, at, tol=tol)
+        return orbit_transient([part], asked)
 
     def passage(
         self, solver: str, start: EnergyStart, limit: float, times: Array, *, tol: float

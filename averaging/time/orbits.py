@@ -14,22 +14,20 @@ from math import exp, pi, prod
 import numpy as np
 from scipy.special import hyp0f1, j0
 
-from fpk.arrays import Array
+from averaging.modal.characteristic import FourierSeries
+from averaging.time.start import DensityQuestion
+from fpk.arrays import CHUNK, EPS, SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient, checked_times
-from fpk.number import SMALLEST
 from fpk.square_root import SquareRoot
 
-EPS = float(np.finfo(float).eps)
 REACH = 9.0
 """Standard deviations up to which a Gaussian counts, of the coordinates and of the waves."""
 BEYOND = exp(-0.5 * REACH**2)
 """A standard normal density at ``REACH``, relative to its maximum: 3e-18."""
 MOST_WAVES = {1: 400_000, 2: 1_000_000}
 """Largest number of waves, by the number of coordinates: seconds for each time."""
-CHUNK = 4_000_000
-"""Numbers held at once: 32 MB."""
 ROUNDINGS = 4.0
 """Roundings of each radian of the phase of a wave, and of the arguments of its factors."""
 
@@ -47,19 +45,13 @@ class OrbitPart:
     shape: Array
 
 
-def orbit_transient(
-    parts: Sequence[OrbitPart],
-    noise: float | None,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float,
-) -> Transient:
-    """Return the densities at ``times`` > 0 of one or two coordinates at points (points,) each.
+def orbit_transient(parts: Sequence[OrbitPart], asked: DensityQuestion) -> Transient:
+    """Return the densities at times > 0 of one or two coordinates, the sum of ``parts``.
 
-    From the start of each part, or the stationary state under ``noise``. Raises ``NotApplicable``
-    where an orbit is too thin for ``MOST_WAVES``.
+    From the start of each part, or the stationary state under the noise of the start. Raises
+    ``NotApplicable`` where an orbit is too thin for ``MOST_WAVES``.
     """
+    noise, times, at = asked.start.noise, asked.times, asked.at
     checked_times(times, positive=noise is None)
     values, errors = np.empty((2, times.size, at[0].size))
     largest, least = 0.0, 0.0
@@ -71,7 +63,7 @@ def orbit_transient(
     tail = 2.0 * len(at) * BEYOND
     measured = Measured(largest + tail, tail, least, None, tail, absolute_error=largest)
     return Transient(
-        times, values, errors + SMALLEST, "numerical", certify(measured, tol=tol),
+        times, values, errors + SMALLEST, "numerical", certify(measured, tol=asked.tol),
         {"equation": "characteristic function"},
     )  # fmt: skip
 
@@ -121,28 +113,14 @@ def _density(
     model = 4.0 * relative * gauss * (1.0 + square + (1.0 + elapsed) * argued)
     condition = float(np.linalg.cond(factor)) ** 2
     floor = float(np.sum(EPS * condition * rounded + model)) + 4.0 * count * BEYOND
-    y = whitened @ np.array(at)
-    inside = np.all(np.abs(y) <= box[:, None], axis=0)
-    p = np.where(inside, _summed(wave, s[:, :, :1], s[:, :1, :], y), 0.0)
+    pad = 0, 2 - count
+    series = FourierSeries(np.pad(pi * whitened / box[:, None], pad), wave[None])
+    chunks = np.array_split(np.array(at), 1 + at[0].size * sum(wave.shape) // CHUNK, axis=1)
+    p = np.concatenate([series(*chunk)[0] for chunk in chunks])
     jacobian = abs(float(np.linalg.det(whitened)))
     total = np.eye(count) + sum(orbit / (2.0 * n) for n, orbit in orbits)
     height = (2.0 * pi) ** (-0.5 * count) * jacobian / np.sqrt(float(np.linalg.det(total)))
     return p * jacobian, np.full(p.shape, floor * jacobian), height
-
-
-def _summed(wave: Array, first: Array, second: Array, y: Array) -> Array:
-    """Σ wave exp(i s·y) at the points y (count, points), whose imaginary part vanishes."""
-    total = np.empty(y.shape[1])
-    step = max(CHUNK // sum(wave.shape), 1)
-    for start in range(0, total.size, step):
-        part = slice(start, start + step)
-        rows = np.exp(1j * np.multiply.outer(y[0, part], first[0].ravel()))
-        if y.shape[0] == 1:
-            total[part] = (rows @ wave[:, 0]).real
-        else:
-            columns = np.exp(1j * np.multiply.outer(y[1, part], second[1].ravel()))
-            total[part] = np.sum((rows @ wave) * columns, axis=1).real
-    return total
 
 
 def _sphere(n: int, z: Array) -> Array:

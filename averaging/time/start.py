@@ -1,4 +1,4 @@
-"""Averaged energies at the time 0, of the starts that a user names."""
+"""Where energies begin in time, and the observables and limits of modal energies."""
 
 from dataclasses import dataclass
 
@@ -8,11 +8,13 @@ from averaging.modal.analysis import ModalAnalysis
 from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.limit import Limit
-from fpk.observable import number_text
+from fpk.observable import Observable, number_text, observable_name
 from fpk.start import Start
 from fpk.system import System
 
 FROM_NOISE = "from a stationary state first passage has no closed form; use fem"
+TOL = 1e-8
+"""Error of answers in time of modal energies where none is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,20 @@ class EnergyStart:
         if any(reached[name] >= value for name, value in limit.values.items()):
             given = ",".join(map(number_text, self.energies.tolist()))
             raise InvalidInput("start", given, f"must be below the limit {limit}")
+
+
+@dataclass(frozen=True, eq=False)
+class DensityQuestion:
+    """Densities of ``observable`` after ``start``, asked for at ``times`` to the tolerance ``tol``.
+
+    They are given at the points ``at``, one array (points,) for each coordinate.
+    """
+
+    observable: Observable
+    start: EnergyStart
+    times: Array
+    at: tuple[Array, ...]
+    tol: float
 
 
 def total_energy_start(system: System, start: Start) -> EnergyStart:
@@ -65,3 +81,30 @@ def modal_start(system: System, modes: ModalAnalysis, start: Start) -> EnergySta
     T, omega = modes.mode_shapes, modes.natural_frequency
     Q, P = T.T @ (system.mass * q), T.T @ p
     return EnergyStart(0.5 * (P**2 + (omega * Q) ** 2))
+
+
+def observed_modes(observable: Observable) -> list[int]:
+    """Return the modes whose energies are asked for, none for the sum of all.
+
+    Raises ``NotApplicable`` for displacements and momenta beside energies.
+    """
+    rows = [c.row for c in observable if c.index is not None]
+    if any(c.kind != "H" for c in observable) or len(observable) != max(len(rows), 1):
+        name = observable_name(observable)
+        raise NotApplicable(
+            f"{name}: in time modal energies H1, H2, …, two of them, or their sum H; "
+            "or one or two of q and p"
+        )
+    return rows
+
+
+def limited_modes(limit: Limit, start: EnergyStart) -> dict[int, float]:
+    """Return the limits of modes, none for that of the sum of all.
+
+    Raises ``NotApplicable`` for limits of displacements, ``InvalidInput`` for a start at or beyond.
+    """
+    if limit.kind == "q":
+        raise NotApplicable(f"{limit}: averaged modal energies know no displacement; use H, H1, …")
+    limits = {int(name[1:]) - 1: a for name, a in limit.values.items() if name != "H"}
+    start.require_below(limit)
+    return limits

@@ -5,22 +5,27 @@ Given the energy the state is distributed over its shell as in the stationary st
 by then: all integrals have panels that end where the elements of p(H, t) end.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import gamma
 
 import numpy as np
 
 from averaging.back_transformation import hidden_quadratic
 from averaging.conditional import Conditional, conditionals
 from averaging.shell.averages import log_linear_states
-from averaging.time.weyl import WeylInTime
-from fpk.arrays import Array
+from averaging.time.start import DensityQuestion
+from averaging.weyl import weyl_integral
+from fpk.arrays import CHUNK, EPS, SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient
-from fpk.line.time.transition import Transition
-from fpk.number import SMALLEST
-from fpk.observable import Observable, observable_name
-from fpk.quadrature import gauss_legendre
+from fpk.line.mesh import with_layers
+from fpk.line.time.transition import ROUND_OFF, SAFETY, Transition, common_error
+from fpk.observable import observable_name
+from fpk.piecewise import Piecewise, interpolated
+from fpk.quadrature import gauss_legendre, panel_rule
 from fpk.system import System
 
 RULES = (10, 14)
@@ -31,25 +36,108 @@ BISECTIONS = 50
 """Halvings by which ends of panels are found: 1e-15 of the range."""
 LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
 """Ends of panels beyond a stop, as shares of the way to the end: (H − V) ~ overlap^2.5 there."""
-CHUNK = 4_000_000
-"""Numbers held at once: 32 MB."""
+POINTS = (20, 24)
+"""Gauss points an element of the coarser table of Ψ, and of the answer."""
+CHECKED = 21
+"""Points an element at which errors of u are measured, none of which is one of its table."""
 
 
-def state_transient(
-    system: System,
-    solved: Transition,
-    observable: Observable,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float,
-) -> Transient:
-    """Return the densities of one or two of (q, p) at ``times``, at points ``at`` (points,) each.
+@dataclass(frozen=True, eq=False)
+class WeylInTime:
+    """Ψ(E) = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH at all times, ν = ``order`` = 0, ½, 1, …; Ψ_0 is u."""
+
+    solved: Transition
+    order: float
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Ends of halves of the enriched solution's elements, with layers at contact energies."""
+        nodes = self.solved.enriched.elements.nodes
+        halves = np.sort(np.append(nodes, 0.5 * (nodes[1:] + nodes[:-1])))
+        return with_layers(halves, self.solved.enriched.process.nonsmooth)
+
+    def __call__(self, energy: Array) -> Array:
+        """Return Ψ at ``energy``, (*shape, times)."""
+        return self._table(energy)
+
+    def error(self, energy: Array) -> Array:
+        """Return the error of Ψ; beyond the last element Ψ is less than its error before."""
+        last = 0.5 * float(self.nodes[-2] + self.nodes[-1])
+        E = np.minimum(energy, last).ravel()
+        k = np.searchsorted(self.nodes, E, side="right") - 1
+        total = self._moved[k]
+        if self.order == 0.0:
+            total = total + self._of_u[k]
+        else:
+            with np.errstate(invalid="ignore"):
+                powers = np.maximum(self.nodes - E[:, None], 0.0) ** self.order
+            total = total + np.diff(powers, axis=1) @ self._of_u / gamma(self.order + 1.0)
+        return np.asarray(total.reshape(*np.shape(energy), -1))
+
+    @property
+    def added(self) -> float:
+        """The error of the table relative to the largest Ψ."""
+        return float(np.max(self._moved / np.max(np.abs(self._table.coefficients[:, 0]), axis=0)))
+
+    @cached_property
+    def _u(self) -> Piecewise:
+        """u at all times."""
+        return self._of_energy(lambda x: self._answer(x)[0], POINTS[1])
+
+    def _answer(self, x: Array) -> tuple[Array, Array]:
+        """u and the size of its terms (points, times); 0 beyond the last element of the answer."""
+        u, size = self.solved.solution.state_density(x)
+        inside = x <= self.solved.elements.right[-1]
+        return (u * inside).T, (size * inside).T
+
+    @cached_property
+    def _of_u(self) -> Array:
+        """The largest error of u in each element (elements, times)."""
+        x = panel_rule(self.nodes, CHECKED)[0]
+        u, size = self._answer(x.ravel())
+        better, other = self.solved.enriched.state_density(x.ravel())
+        error = SAFETY * (np.abs(u - better.T) + np.abs(u - self._u(x.ravel())))
+        within = np.minimum(x.ravel(), self.solved.elements.right[-1])
+        question = self.solved.question
+        error += common_error(question, self.solved.elements, u.T, size.T + other, within).T
+        # What is left of larger numbers far from the peak, of u and of p = T u.
+        c = question.process.coefficients(x.ravel())
+        with np.errstate(over="ignore"):
+            of_p = np.multiply.outer(np.exp(-c.log_density_of_states), self.solved.top)
+        error += ROUND_OFF * EPS * np.minimum(of_p, np.abs(u).max(axis=0))
+        return np.asarray(error.reshape(*x.shape, -1).max(axis=1))
+
+    @cached_property
+    def _table(self) -> Piecewise:
+        if self.order == 0.0:
+            return self._u
+        return self._of_energy(lambda E: self._integral(E, POINTS[1]), POINTS[1])
+
+    @cached_property
+    def _moved(self) -> Array:
+        """Largest distance of two tables in each element (elements, times)."""
+        f = self._u if self.order == 0.0 else lambda E: self._integral(E, POINTS[0])
+        coarse = self._of_energy(f, POINTS[0])
+        x = panel_rule(self.nodes, sum(POINTS))[0]
+        distance = np.abs(coarse(x) - self._table(x)).max(axis=1)
+        return np.asarray(distance + ROUND_OFF * EPS * np.abs(self._table(x)).max(axis=1))
+
+    def _of_energy(self, f: Callable[[Array], Array], points: int) -> Piecewise:
+        left, right = self.nodes[:-1], self.nodes[1:]
+        return Piecewise(self.nodes, interpolated(f, left, right, points - 1))
+
+    def _integral(self, energy: Array, points: int) -> Array:
+        return weyl_integral(self.order, self.nodes, self._u, energy, points=points)
+
+
+def state_transient(system: System, solved: Transition, asked: DensityQuestion) -> Transient:
+    """Return the densities of one or two of (q, p).
 
     Momenta and masses without contact are integrated out exactly, one contact mass that is not
     observed by quadrature. The L1 error is that of the energy, as integrating out increases none,
     and what tables and quadrature add. Raises ``NotApplicable`` for more hidden contact masses.
     """
+    observable, at = asked.observable, asked.at
     q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
     hidden = [i for i in system.contact_masses if i not in q]
     if len(hidden) > 1:
@@ -87,20 +175,13 @@ def state_transient(
         minimum=float(values.min(initial=0.0)) / highest,
         absolute_error=float(errors.max(initial=0.0)) / highest,
     )
-    e = solved.elements
-    settings: dict[str, str | float | int] = {
-        "degree": e.degree,
-        "elements": e.count,
-        "last energy": float(e.right[-1]),
-        "tol": tol,
-    }
     return Transient(
-        times,
+        asked.times,
         factor * values.T,
         factor * errors.T + SMALLEST,
         "numerical",
-        certify(measured, tol=tol),
-        settings,
+        certify(measured, tol=asked.tol),
+        solved.settings,
     )
 
 

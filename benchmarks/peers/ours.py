@@ -18,7 +18,7 @@ import numpy as np
 from problems import ALPHA, DAMPING, NOISE, PROBLEMS
 
 from averaging.energy_process import energy_process
-from averaging.quadrature import solve_by_quadrature
+from averaging.zero_flux import solve_by_quadrature
 from fpk.line.stationary import solve_stationary
 from fpk.plane.stationary import solve_plane
 from fpk.process import Coefficients, Process

@@ -14,7 +14,7 @@ from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import modal_densities
 from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
-from averaging.quadrature import solve_by_quadrature
+from averaging.zero_flux import solve_by_quadrature
 from cases.studies.levels import Discretisation, Solution, TimedCoefficients, density_of
 from fpk.arrays import Array
 from fpk.density import Density

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial.legendre import legder, legvander
 from numpy.typing import NDArray
 
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.compiling import cached_njit, inlined
 from fpk.process import Coefficients, Process
 from fpk.quadrature import gauss_legendre
@@ -31,9 +31,6 @@ CONTACT_POINTS = 8
 AT_ONCE = 10_000
 """Elements whose coefficients are evaluated at once: a hundred quadrature points for each of ten
 energies of each are 80 MB."""
-
-
-TINY = float(np.finfo(float).tiny)
 
 
 class Rule(NamedTuple):
@@ -161,7 +158,7 @@ def solve_elements(process: Process, left: Array, right: Array, degree: int) -> 
     factors[:, 0] *= h * c.dissipation
     factors[:, 1] *= -0.5 * c.diffusion
     A = (factors.reshape(left.size, -1) @ rule.tested).reshape(left.size, -1, degree + 3)
-    largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), TINY)
+    largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), SMALLEST)
     A /= largest
     u, enriched = (_null_vectors(A, m) for m in (degree, degree + ENRICHMENT))
     if above.size:
@@ -238,7 +235,7 @@ def _scale_to_mass_one(
 def _residual(A: Array, u: Array) -> tuple[float, float, float]:
     """Largest residual of A u = 0 relative to the terms in it; residual and terms of row one."""
     # All terms are zero where an element is so short that the damping in it underflows.
-    residual, largest, net, one_way = 0.0, TINY, 0.0, 0.0
+    residual, largest, net, one_way = 0.0, SMALLEST, 0.0, 0.0
     for i in range(u.size - 1):
         total, size = 0.0, 0.0
         for j in range(u.size):

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial.legendre import legvander
 
-from fpk.arrays import Array, Flags
+from fpk.arrays import SMALLEST, Array, Flags
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify, outside
 from fpk.compiling import cached_njit
-from fpk.line.elements import TINY, Elements, element_rule, joined, solve_elements
+from fpk.line.elements import Elements, element_rule, joined, solve_elements
 from fpk.line.mesh import (
     GRADED_LAYERS,
     LOG_GROWTH,
@@ -151,7 +151,7 @@ class StationarySolution:
         n = self.process.degrees_of_freedom
         first = self.nodes[1] * element_rule(self.degree, n).share[0]
         log_root = 0.5 * (n - 1) * np.log(np.maximum(x, first))
-        weighted = np.log(np.maximum(distance, TINY)) + log_root
+        weighted = np.log(np.maximum(distance, SMALLEST)) + log_root
         wide = 2 * HALF_WAVE
         around = np.pad(weighted, ((0, 0), (wide, wide)), constant_values=-np.inf)
         largest = sliding_window_view(around, 2 * wide + 1, axis=1).max(axis=2)
@@ -174,13 +174,13 @@ class StationarySolution:
         log_T = self._log_states(x)
         p = np.abs(self.answer(x, log_factor=log_T))
         most = self.degree**1.5 * p.max(axis=1)
-        at_nodes = np.maximum(np.abs(self.density(self.nodes[1:-1])), TINY)
+        at_nodes = np.maximum(np.abs(self.density(self.nodes[1:-1])), SMALLEST)
         steps, top = (most[:-1] + most[1:]) / at_nodes, int(most.argmax())
         # Added up from the most massive element outwards: farther out they grow without bound.
         below, above = np.cumsum(steps[:top][::-1])[::-1], np.cumsum(steps[top:])
         relative = self.nodes.size + np.concatenate([below, [0.0], above])
         error = ROUND_OFF * (most[:, None] + relative[:, None] * p)
-        return x.ravel(), (np.log(np.maximum(error, TINY)) - log_T).ravel()
+        return x.ravel(), (np.log(np.maximum(error, SMALLEST)) - log_T).ravel()
 
 
 def solve_stationary(
@@ -269,7 +269,7 @@ def _assembled(
         enriched=Piecewise(
             nodes,
             sign[1, :, None] * e.enriched,
-            log_scale[1] - math.log(max(abs(enriched_mass), TINY)),
+            log_scale[1] - math.log(max(abs(enriched_mass), SMALLEST)),
         ),
         common_error=coefficient_error + accumulated + abs(enriched_mass - 1.0),
         measured=measured,
@@ -309,7 +309,7 @@ def _chained(e: Elements) -> tuple[Array, Array, Array, Array]:
                 start += series[k, j] * (1.0 - 2.0 * (j % 2))
                 end += series[k, j]
             if k > 0:
-                ratio = max(abs(before), TINY) / max(abs(start), TINY)
+                ratio = max(abs(before), SMALLEST) / max(abs(start), SMALLEST)
                 log_scale[s, k] = log_scale[s, k - 1] + np.log(ratio)
                 sign[s, k] = -sign[s, k - 1] if (before < 0.0) != (start < 0.0) else sign[s, k - 1]
             log_mass[s, k] = log_scale[s, k] + e.log_factor[k]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.errors import NotCertified
 from fpk.process import Process
 
@@ -16,7 +16,6 @@ AXIS = 1e-4
 the slopes vary over energies of the order of the scale."""
 EXTENT = 40.0
 """Least fall of ln p within a probe: e^−40 = 4e-18 is below round-off of the mass."""
-TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +35,7 @@ class Probe:
         ends = np.empty(2)
         for axis in (0, 1):
             beyond = np.cumsum(mass.sum(axis=1 - axis)[::-1])[::-1]
-            share = np.log(np.maximum(beyond / beyond[0], TINY))
+            share = np.log(np.maximum(beyond / beyond[0], SMALLEST))
             ends[axis] = np.interp(-np.log(tail), -share, PROBE)
         return ends
 

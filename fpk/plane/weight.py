@@ -12,12 +12,14 @@ import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval2d
 from scipy.linalg import solve_triangular
 
-from fpk.arrays import Array, Flags, Integers
+from fpk.arrays import SMALLEST, Array, Flags, Integers
 from fpk.errors import NotCertified
 from fpk.plane.probe import PROBE, Probe
 
 Powers = Integers
 
+BEYOND = 1e-3
+"""Fraction of the tolerance that w falls to at the far edges of the first mesh."""
 DEGREES = range(1, 7)
 """Total degrees of Φ. Damping of degree k in the energies gives k + 1 under detailed balance."""
 EXACT = 1e-12
@@ -43,7 +45,6 @@ REACH = 30.0
 RAYS = np.concatenate([UNIT, np.geomspace(1.04, REACH, 48)])
 """Coordinates of the grid on which Φ is checked, in units of the fitted box."""
 OUTSIDE = np.maximum(RAYS[:, None], RAYS) > 1.0
-TINY = float(np.finfo(float).tiny)
 FLOOR = float(np.exp(-44.0))
 """Added to w, so that no element matrix is singular: 8e-20, and u ≥ −1e5 there keeps
 p ≥ −1e-14 of its maximum."""
@@ -73,7 +74,7 @@ class Weight:
         x, y = H1 / self.scales[0], H2 / self.scales[1]
         w = np.exp(-on_grid(x, y, self.coefficients))
         # Where w underflows without a floor its slope is that of nothing.
-        share = w / np.maximum(w + self.floor, TINY)
+        share = w / np.maximum(w + self.floor, SMALLEST)
         first, second = (
             on_grid(x, y, np.asarray(polyder(self.coefficients, axis=axis), float))
             * share

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.evolution import Passage
 from fpk.method import Progress, silent
 from fpk.modulation import Modulation
-from fpk.number import SMALLEST
 from sim.averaged.paths import BATCHES, Shares, batch_stream
 from sim.averaged.square_root import SquareRootForm, never, square_root_step
 from sim.motion.failure_times import Times

@@ -8,8 +8,8 @@ from scipy.integrate import quad
 from scipy.stats import expon, gamma
 
 from averaging.exact import Exact
-from averaging.gamma_sum import gamma_sum
 from averaging.gaussian import Linear
+from averaging.gaussian_state import gamma_sum
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import gaussian_modes

@@ -8,8 +8,8 @@ from scipy.optimize import brentq
 
 from averaging.closed_form import averaged_density
 from averaging.energy_process import damping_and_noise, energy_process
-from averaging.quadrature import solve_by_quadrature
 from averaging.shell.averages import log_linear_states, shell_averages
+from averaging.zero_flux import solve_by_quadrature
 from fpk.contact import Contact
 from fpk.errors import NotApplicable, NotCertified
 from fpk.line.stationary import solve_stationary

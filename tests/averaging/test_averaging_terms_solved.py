@@ -11,7 +11,7 @@ from scipy.integrate import quad
 from averaging.energy_process import energy_process
 from averaging.exact import Exact, compatibility
 from averaging.nonintegrable import NonIntegrable
-from averaging.quadrature import solve_by_quadrature
+from averaging.zero_flux import solve_by_quadrature
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.density import l1_distance

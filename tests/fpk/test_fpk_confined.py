@@ -6,7 +6,7 @@ from fpk_processes import both, by_hand, chain
 from processes import process_of
 
 from averaging.energy_process import energy_process
-from averaging.quadrature import solve_by_quadrature
+from averaging.zero_flux import solve_by_quadrature
 from fpk.ends import require_confined
 from fpk.errors import NotCertified
 from fpk.line.stationary import solve_stationary

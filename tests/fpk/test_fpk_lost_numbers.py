@@ -12,12 +12,12 @@ from test_fpk_plane_time import frame
 from averaging.energy_process import energy_process
 from fpk.line.elements import _residual
 from fpk.line.time import propagation
-from fpk.line.time.pair import degree_for, meshed
+from fpk.line.time.modes import degree_for, meshed
 from fpk.plane.solution import graded
 from fpk.plane.time import exponential, passage
 from fpk.plane.time.domain import Rectangle
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.start import PointStart
+from fpk.plane.time.view import PointStart
 
 TIMES = np.array([1.0, 100.0])
 """Apart by more than one contour and one Krylov space serve."""

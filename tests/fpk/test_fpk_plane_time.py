@@ -18,9 +18,8 @@ from fpk.plane.time.levels import Frame
 from fpk.plane.time.operator import PlaneOperator
 from fpk.plane.time.passage import PlaneLimit, _hopeless, first_passage
 from fpk.plane.time.relaxation import relaxation_rates
-from fpk.plane.time.start import PointStart
 from fpk.plane.time.transient import transient_densities
-from fpk.plane.time.view import View
+from fpk.plane.time.view import PointStart, View
 from fpk.quadrature import panel_rule
 
 

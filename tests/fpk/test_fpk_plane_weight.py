@@ -22,14 +22,12 @@ from test_fpk_plane import (
 )
 
 from fpk.errors import NotCertified
-from fpk.plane import plain, spectral, stationary
-from fpk.plane.balance import detailed_balance
-from fpk.plane.on_mesh import solve_plane_on_mesh
-from fpk.plane.plain import solve_by_elements
+from fpk.plane import on_mesh, spectral, stationary
+from fpk.plane.on_mesh import solve_by_elements, solve_plane_on_mesh
 from fpk.plane.probe import probed
 from fpk.plane.solution import PlaneSolution
 from fpk.plane.spectral import solve_with_weight
-from fpk.plane.stationary import solve_plane
+from fpk.plane.stationary import detailed_balance, solve_plane
 from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
 from fpk.process import Coefficients, Process
 from fpk.quadrature import panel_rule
@@ -312,7 +310,7 @@ def test_a_looser_tolerance_takes_no_more_attempts_and_no_more_work(
         attempts.append(solve_plane_on_mesh(*args, **kwargs))
         return attempts[-1]
 
-    for module in (plain, spectral):
+    for module in (on_mesh, spectral):
         monkeypatch.setattr(module, "solve_plane_on_mesh", noted)
     counts, work = [], []
     for tol in (1e-4, 1e-7, 1e-10):
@@ -340,7 +338,7 @@ def test_without_any_weight_the_elements_obey_the_same_rule(
 
 def test_what_is_not_affordable_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
     process = square_root_process((0.1, 0.1), (0.1, 0.1))
-    monkeypatch.setattr(plain, "MAX_ENTRIES", 0)
+    monkeypatch.setattr(on_mesh, "MAX_ENTRIES", 0)
     with pytest.raises(NotCertified, match="affordable"):
         solve_plane(process, tol=1e-6, degree=4)
 
@@ -367,7 +365,7 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
 ) -> None:
     # Few panels of low degree and no plain elements: inaccurate, and said so in words.
     monkeypatch.setattr(spectral, "LIMITS", (2, 6))
-    monkeypatch.setattr(plain, "MAX_ENTRIES", 0)
+    monkeypatch.setattr(on_mesh, "MAX_ENTRIES", 0)
     solution = solve_plane(one_sided(0.3, 0.05), tol=1e-10)
     assert not solution.certificate.certified
     assert any("exceeds the tolerance" in words for words in solution.certificate.failures)

@@ -12,20 +12,24 @@ import numpy as np
 
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.time.questions import limited_modes, observed_modes
 from averaging.time.orbits import OrbitPart, orbit_transient
-from averaging.time.start import FROM_NOISE, EnergyStart
-from fpk.arrays import Array
+from averaging.time.start import (
+    FROM_NOISE,
+    DensityQuestion,
+    EnergyStart,
+    limited_modes,
+    observed_modes,
+)
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, certified_passage, checked_times
 from fpk.limit import Limit
 from fpk.modulation import ROUND_OFF, Modulation
-from fpk.number import SMALLEST, Number
-from fpk.observable import Observable
+from fpk.number import Number
 from fpk.quadrature import panel_rule
-from fpk.square_root import EPS, SquareRoot
+from fpk.square_root import SquareRoot
 
 EQUAL = 1e-12
 """Relative difference of decay or temperature, beyond round-off, up to which modes are alike."""
@@ -39,23 +43,16 @@ DensityOf = Callable[[Array], tuple[Array, Array]]
 
 
 def transient(
-    modes: ModalAnalysis,
-    observable: Observable,
-    start: EnergyStart,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float,
-    modulation: Modulation | None = None,
+    modes: ModalAnalysis, asked: DensityQuestion, modulation: Modulation | None
 ) -> Transient:
     """Return products of the densities of modal energies, or the convolution of two of them.
 
     Of displacements and momenta, what follows from them with independent uniform phases, (35).
     ``modulation`` is of the noise.
     """
+    observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
     if {c.kind for c in observable} <= {"q", "p"}:
-        orbits = _orbits(modes, observable, start, modulation)
-        return orbit_transient(orbits, start.noise, times, at, tol=tol)
+        return orbit_transient(_orbits(modes, asked, modulation), asked)
     checked_times(times, positive=start.noise is None)
     rows = observed_modes(observable)
     parts = [
@@ -82,7 +79,7 @@ def transient(
     highest = np.max(errors / np.max(values, axis=1, initial=SMALLEST, keepdims=True), initial=0.0)
     l1, defect = float(np.max([worst[0], highest])), float(worst[1])
     measured = Measured(l1, defect, float(values.min(initial=0.0)), None, None)
-    certificate = certify(measured, tol=tol)
+    certificate = certify(measured, tol=asked.tol)
     return Transient(times, values, errors + SMALLEST, "numerical", certificate)
 
 
@@ -133,16 +130,13 @@ def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) ->
 
 
 def _orbits(
-    modes: ModalAnalysis,
-    observable: Observable,
-    start: EnergyStart,
-    modulation: Modulation | None,
+    modes: ModalAnalysis, asked: DensityQuestion, modulation: Modulation | None
 ) -> list[OrbitPart]:
     """The shares of the modes in displacements and momenta, by (q, p) = S (ω Q, P)."""
-    rows = modes.state_shapes[state_rows(observable, modes.n)]
+    rows = modes.state_shapes[state_rows(asked.observable, modes.n)]
     both = [rows[:, [m, m + modes.n]] for m in range(modes.n)]
     return [
-        OrbitPart(_mode(modes, m, modulation), float(start.energies[m]), S @ S.T)
+        OrbitPart(_mode(modes, m, modulation), float(asked.start.energies[m]), S @ S.T)
         for m, S in enumerate(both)
     ]
 

@@ -1,4 +1,7 @@
-"""Two modal energies in time, coupled by damping or not, by finite elements, Eqs. (17), (33)."""
+"""Two modal energies in time, coupled by damping or not, by finite elements, Eqs. (17), (33).
+
+Displacements and momenta follow from their joint density, Eqs. (35), (36).
+"""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -6,46 +9,41 @@ from typing import Literal
 import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
+from averaging.modal.characteristic import state_density
 from averaging.modal.groups import unsolved
-from averaging.modal.time.questions import limited_modes, observed_modes
-from averaging.modal.time.states import state_transient
-from averaging.time.start import EnergyStart
-from fpk.arrays import Array
+from averaging.time.start import DensityQuestion, EnergyStart, limited_modes, observed_modes
+from fpk.arrays import SMALLEST, Array
+from fpk.certificate import Measured, outside
+from fpk.density import Density, certified_density
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
-from fpk.evolution import Passage, Transient, checked_times
+from fpk.evolution import UNRESOLVED, Passage, Transient, checked_times
 from fpk.limit import Limit
-from fpk.observable import Observable
+from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
 from fpk.plane.time.levels import Frame
 from fpk.plane.time.passage import PlaneLimit, first_passage
 from fpk.plane.time.relaxation import relaxation_rates
-from fpk.plane.time.start import DensityStart, PointStart
-from fpk.plane.time.start import Start as PlaneStart
-from fpk.plane.time.transient import transient_densities
-from fpk.plane.time.view import View
+from fpk.plane.time.transient import ROUNDING, Level, transient_densities
+from fpk.plane.time.view import DensityStart, PointStart, Start, View
 from fpk.process import Coefficients, Process
 
 STATIONARY_TOL = (1e-2, 1e-11)
 """Share of the tolerance to which the stationary density is computed, and the least such."""
 Axis = Literal["first", "second"]
 AXES: tuple[Axis, Axis] = ("first", "second")
+SHARE = 0.5
+"""Share of the tolerance to which the energies are resolved."""
 
 
-def transient(
-    modes: ModalAnalysis,
-    observable: Observable,
-    start: EnergyStart,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float,
-) -> Transient:
+def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
     """Return the densities of one or two modal energies, of the sum of two, or of (q, p)."""
+    observable, start, times = asked.observable, asked.start, asked.times
+    at, tol = asked.at, asked.tol
     checked_times(times, positive=True)
     if {c.kind for c in observable} <= {"q", "p"}:
         posed = _posed(modes, _pair(modes, range(modes.n)), start, tol)
-        return state_transient(modes, *posed, observable, times, at, tol=tol)
+        return _state_transient(modes, *posed, asked)
     rows = observed_modes(observable)
     pair = _pair(modes, rows or range(modes.n))
     if rows == pair[::-1]:
@@ -106,7 +104,7 @@ def _pair(modes: ModalAnalysis, rows: Sequence[int]) -> list[int]:
 
 def _posed(
     modes: ModalAnalysis, pair: list[int], start: EnergyStart, tol: float
-) -> tuple[Frame, PlaneStart]:
+) -> tuple[Frame, Start]:
     """The operator's frame, and what the density begins with."""
     process = modes.process(pair)
     frame = _frame(process, tol)
@@ -128,3 +126,73 @@ def _posed(
 def _frame(process: Process, tol: float) -> Frame:
     share, least = STATIONARY_TOL
     return Frame(process, solve_plane(process, tol=max(share * tol, least)))
+
+
+def _state_transient(
+    modes: ModalAnalysis, frame: Frame, start: Start, asked: DensityQuestion
+) -> Transient:
+    """Return the densities of one or two of (q, p) of two modes.
+
+    The phases are independent and uniform, whatever the energies. The certificate is that of the
+    worst time; a time too short for the operator is not certified, its errors infinite.
+    """
+    times, at, tol = asked.times, asked.at, asked.tol
+    none = np.zeros(0), np.zeros(0)
+    answer, levels = transient_densities(frame, start, View("pair"), times, none, tol=SHARE * tol)
+    tail = outside(answer.certificate)
+    values, errors = np.empty((2, times.size, at[0].size))
+    densities = []
+    for k, t in enumerate(times.tolist()):
+        group = _energies(modes, levels, k, t, l1_error=start.l1_error, tail=tail, tol=tol)
+        densities.append(state_density(modes, [group], asked.observable, tol=tol))
+        values[k], errors[k] = densities[k].at(*at)
+        errors[k] = errors[k] if group.l1_error <= UNRESOLVED else np.inf
+    worst = max(densities, key=lambda d: (not d.certificate.certified, d.l1_error))
+    return Transient(
+        times, values, errors + SMALLEST, "numerical", worst.certificate, answer.settings
+    )
+
+
+def _energies(
+    modes: ModalAnalysis,
+    levels: tuple[Level, Level],
+    k: int,
+    t: float,
+    *,
+    l1_error: float,
+    tail: float,
+    tol: float,
+) -> Density:
+    """The joint density of both energies at the time ``t``, its error the distance of two levels.
+
+    ``l1_error`` is that of the start, ``tail`` bounds the mass beyond the mesh.
+    """
+    coarse, fine = levels
+    theta = modes.temperature * -np.expm1(-2.0 * modes.half_bandwidth * t)
+
+    def of(level: Level, g: Array, H1: Array, H2: Array) -> Array:
+        """The density with the coefficients ``g``, (energies, energies): H1 a column, H2 a row."""
+        grid = View("pair").on_grid(level.op, g[k : k + 1], (H1.ravel(), H2.ravel()))
+        return np.asarray(grid[0])
+
+    def pdf(H1: Array, H2: Array) -> Array:
+        return of(fine, fine.g, H1, H2)
+
+    mass = float(fine.evolved.values[k] @ fine.op.matrices.shares)
+    rounding = float(np.max(ROUNDING * fine.evolved.rounding)) + 2.0 * abs(mass - 1.0)
+
+    def pointwise(H1: Array, H2: Array) -> Array:
+        p = pdf(H1, H2)
+        moved = np.abs(p - of(coarse, coarse.g, H1, H2)) + np.abs(of(fine, fine.change, H1, H2))
+        of_modes = 2.0 * modes.relative_error * (1.0 + H1 / theta[0] + H2 / theta[1])
+        return np.asarray(moved + (of_modes + rounding) * np.abs(p))
+
+    return certified_density(
+        (Coordinate("H", 0), Coordinate("H", 1)),
+        fine.op.nodes,
+        pdf,
+        pointwise,
+        measured=Measured(l1_error + 2.0 * tail, None, None, fine.evolved.residual, tail),
+        tol=tol,
+        added_error=lambda p, *H: pointwise(*H),
+    )

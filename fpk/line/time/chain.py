@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fpk.arrays import Array, Complexes
+from fpk.arrays import EPS, SMALLEST, Array, Complexes
 from fpk.line.time.modes import Modes
 
 Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 """Real numbers, or complex ones where the Laplace variables are."""
-TINY = float(np.finfo(float).tiny)
-UNDERFLOW = TINY / float(np.finfo(float).eps)
+UNDERFLOW = SMALLEST / EPS
 """Below it numbers lose digits."""
 
 
@@ -167,7 +166,7 @@ def eliminated(e: Modes, y: Admittances) -> Eliminated:
     for k in range(1, e.count):
         below = (s.passed[k - 1] + y.shunt[k - 1, 1]) * e.steps[k - 1] + y.shunt[k, 0]
         s.total[k] = below + y.series[k]
-        s.total[k, s.total[k] == 0.0] = TINY  # at an eigenvalue of the part below
+        s.total[k, s.total[k] == 0.0] = SMALLEST  # at an eigenvalue of the part below
         s.ratio[k] = y.series[k] / s.total[k]
         s.passed[k] = below * s.ratio[k]
     return s

@@ -1,34 +1,18 @@
-"""Answers in time of one energy: transients and first passage by finite elements."""
+"""First passage of one energy by finite elements, from any start."""
 
 from functools import partial
 
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.evolution import STARTS, Passage, StartCurve, Transient, certified_passage
+from fpk.evolution import STARTS, Passage, StartCurve, certified_passage
 from fpk.line.time import chain
 from fpk.line.time.mesh import HIGHEST
 from fpk.line.time.modes import Modes
 from fpk.line.time.passage import SAFETY, FirstPassage, first_passage
 from fpk.line.time.propagation import Source, inverted, transforms
-from fpk.line.time.transition import transition
 from fpk.number import Number
 from fpk.process import Process
-
-
-def fem_transient(
-    process: Process, source: Source, times: Array, at: Array, *, tol: float
-) -> Transient:
-    """Return the densities of the energy at ``times`` > 0 after ``source`` at energies ``at``."""
-    solved = transition(process, source, times, tol=tol)
-    values, errors = solved.density(at)
-    settings: dict[str, str | float | int] = {
-        "degree": solved.elements.degree,
-        "elements": solved.elements.count,
-        "last energy": float(solved.elements.right[-1]),
-        "tol": tol,
-    }
-    return Transient(times, values, errors, "numerical", solved.certificate, settings)
 
 
 def fem_passage(

@@ -6,24 +6,30 @@ left and right end and orthogonal in m to all that vanishes at both, and of func
 (Craig and Bampton, AIAA J. 6 (1968) 1313). The elements then hang together at their ends alone,
 as conductances 1/∫dx/m in a chain, and every sum along it has positive terms only: what is as
 rare as 1e-200 keeps its relative digits.
+They come in pairs: the elements of the answer, and those of the enriched solution that judges it.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
 from fpk.arrays import Array, Flags, Integers
 from fpk.line.mesh import split_points
-from fpk.line.time.mesh import first_degree
-from fpk.line.time.rule import rule
+from fpk.line.time.mesh import HIGHEST, NONE, first_degree, rule
+from fpk.piecewise import legendre_at
 from fpk.process import Process, log_density_slope_error
 
 BEYOND_BULK = 1e-6
 """Share of the mass beyond the bulk, which ends where errors are weighted."""
-EPS = float(np.finfo(float).eps)
+ENRICHMENT = 2
+"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
+FEWEST_DIGITS, MORE = 4, 4
+"""Digits below which elements have no lower degree, and degrees beyond the digits wanted."""
+MOST_ROUNDS = 12
+"""Most rounds of cutting elements in two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,11 +126,13 @@ class Modes:
 
     def shapes(self, x: Array) -> tuple[Integers, Array, Array]:
         """Elements of the points x, h_1 (points,) there and the v_j (points, modes)."""
-        k = self.element_of(x)
-        t = (2.0 * x - self.left[k] - self.right[k]) / (self.right[k] - self.left[k])
-        P = legvander(np.clip(t, -1.0, 1.0), self.series.shape[1] - 1)
+        k, P = legendre_at(self.nodes, x, self.degree)
         f = np.einsum("xp,xpv->xv", P, self.series[k])
         return k, f[:, 0], f[:, 1:]
+
+
+Pair = tuple[Modes, Modes]
+"""The elements of the answer and of the enriched solution."""
 
 
 def modes(
@@ -246,3 +254,23 @@ def _batch(
         relative_error=error.max(axis=1),
         slope_error=steps,
     )
+
+
+def degree_for(tol: float) -> int:
+    """Return the degree of the elements of an answer to the tolerance ``tol``."""
+    return int(np.clip(round(-math.log10(tol)), FEWEST_DIGITS, HIGHEST - MORE)) + MORE
+
+
+def meshed(process: Process, nodes: Array, degree: int, *, beyond: Array = NONE) -> Pair:
+    """Return elements between ``nodes``; those of the enriched solution end at ``beyond``, too."""
+    every = np.append(nodes, beyond)
+    return (
+        modes(process, nodes[:-1], nodes[1:], degree),
+        modes(process, every[:-1], every[1:], degree + ENRICHMENT, enriched=True),
+    )
+
+
+def cut(process: Process, pair: Pair, marked: Flags) -> Pair:
+    """Return a pair with the elements of the answer that are ``marked`` cut in two in both."""
+    more = np.append(marked, np.zeros(pair[1].count - marked.size, dtype=bool))
+    return refined(process, pair[0], marked), refined(process, pair[1], more, enriched=True)

@@ -8,27 +8,22 @@ from functools import lru_cache, partial
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import NO_NOISE_YET, Transient
+from fpk.evolution import NO_NOISE_YET, UNRESOLVED, Transient
 from fpk.line.time.modes import Modes
-from fpk.line.time.pair import Pair
 from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
-from fpk.line.time.transition import SAFETY, Solutions, Transition, adapted, judged, posed
+from fpk.line.time.transition import SAFETY, Settings, Transition, adapted, judged, posed
 from fpk.modulation import Modulation
-from fpk.number import SMALLEST
 from fpk.observable import number_text
 from fpk.process import Process
 
 LEVELS = (1, 4)
 """Halvings of all steps: those with which the mesh is adapted, and the most."""
-UNRESOLVED = 0.1
-"""L1 error above which nothing is known of the density."""
 ODE_TOLS = (1e-12, 1e-10)
 """Tolerances of two solutions of dH/dt = F(H): the answer, and one whose distance is its error."""
-Settings = dict[str, str | float | int]
 
 
 def modulated_transient(
@@ -139,10 +134,7 @@ def modulated_transition(
         g, residual = stepped(m, start_of(m, e, source), modulation, unit, times, level=level)
         return Solution(process, e, partial(times_factor, e, m, g), residual)
 
-    def carried_pair(pair: Pair) -> Solutions:
-        return carried(pair[0], LEVELS[0]), carried(pair[1], LEVELS[0])
-
-    solved = adapted(question, pair, carried_pair)
+    solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0]))
     e, finer = solved.pair
     x, w = points(process, e)
 

@@ -7,14 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, certified_passage
 from fpk.line.time.evolution import fem_passage
 from fpk.line.time.mesh import HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes
-from fpk.line.time.modulated import LEVELS, Settings, begins, halved, settings_of, times_factor
-from fpk.line.time.pair import Pair, degree_for, meshed
+from fpk.line.time.modes import Modes, Pair, degree_for, meshed
+from fpk.line.time.modulated import LEVELS, begins, halved, settings_of, times_factor
 from fpk.line.time.passage import THINNEST, FirstPassage, first_passage
 from fpk.line.time.propagation import Solution, Source, points
 from fpk.line.time.stepping import STAGES, matrices, radau, shares_of, start_of, steps_of
@@ -23,12 +22,12 @@ from fpk.line.time.transition import (
     ROUND_OFF,
     SAFETY,
     Question,
-    Solutions,
+    Settings,
     adapted,
     width_of,
 )
 from fpk.modulation import Modulation
-from fpk.number import SMALLEST, Number
+from fpk.number import Number
 from fpk.process import Process
 
 NEVER = Number(np.inf, np.inf)
@@ -160,10 +159,7 @@ def _converged(motion: Absorbed, limit: float, tol: float) -> Converged:
     question, pair = _posed(motion.process, motion.source, limit, first, SHARE * tol)
     solve = lru_cache(maxsize=len(pair))(motion.solved)
 
-    def solved_pair(pair: Pair) -> Solutions:
-        return solve(pair[0], LEVELS[0])[0], solve(pair[1], LEVELS[0])[0]
-
-    e, finer = adapted(question, pair, solved_pair).pair
+    e, finer = adapted(question, pair, lambda e, **_: solve(e, LEVELS[0])[0]).pair
     off = np.abs(solve(e, LEVELS[0])[1] - solve(finer, LEVELS[0])[1])
 
     def size(moved: Array, numbers: Array) -> float:

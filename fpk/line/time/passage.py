@@ -6,16 +6,14 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from fpk.arrays import Array, Flags
+from fpk.arrays import EPS, SMALLEST, Array, Flags
 from fpk.contour import contours
 from fpk.errors import InvalidInput
 from fpk.evolution import BEYOND_RANGE
 from fpk.line.time import chain
 from fpk.line.time.mesh import NONE, time_nodes
-from fpk.line.time.modes import EPS, Modes
-from fpk.line.time.pair import ENRICHMENT, MOST_ROUNDS, cut, degree_for, meshed
+from fpk.line.time.modes import ENRICHMENT, MOST_ROUNDS, Modes, cut, degree_for, meshed
 from fpk.line.time.propagation import inverted, values_at
-from fpk.number import SMALLEST
 from fpk.probe import probed
 from fpk.process import Process
 

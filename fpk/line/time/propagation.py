@@ -6,12 +6,11 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from fpk.arrays import Array, Complexes
+from fpk.arrays import EPS, Array, Complexes
 from fpk.contour import Contour, contours
 from fpk.line.time import chain
-from fpk.line.time.mesh import GROWTH, HIGHEST, time_nodes
-from fpk.line.time.modes import EPS, Modes, log_density, log_phase_density, modes
-from fpk.line.time.rule import rule
+from fpk.line.time.mesh import GROWTH, HIGHEST, rule, time_nodes
+from fpk.line.time.modes import Modes, log_density, log_phase_density, modes
 from fpk.probe import probed
 from fpk.process import Process
 

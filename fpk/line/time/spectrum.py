@@ -4,15 +4,14 @@ import math
 
 import numpy as np
 
-from fpk.arrays import Array, Integers
+from fpk.arrays import EPS, Array, Integers
 from fpk.certificate import Measured, certify
 from fpk.dynamics import Rates
 from fpk.errors import NotCertified
 from fpk.line.mesh import split_points
 from fpk.line.time.chain import admittances, eliminated
 from fpk.line.time.mesh import time_nodes
-from fpk.line.time.modes import EPS, Modes
-from fpk.line.time.pair import degree_for, meshed
+from fpk.line.time.modes import Modes, degree_for, meshed
 from fpk.probe import probed
 from fpk.process import Process
 

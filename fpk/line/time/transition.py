@@ -7,14 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import InvalidInput
 from fpk.line.time.mesh import time_nodes
-from fpk.line.time.modes import EPS, Modes
-from fpk.line.time.pair import ENRICHMENT, MOST_ROUNDS, Pair, cut, degree_for, meshed
+from fpk.line.time.modes import ENRICHMENT, MOST_ROUNDS, Modes, Pair, cut, degree_for, meshed
 from fpk.line.time.propagation import Solution, Source, points, propagated
-from fpk.number import SMALLEST
 from fpk.observable import number_text
 from fpk.probe import Probe, probed
 from fpk.process import Process
@@ -42,8 +40,7 @@ STALLED = 0.9
 """Ratio of the error to that of the round before that shows that finer elements do not help."""
 CHECKED_TIMES = 6
 """Times at which the mesh is adapted first, then at all."""
-Solutions = tuple[Solution, Solution]
-"""Densities on the two meshes of a ``Pair``."""
+Settings = dict[str, str | float | int]
 
 
 @dataclass(frozen=True)
@@ -85,6 +82,13 @@ class Transition:
         """The elements of the answer and of the enriched solution."""
         return self.solution.elements, self.enriched.elements
 
+    @property
+    def settings(self) -> Settings:
+        """The settings of an answer."""
+        e, tol = self.elements, self.question.tol
+        last = float(e.right[-1])
+        return {"degree": e.degree, "elements": e.count, "last energy": last, "tol": tol}
+
     def density(self, x: Array) -> tuple[Array, Array]:
         """Return p and its error at energies x (points,): two arrays (times, points).
 
@@ -111,18 +115,10 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     question, pair = posed(process, source, float(times.min()), tol)
     few = np.unique(np.linspace(0, times.size - 1, CHECKED_TIMES).astype(int))
     for chosen in (times[few], times) if few.size < times.size else (times,):
-        solve = partial(_propagated_pair, process, source, chosen)
+        solve = partial(propagated, process, source=source, times=chosen)
         solved = adapted(question, pair, solve)
         pair = solved.pair
     return solved
-
-
-def _propagated_pair(process: Process, source: Source, times: Array, pair: Pair) -> Solutions:
-    own, finer = (
-        propagated(process, e, source, times, more=more)
-        for e, more in zip(pair, (0, ENRICHMENT), strict=True)
-    )
-    return own, finer
 
 
 def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Question, Pair]:
@@ -151,11 +147,15 @@ def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Qu
     return Question(process, source, width, tol), pair
 
 
-def adapted(question: Question, pair: Pair, solve: Callable[[Pair], Solutions]) -> Transition:
-    """Return what ``solve`` gives on meshes cut where they have to be, judged."""
+def adapted(question: Question, pair: Pair, solve: Callable[..., Solution]) -> Transition:
+    """Return what ``solve(elements, more=0)`` gives on meshes cut where they have to be, judged.
+
+    For the enriched solution ``more`` is ``ENRICHMENT``.
+    """
     before, tol, process = math.inf, question.tol, question.process
     for _ in range(MOST_ROUNDS):
-        solved, own, rounding = judged(question, *solve(pair))
+        solutions = solve(pair[0], more=0), solve(pair[1], more=ENRICHMENT)
+        solved, own, rounding = judged(question, *solutions)
         marked = own > np.maximum(0.1 * tol / own.size, rounding)
         small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < STALLED * before
         if small or not marked.any() or marked.size > MOST_ELEMENTS:

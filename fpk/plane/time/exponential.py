@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from fpk.arrays import Array, Integers
+from fpk.arrays import EPS, Array, Integers
 from fpk.errors import NotCertified
 
 RATIO = 30.0
@@ -16,6 +16,8 @@ POLE = 0.03
 """Shift γ over the largest time. A rational function of one pole approximates e^(−x) on the whole
 half-axis with an error that falls by (√2 − 1) a degree (Andersson 1981), of a pole of this order,
 so that the number of solves does not depend on the mesh."""
+KRYLOV = 1e-2
+"""Fraction of the tolerance of an answer to which e^(tA) is computed."""
 CHUNK = 8
 """Dimensions by which a space grows; the answer without the last ones gives the error."""
 MOST = 160
@@ -31,7 +33,6 @@ DECAYED = 1e-200
 LARGEST = 20.0
 """Largest growth of a mode of a small space, whose numerical range leans into the right half plane;
 e^20 of anything is far from converged, and NaN says so."""
-EPS = float(np.finfo(float).eps)
 
 
 class Evolved(NamedTuple):

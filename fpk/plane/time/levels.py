@@ -10,7 +10,7 @@ from fpk.arrays import Array
 from fpk.plane.solution import Nodes, PlaneSolution
 from fpk.plane.time.domain import Domain, Rectangle
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.weight import Weight
+from fpk.plane.weight import BEYOND, Weight
 from fpk.process import Process
 
 LEVELS = ((3, 7), (4, 9), (5, 11), (6, 13), (8, 14), (11, 15))
@@ -21,8 +21,6 @@ contains what ending the mesh costs."""
 MARGIN = 3.0
 """Rise of −ln w beyond that of the far edges up to which it is followed: in the corner of a mesh it
 may rise by hundreds, and elements over which it rises by 40 have singular matrices."""
-BEYOND = 1e-3
-"""Fraction of the tolerance that w falls to at the far edges of the first level."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,10 +18,10 @@ from fpk.number import Number
 from fpk.observable import number_text
 from fpk.plane.solution import Nodes, graded
 from fpk.plane.time.domain import Domain, Rectangle, Triangle
-from fpk.plane.time.exponential import evolved, factorised, relative_residual
+from fpk.plane.time.exponential import KRYLOV, evolved, factorised, relative_residual
 from fpk.plane.time.levels import Frame, operators
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.start import PointStart, Start
+from fpk.plane.time.view import PointStart, Start
 
 FOLDS = 5.0
 """Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
@@ -34,8 +34,6 @@ TOO_RARE = "so rare a failure takes more equations than fit into memory; take a 
 VECTORS = 8
 """Arnoldi vectors for the failure rate: of a rare failure, far below all other rates, two would do.
 """
-KRYLOV = 1e-2
-"""Fraction of the tolerance to which the reliability is computed in its norm."""
 ROUNDING = 4.0
 """Multiple of the change by a step of iterative refinement that is stated as round-off."""
 SHARE = 0.1

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigs
 
-from fpk.arrays import Array, Complexes
+from fpk.arrays import EPS, Array, Complexes
 from fpk.certificate import Measured, certify
 from fpk.dynamics import Rates
 from fpk.errors import NotCertified
@@ -17,7 +17,7 @@ from fpk.plane.time.operator import PlaneOperator
 VECTORS = (4, 30)
 """Arnoldi vectors: so many times those sought, and so many more. Rates of the same size are common,
 of modes that decay alike, and a small space may miss one."""
-ROUNDING = 50.0 * float(np.finfo(float).eps)
+ROUNDING = 50.0 * EPS
 """Round-off of an eigenvalue of the shifted inverse, relative to its largest."""
 HEIGHT = 8.0
 """Rise of −ln w by which meshes are longer than for densities: modes grow with the energy."""

@@ -6,16 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import SMALLEST, Array
 from fpk.certificate import Measured, certify
-from fpk.evolution import Transient
-from fpk.number import SMALLEST
+from fpk.evolution import UNRESOLVED, Transient
 from fpk.plane.solution import Nodes, graded
-from fpk.plane.time.exponential import Evolved, evolved
+from fpk.plane.time.exponential import KRYLOV, Evolved, evolved
 from fpk.plane.time.levels import Frame, operators
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.start import PointStart, Start
-from fpk.plane.time.view import View
+from fpk.plane.time.view import PointStart, Start, View
 
 HEIGHT = 12.0
 """Largest rise of −ln w up to a start: errors of p grow by the root of its exponential, here 400.
@@ -25,13 +23,9 @@ SHARE = 0.05
 their difference crosses zero."""
 ROUNDING = 8.0
 """Multiple of the estimated relative round-off that is stated: up to 3 times it was measured."""
-UNRESOLVED = 0.1
-"""L1 distance of two levels above which neither resolves the density: the error is unknown."""
 GIVEN_UP = (13, 0.5)
 """Degree from which on an L1 distance larger than that ends the search: the last level resolves
 times a quarter as long, and no shorter ones."""
-KRYLOV = 1e-2
-"""Fraction of the tolerance to which e^(tA) is computed."""
 
 
 class Level(NamedTuple):
