@@ -43,7 +43,7 @@ def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
     checked_times(times, positive=True)
     if {c.kind for c in observable} <= {"q", "p"}:
         posed = _posed(modes, _pair(modes, range(modes.n)), start, tol)
-        return _state_transient(modes, *posed, asked)
+        return state_transient(modes, *posed, asked)
     rows = observed_modes(observable)
     pair = _pair(modes, rows or range(modes.n))
     if rows == pair[::-1]:
@@ -128,7 +128,7 @@ def _frame(process: Process, tol: float) -> Frame:
     return Frame(process, solve_plane(process, tol=max(share * tol, least)))
 
 
-def _state_transient(
+def state_transient(
     modes: ModalAnalysis, frame: Frame, start: Start, asked: DensityQuestion
 ) -> Transient:
     """Return the densities of one or two of (q, p) of two modes.
