@@ -5,6 +5,7 @@ of a false alarm.
 """
 
 from collections.abc import Iterator, Sequence
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ def _survivals(a: Passage, b: Passage) -> list[tuple[Array, Array]]:
         S, error = pairs[own]
         expected = np.clip(pairs[1 - own][0], 0.0, 1.0)
         # S(1 − S)/paths is the square of the error, or the error one path where none or all failed.
-        sure = error > 0.0  # not at the start, which all paths survive
+        sure = (error > 0.0) & (error < inf)  # not at the start, which all survive, nor unknown
         square = np.where((S > 0.0) & (S < 1.0), S * (1.0 - S), error)
         paths = np.max(square[sure] / error[sure] ** 2, initial=1.0)
         pairs[own] = S, np.maximum(error, np.sqrt(expected * (1.0 - expected) / paths))

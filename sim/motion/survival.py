@@ -63,11 +63,12 @@ def passage_of(
     error, bias = errors_of(sampled, times, begin, best)
     exposure = float(np.sum(np.minimum(fine, until)))
     followed = float(np.max(until))
-    if followed < settled + memory and sampled.failed < fine.size:
-        # The rate until then says nothing of later.
+    rough = _too_rough(times, best, error, bias)
+    soon = begin < memory or followed < settled + memory
+    if soon and sampled.failed < fine.size:
+        # A rate that the start is in says nothing of later.
         best[:3], error[:3] = (nan if settled < inf else best[:3]), inf
         error[3:][times > followed] = inf
-    rough = _too_rough(times, best, error, bias)
     if too_soon := _too_soon(fine[fine <= until], step):
         error[:] = inf
     measured = Measured(

@@ -203,6 +203,17 @@ def test_a_number_that_the_step_makes_is_not_certified() -> None:
     assert not any("changes by" in words for words in answer.certificate.failures)
 
 
+def test_no_rate_is_given_from_a_time_in_which_the_start_is_not_forgotten() -> None:
+    """From t = 1 on the rate is 1, and before 0: 150 of 1000 have failed when they are cut."""
+    fine = np.append(1.0 - np.log1p(-np.arange(150) / 1000.0), np.full(850, inf))
+    until, times = np.full(1000, 1.163), np.array([1.1, 20.0])
+    known: Any = {"limit": "q1=1", "step": 0.001, "tol": inf, "failures": (), "settings": {}}
+    cut = passage_of(Times(fine, fine, until), times, memory=1.1, **known)
+    assert cut.rate is None and cut.mean.error == inf == cut.survival_error[1]
+    assert cut.survival[0] == pytest.approx(np.exp(-0.1), abs=2e-3)
+    assert not cut.certificate.certified
+
+
 @pytest.mark.parametrize(("error", "certified"), [(0.1, True), (0.11, False), (inf, False)])
 def test_a_probability_that_is_known_to_tenths_only_is_not_certified(
     error: float, certified: bool
