@@ -161,7 +161,7 @@ CONSTANTS = {
         f"a damping ratio below {refinement.LIGHT} it is not",
         f"less than {refinement.KEPT_WHERE_LIGHT} of the one before",
         f"{refinement.COMMON} of the largest",
-        f"with |g| at least {short(resolvent.SEEN)} of the whole",
+        f"from {resolvent.BLOCK} random vectors",
         f"Velocities are followed {mesh.BEYOND} kicks of noise",
         f"{first_passage.SAFETY:g} times the distance of the last two,"
         f" or {first_passage.SAFETY * first_passage.SHARE:g} times the largest relative one",

@@ -120,21 +120,21 @@ class PhaseSpace(StationaryMotionMethod, Theory):
             observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
         ) -> Result:
             with _breakdowns():
-                ladder = solved_to(
+                ladder, best = solved_to(
                     frame,
                     observables,
                     tol=self.tol,
-                    accepted=self.accepted,
                     bounds=self._bounds,
                     threads=self.threads,
                     progress=progress,
                     reference=self.reference,
                 )
-            if self.accepted and (worst := max(ladder.errors.values())) > self.accepted:
+            worst = max(own.errors[o] for o, own in best.items())
+            if self.accepted and worst > self.accepted:
                 raise NotCertified(f"an L1 error of {worst:.1g} was reached: {ladder.limit}")
             return Result(
                 self,
-                tuple(density_of(ladder, o, self.accepted or self.tol) for o in observables),
+                tuple(density_of(best[o], o, self.accepted or self.tol) for o in observables),
                 identities=identities(ladder),
                 settings=settings_of(ladder),
                 beside=tuple(density_of(ladder.with_error_of(o), o, inf) for o in beside),
@@ -171,11 +171,10 @@ class PhaseSpace(StationaryMotionMethod, Theory):
             minimum=float(np.min(values.real / np.abs(values))),
             residual=stationary.residual,
             tail_mass=stationary.tail_mass,
-            failures=(answer.limit,) if answer.limit else (),
+            failures=tuple(words for words in (answer.last.missing, answer.limit) if words),
         )
         certificate = certify(measured, tol=options.tol)
-        settings = settings_of(answer.ladder) | {"sought_up_to_the_modulus": answer.last.end}
-        return Rates(values, answer.errors, certificate, settings)
+        return Rates(values, answer.errors, certificate, settings_of(answer.ladder))
 
     def _curve(
         self,

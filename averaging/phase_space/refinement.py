@@ -147,7 +147,6 @@ def ladders(
     frame: Frame,
     observables: Sequence[Observable],
     *,
-    wanted: float,
     bounds: Bounds,
     threads: int | None,
     progress: Progress,
@@ -155,8 +154,8 @@ def ladders(
 ) -> Iterator[Ladder]:
     """Yield solutions of rising degrees, each with the one before it.
 
-    The last one is yielded again with what ends them: ``bounds``, or that not even the L1 error
-    ``wanted`` can be met within them. ``threads`` and ``reference`` as of ``PhaseSpace``.
+    They do not depend on the error that is wanted. The last one is yielded again with what ends
+    them. ``threads`` and ``reference`` as of ``PhaseSpace``.
     """
     about, memory = reference or start(frame), 1e9 * bounds.memory
 
@@ -192,9 +191,7 @@ def ladders(
                 factors = {o: f.error / own[o] if own[o] > 0.0 else 0.0 for o, f in fall.items()}
                 ladder = Ladder(frame, finest, coarser, errors, factors, "", solutions)
                 yield ladder
-                if limit := why_not(degrees) or _out_of_reach(
-                    frame, fall, wanted, degrees, why_not
-                ):
+                if limit := why_not(degrees):
                     yield replace(ladder, limit=limit)
                     return
             coarser = finest
@@ -205,48 +202,39 @@ def solved_to(
     observables: Sequence[Observable],
     *,
     tol: float,
-    accepted: float | None = None,
     bounds: Bounds,
     threads: int | None = None,
     progress: Progress,
     reference: Reference | None = None,
-) -> Ladder:
-    """Return the first solution whose L1 errors of all ``observables`` are at most ``tol``.
+) -> tuple[Ladder, dict[Observable, Ladder]]:
+    """Return the last solution, and for each observable the one of the least L1 error.
 
-    Else the last one that ``ladders`` gives, where the error ``accepted`` is wanted.
+    Solutions end where these errors are at most ``tol``, or with the last one of ``ladders``.
     """
+    best: dict[Observable, Ladder] = {}
     for ladder in ladders(
         frame,
         observables,
-        wanted=accepted or tol,
         bounds=bounds,
         threads=threads,
         progress=progress,
         reference=reference,
     ):
-        if max(ladder.errors.values()) <= tol:
-            return ladder
-    return ladder
+        best = {o: better(best.get(o, ladder), ladder, o) for o in observables}
+        if max(best[o].errors[o] for o in observables) <= tol:
+            break
+    limit, solutions = ladder.limit, ladder.solutions
+    return ladder, {o: replace(own, limit=limit, solutions=solutions) for o, own in best.items()}
 
 
-def _out_of_reach(
-    frame: Frame,
-    fall: dict[Observable, Falling],
-    wanted: float,
-    degrees: Degrees,
-    why_not: Callable[[Degrees], str],
-) -> str:
-    """Say that even the most that is believed of what is allowed does not meet ``wanted``.
+def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
+    """Return the earlier ladder if its density has the smaller error and the later one agrees.
 
-    ``degrees`` are the next ones; the degree in the others may stay as it is.
+    The density of the later solution, which is finer, is then within the error of the earlier one.
     """
-    best, share = SAFETY * max(f.distance for f in fall.values()), kept(frame)
-    while best > wanted:
-        if why := why_not(degrees):
-            return f"the tolerance {wanted:.2g} is out of reach: {why}"
-        degrees = finer(frame, degrees, 0)
-        best *= share
-    return ""
+    a, b = (ladder.errors[observable] for ladder in (earlier, later))
+    agreed = a <= b and _distance(later.frame, earlier.finest, later.finest, observable) <= a
+    return earlier if agreed else later
 
 
 def steps(progress: Progress, what: str, degrees: Degrees) -> Callable[[float], None]:

@@ -188,8 +188,6 @@ def rates_text(record: Record) -> str:
     """Return the rates, their frequencies and errors in columns."""
     rows = zip(record["rates"], record["frequencies"], record["errors"], strict=True)
     lines = [_row([rate, frequency], error) for rate, frequency, error in rows]
-    end = record["settings"].get("sought_up_to_the_modulus")
-    lines += [f"# rates of a modulus above {end:.3g} may be missing"] if end else []
     unit = bracketed((record.get("units") or {}).get("rates", ""))
     return "\n".join([f"# rate{unit}   angular frequency{unit}   numerical error", *lines])
 

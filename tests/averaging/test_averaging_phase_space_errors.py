@@ -7,10 +7,11 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from test_averaging_phase_space import FIG6, STOP, drawn
+from test_averaging_phase_space import FIG6, STOP, common, drawn, stop
 
 import fpk
 from averaging.phase_space import refinement
+from averaging.phase_space.densities import density_of
 from averaging.phase_space.dynamics import answer
 from averaging.phase_space.equation import elimination
 from averaging.phase_space.equation.basis import basis
@@ -19,6 +20,7 @@ from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import WORK, Bounds, Ladder, ladders
+from fpk.density import l1_distance
 from fpk.errors import InvalidInput, NotCertified
 from fpk.method import silent
 from fpk.observable import parse_observable
@@ -39,7 +41,6 @@ def solutions(system, work, *, observables=SINGLE, threads=None) -> Iterator[Lad
     found = ladders(
         contact_frame(system),
         observables,
-        wanted=np.inf,
         bounds=Bounds.of(4.0, work),
         threads=threads,
         progress=silent,
@@ -86,6 +87,75 @@ def test_errors_with_light_damping_are_within_the_stated_ones(B, clearance, fact
     *coarser, finest = solutions(lighter(B, clearance, factor), 2.2e12)
     assert len(coarser) >= 3
     assert not understated(coarser, finest)
+
+
+def with_term(coefficient, **powers):
+    """One mass with a bilinear stop, damped by 0.05 + ``coefficient`` times ``powers`` of v."""
+    term = fpk.DampingTerm(1, 1, coefficient, **powers)
+    contacts = stop(1, "right", 3.0, 0.0, law="bilinear")
+    return fpk.System([1.0], [1.0], [0.05], [0.2], contacts=contacts, damping_terms=(term,))
+
+
+rng = np.random.default_rng(20261126)
+TWELVE = {
+    "one mass": common(stop(1, "left", 10.0, 0.3), mass=(1.0,)),
+    "one mass, v²": with_term(0.3, v=((1, 2),)),
+    "one mass, |v| of fourth power": with_term(0.02, v=((1, 4),)),
+    "Fig. 6": SYSTEM,
+    "Fig. 6, soft stop": lighter(1.0, 0.5, 1),
+    "Fig. 6, near stop": lighter(10.0, 0.1, 1),
+    "Fig. 6, half the damping": lighter(10.0, 1.0, 2),
+    "Fig. 6, a tenth of the damping": lighter(10.0, 0.5, 10),
+    "far power stop on the left": fpk.System(
+        [0.71, 1.575], [0.353, 0.381], [0.0486, 0.0261], [0.04443, 0.01799],
+        contacts=stop(1, "left", 27.44, 1.9854, law="power", exponent=2.5),
+    ),
+    "Fig. 8(b), far stops": lighter(10.0, 1.5, 1),
+    "random": drawn(rng)[0],
+    "random, unlike temperatures": drawn(rng, coldest=0.1)[0],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "work"),
+    [("one mass", 1e6), ("one mass, v²", 1e8)]
+    + [pytest.param(name, 2e11, marks=pytest.mark.slow) for name in TWELVE],
+)
+def test_a_smaller_tolerance_gives_no_larger_error_and_none_below_the_true_one(
+    name, work, monkeypatch
+):
+    made, solve, system = {}, refinement.expanded, TWELVE[name]
+
+    def expanded(frame, about, degrees, **options):
+        # Solutions do not depend on the tolerance.
+        if degrees not in made:
+            made[degrees] = solve(frame, about, degrees, **options)
+        return made[degrees]
+
+    monkeypatch.setattr(refinement, "expanded", expanded)
+    observables = [parse_observable(f"{kind}{i + 1}", system.n) for kind in "qp"
+                   for i in range(system.n)]  # fmt: skip
+    *_, finest = solutions(system, 8.0 * work, observables=observables)
+    references = [density_of(finest, o, np.inf) for o in observables]
+    before = np.full(len(observables), np.inf)
+    for tol in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
+        answers = PhaseSpace(tol=tol, work=work).solve(system, observables).densities
+        errors = np.array([p.l1_error for p in answers])
+        assert np.all(errors <= 1.01 * before)
+        distances = [l1_distance(p, q) for p, q in zip(answers, references, strict=True)]
+        assert np.all(distances <= errors)
+        before = errors
+
+
+def test_an_earlier_density_is_kept_unless_a_later_one_contradicts_it(monkeypatch):
+    coarse, fine = islice(solutions(SYSTEM, 1e11, observables=SINGLE[:1]), 2)
+    (o,), distance = SINGLE[:1], refinement._distance
+    own = distance(coarse.frame, coarse.finest, fine.finest, o)
+    for error, kept in ((1.01 * own, coarse), (0.99 * own, fine)):
+        first = replace(coarse, errors={o: error})
+        worse, better = (replace(fine, errors={o: x * error}) for x in (2.0, 0.5))
+        assert refinement.better(first, worse, o).finest is kept.finest
+        assert refinement.better(first, better, o) is better
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])

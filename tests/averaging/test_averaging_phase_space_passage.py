@@ -197,6 +197,7 @@ def test_units_and_gain():
         (HERTZ, "H=1", "H=1", InvalidInput, "beyond the limit"),
         (HERTZ, "q1=1", "q1=-1", InvalidInput, "beyond the limit"),
         (HERTZ, "H=40", "rest", NotCertified, "hardly ever"),
+        (HERTZ, "q1=1", "p1=9", NotCertified, "energy of the start is hardly ever"),
     ],
 )  # fmt: skip
 def test_refusals_are_one_line(system, limit, start, error, words):
@@ -230,3 +231,76 @@ def test_simulation_agrees_within_its_errors(system, limit, start):
     assert abs(sampled.mean.value - solved.mean.value) < 4.5 * sampled.mean.error
     off = np.abs(sampled.survival - solved.survival)
     assert np.all(off <= 4.5 * sampled.survival_error + solved.survival_error)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "limit"),
+    [(8.455e6, 0.0853), (8.455e3, 0.3), pytest.param(8.455e6, 0.2, marks=pytest.mark.slow)],
+)
+def test_a_limit_at_or_beyond_a_steep_stop_is_passed_on_the_other_side(stiffness, limit, capfd):
+    stop = Contact(1, "right", stiffness, 0.0853, "power", 3.0)
+    system = System([0.856], [6.83], [0.903], [0.498], contacts=(stop,))
+    coarse, fine = (ask(system, f"q1={limit}", times=[1.0], tol=tol) for tol in (3e-2, 1e-3))
+    assert coarse.certificate.certified and fine.certificate.certified
+    for name in ("mean", "variance", "rate"):
+        a, b = getattr(coarse, name), getattr(fine, name)
+        assert abs(a.value - b.value) <= a.error + b.error
+    assert np.all(np.abs(coarse.survival - fine.survival) <= coarse.survival_error)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_layer_of_motion_beyond_a_steep_stop_is_within_the_error():
+    # The overlap in which the stop turns a kick of noise back is a hundredth of the amplitude.
+    stop = Contact(1, "right", 9633.055295041624, 0.0, "hertz")
+    system = System([0.33811676], [1.47493708], [1.23676378], [0.05087863], contacts=(stop,))
+    coarse, fine = (ask(system, "H=0.046", tol=tol) for tol in (1e-5, 1e-7))
+    assert coarse.certificate.certified and fine.certificate.certified
+    assert abs(coarse.mean.value - fine.mean.value) <= coarse.mean.error + fine.mean.error
+
+
+def drawn(rng):
+    """One mass with a stop on one side, the limit before, at or beyond it, and a start."""
+    mass, stiffness = 10.0 ** rng.uniform(-1.0, 1.0, 2)
+    T = 10.0 ** rng.uniform(-2.0, 1.0)
+    width = np.sqrt(T / stiffness)
+    damping = 2.0 * 10.0 ** rng.uniform(-2.3, 0.0) * np.sqrt(mass * stiffness)
+    law, power = [("hertz", 1.5), ("bilinear", 1.0), ("power", 1.2), ("power", 3.0)][
+        rng.integers(4)
+    ]
+    # The force of the stop at one width of overlap, over that of the spring.
+    steepness = 10.0 ** rng.uniform(0.0, 6.0)
+    clearance = float(rng.choice([0.0, rng.uniform(0.0, 2.0) * width]))
+    stop = Contact(
+        mass=1, side=str(rng.choice(["left", "right"])), law=law, clearance=clearance,
+        stiffness=steepness * stiffness * width ** (1.0 - power),
+        **({"exponent": power} if law == "power" else {}),
+    )  # fmt: skip
+    system = System([mass], [stiffness], [damping], [damping * T], contacts=(stop,))
+    places = [0.8 * clearance, clearance, clearance + rng.uniform(0.1, 2.0) * width]
+    b = float(rng.choice([x for x in places if x > 0.0]))
+    limit = f"q1={b}" if rng.random() < 0.75 else f"H={0.5 * stiffness * b * b}"
+    state = f"q1={rng.uniform(-0.9, 0.9) * b},p1={rng.normal() * np.sqrt(mass * T)}"
+    energy = f"H={rng.uniform(0.05, 0.9) * 0.5 * stiffness * b * b}"
+    return system, limit, str(rng.choice(["rest", state, energy])), np.sqrt(stiffness / mass)
+
+
+@pytest.mark.slow
+def test_random_stops_on_one_side_are_solved_within_the_error_or_refused(capfd):
+    rng, solved = np.random.default_rng(20261126), 0
+    for _ in range(60):
+        system, limit, start, frequency = drawn(rng)
+        try:
+            coarse, fine = (ask(system, limit, start, tol=tol) for tol in (1e-2, 1e-4))
+        except (InvalidInput, NotCertified) as reason:
+            assert "\n" not in str(reason)
+            continue
+        for name in ("mean", "variance", "rate"):
+            a, b = getattr(coarse, name), getattr(fine, name)
+            assert abs(a.value - b.value) <= a.error + b.error
+        solved += coarse.certificate.certified
+        if coarse.certificate.certified and solved % 5 == 0 and coarse.mean.value * frequency < 60:
+            sampled = ask(system, limit, start, method=MonteCarlo(paths=4000, seed=3))
+            allowed = 5.0 * sampled.mean.error + coarse.mean.error
+            assert abs(sampled.mean.value - coarse.mean.value) < allowed
+    assert solved >= 45
+    assert capfd.readouterr().out == ""

@@ -30,8 +30,8 @@ class Compared:
     """Values by the last solution of a ladder, and their ``distance`` to those by the one before.
 
     ``scale`` is what a tolerance is relative to. ``added`` is an error beside the one that follows
-    from the distance, ``residual`` that of equations beyond those of the densities; ``end``
-    is the modulus up to which eigenvalues are known.
+    from the distance, ``residual`` that of equations beyond those of the densities; ``missing``
+    says which values may not be those asked for, empty where all are.
     """
 
     values: Array | Complexes
@@ -39,7 +39,7 @@ class Compared:
     scale: Array
     added: Array | float = 0.0
     residual: float = 0.0
-    end: float = np.inf
+    missing: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,45 +82,51 @@ def adapted(
     *,
     number: int = COMPLEX,
 ) -> Answer:
-    """Return the first answer with a relative error of at most the tolerance, else the finest one.
+    """Return the first answer with a relative error of at most the tolerance, else the best one.
 
     ``number`` is how many bytes a number of the resolvent's elimination has.
 
-    The error follows from the largest relative distance as that of densities does, which are solved
-    to the tolerance before.
+    The error follows from the largest relative distance as that of densities does, which meet the
+    tolerance, too, unless there is no finer solution.
     """
     answer, fall = None, None
     for ladder in ladders(
         frame,
         observables,
-        wanted=options.tol,
         bounds=options.bounds,
         threads=options.threads,
         progress=options.progress,
         reference=options.reference,
     ):
-        if max(ladder.errors.values()) > options.tol and not ladder.limit:
-            continue
-        if answer is not None and ladder.finest is answer.ladder.finest:
-            # Yielded again, as there is no finer one.
-            return replace(answer, limit=ladder.limit)
         e = ladder.finest
         size, work = cost(e.basis, e.degrees, number=number)
         # A product of complex numbers takes four of real ones.
-        limit = options.bounds.refusal(size, (number / REAL) ** 2 * work)
+        limit = ladder.limit or options.bounds.refusal(size, (number / REAL) ** 2 * work)
         if answer is not None and limit:
-            return replace(answer, limit=limit)
+            # A ladder with a limit is yielded again, as there is no finer one.
+            return replace(answer, limit="" if answer.relative <= options.tol else limit)
         last = compare(ladder, options.progress)
         own = float(np.max(last.distance / last.scale))
         fall = falling(own, fall, kept(frame))
         factor = fall.error / own if own > 0.0 else 0.0
         errors = factor * last.distance + last.added + ROUND_OFF * last.scale
-        answer = Answer(last, ladder, np.broadcast_to(errors, last.distance.shape), "")
-        if answer.relative <= options.tol:
+        later = Answer(last, ladder, np.broadcast_to(errors, last.distance.shape), "")
+        answer = later if answer is None else better(answer, later)
+        if max(answer.relative, *ladder.errors.values()) <= options.tol:
             return answer
-        answer = replace(answer, limit=ladder.limit)
     assert answer is not None
     return answer
+
+
+def better(earlier: Answer, later: Answer) -> Answer:
+    """Return the earlier answer if its error is the smaller one and the later one agrees with it.
+
+    The values of the later answer, of a finer solution, are then within the errors of the earlier.
+    """
+    a, b = ((bool(x.last.missing), x.relative) for x in (earlier, later))
+    u, v = earlier.last.values, later.last.values
+    agreed = u.shape == v.shape and bool(np.all(np.abs(u - v) <= earlier.errors))
+    return earlier if a <= b and agreed else later
 
 
 def deviations(frame: Frame, e: Expansion, row: int) -> tuple[float, float]:

@@ -1,12 +1,14 @@
-"""Spectra, autocovariances and relaxation rates: of what displacements show of the FPK operator."""
+"""Spectra and autocovariances of displacements, and relaxation rates, of the FPK operator."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from averaging.phase_space.dynamics.answer import (
+    COMPLEX,
     REAL,
     Answer,
     Compared,
@@ -15,15 +17,16 @@ from averaging.phase_space.dynamics.answer import (
     deviations,
 )
 from averaging.phase_space.dynamics.resolvent import (
+    DISCS,
     Generator,
     Step,
     decays,
-    rates_in,
+    slowest_rates,
     times,
     transforms,
 )
 from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.elimination import Expansion
+from averaging.phase_space.equation.elimination import Expansion, cost
 from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.marginals import Form, form_of
 from averaging.phase_space.moments import moments
@@ -36,8 +39,6 @@ Value = TypeVar("Value")
 
 SPACE = 1e-3
 """Share of the tolerance at which the space that a correlation is taken from is large enough."""
-SAME = 1e-6
-"""Relative distance of two rates of different correlations that are one."""
 
 
 def spectrum(frame: Frame, row: int, at: Array, options: Options) -> Answer:
@@ -99,50 +100,38 @@ def correlation(frame: Frame, row: int, at: Array, options: Options) -> Answer:
 
 
 def relaxation(frame: Frame, count: int, options: Options) -> Answer:
-    """Return the ``count`` slowest rates λ of correlations, Im λ >= 0; their scale is |λ|.
+    """Return the ``count`` slowest eigenvalues λ of −L, Im λ >= 0; their scale is |λ|.
 
-    Of those that the correlations of displacements with themselves show, and those of their
-    squares: e^(−λt) with a share of ``SEEN`` and more. They are eigenvalues of −L. The distance of
-    each is that to the nearest one of the coarser solution.
+    Each stands as often as it occurs. The distance of each is that to the rate of the coarser
+    solution that it is paired with: all pairs are the nearest.
     """
     momentum = (Coordinate("p", frame.contact),)
 
-    def measured(e: Expansion, progress: Progress) -> tuple[Complexes, float]:
+    def measured(e: Expansion, progress: Progress) -> tuple[Complexes, str]:
         step = steps(progress, "relaxation", e.degrees)
-        odd = Generator.of(frame, e, odd=e.basis.mirrored)
-        even = Generator.of(frame, e, odd=False) if e.basis.mirrored else odd
-        stationary = even.packed(e.levels)
-        solve, answers = odd.resolvent(0.0, step), []
-        for row in range(frame.n):
-            c, b = _displaced(frame, e, row, odd)
-            answers.append(rates_in(solve, c, b))
-        solve = even.resolvent(0.0, step) if e.basis.mirrored else solve
-        for row in range(frame.n):
-            form = _form(frame, e, row)
-            c, b = (
-                times(odd.functions, odd.shaped(x), form, even)
-                for x in _displaced(frame, e, row, odd)
-            )
-            mean = float(even.one @ b[: even.one.size])
-            answers.append(rates_in(solve, c, b - mean * stationary))
-        return np.concatenate([x for x, _ in answers]), min(end for _, end in answers)
+        parities = (True, False) if e.basis.mirrored else (False,)
+        parts = [Generator.of(frame, e, odd=odd, closed=True) for odd in parities]
+        # A product of complex numbers takes four of real ones.
+        work = len(parts) * (COMPLEX / REAL) ** 2 * cost(e.basis, e.degrees, number=COMPLEX)[1]
+        most = min(DISCS, int(options.bounds.work / work))
+        # The largest natural frequency of the linear system with the covariances of the solution.
+        q, v = np.split(moments(frame, e).covariance, 2)
+        squares = np.linalg.eigvals(np.linalg.solve(q[:, : frame.n], v[:, frame.n :]))
+        fastest = float(np.sqrt(squares.real.max()))
+        return slowest_rates(parts, count, fastest, most=most, step=step)
 
     once = _once(measured)
 
     def compare(ladder: Ladder, progress: Progress) -> Compared:
-        (fine, end), (coarse, _) = (once(e, progress) for e in (ladder.finest, ladder.coarser))
-        slowest = _unlike(fine[np.argsort(fine.real)])[:count]
-        distance = np.min(np.abs(slowest[:, None] - coarse), axis=1, initial=np.abs(slowest).max())
-        return Compared(slowest, distance, np.abs(slowest), end=end)
+        rates, missing = once(ladder.finest, progress)
+        slowest = rates[:count]
+        apart = np.abs(slowest[:, None] - once(ladder.coarser, progress)[0])
+        distance = np.abs(slowest)
+        rows, columns = linear_sum_assignment(apart)
+        distance[rows] = apart[rows, columns]
+        return Compared(slowest, distance, np.abs(slowest), missing=missing)
 
     return adapted(frame, [momentum], compare, options)
-
-
-def _unlike(rates: Complexes) -> Complexes:
-    """``rates`` without those that an earlier one equals: several correlations show one rate."""
-    return np.array(
-        [x for k, x in enumerate(rates) if not np.any(np.abs(rates[:k] - x) <= SAME * abs(x))]
-    )
 
 
 def _of_displacement(

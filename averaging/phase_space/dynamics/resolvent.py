@@ -33,10 +33,16 @@ RITZ_VECTORS = 160
 """Vectors of the Krylov space in which eigenvalues are sought."""
 CONVERGED = 1e-8
 """Relative residual of an eigenvalue that counts as one of A."""
-SEEN = 1e-3
-"""Least share of a rate in a correlation. Of the eigenvalues of A, some belong to the truncation:
-functions of y that the slopes of those a level below do not span. On fig6a, with B = 10, their
-shares are 1e-4 at degree 10 and 1e-5 at degree 18, those of all others 1e-3 and more."""
+BLOCK = 4
+"""Random vectors that such a space begins with: eigenvalues of a multiplicity of up to as many are
+found as often as they occur."""
+SAME = 1e-6
+"""Relative distance of two eigenvalues that are one of a multiplicity."""
+OVERLAP = 0.9
+"""Share of the radius about a shift within which eigenvalues count as found there, and of the step
+to the next shift: the unconverged one that ends the radius is known to some digits only."""
+DISCS = 40
+"""Most shifts at which eigenvalues are sought: a minute where eliminations are fast."""
 
 Step = Callable[[float], None]
 """Called with the share of an elimination that is done."""
@@ -55,10 +61,13 @@ class Generator:
     one: Array
 
     @classmethod
-    def of(cls, frame: Frame, e: Expansion, *, odd: bool) -> "Generator":
-        """Return A of the degrees and the reference of an expansion with all levels."""
+    def of(cls, frame: Frame, e: Expansion, *, odd: bool, closed: bool = False) -> "Generator":
+        """Return A of the degrees and the reference of an expansion with all levels.
+
+        ``closed`` as of ``chain_of``: for eigenvalues.
+        """
         functions = basis(frame, e.basis.reference, e.degrees, odd=odd)
-        chain = chain_of(frame, e.basis.reference, functions, e.degrees)
+        chain = chain_of(frame, e.basis.reference, functions, e.degrees, closed=closed)
         return cls(functions, chain, functions.of_one())
 
     def shaped(self, u: Array) -> list[Array]:
@@ -70,7 +79,7 @@ class Generator:
         return np.concatenate([self.chain.packed(n, levels) for n in range(self.chain.top + 1)])
 
     def resolvent(self, shift: complex, step: Step) -> Callable[[Array], Array]:
-        """Return the function b → (s − A)⁻¹ b for s = ``shift``.
+        """Return the function b → (s − A)⁻¹ b for s = ``shift``, b a vector or columns of them.
 
         Of b, which has no mass, what round-off left of it is removed: A is singular at s = 0.
         """
@@ -78,7 +87,7 @@ class Generator:
 
         def solve(b: Array) -> Array:
             right = b.copy()
-            right[: self.one.size] -= self.one * (self.one @ b[: self.one.size])
+            right[: self.one.size] -= np.multiply.outer(self.one, self.one @ b[: self.one.size])
             return -factors.solve(right)
 
         return solve
@@ -141,12 +150,12 @@ def _near(
     first = solve(b)
     size = float(np.linalg.norm(first))
     found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)
-    for V, H, closed in _krylov(solve, first, VECTORS):
-        m = len(H) - 1
+    for V, H, closed in _krylov(solve, first[:, None], VECTORS):
+        m = len(V)
         if m % CHECKED in (0, 1) or closed:
             for k in np.flatnonzero(residuals > RESIDUAL):
                 y = np.linalg.solve(np.eye(m) + away[k] * H[:m], size * np.eye(m)[0])
-                residuals[k] = abs(away[k] * H[m, -1] * y[-1]) / float(np.linalg.norm(y))
+                residuals[k] = abs(away[k]) * np.linalg.norm(H[m:] @ y) / np.linalg.norm(y)
                 found[k] = c @ (y @ V)
             if np.all(residuals <= RESIDUAL):
                 break
@@ -165,7 +174,7 @@ def decays(
     larger one of the last two changes. Raises ``LinAlgError`` where it grows without bound.
     """
     values, changes = np.zeros((2, at.size)), [np.inf, np.inf]
-    for V, H, closed in _krylov(A.resolvent(rate, step), b, RITZ_VECTORS):
+    for V, H, closed in _krylov(A.resolvent(rate, step), b[:, None], RITZ_VECTORS):
         m = len(V)
         if not (m % CHECKED == 0 or closed):
             continue
@@ -190,42 +199,89 @@ def decays(
 def _krylov(
     solve: Callable[[Array], Array], first: Array, most: int
 ) -> Iterator[tuple[Array, Array, bool]]:
-    """Yield for m = 1, …, ``most`` orthonormal V (m, size) and H (m + 1, m) of Arnoldi's method.
+    """Yield orthonormal V (m, size) and H (rows, m) of Arnoldi's method, up to m = ``most``.
 
-    V spans ``first``, B ``first``, …, with B = ``solve``, and H[:m] is B in it; H[m, m − 1] is what
-    leads out of it. The last item is whether nothing does, after which there are no more.
+    V spans the b columns of ``first`` (size, b), the first vector that of the first column, then
+    those of B ``first``, …, with B = ``solve``, b more in each step. H[:m] is B in V, and the rows
+    behind are what leads out of V. The last item is whether nothing does, after which there are no
+    more.
     """
-    V = np.zeros((most + 1, first.size), dtype=first.dtype)
-    H = np.zeros((most + 1, most), dtype=first.dtype)
-    V[0] = first / np.linalg.norm(first)
-    for m in range(1, most + 1):
-        new = solve(V[m - 1])
-        for _ in range(2):
-            part = V[:m].conj() @ new
-            new = new - part @ V[:m]
-            H[:m, m - 1] += part
-        H[m, m - 1] = length = float(np.linalg.norm(new))
-        closed = length <= RESIDUAL * float(np.linalg.norm(H[:m, m - 1]))
-        yield V[:m], H[: m + 1, :m], closed
-        if closed:
-            return
-        V[m] = new / length
+    b, rows, m = first.shape[1], first.shape[1], 0
+    V = np.zeros((most + b, len(first)), dtype=first.dtype)
+    H = np.zeros((most + b, most), dtype=first.dtype)
+    Q, R = np.linalg.qr(first)
+    V[:b] = (Q * np.sign(np.diag(R).real)).T
+    while m < min(rows, most):
+        for new in solve(V[m : min(rows, most)].T).T:
+            for _ in range(2):
+                part = V[:rows].conj() @ new
+                new = new - part @ V[:rows]
+                H[:rows, m] += part
+            length = float(np.linalg.norm(new))
+            if length > RESIDUAL * float(np.linalg.norm(H[:rows, m])):
+                H[rows, m], V[rows] = length, new / length
+                rows += 1
+            m += 1
+        yield V[:m], H[:rows, :m], m == rows
 
 
-def rates_in(solve: Callable[[Array], Array], c: Array, b: Array) -> tuple[Complexes, float]:
-    """Return the rates λ that c·e^(At) b falls with, Im λ >= 0, and the |λ| up to which.
+def eigenvalues(A: Generator, at: float, step: Step) -> tuple[Complexes, float]:
+    """Return eigenvalues λ of −A, and the |λ − iω| up to which all are among them, ω = ``at``.
 
-    Σ g_j e^(−λ_j t): those with |g_j| of at least ``SEEN`` of the sum. They are the eigenvalues of
-    −A in the Krylov space of (−A)⁻¹, ``solve``, and b, whose nearest to 0 converge first; where one
-    with as large a g has not converged, what lies beyond it is not known.
+    Each as often as it occurs, up to ``BLOCK`` times, by Arnoldi's method with (iω − A)⁻¹ from as
+    many random vectors: eigenvalues nearest to iω converge first.
     """
-    *_, (V, H, closed) = _krylov(solve, b, RITZ_VECTORS)
-    m = len(V)
-    theta, W = np.linalg.eig(H[:m])
-    parts = np.linalg.solve(W, np.eye(m)[0]) * np.linalg.norm(b)
-    seen = np.abs((V @ c) @ W * parts) >= SEEN * abs(c @ b)
-    residual = np.zeros(m) if closed else np.abs(H[m, -1] * W[-1]) / np.abs(theta)
-    rates = 1.0 / theta[seen]
-    converged = residual[seen] <= CONVERGED
-    beyond = float(np.min(np.abs(rates[~converged]), initial=np.inf))
-    return rates[converged & (rates.imag >= 0.0) & (np.abs(rates) < beyond)], beyond
+    solve = A.resolvent(1j * at if at else 0.0, step)
+    random = np.random.default_rng(0).normal(size=(A.chain.ends[-1], BLOCK))
+    *_, (V, H, _) = _krylov(solve, solve(random), RITZ_VECTORS)
+    theta, W = np.linalg.eig(H[: len(V)])
+    rounding = np.finfo(float).eps * np.max(np.abs(theta))
+    known = np.abs(theta) > rounding
+    theta, residual = theta[known], np.linalg.norm(H[len(V) :] @ W, axis=0)[known] + rounding
+    away = 1.0 / np.abs(theta)
+    radius = OVERLAP * float(np.min(away[residual * away > CONVERGED], initial=np.inf))
+    # θ is 1/(iω + λ); the conjugate of each λ is an eigenvalue of −A, too.
+    return np.asarray(1.0 / theta - 1j * at, dtype=complex).conj()[away < radius], radius
+
+
+def slowest_rates(
+    parts: Sequence[Generator], count: int, fastest: float, *, most: int, step: Step
+) -> tuple[Complexes, str]:
+    """Return eigenvalues λ of −A of all ``parts``, Im λ >= 0, in ascending order of Re λ.
+
+    The ``count`` slowest of all are the first ones, unless the words behind say what is missing.
+    Eigenvalues are sought in discs that follow each other along the imaginary axis, at most
+    ``most`` of them, up to the largest natural frequency ``fastest`` and until no rate as slow can
+    lie above: rates of a linear system are sums of rates of its modes, so that Im λ/Re λ of none is
+    more than that of a mode.
+    """
+    rates, discs, at = np.zeros(0, dtype=complex), list[tuple[float, float]](), 0.0
+    while True:
+        near = [eigenvalues(A, at, step) for A in parts]
+        new, radius = np.concatenate([x for x, _ in near]), min(r for _, r in near)
+        inside = (np.abs(new - 1j * at) < radius) & (new.imag >= -SAME * np.abs(new))
+        apart = [np.abs(new - 1j * w) >= r for w, r in discs]
+        new = new[np.all([inside, *apart], axis=0)]
+        rates = np.concatenate([rates, new.real + 1j * np.abs(new.imag)])
+        # Sums of rates often have equal real parts, but for round-off.
+        scale = SAME * float(np.min(np.abs(rates), initial=np.inf))
+        rates = rates[np.lexsort((rates.imag, np.round(rates.real / scale)))]
+        discs.append((at, radius))
+        slowest = float(np.max(rates.real[:count], initial=0.0))
+        # Half the lengths of the line Re λ = slowest within the discs, and its end without a gap.
+        halves = [np.sqrt(max(r**2 - slowest**2, 0.0)) for _, r in discs]
+        end = 0.0
+        for (w, _), half in sorted(zip(discs, halves, strict=True)):
+            end = max(end, w + half) if w - half <= end else end
+        steepest = float(np.max(rates.imag / rates.real, initial=0.0))
+        if rates.size >= count and end >= max(fastest, slowest * steepest):
+            same = np.abs(rates[:count, None] - rates) <= SAME * np.abs(rates)
+            often = rates[:count][np.sum(same, axis=1) >= BLOCK]
+            words = [f"the rate {rate:.3g} occurs {BLOCK} times or more" for rate in often[:1]]
+            return rates, "".join(words)
+        if min(halves) == 0.0 or len(discs) >= most:
+            if not rates.size:
+                raise np.linalg.LinAlgError("no relaxation rate is found")
+            found = f"{min(rates.size, count)} of {count} rates are found"
+            return rates, f"{found}: rates of angular frequencies above {end:.3g} are not sought"
+        at = end + OVERLAP * min(halves)

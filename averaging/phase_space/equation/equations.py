@@ -34,8 +34,15 @@ from averaging.phase_space.equation.terms import Group, Sum, Term, Terms
 from fpk.arrays import Array
 
 
-def chain_of(frame: Frame, reference: Reference, functions: Basis, degrees: Degrees) -> Chain:
-    """Return the equations about a reference in the functions of a basis."""
+def chain_of(
+    frame: Frame, reference: Reference, functions: Basis, degrees: Degrees, *, closed: bool = False
+) -> Chain:
+    """Return the equations about a reference in the functions of a basis.
+
+    ``closed``: levels meet themselves by l₁ (∂* ∂)^½ (``Chain``) of all functions that the level
+    above lacks, not only where there is none above. Else functions of the highest degrees in y are
+    hardly damped, and A has slow eigenvalues that are none of L; stationary densities hardly do.
+    """
     F, G, h = linear_part(frame, reference)
     C = _factor(F, reference)
     inverse = np.linalg.inv(C)
@@ -62,13 +69,15 @@ def chain_of(frame: Frame, reference: Reference, functions: Basis, degrees: Degr
         )
         forced.append(_forced(others, force_by_y[n % 2], groups, n) if n else [])
         paired.append(_paired(others, pair, groups, n) if n > 1 else [])
-    for m in range(max(map(len, groups))):
-        # The level above the highest would have as many functions as the one below it.
-        n = max(n for n, level in enumerate(groups) if len(level) > m)
-        group, beyond = groups[n][m], _functions(functions, degrees, n - 1, m)
-        E = adjoint[n % 2][: group.functions, :beyond]
-        U, s, _ = np.linalg.svd(E, full_matrices=False)
-        own[n].append(Term(group, group, -float(np.sqrt(n - m + 1.0)), (U * s) @ U.T))
+    for n in range(1, top + 1):
+        for m, group in enumerate(groups[n]):
+            # What the level above n lacks of the functions that the one below n has.
+            present = groups[n + 1][m].functions if n < top and m < len(groups[n + 1]) else 0
+            wanted = _functions(functions, degrees, n - 1, m)
+            E = adjoint[n % 2][: group.functions, present:wanted]
+            if E.size and (closed or not present):
+                U, s, _ = np.linalg.svd(E, full_matrices=False)
+                own[n].append(Term(group, group, -float(np.sqrt(n - m + 1.0)), (U * s) @ U.T))
     blocks: Sequence[Sequence[Terms]] = (own, above, forced, paired)
     if frame.system.damping_terms:
         terms = damped(frame, functions, degrees, C, groups)

@@ -80,9 +80,10 @@ def first_passage(
     region = region_of(system, oscillator, limit)
     source = source_of(system, region, start)
     tol = tolerance(tol, TOL if region.of_energy else GLANCING_TOL)
-    if (fall := oscillator.inverse_temperature * region.height) > HIGHEST:
-        words = f"up to it the density falls by exp(−{fall:.0f})"
-        raise NotCertified(f"the limit is hardly ever passed: {words}; take a lower one")
+    for what, height in (("limit", region.height), ("energy of the start", source.height)):
+        if (fall := oscillator.inverse_temperature * height) > HIGHEST:
+            words = f"up to it the density falls by exp(−{fall:.0f})"
+            raise NotCertified(f"the {what} is hardly ever passed: {words}; take a lower one")
     previous: Level | None = None
     answer: Passage | None = None
     for level in range(LEVELS):
@@ -90,9 +91,10 @@ def first_passage(
         if solved is None:
             break
         if previous is not None:
-            answer = _compared(previous, solved, times, tol)
-            if answer.certificate.certified:
-                return answer
+            later = _compared(previous, solved, times, tol)
+            answer = later if answer is None else _better(answer, later)
+            if later.certificate.certified:
+                return later
         previous = solved
         progress(level + 1, LEVELS, "first passage")
     if answer is None:
@@ -137,6 +139,15 @@ def _probes(region: Region, solution: Solution) -> Array:
     v = np.sqrt(2.0 * height / o.mass) * np.sin(angle)
     at, one = solution.elements.at, np.ones(1)
     return np.array([at(q[k : k + 1], v[k : k + 1], one) @ solution.mean for k in range(8)])
+
+
+def _better(earlier: Passage, later: Passage) -> Passage:
+    """Return the earlier answer if its error is the smaller one and the later one agrees."""
+    a, b = ((bool(c.besides), c.missed or 0.0) for c in (earlier.certificate, later.certificate))
+    numbers = ((earlier.mean, later.mean), (earlier.variance, later.variance))
+    agreed = all(abs(x.value - y.value) <= x.error for x, y in numbers)
+    apart = np.abs(earlier.survival - later.survival)
+    return earlier if a <= b and agreed and np.all(apart <= earlier.survival_error) else later
 
 
 def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:

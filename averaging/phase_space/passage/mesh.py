@@ -72,18 +72,26 @@ class Mesh:
 
 
 def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Mesh:
-    """Return the mesh of ``level`` within |q| < ``b``, with starts up to the speed ``fastest``.
+    """Return the mesh of ``level`` within |q| < ``b``, with starts up to the energy of ``fastest``.
 
-    It is graded to (±b, 0), where T rises as the root of v and the sixth root of b − |q|.
+    It is graded to (±b, 0), where T rises as the root of v and the sixth root of b − |q|. Where
+    the energy of the largest velocity of the mesh does not reach b on one side, as beyond a stiff
+    stop, the mesh ends at the turning point of that energy on this side.
     """
     kick, step = o.kick(b), PANEL * FINER**level * o.kick(b)
     ends = np.array([-b, b])
-    swift = max(sqrt(2.0 * float(o.potential(ends).max()) / o.mass), fastest)
-    pull = np.abs(o.force(ends)) / o.mass
+    height, beyond = o.potential(ends), (BEYOND + 0.7 * level) * kick
+    swift = max(sqrt(2.0 * float(height.min()) / o.mass), fastest)
+    farthest = 0.5 * o.mass * (swift + beyond) ** 2
+    met = height <= farthest
+    for side in np.flatnonzero(~met):
+        ends[side] = o.turning_point(farthest, np.sign(ends[side]))
+    swift = max(sqrt(2.0 * float(height[met].max()) / o.mass), swift)
+    pull = np.abs(o.force(ends[met])) / o.mass
     # Where noise outdoes the pull, on either side: the scale of what is singular.
     slow = np.minimum(2.0 * o.diffusion / np.maximum(pull, 2.0 * o.diffusion / kick), kick)
     least = LEAST * CLOSER**level * slow
-    end = swift + (BEYOND + 0.7 * level) * kick
+    end = swift + beyond
 
     def across(v: Array) -> Array:
         graded = GLANCING_V * (v + float(least.min()))
@@ -91,13 +99,14 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
         return np.asarray(np.minimum(longest, graded))
 
     def along(q: Array) -> Array:
-        graded = np.minimum(*(GLANCING_Q * np.abs(q - at) for at in ends))
+        graded = np.min([GLANCING_Q * np.abs(q - at) for at in ends[met]], axis=0)
         return np.asarray(np.minimum(_smooth_step(o, q, step, swift, level), graded))
 
     half = _equidistributed(0.0, end, across, float(least.min()))
-    nodes = [0.0 if o.even else -b, *(q for q in _inside(o, -b, b) if q > 0.0 or not o.even), b]
-    closest = least**3 / o.diffusion
-    x = _joined(nodes, along, {-b: float(closest[0]), b: float(closest[1])})
+    first, last = 0.0 if o.even else float(ends[0]), float(ends[1])
+    nodes = [first, *_inside(o, first, last), last]
+    closest = dict(zip(ends[met].tolist(), (least**3 / o.diffusion).tolist(), strict=True))
+    x = _joined(nodes, along, closest)
     return Mesh(o, x, _mirrored(half), DEGREES[level], None, 0.0, b, o.even)
 
 
@@ -128,14 +137,17 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
     """Length over which a trajectory of the speed ``swift`` changes its velocity by ``step``.
 
-    Shorter beyond a stop whose force is a fractional power of the overlap.
+    Shorter beyond a stop whose force is a fractional power of the overlap, where the length is at
+    most the overlap that stops the speed ``step``.
     """
     slope = np.maximum(np.abs(o.force(q)) / (o.mass * max(swift, step)), o.frequency)
     length = np.minimum(step / np.maximum(slope, 1e-300), 0.5 * np.ptp(q))
     for at, side in o.stops:
         if side:
             overlap = np.maximum((q - at) * side, 0.0)
-            near = STOP * (overlap + 0.03 * 0.5**level * length)
+            stopped = float(o.energy(np.array(at), np.array(step)))
+            most = np.minimum(length, abs(o.turning_point(stopped, side) - at))
+            near = STOP * (overlap + 0.03 * 0.5**level * most)
             length = np.where((q - at) * side >= 0.0, np.minimum(length, near), length)
     return np.asarray(length)
 

@@ -49,17 +49,18 @@ class Oscillator:
 
     def turning_points(self, energy: float) -> tuple[float, float]:
         """Return where V = ``energy`` > 0, on the left and on the right."""
+        return self.turning_point(energy, -1.0), self.turning_point(energy, 1.0)
+
+    def turning_point(self, energy: float, side: float) -> float:
+        """Return where V = ``energy`` > 0, on the left (``side`` −1) or on the right (1)."""
 
         def excess(q: float) -> float:
             return float(self.potential(np.array(q))) - energy
 
-        ends = []
-        for side in (-1.0, 1.0):
-            far = side
-            while excess(far) < 0.0:
-                far *= 2.0
-            ends.append(float(brentq(excess, 0.0, far, xtol=1e-300, rtol=4 * EPS)))
-        return ends[0], ends[1]
+        far = side
+        while excess(far) < 0.0:
+            far *= 2.0
+        return float(brentq(excess, 0.0, far, xtol=1e-300, rtol=4 * EPS))
 
     def travel(self, length: float) -> float:
         """Return the time that motion takes over ``length``.

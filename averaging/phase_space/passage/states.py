@@ -63,11 +63,16 @@ class Source:
     energy: float | None = None
 
     @property
-    def fastest(self) -> float:
-        """The largest speed of its states."""
+    def height(self) -> float:
+        """The energy of its states."""
         if self.energy is None:
-            return abs(self.v)
-        return float(np.sqrt(2.0 * self.energy / self.region.oscillator.mass))
+            return float(self.region.oscillator.energy(np.array(self.q), np.array(self.v)))
+        return self.energy
+
+    @property
+    def fastest(self) -> float:
+        """The speed at q = 0 of undisturbed motion from its states."""
+        return float(np.sqrt(2.0 * self.height / self.region.oscillator.mass))
 
     def states(self, points: int) -> tuple[Array, Array, Array]:
         """Return q, v and weights of those within the limit.
