@@ -124,7 +124,7 @@ def relaxation(frame: Frame, count: int, options: Options) -> Answer:
 
     def compare(ladder: Ladder, progress: Progress) -> Compared:
         rates, missing = once(ladder.finest, progress)
-        slowest = rates[:count] + 0j  # no −0
+        slowest = rates[:count]
         apart = np.abs(slowest[:, None] - once(ladder.coarser, progress)[0])
         distance = np.abs(slowest)
         rows, columns = linear_sum_assignment(apart)

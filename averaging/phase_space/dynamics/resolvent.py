@@ -261,7 +261,8 @@ def slowest_rates(
         new, radius = np.concatenate([x for x, _ in near]), min(r for _, r in near)
         inside = (np.abs(new - 1j * at) < radius) & (new.imag >= -SAME * np.abs(new))
         apart = [np.abs(new - 1j * w) >= r for w, r in discs]
-        rates = np.concatenate([rates, new[np.all([inside, *apart], axis=0)]])
+        new = new[np.all([inside, *apart], axis=0)]
+        rates = np.concatenate([rates, new.real + 1j * np.abs(new.imag)])
         # Sums of rates often have equal real parts, but for round-off.
         scale = SAME * float(np.min(np.abs(rates), initial=np.inf))
         rates = rates[np.lexsort((rates.imag, np.round(rates.real / scale)))]

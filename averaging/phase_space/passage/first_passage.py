@@ -90,8 +90,6 @@ def first_passage(
         solved = _solved(region, source, times, level, tol)
         if solved is None:
             break
-        if not np.all(np.isfinite(solved.failure)):  # the mesh does not hold what is fast on it
-            continue
         if previous is not None:
             later = _compared(previous, solved, times, tol)
             answer = later if answer is None else _better(answer, later)

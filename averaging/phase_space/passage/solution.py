@@ -15,8 +15,11 @@ from fpk.arrays import Array
 from fpk.errors import NotCertified
 
 EPS = float(np.finfo(float).eps)
-PIVOT = 1e-3
-"""Least diagonal pivot relative to its column: lower than 1 keeps the symmetric ordering."""
+PIVOTS = (1e-3, 1e-2, 1.0)
+"""Least diagonal pivots relative to their columns, tried in this order: lower ones keep more of the
+symmetric ordering, and entries may grow by their inverse in each step."""
+GROWN = 1e-10
+"""Residual of a solution, relative to the terms that cancel in it, by which entries have grown."""
 VECTORS, EVERY = 160, 10
 """Most vectors of the Krylov space of the reliability, and after how many it is looked at."""
 SHIFT = 4.0
@@ -29,15 +32,21 @@ EIGENVALUE = 1e-13
 
 def factorised(matrix: csc_array) -> Any:
     """Return the factors; raise ``NotCertified`` where the elimination breaks down."""
-    try:
-        return splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=PIVOT,
-            options={"SymmetricMode": True},
-        )
-    except RuntimeError as error:
-        raise NotCertified(f"the elimination breaks down: {error}") from None
+    right = matrix @ np.ones(matrix.shape[0])
+    for pivot in PIVOTS:
+        try:
+            factors = splu(
+                matrix,
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=pivot,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise NotCertified(f"the elimination breaks down: {error}") from None
+        x = factors.solve(right)
+        if np.max(np.abs(right - matrix @ x)) <= GROWN * np.max(abs(matrix) @ np.abs(x)):
+            break
+    return factors
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,14 +144,12 @@ class Solution:
             V[n], MV[n], KV[n] = v, Mv, Kv
             if (n + 1) % EVERY == 0:
                 H, g = V[: n + 1] @ KV[: n + 1].T, V[: n + 1] @ start
-                with np.errstate(over="ignore", invalid="ignore"):  # by round-off H may grow
-                    values = at_limit + _projected(H, V[: n + 1] @ e.exit, g, times)
+                values = at_limit + _projected(H, V[: n + 1] @ e.exit, g, times)
                 before, change, last = change, np.abs(values - last), values
                 enough = tol * min(1.0, float(np.max(np.abs(values))))
                 if np.max(change) <= KRYLOV * enough and np.max(before) <= enough:
                     break
             v = self.shifted.solve(Mv)
-            v += self.shifted.solve(Mv - e.K @ v - self.sigma * (e.M @ v))
             Kv, Mv, parts = e.K @ v, e.M @ v, np.zeros(n + 1)
             for _ in range(2):
                 more = MV[: n + 1] @ v
