@@ -1,4 +1,4 @@
-"""What a stored result is recognised by: the whole record that it was made from.
+"""Recognition of stored results: by the whole record of settings that they were made from.
 
 A record that gains a field is compared by it, too. Fields that cannot matter are left out by name,
 ``less``, as "MonteCarlo.threads"; each such list has the reasons beside the names.
@@ -40,7 +40,7 @@ def canonical(value: Any, less: Container[str] = ()) -> Any:
 
 
 def _parts(less: Container[str], value: Any) -> Any:
-    """What stands for a value that JSON does not have; may hold such values itself."""
+    """Return a JSON value for one that JSON does not have; its parts may be such values again."""
     value = getattr(value, "py_func", value)  # of a compiled function
     if is_dataclass(value) and not isinstance(value, type):
         kind, own = type(value), {}

@@ -33,9 +33,9 @@ DEEPEST = 30.0
 """Contact energy, in units of kT, up to which bins reach beyond a stop: e^−30 of p is left."""
 
 LOWEST, SHARE = 400, 0.35
-"""Of so many of the lowest energies, and of 4, 16 … times as many, the share in the lowest quarter
-of their range above which p rises to H = 0: 0.25 of a smooth density, within 0.022; 0.5 of
-H^(−1/2)."""
+"""Number of the lowest sampled energies, and the share of them in the lowest quarter of their range
+above which p is taken to rise towards H = 0. A smooth p has a share of 0.25, within 0.022 by chance
+(one standard error), p ~ H^(−1/2) one of 0.5. Four, 16, … times as many are judged, too."""
 
 LARGEST_TAIL = 1e-3
 """Share of samples outside a histogram above which its density is not certified."""

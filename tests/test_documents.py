@@ -25,9 +25,9 @@ from cases.scene import schema
 from cases.studies import converge_page, cost_page, levels, orders
 from cases.studies.orders import grid_convergence
 from cases.studies.sweep import reference
-from fpk import clearance, contour, damping
+from fpk import bin_fit, clearance, contour, damping
 from fpk.errors import InvalidInput
-from sim import checkpoint, diagnostics, montecarlo, step_size, substeps
+from sim import checkpoint, diagnostics, histogram, montecarlo, step_size, substeps
 from sim.motion import correlation, failure_times, spectrum
 from sim.splitting import estimate
 
@@ -196,6 +196,12 @@ CONSTANTS = {
         f"jackknife of {failure_times.GROUPS} groups",
         f"one Hann window of {spectrum.WINDOW:g} decay times",
         f"over paths and {correlation.RELAXATIONS:g} relaxation times",
+        f"polynomial of total degree {bin_fit.DEGREE} in the number of the bin",
+        f"A box whose {bin_fit.HIGHEST[1]} highest coefficients differ from 0",
+        f"with a probability below {bin_fit.DOUBT:g} is cut in two",
+        f"and the probability is below {short(bin_fit.ALARM)}",
+        f"ln p changes by more than {bin_fit.STEEPEST:g} from bin to bin",
+        f"Bins end where the contact energy is {histogram.DEEPEST:g} kT",
     ),
 }
 """What documents say of constants of the code, made from these."""

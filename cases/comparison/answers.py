@@ -173,7 +173,7 @@ class Answers(Mapping[Any, AnyDensity]):
 
     @cached_property
     def averaging_notes(self) -> tuple[str, ...]:
-        """What is to be known of averaged answers with none of the full system beside them."""
+        """Notes on averaged answers without an answer of the full system: is their error known?"""
         of = dict.fromkeys(d.observable for d in self.values())
         densities = [(observable_name(o), self.densities(o), False) for o in of]
         in_time = [(r.question.name, [g.route for g in r.given], True) for r in self.in_time]

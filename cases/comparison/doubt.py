@@ -1,4 +1,4 @@
-"""What a reader of an averaged number must know where no answer of the full system is beside it."""
+"""Notes on averaged numbers whose averaging error no answer of the full system shows."""
 
 from collections.abc import Iterable
 from contextlib import suppress

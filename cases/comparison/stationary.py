@@ -90,7 +90,7 @@ def answers_of(
 def _is_taken(method: Method, system: System, share: float | None) -> bool:
     """Whether the method, named or unasked, is for the system."""
     try:
-        (method if share is None else method.unasked(system, share=share)).prepare(system)
+        (method if share is None else method.unasked(system, share=share)).planned(system, ())
     except NotApplicable:
         return False
     return True

@@ -22,8 +22,8 @@ Read = Callable[[Any], Any]
 """Takes two things from an answer: a number or an array, and its error."""
 
 Part = tuple[tuple[str, str], str, str, Read, Mapping[str, int]]
-"""What is read of every answer: how the names of it and of its error begin, what it is in words,
-its unit, how it is read, and the names and sizes of its dimensions beyond curve and route."""
+"""A quantity of every answer: the beginnings of its name and of its error's name, its description,
+its unit, its reader, and the names and sizes of its dimensions beyond curve and route."""
 
 NUMBERS: dict[str, tuple[str, int, Read]] = {
     "mean": ("mean first-passage time", 1, lambda p: _parts(p.mean)),

@@ -5,7 +5,6 @@ from itertools import chain
 import numpy as np
 import pytest
 from random_stops import deviations, exact_density, random_stops
-from scipy.special import stdtrit
 from sim_gibbs import Gibbs
 from test_sim_transient import sampled as transient
 
@@ -118,10 +117,12 @@ def test_kinks_after_a_long_time(name: str) -> None:
 
 
 def test_random_stops() -> None:
-    """A few of the systems below, short."""
-    every = [deviations(*random_stops(seed), MonteCarlo(seconds=0.7)) for seed in (2, 3, 9)]
-    z = np.concatenate([row[0] for row in every])
-    assert np.max(np.abs(z), initial=0.0) < -stdtrit(31, 0.5e-6 / z.size)
+    """Some of the systems below whose stops are not stiff, one or two masses, hardly a second."""
+    method = MonteCarlo(paths=4096, relaxations=20.0)
+    every = [deviations(*random_stops(seed), method) for seed in (0, 5, 18)]
+    z, ratios = (np.concatenate([row[k] for row in every]) for k in (0, 1))
+    assert not any(row[2] for row in every) and z.size > 150
+    assert np.max(np.abs(z)) < Z and np.max(ratios) < 3.0
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from fpk.recognition import fingerprint
 NAME = "points.jsonl"
 """Name of the file in a grid's folder."""
 CHECK = ', "check": "'
-"""What stands before the hash at the end of a line."""
+"""Key of the hash that ends each line of the file, as JSON writes it."""
 MAX_BYTES = 64 << 20
 """Largest file that is read: some hundred times the points that a grid may have."""
 
