@@ -87,7 +87,9 @@ class Setup:
         return checkpoint_of(self.method.checkpoint, (self, self.open), less=NOT_IN_STATE)
 
 
-def default_step(method: MonteCarlo, system: System) -> float:
+def default_step(
+    method: MonteCarlo, system: System, observables: Sequence[Observable] = ()
+) -> float:
     """Return the step: short enough for the contact, and for the accuracy the run will reach.
 
     That follows from ``tol``, from the samples that ``seconds`` of wall time allow by ``threads``,
@@ -95,17 +97,19 @@ def default_step(method: MonteCarlo, system: System) -> float:
     it with another limit and on another machine; it is then as for ``CHECKPOINTED`` seconds.
     """
     if method.tol is not None:
-        return step_for(system, method.tol)
+        return step_for(system, method.tol, observables=observables)
     dt, interval = chosen_step(system), sampling_interval(system)
     if method.seconds is None:
         time = method.time or min(
             method.relaxations * relaxation_time(system), method.most_steps * dt
         )
-        return step_for(system, expected_error(method.paths * time / interval))
+        error = expected_error(method.paths * time / interval)
+        return step_for(system, error, observables=observables)
     own = method.seconds * (method.threads or usable_cores())
     seconds = own if method.checkpoint is None else CHECKPOINTED
     for _ in range(STEP_ROUNDS):
-        dt = step_for(system, expected_error(samples_in(system, dt, seconds)))
+        error = expected_error(samples_in(system, dt, seconds))
+        dt = step_for(system, error, observables=observables)
     return dt
 
 
@@ -128,7 +132,7 @@ def expected_seconds(method: MonteCarlo, system: System) -> float:
 def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observable]) -> Setup:
     """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
     scheme, failures = SCHEMES[method.scheme], list[str]()
-    dt = method.dt or method.step_factor * default_step(method, system)
+    dt = method.dt or method.step_factor * default_step(method, system, observables)
     # What Euler's rule gains in contact may be lost again out of it.
     limit = stability_limit(system, scheme, touching=scheme.kick_first)
     if not 0.0 < dt < limit:

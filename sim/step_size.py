@@ -1,5 +1,6 @@
 """The step: from the stiffest contact that the motion reaches, and from the shortest period."""
 
+from collections.abc import Sequence
 from math import exp, inf, isfinite, pi, sqrt
 
 import numpy as np
@@ -8,6 +9,7 @@ import scipy  # its parts are loaded at their first use: scipy.optimize takes lo
 from fpk.arrays import Array
 from fpk.equivalent import balance_energy, equivalent_temperature
 from fpk.linear import drift_matrix, natural_modes
+from fpk.observable import Observable
 from fpk.system import System
 from sim.schemes import Scheme
 
@@ -32,6 +34,12 @@ STEP_PER_RATE = 0.1
 BIAS = 0.02
 """Factor of the bias at a stop, see ``step_for``: measured at 1 and 1.8 times the step of
 ``STEP_PER_FREQUENCY``, 0.017 to 0.018 of bilinear stops and 0.012 to 0.017 of Hertz ones."""
+
+JOINT_BIAS = 0.1
+"""Factor of the bias of a joint density at a stop, see ``step_for``: measured 0.06 of Hertz stops
+and 0.10 of bilinear ones at X = 0.1. Of these (sup |B₂|/2) max(u² e^(−u²/4)) = 0.12, B₂ Bernoulli's
+polynomial: the error of the trapezoidal rule with the nodes v h across the kink of the force, times
+the inverse sampling error at the velocity v = u √(kT/m)."""
 
 RAREST = 10.0
 """ln of the factor at most by which the error at a rarely visited stop is taken to be larger."""
@@ -146,21 +154,41 @@ def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None)
     return min(steps)
 
 
-def step_for(system: System, error: float, *, kT: float | None = None) -> float:
+def joint_masses(observables: Sequence[Observable]) -> set[int]:
+    """Return the rows of the masses of which two of q, p and an energy are observed together."""
+    masses: set[int] = set()
+    for observable in observables:
+        rows = {c.row for c in observable if c.kind != "H"}
+        if len({c.kind for c in observable}) == 2 and len(rows) == 1:
+            masses |= rows
+    return masses
+
+
+def step_for(
+    system: System,
+    error: float,
+    *,
+    kT: float | None = None,
+    observables: Sequence[Observable] = (),
+) -> float:
     """Return the step whose bias at the stops is a third of the relative sampling ``error`` of p.
 
     It is no longer than ``chosen_step``. ``kT`` None: that of the stationary state.
     Within v h of a stop, v the thermal velocity, the force is not smooth over a step: of a force
-    ``B x^e`` the bias of p there is ``BIAS X^e`` of itself, ``X = h² e B (v h)^(e−1)/m`` the square
-    of the phase that the contact adds in a step. Farther stops are visited less often, and known
-    to a larger error.
+    ``B x^e`` the bias of p(q) there is ``BIAS X^e`` of itself, ``X = h² e B (v h)^(e−1)/m`` the
+    square of the phase that the contact adds in a step. In a density of q and p, or of one of them
+    and an energy, the biases of v and −v do not cancel: it is ``JOINT_BIAS X``, and bounded where
+    ``observables`` contain one. Farther stops are visited less often, and known to a larger error.
     """
     kT = temperature(system) if kT is None else kT
-    steps = [chosen_step(system, kT=kT)]
+    steps, joint = [chosen_step(system, kT=kT)], joint_masses(observables)
     for stop in system.stops:
         m, k_eff = float(system.mass[stop.index]), 1.0 / system.compliance[stop.index, stop.index]
         rarity = min(0.25 * k_eff * stop.clearance**2 / kT, RAREST)
-        square = (error * exp(rarity) / (3.0 * BIAS)) ** (1.0 / stop.power)
+        known = error * exp(rarity) / 3.0
+        square = (known / BIAS) ** (1.0 / stop.power)
+        if stop.index in joint:
+            square = min(square, known / JOINT_BIAS)
         slope = stop.power * stop.stiffness * sqrt(kT / m) ** (stop.power - 1.0)
         steps.append((square * m / slope) ** (1.0 / (stop.power + 1.0)))
     return min(steps)

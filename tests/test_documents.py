@@ -174,6 +174,7 @@ CONSTANTS = {
     ),
     "theory.md": (
         f"about ${step_size.BIAS}\\,X^e$ of itself",
+        f"up to about ${step_size.JOINT_BIAS}\\,X$ of itself",
         f"each pair of normals lies in a disc of radius {substeps.LARGEST_NORMAL:.2f}",
         f"disc of radius {substeps.LARGEST_NORMAL:.2f}: `sim/substeps.py",
         f"$a \\ge {substeps.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
