@@ -1,16 +1,14 @@
 """First passage of one energy by finite elements, from any start."""
 
-from functools import partial
-
 import numpy as np
 
 from fpk.arrays import Array
 from fpk.evolution import STARTS, Passage, StartCurve, certified_passage
-from fpk.line.time import chain
+from fpk.line.time.elements import Elements
 from fpk.line.time.mesh import HIGHEST
-from fpk.line.time.modes import Modes
 from fpk.line.time.passage import SAFETY, FirstPassage, first_passage
-from fpk.line.time.propagation import Source, inverted, transforms
+from fpk.line.time.propagation import Source
+from fpk.line.time.resolvent import evolved
 from fpk.number import Number
 from fpk.process import Process
 
@@ -77,10 +75,11 @@ def _curve(solved: FirstPassage) -> StartCurve:
     return StartCurve(starts, *solved.mean(starts), *solved.variance(starts))
 
 
-def _forward(e: Modes, source: Source, times: Array) -> tuple[Array, float]:
+def _forward(e: Elements, source: Source, times: Array) -> tuple[Array, float]:
     """Return ∫p at ``times`` where the limit absorbs, by the forward equation, and its residual."""
     later = times > 0.0
-    parts, residual = transforms(e, source, times[later], absorbing=True)
-    mass = np.full(times.size, source.load(e)[0].sum())
-    mass[later] = inverted(parts, partial(chain.kept, e), int(later.sum()))[0]
-    return mass, residual
+    load = source.load(e)
+    g = evolved(e, load, times[later], held=0.0)
+    mass = np.full(times.size, load[:, :2].sum())
+    mass[later] = np.einsum("tei,ei->t", g.values, e.load)
+    return mass, g.residual

@@ -13,6 +13,7 @@ from scipy.special import roots_jacobi
 
 from fpk.arrays import Array
 from fpk.line.mesh import SMOOTH_NATS, initial_nodes
+from fpk.plane.elements import shape_functions
 from fpk.probe import probed
 from fpk.process import Process
 from fpk.quadrature import gauss_legendre
@@ -126,19 +127,20 @@ def _distinct(nodes: Array, kept: Array) -> Array:
 
 
 class Rule(NamedTuple):
-    """Points ``t`` and weights on [0, 1], the Legendre polynomials there, and what integrates.
+    """Points ``t`` and weights on [0, 1], shape functions there, and what integrates from 0 to t.
 
-    ``running`` (points, points) integrates up to each point, ``total`` over all. ``values``
-    (points, degree + 1) are P_0 … P_degree at ``t``, ``antiderivative`` (degree + 1, degree) the
-    Legendre coefficients of ∫_0^t P_j.
+    ``series`` (points, terms) are Legendre polynomials of s at the points, ``integral`` (terms,
+    points) the coefficients of such a series of ∫_0^t, where s = ∛t in an element that begins at
+    contact and t elsewhere. ``values`` and ``slopes`` (points, degree + 1) are the
+    ``shape_functions``.
     """
 
     t: Array
     weight: Array
-    running: Array
-    total: Array
+    series: Array
+    integral: Array
     values: Array
-    antiderivative: Array
+    slopes: Array
 
 
 @lru_cache
@@ -153,20 +155,15 @@ def rule(degree: int, contact: bool, steepness: int) -> Rule:
         x, w = roots_jacobi(count, 0, steepness)
         t = 0.5 * (1.0 + x)
         weight = np.exp(np.log(w) - (steepness + 1) * np.log(2.0) - steepness * np.log(t))
-        total = np.full(count, 1.0 / count)
-        running = t[:, None] * total
+        integral = np.zeros((count + 1, count))
+        integral[:2] = 0.5 / count
     else:
         x, w = gauss_legendre(count)
         s = 0.5 * (1.0 + x)
         t, stretch = (s**3, 3.0 * s**2) if contact else (s, np.ones(count))
         project = (np.arange(count) + 0.5)[:, None] * (legvander(x, count - 1).T * w)
-        running = 0.5 * legvander(x, count) @ legint(project, lbnd=-1.0) * stretch
-        total = weight = 0.5 * w * stretch
-    return Rule(
-        t=t,
-        weight=weight,
-        running=running,
-        total=total,
-        values=np.asarray(legvander(2.0 * t - 1.0, degree), dtype=float),
-        antiderivative=np.asarray(0.5 * legint(np.eye(degree), lbnd=-1.0, axis=0), dtype=float),
-    )
+        integral = 0.5 * np.asarray(legint(project, lbnd=-1.0)) * stretch
+        weight = 0.5 * w * stretch
+    values, slopes = shape_functions(degree, t)
+    series = np.asarray(legvander(x, count), dtype=float)
+    return Rule(t, weight, series, integral, values.T, slopes.T)

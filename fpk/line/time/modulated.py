@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -12,9 +12,10 @@ from fpk.arrays import SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import NO_NOISE_YET, UNRESOLVED, Transient
-from fpk.line.time.modes import Modes
-from fpk.line.time.propagation import Solution, Source, points
-from fpk.line.time.stepping import STAGES, Matrices, matrices, start_of, stepped
+from fpk.line.time.elements import Elements
+from fpk.line.time.propagation import Solution, Source
+from fpk.line.time.resolvent import Evolved
+from fpk.line.time.stepping import STAGES, matrices, stepped
 from fpk.line.time.transition import SAFETY, Settings, Transition, adapted, judged, posed
 from fpk.modulation import Modulation
 from fpk.observable import number_text
@@ -67,8 +68,8 @@ def free_decay(
     dH_0/dH = F(H_0)/F(H). Raises ``NotApplicable`` where damping feeds energy in.
     """
     e = solved.elements
-    inner, _ = points(process, e)
-    if np.any(process.coefficients(inner.ravel()).dissipation >= 0.0):
+    inner = e.x.ravel()
+    if np.any(process.coefficients(inner).dissipation >= 0.0):
         raise NotApplicable("damping feeds energy in: after the end of the noise fem has no answer")
     H, positive = process.on_mesh(at, float(np.max(at, initial=e.right[-1])))
     z = np.log(H)
@@ -87,13 +88,13 @@ def free_decay(
     inside = np.minimum(began, e.right[-1])
     # An error of F by ε shifts ln H_0 by ε F/H t.
     relative = float(e.relative_error.max())
-    fastest = float(np.max(rate(0.0, np.log(inner.ravel()))))
+    fastest = float(np.max(rate(0.0, np.log(inner))))
     moved = float(np.max(np.abs(ends[0] - ends[1]), initial=0.0)) + relative * fastest * time
     p, error = (a[-1] for a in solved.density(began))
     shifted = solved.density(np.minimum(inside * np.exp(moved), e.right[-1]))[0][-1]
     changed = np.abs(shifted - p) * (began <= e.right[-1]) + (moved + 2.0 * relative) * np.abs(p)
     # The variation of the density of ln H, of one or two maxima.
-    height = float(np.max(np.abs(solved.solution.density(inner.ravel())[0][-1]) * inner.ravel()))
+    height = float(np.max(np.abs(solved.solution.density(inner)[0][-1]) * inner))
     # Beyond the last element p falls faster than 1/H.
     error = error * inside / began
     values, errors = jacobian * p, jacobian * (error + SAFETY * changed)
@@ -129,14 +130,16 @@ def modulated_transition(
     question, pair = posed(process, source, first, tol)
 
     @lru_cache(maxsize=len(pair))
-    def carried(e: Modes, level: int) -> Solution:
-        m = matrices(process, e)
-        g, residual = stepped(m, start_of(m, e, source), modulation, unit, times, level=level)
-        return Solution(process, e, partial(times_factor, e, m, g), residual)
+    def carried(e: Elements, level: int) -> Solution:
+        m = matrices(e)
+        load = m.assembled(source.load(e))
+        g, residual = stepped(m, load, modulation, unit, times, level=level)
+        g = m.coefficients(g, e.log_scale[:, None])
+        return Solution(process, e, Evolved(g, np.abs(g), residual))
 
     solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0]))
     e, finer = solved.pair
-    x, w = points(process, e)
+    x, w = e.x, e.weight
 
     def values(level: int) -> Array:
         return carried(e, level).density(x.ravel())[0].reshape(solved.distance.shape)
@@ -174,7 +177,7 @@ def halved(
     return level, finer, moved, sizes
 
 
-def settings_of(e: Modes, level: int, sizes: list[float], tol: float) -> Settings:
+def settings_of(e: Elements, level: int, sizes: list[float], tol: float) -> Settings:
     """Return the settings: elements, halvings of steps, and the order that their sizes show."""
     settings: Settings = {
         "equation": f"modulated noise, Radau IIA of order {2 * STAGES - 1}",
@@ -199,16 +202,3 @@ def begins(modulation: Modulation, source: Source) -> float:
         remedy = f"decays without noise until t = {quiet:g}; begin there, at rest or from noise=F"
         raise InvalidInput("start", f"H={number_text(source.energy)}", remedy)
     return quiet
-
-
-def times_factor(
-    e: Modes, m: Matrices, g: Array, log_factor: Array, x: Array
-) -> tuple[Array, Array]:
-    """p/π of g (times, functions) times a factor at energies x, and the size of its terms."""
-    k, h, v = e.shapes(x)
-    f = np.concatenate([np.where(k > 0, 1.0 - h, 0.0)[:, None], h[:, None], v], axis=1)
-    # The factor of each function may leave the range where its product with π does not.
-    log_p = log_factor[:, None] + np.append(m.scale, -np.inf)[m.place[k]]
-    terms = f * np.exp(log_p)
-    each = np.array([terms * np.append(row, 0.0)[m.place[k]] for row in g])
-    return each.sum(axis=2), np.abs(each).sum(axis=2)

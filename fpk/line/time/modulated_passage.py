@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,13 +10,14 @@ import numpy as np
 from fpk.arrays import EPS, SMALLEST, Array
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, certified_passage
+from fpk.line.time.elements import Elements, Pair, degree_for, meshed
 from fpk.line.time.evolution import fem_passage
 from fpk.line.time.mesh import HIGHEST, time_nodes
-from fpk.line.time.modes import Modes, Pair, degree_for, meshed
-from fpk.line.time.modulated import LEVELS, begins, halved, settings_of, times_factor
+from fpk.line.time.modulated import LEVELS, begins, halved, settings_of
 from fpk.line.time.passage import THINNEST, FirstPassage, first_passage
-from fpk.line.time.propagation import Solution, Source, points
-from fpk.line.time.stepping import STAGES, matrices, radau, shares_of, start_of, steps_of
+from fpk.line.time.propagation import Solution, Source
+from fpk.line.time.resolvent import Evolved
+from fpk.line.time.stepping import STAGES, matrices, radau, steps_of
 from fpk.line.time.transition import (
     LAYER,
     ROUND_OFF,
@@ -53,17 +54,17 @@ class Absorbed:
     end: float
     later: FirstPassage | None
 
-    def solved(self, e: Modes, level: int) -> tuple[Solution, Array, Array]:
+    def solved(self, e: Elements, level: int) -> tuple[Solution, Array, Array]:
         """Return p at the stops > 0; P(T > t) at all stops, E T and E T²; errors by ``later``.
 
         The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end, by the weights of the
         stages, and those of the time that is left, E(t_e + τ)², over the density of then; the
         errors are of the two moments.
         """
-        m = matrices(self.process, e, absorbing=True)
-        shares, (A, c) = shares_of(m, e), radau(STAGES)
-        load = start_of(m, e, self.source)
-        ends, g, kept, residuals = [], [], [float(self.source.load(e)[0].sum())], []
+        m, begun = matrices(e, absorbing=True), self.source.load(e)
+        unit = e.log_scale[:, None]
+        load, shares, (A, c) = m.assembled(begun), m.assembled(e.load, unit), radau(STAGES)
+        ends, g, kept, residuals = [], [], [float(begun[:, :2].sum())], []
         moments, now = np.zeros(2), 0.0
         for s in steps_of(m, load, self.modulation, self.unit, self.stops[1:], level=level):
             S = s.stages @ shares
@@ -77,11 +78,11 @@ class Absorbed:
                 ends.append(s.end)
                 g.append(s.stages[-1])
                 kept.append(float(S[-1]))
-        factor = partial(times_factor, e, m, np.array(g))
-        solution = Solution(self.process, e, factor, float(np.max(residuals)))
+        f = m.coefficients(np.array(g), unit)
+        solution = Solution(self.process, e, Evolved(f, np.abs(f), float(np.max(residuals))))
         lost = np.zeros(2)
         if self.later is not None:
-            x, w = (a.ravel() for a in points(self.process, e))
+            x, w = e.x.ravel(), e.weight.ravel()
             p = solution.density(x)[0][ends.index(self.end)] * w
             (T, T_error), (U, U_error) = self.later.mean(x), self.later.second(x)
             square = 2.0 * self.later.longest**2
@@ -179,7 +180,7 @@ def _converged(motion: Absorbed, limit: float, tol: float) -> Converged:
         error[:stops] + relative * steep * np.abs(failure) + ROUND_OFF * EPS,
         moments,
         error[stops:] + lost + 2.0 * relative * moments,
-        solution.residual,
+        solution.g.residual,
         settings_of(e, level, sizes, tol),
     )
 

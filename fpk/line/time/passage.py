@@ -2,18 +2,17 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
 from fpk.arrays import EPS, SMALLEST, Array, Flags
-from fpk.contour import contours
 from fpk.errors import InvalidInput
 from fpk.evolution import BEYOND_RANGE
-from fpk.line.time import chain
+from fpk.line.time.elements import ENRICHMENT, MOST_ROUNDS, Elements, cut, degree_for, meshed
 from fpk.line.time.mesh import NONE, time_nodes
-from fpk.line.time.modes import ENRICHMENT, MOST_ROUNDS, Modes, cut, degree_for, meshed
-from fpk.line.time.propagation import inverted, values_at
+from fpk.line.time.resolvent import evolved, moment
+from fpk.line.time.spectrum import eigenvalues
 from fpk.probe import probed
 from fpk.process import Process
 
@@ -23,11 +22,6 @@ ROUND_OFF = 8.0
 """Roundings of sums along the chain, for each element and each unit of ln π from end to end."""
 MOST_ELEMENTS = 3_000
 """Elements beyond which none is cut any more."""
-BRACKET = 1e-9
-"""Relative distance of the two bounds of the failure rate that ends the iteration: the Rayleigh
-quotient is then known to the square of it."""
-MOST_STEPS = 2_000
-"""Most iterations for the failure rate; a hundred do for a hundred masses."""
 LAYER = 0.5
 """Length of the elements at the limit, in units of √(b t) of the shortest time."""
 THINNEST = 1e-12
@@ -45,75 +39,39 @@ SAMPLES = np.array([0.0, 0.1, 0.35, 0.65, 0.9])
 class Answers:
     """First passage of the right end of the last element, on one mesh in one degree."""
 
-    elements: Modes
+    elements: Elements
     more: int = 0
 
     @cached_property
-    def mean(self) -> chain.Solution:
-        """T: mean time of first passage over the start, L T = −1."""
-        e = self.elements
-        return chain.inverse(e, e.load, e.coupling.sum(axis=2))
+    def mean(self) -> Array:
+        """T: mean time of first passage over the start, L T = −1, (elements, functions)."""
+        return moment(self.elements, self.elements.load)
 
     @cached_property
     def longest(self) -> float:
         """Mean time from H = 0, the longest."""
-        return float(chain.values(self.elements, self.mean, np.zeros(1))[0])
+        return float(self.elements.at(np.zeros(1), self.mean)[0][0])
 
     @cached_property
-    def second(self) -> chain.Solution:
+    def second(self) -> Array:
         """(−L)⁻¹ T in units of the square of the longest T: half of the second moment."""
-        unit = self.longest
-        of_mean = _scaled(self.mean, 1.0 / unit)
-        f = chain.inverse(self.elements, *chain.loads(self.elements, of_mean))
-        return _scaled(f, 1.0 / unit)
-
-    def moments(self, x: Array) -> tuple[Array, Array]:
-        """Return the mean time, and half the mean square in units of ``longest``², at starts x."""
-        e = self.elements
-        return chain.values(e, self.mean, x), chain.values(e, self.second, x)
+        e, unit = self.elements, self.longest
+        return moment(e, np.einsum("eij,ej->ei", e.mass, self.mean / unit)) / unit
 
     @cached_property
-    def rate(self) -> tuple[float, float]:
-        """The least eigenvalue λ of −L, and an error of the iteration.
-
-        By powers of (−L)⁻¹, which is positive: f/(−L)⁻¹f, at its largest and least, are bounds of
-        λ (Barta), whatever its size; of the Rayleigh quotient the error is of second order.
-        """
-        e, f = self.elements, self.mean
-        quotient = bracket = np.nan
-        for _ in range(MOST_STEPS):
-            f = _scaled(f, 1.0 / f.high[0])
-            at_ends, inner = chain.loads(e, f)
-            g = chain.inverse(e, at_ends, inner)
-            ratio = f.low / g.low
-            quotient = _product(e, f, at_ends, inner) / _product(e, g, at_ends, inner)
-            before, bracket = bracket, float(np.ptp(ratio)) / quotient
-            if bracket < BRACKET or (bracket < 1e-6 and not bracket < before):
-                break
-            f = g
-        return quotient, quotient * bracket**2
+    def rate(self) -> float:
+        """The least eigenvalue of −L; 1/``longest`` is less."""
+        return float(eigenvalues(self.elements, 1, 1.0 / self.longest, absorbing=True)[0])
 
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t) (times, points) from the starts x, and its round-off."""
         e, later = self.elements, times > 0.0
-        parts = [
-            (c, chain.lifted(e, chain.admittances(e, c.z), 1.0 / c.z))
-            for c in contours(times[later], more=self.more)
-        ]
+        f = evolved(
+            e, np.zeros(e.load.shape), times[later], held=1.0, more=self.more, density=False
+        )
         p, size = np.zeros((2, times.size, x.size))
-        shape = int(later.sum()), x.size
-        p[later], size[later] = inverted(parts, partial(values_at, e, x), *shape)
+        p[later], size[later] = e.at(x, f.values, f.size)
         return p, EPS * size
-
-
-def _scaled(f: chain.Solution, factor: float) -> chain.Solution:
-    return chain.Solution(*(part * factor for part in f))
-
-
-def _product(e: Modes, f: chain.Solution, at_ends: Array, inner: Array) -> float:
-    """∫f of a load, in the unit of the last element; what underflows there counts nothing."""
-    each = at_ends[:, 0] * f.low + at_ends[:, 1] * f.high + (inner * f.inner).sum(axis=1)
-    return float(np.exp(e.log_scale - e.log_mass.max()) @ each)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +97,8 @@ class FirstPassage:
         e, T = self.answer.elements, self.answer.mean
         mass = np.exp(e.log_mass - e.log_mass.max())
         below = np.cumsum(e.relative_error * mass) / np.maximum(np.cumsum(mass), SMALLEST)
-        fall = T.low - T.high
-        fall[0] = self.longest - T.high[0]
+        fall = T[:, 0] - T[:, 1]
+        fall[0] = self.longest - T[0, 1]
         own = (e.relative_error + below + e.slope_error.sum()) * fall
         return np.asarray(own[::-1].cumsum()[::-1])
 
@@ -151,26 +109,23 @@ class FirstPassage:
 
     def mean(self, x: Array) -> tuple[Array, Array]:
         """Return the mean time from the starts x and its error."""
-        T, better = self.answer.moments(x)[0], self.enriched.moments(x)[0]
-        rounding = self._rounding(x) * T + self.round_off * self._amplified(self.answer.mean, x)
-        by_coefficients = self._coefficients[self.answer.elements.element_of(x)]
+        a, b = self.answer, self.enriched
+        (T, size), (better, _) = a.elements.at(x, a.mean), b.elements.at(x, b.mean)
+        rounding = self._rounding(x) * T + self.round_off * size
+        by_coefficients = self._coefficients[a.elements.element_of(x)]
         return T, SAFETY * np.abs(T - better) + rounding + by_coefficients
 
     def second(self, x: Array) -> tuple[Array, Array]:
         """Return E T²/2 in units of the squared ``longest`` mean time, and its error."""
-        (_, U), (_, better) = self.answer.moments(x), self.enriched.moments(x)
-        better = better * (self.enriched.longest / self.longest) ** 2
-        rounding = self.round_off * self._amplified(self.answer.second, x)
+        a, b = self.answer, self.enriched
+        (U, size), (better, _) = a.elements.at(x, a.second), b.elements.at(x, b.second)
+        better = better * (b.longest / a.longest) ** 2
+        rounding = self.round_off * size
         return U, SAFETY * np.abs(U - better) + 2.0 * self.relative * U + rounding
 
     def _rounding(self, x: Array) -> Array:
-        """Relative round-off, that of the energies included: T is about linear in H_f − x."""
-        return self.round_off + ROUND_OFF * EPS * self.limit / np.maximum(
-            self.limit - x, EPS * self.limit
-        )
-
-    def _amplified(self, f: chain.Solution, x: Array) -> Array:
-        return chain.amplified(self.answer.elements, f, x)
+        """Relative round-off by that of the energies: T is about linear in H_f − x."""
+        return ROUND_OFF * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
 
     @property
     def longest(self) -> float:
@@ -179,25 +134,21 @@ class FirstPassage:
 
     def variance(self, x: Array) -> tuple[Array, Array]:
         """Return the variance of the time from the starts x and its error."""
-        T, U = self.answer.moments(x)
-        T = T / self.longest
-        better, half = self.enriched.moments(x)
-        better, half = better / self.longest, half * (self.enriched.longest / self.longest) ** 2
+        a, b, unit = self.answer, self.enriched, self.longest
+        (T, of_T), (U, of_U) = a.elements.at(x, a.mean / unit), a.elements.at(x, a.second)
+        (better, _), (half, _) = b.elements.at(x, b.mean / unit), b.elements.at(x, b.second)
         value = 2.0 * U - T**2
-        distance = np.abs(value - 2.0 * half + better**2)
+        distance = np.abs(value - 2.0 * half * (b.longest / unit) ** 2 + better**2)
         # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
-        error = SAFETY * distance + 3.0 * self.relative * value
-        error += self.round_off * (4.0 * U + 2.0 * T**2) + self._rounding(x) * value
-        error += self.round_off * 2.0 * self._amplified(self.answer.second, x)
-        error += self.round_off * 2.0 * T * self._amplified(self.answer.mean, x) / self.longest
+        error = SAFETY * distance + (3.0 * self.relative + self._rounding(x)) * value
+        error += self.round_off * 2.0 * (value + of_U + T * of_T)
         with np.errstate(over="ignore"):
-            return value * self.longest * self.longest, error * self.longest * self.longest
+            return value * unit * unit, error * unit * unit
 
     def rate(self) -> tuple[float, float]:
         """Return the failure rate and its error."""
-        (value, left), (better, other) = self.answer.rate, self.enriched.rate
-        error = SAFETY * abs(value - better) + left + other + 2.0 * self.relative * value
-        return value, error
+        value, better = self.answer.rate, self.enriched.rate
+        return value, SAFETY * abs(value - better) + 2.0 * self.relative * value
 
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t), (times, points), from the starts x and its error."""
@@ -253,7 +204,7 @@ def _marked(solved: FirstPassage, times: Array, wanted: float) -> Flags:
     a, b = solved.answer.elements, solved.enriched.elements
     unit = np.exp(a.log_local - b.log_local)
     marked = np.zeros(a.count, dtype=bool)
-    for own, better in ((a.conductance, b.conductance), (a.load.sum(axis=1), b.load.sum(axis=1))):
+    for own, better in ((a.conductance, b.conductance), (a.local_mass, b.local_mass)):
         marked |= np.abs(own * unit - better) > wanted * better
     if times.size:
         x = (a.left[:, None] + (a.right - a.left)[:, None] * SAMPLES).ravel()

@@ -11,16 +11,14 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import legder, legint, legvander
+from numpy.polynomial.legendre import legint, legvander
 from scipy.sparse import coo_array, csc_array, kron
 from scipy.sparse.linalg import splu
 from scipy.special import roots_jacobi
 
 from fpk.arrays import Array, Integers
-from fpk.line.time.modes import Modes, log_phase_density
-from fpk.line.time.propagation import Source, points
+from fpk.line.time.elements import Elements
 from fpk.modulation import Modulation
-from fpk.process import Process
 
 STAGES = 5
 """Stages of a step of Radau IIA: of the order 2 · 5 − 1."""
@@ -31,7 +29,7 @@ RATIO = 3.0
 
 
 class Matrices(NamedTuple):
-    """M, K and C of the free functions, ``place`` of each element's h_0, h_1, v_j (−1: none).
+    """M, K and C of the free functions, ``place`` of those of each element (−1: none).
 
     The functions are scaled to a mass of one: ``scale`` is ln of the factor on each.
     """
@@ -42,73 +40,50 @@ class Matrices(NamedTuple):
     place: Integers
     scale: Array
 
+    def assembled(self, each: Array, log_unit: Array | float = 0.0) -> Array:
+        """Return the sums of ``each`` (elements, functions) in units e^``log_unit``: a load."""
+        total, used = np.zeros(self.scale.size), self.place >= 0
+        factor = np.exp(log_unit + self._log_factor)
+        np.add.at(total, self.place[used], (each * factor)[used])
+        return total
 
-def matrices(process: Process, e: Modes, *, absorbing: bool = False) -> Matrices:
+    def coefficients(self, g: Array, log_unit: Array) -> Array:
+        """Return those (times, elements, functions) of ``g`` (times, free functions) in units."""
+        padded = np.append(g, np.zeros((len(g), 1)), axis=1)
+        return np.asarray(padded[:, self.place] * np.exp(log_unit + self._log_factor))
+
+    @property
+    def _log_factor(self) -> Array:
+        return np.append(self.scale, -np.inf)[self.place]
+
+
+def matrices(e: Elements, *, absorbing: bool = False) -> Matrices:
     """Return the matrices of the elements, which are of the reference noise.
 
     No flux leaves at the last end, or it absorbs.
     """
-    x, w = points(process, e)
-    c = process.coefficients(x.ravel())
-    f, slope = _functions(e, x)
-    log_u = log_phase_density(process, e, x.ravel())
-    log_local = (c.log_density_of_states + log_u).reshape(x.shape) - e.log_scale[:, None]
-    density = np.exp(log_local)
-    F, b = (a.reshape(x.shape) for a in (c.dissipation, c.diffusion))
-    M = np.einsum("eqi,eqj->eij", f * (w * density)[:, :, None], f)
-    K = np.einsum("eqi,eqj->eij", slope * (0.5 * w * b * density)[:, :, None], slope)
-    C = np.einsum("eqi,eqj->eij", slope * (w * F * density)[:, :, None], f)
-    modes = f.shape[2] - 2
-    place = np.empty((e.count, modes + 2), dtype=np.intp)
+    size = e.degree + 1
+    K = np.tile(np.eye(size), (e.count, 1, 1))
+    K[:, :2, :2] = e.conductance[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    place = np.empty((e.count, size), dtype=np.intp)
     place[:, 0], place[:, 1] = np.arange(-1, e.count - 1), np.arange(e.count)
-    place[:, 2:] = e.count + np.arange(e.count * modes).reshape(e.count, modes)
-    place[np.einsum("eii->ei", M) == 0.0] = -1
+    place[:, 2:] = e.count + np.arange(e.count * (size - 2)).reshape(e.count, size - 2)
+    masses = np.einsum("eii->ei", e.mass)
+    place[masses == 0.0] = -1
     if absorbing:
         place[-1, 1] = -1
     numbers = np.unique(place[place >= 0])
     place = np.where(place >= 0, np.searchsorted(numbers, place), -1)
-    used = place >= 0
-    log_mass = np.full((e.count, modes + 2), -np.inf)
-    log_mass[used] = np.log(np.einsum("eii->ei", M)[used])
-    log_mass += e.log_scale[:, None]
+    used, unit = place >= 0, np.broadcast_to(e.log_scale[:, None], place.shape)
     scale = np.full(numbers.size, -np.inf)
-    np.logaddexp.at(scale, place[used], log_mass[used])
-    factor = np.where(used, np.exp(0.5 * (e.log_scale[:, None] - scale[place])), 0.0)
+    np.logaddexp.at(scale, place[used], np.log(masses[used]) + unit[used])
+    factor = np.where(used, np.exp(0.5 * (unit - scale[place])), 0.0)
     pair = factor[:, :, None] * factor[:, None, :]
     rows, columns = (np.broadcast_to(p, pair.shape) for p in (place[:, :, None], place[:, None, :]))
     keep = (rows >= 0) & (columns >= 0)
     at, shape = (rows[keep], columns[keep]), (numbers.size, numbers.size)
-    made = [csc_array(coo_array(((A * pair)[keep], at), shape)) for A in (M, K, C)]
+    made = [csc_array(coo_array(((A * pair)[keep], at), shape)) for A in (e.mass, K, e.drift)]
     return Matrices(made[0], made[1], made[2], place, -0.5 * scale)
-
-
-def _functions(e: Modes, x: Array) -> tuple[Array, Array]:
-    """h_0, h_1, v_j and their derivatives at points (elements, points) of each element."""
-    t = (2.0 * x - (e.left + e.right)[:, None]) / (e.right - e.left)[:, None]
-    P = legvander(t, e.degree)
-    D = P[..., :-1] @ legder(np.eye(e.degree + 1)) * (2.0 / (e.right - e.left))[:, None, None]
-    f, slope = (np.einsum("eqp,epv->eqv", A, e.series) for A in (P, D))
-    h, dh = 1.0 - f[:, :, :1], -slope[:, :, :1]
-    h[0], dh[0] = 0.0, 0.0
-    return np.concatenate([h, f], axis=2), np.concatenate([dh, slope], axis=2)
-
-
-def start_of(m: Matrices, e: Modes, source: Source) -> Array:
-    """Return the load of the start on the functions."""
-    at_ends, inner = source.load(e)
-    each = np.concatenate([at_ends, inner], axis=1)
-    load, used = np.zeros(m.scale.size), m.place >= 0
-    np.add.at(load, m.place[used], each[used])
-    return load * np.exp(m.scale)
-
-
-def shares_of(m: Matrices, e: Modes) -> Array:
-    """Return ∫π f of the functions f: their product with g is the mass."""
-    each, used = np.concatenate([e.load, e.coupling.sum(axis=2)], axis=1), m.place >= 0
-    shares = np.zeros(m.scale.size)
-    unit = np.exp(e.log_scale[:, None] + m.scale[m.place])
-    np.add.at(shares, m.place[used], (each * unit)[used])
-    return shares
 
 
 class Step(NamedTuple):

@@ -10,9 +10,17 @@ import numpy as np
 from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import InvalidInput
+from fpk.line.time.elements import (
+    ENRICHMENT,
+    MOST_ROUNDS,
+    Elements,
+    Pair,
+    cut,
+    degree_for,
+    meshed,
+)
 from fpk.line.time.mesh import time_nodes
-from fpk.line.time.modes import ENRICHMENT, MOST_ROUNDS, Modes, Pair, cut, degree_for, meshed
-from fpk.line.time.propagation import Solution, Source, points, propagated
+from fpk.line.time.propagation import Solution, Source, propagated
 from fpk.observable import number_text
 from fpk.probe import Probe, probed
 from fpk.process import Process
@@ -73,7 +81,7 @@ class Transition:
     certificate: Certificate
 
     @property
-    def elements(self) -> Modes:
+    def elements(self) -> Elements:
         """The elements of the answer."""
         return self.solution.elements
 
@@ -180,7 +188,7 @@ def judged(
     ``distance`` as of ``Transition``; left out, it is that to the enriched solution ``finer``.
     """
     answer, enriched = own.elements, finer.elements
-    x, w = points(question.process, answer)
+    x, w = answer.x, answer.weight
     p, size = own.density(x.ravel())
     shape = (len(p), *x.shape)
     if distance is None:
@@ -188,8 +196,7 @@ def judged(
         distance, size = np.abs(p - better).reshape(shape), size + other
     last = float(enriched.right[-1])
     # What the enriched solution has beyond the last element of the answer.
-    far, far_w = points(question.process, enriched)
-    far, far_w = far[answer.count :], far_w[answer.count :]
+    far, far_w = enriched.x[answer.count :], enriched.weight[answer.count :]
     beyond = np.abs(finer.density(np.append(far.ravel(), last))[0])
     tail = (beyond[:, :-1] @ far_w.ravel()).max()
     tail += probed(question.process).tail_bound(last, float(beyond[:, -1].max()))
@@ -201,7 +208,7 @@ def judged(
         l1_error=float(((SAFETY * distance * w) + common).sum(axis=(1, 2)).max() + 2.0 * tail),
         mass_defect=float(np.abs(p @ w.ravel() - 1.0).max()),
         minimum=float((p.min(axis=1) / top).min()),
-        residual=own.residual,
+        residual=own.g.residual,
         tail_mass=float(tail),
         absolute_error=float((pointwise.max(axis=1) / top).max()),
     )
@@ -232,7 +239,7 @@ def _extent(process: Process, source: Source, tail: float, log_share: float) -> 
     return max(end, 1.05 * source.energy)
 
 
-def common_error(question: Question, e: Modes, p: Array, size: Array, x: Array) -> Array:
+def common_error(question: Question, e: Elements, p: Array, size: Array, x: Array) -> Array:
     """Errors that the answer and the enriched solution have in common.
 
     By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more

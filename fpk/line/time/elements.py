@@ -1,0 +1,287 @@
+"""Finite elements of one energy that hang together at their ends alone, for questions of time.
+
+With the stationary density π and m = ½ b π the generator is L f = (m f')'/π, and its weak form
+−∫ m f' v' is symmetric. From the hierarchical functions of an element two kinds are made (Craig
+and Bampton, AIAA J. 6 (1968) 1313): h_0 and h_1 = 1 − h_0, one at its left and right end, and v_j,
+zero at both, orthogonal to these in m and to each other in m and in π. The elements are then
+conductances 1/∫dx/m in a chain, and every sum along it has positive terms only: what is as rare
+as 1e-200 keeps its relative digits.
+They come in pairs: the elements of the answer, and those of the enriched solution that judges it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from fpk.arrays import Array, Flags, Integers
+from fpk.line.mesh import split_points
+from fpk.line.time.mesh import HIGHEST, NONE, first_degree, rule
+from fpk.plane.elements import shape_functions
+from fpk.process import Coefficients, Process, log_density_slope_error
+
+BEYOND_BULK = 1e-6
+"""Share of the mass beyond the bulk, which ends where errors are weighted."""
+ENRICHMENT = 2
+"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
+FEWEST_DIGITS, MORE = 4, 4
+"""Digits below which elements have no lower degree, and degrees beyond the digits wanted."""
+MOST_ROUNDS = 12
+"""Most rounds of cutting elements in two."""
+
+
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """Elements of one ``degree``; every array has one entry for each of them, from H = 0 up.
+
+    π is e^``log_scale`` times the local density in which the integrals are given. ``shapes`` (…,
+    degree + 1, functions) has in its columns the coefficients of h_0, h_1 and the v_j in the
+    ``shape_functions``: of these f_i are ``mass`` ∫π f_i f_j and ``drift`` ∫π F f_i' f_j (…,
+    functions, functions), F the part of the drift due to damping; ``conductance`` is 1/∫dx/m, and
+    ∫m v_j'² = 1. At H = 0 no flux is natural: in the first element h_0 = 0, h_1 = 1 and v_j(0) is
+    free; it may have fewer v_j, and the others are 0. ``x`` and ``weight`` (…, points) integrate π
+    times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln u, u = π/T, less its
+    value at the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from
+    0 to 1. ``relative_error`` is that of π and m by the coefficients; ``slope_error`` what it
+    leaves in ln π from one end to the other.
+    """
+
+    left: Array
+    right: Array
+    contact: Flags
+    shapes: Array
+    mass: Array
+    drift: Array
+    conductance: Array
+    x: Array
+    weight: Array
+    log_local: Array
+    log_rise: Array
+    relative_error: Array
+    slope_error: Array
+
+    @property
+    def count(self) -> int:
+        """Number of elements."""
+        return self.left.size
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials."""
+        return int(self.shapes.shape[1]) - 1
+
+    @property
+    def nodes(self) -> Array:
+        """Ends of the elements, (elements + 1,)."""
+        return np.append(self.left, self.right[-1])
+
+    @cached_property
+    def log_u(self) -> Array:
+        """ln u at the nodes, 0 at H = 0."""
+        return np.append(0.0, np.cumsum(self.log_rise.sum(axis=1)))
+
+    @cached_property
+    def log_scale(self) -> Array:
+        """ln of the unit of π in each element."""
+        return self.log_u[:-1] + self.log_local
+
+    @cached_property
+    def steps(self) -> Array:
+        """Unit of π in each element but the last, divided by that in the next."""
+        return np.exp(self.log_scale[:-1] - self.log_scale[1:])
+
+    @cached_property
+    def load(self) -> Array:
+        """∫π f_i (elements, functions)."""
+        return self.mass[:, :, 0] + self.mass[:, :, 1]
+
+    @cached_property
+    def relaxation(self) -> Array:
+        """ν_j = ∫π v_j² of the v_j (elements, degree − 1), their relaxation times."""
+        return np.einsum("eii->ei", self.mass)[:, 2:]
+
+    @cached_property
+    def local_mass(self) -> Array:
+        """∫π over each element in its unit."""
+        return np.asarray(self.load[:, :2].sum(axis=1))
+
+    @cached_property
+    def log_mass(self) -> Array:
+        """ln ∫π over each element."""
+        return np.asarray(self.log_scale + np.log(self.local_mass))
+
+    @cached_property
+    def log_total(self) -> float:
+        """ln ∫π over all."""
+        return float(np.logaddexp.reduce(self.log_mass))
+
+    def coefficient_error(self, upto: float = 0.0) -> float:
+        """Relative error that the coefficients leave in densities and rates.
+
+        An element counts by its share of the mass and of the way through the bulk, in units of
+        √b: near a contact energy errors are large on very short elements. ``upto`` is an energy
+        that the way reaches at least.
+        """
+        mass = np.exp(self.log_mass - self.log_total)
+        bulk = (mass[::-1].cumsum()[::-1] > BEYOND_BULK) | (self.left < upto)
+        way = np.sqrt(self.relaxation.sum(axis=1))
+        weights = mass + way / way[bulk].sum()
+        return float(weights @ self.relative_error + self.slope_error.sum())
+
+    def element_of(self, x: Array) -> Integers:
+        """Elements that hold the points x."""
+        return np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.count - 1)
+
+    def functions(self, x: Array) -> tuple[Integers, Array]:
+        """Return the elements of the points x and their f_i there, (points, functions)."""
+        k, t = self._within(x)
+        return k, np.einsum("px,xpi->xi", shape_functions(self.degree, t)[0], self.shapes[k])
+
+    def at(self, x: Array, f: Array, size: Array | None = None) -> tuple[Array, Array]:
+        """Return Σ f_i at the points x (…, points), and the size of what cancels in it.
+
+        ``f`` (…, elements, functions) are the coefficients and ``size`` the sizes of theirs.
+        """
+        k, values = self.functions(x)
+        size = np.abs(f) if size is None else size
+        return (
+            np.einsum("...xi,xi->...x", f[..., k, :], values),
+            np.einsum("...xi,xi->...x", size[..., k, :], np.abs(values)),
+        )
+
+    def log_phase_density(self, x: Array) -> Array:
+        """Return ln u = ln π/T at the points x, 0 at H = 0."""
+        k, t = self._within(x)
+        s = np.where(self.contact[k], np.cbrt(t), t)
+        series = legvander(2.0 * s - 1.0, self.log_rise.shape[1] - 1)
+        return np.asarray(self.log_u[k] + (series * self.log_rise[k]).sum(axis=1))
+
+    def log_density(self, process: Process, x: Array) -> Array:
+        """Return ln π at points x > 0, in the unit of ``log_scale``."""
+        log_T = process.coefficients(x).log_density_of_states
+        return np.asarray(log_T + self.log_phase_density(x))
+
+    def _within(self, x: Array) -> tuple[Integers, Array]:
+        """The elements of the points x and the shares of these that lie below, in [0, 1]."""
+        k = self.element_of(x)
+        return k, np.clip((x - self.left[k]) / (self.right[k] - self.left[k]), 0.0, 1.0)
+
+
+Pair = tuple[Elements, Elements]
+"""The elements of the answer and of the enriched solution."""
+
+
+def elements(
+    process: Process, left: Array, right: Array, degree: int, *, enriched: bool = False
+) -> Elements:
+    """Return the elements between ``left`` and ``right`` (elements,), sorted.
+
+    The element at H = 0 may be of a lower degree; ``enriched`` has it one higher.
+    """
+    contact, first = np.isin(left, np.array(process.nonsmooth)), left == 0.0
+    parts = []
+    for kind in ((True, True), (True, False), (False, True), (False, False)):
+        k = np.flatnonzero((first == kind[0]) & (contact == kind[1]))
+        if k.size:
+            parts.append(_batch(process, left[k], right[k], degree, *kind, enriched))
+    return joined(parts)
+
+
+def joined(parts: Sequence[Elements]) -> Elements:
+    """Return all elements in one record, ascending."""
+    order = np.argsort(np.concatenate([part.left for part in parts]))
+    arrays = (np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Elements))
+    return Elements(*(array[order] for array in arrays))
+
+
+def _batch(
+    process: Process, left: Array, right: Array, degree: int, first: bool, contact: bool,
+    enriched: bool,
+) -> Elements:  # fmt: skip
+    n = process.degrees_of_freedom
+    r = rule(degree, contact, n - 1 if first else 0)
+    h = (right - left)[:, None]
+    x = left[:, None] + h * r.t
+    flat = process.coefficients(x.ravel())
+    c = Coefficients(*(np.broadcast_to(a, x.size).reshape(x.shape) for a in flat))
+    slope = 2.0 * c.dissipation / c.diffusion
+    if not process.state_damping:
+        slope = np.broadcast_to(np.median(slope, axis=1, keepdims=True), x.shape)
+    log_rise = h * (slope @ r.integral.T)
+    log_density = c.log_density_of_states + log_rise @ r.series.T
+    log_local = log_density.max(axis=1)
+    weight = h * r.weight * np.exp(log_density - log_local[:, None])
+    # The functions that vanish at both ends, and behind them the one of the right end.
+    own = min(first_degree(degree - 1, n) + enriched, degree - 1) if first else degree - 1
+    inner = [0, *range(2, own + 1)] if first else [*range(2, degree + 1)]
+    slopes = r.slopes[:, [*inner, 1]] / h[:, :, None]
+    half = np.sqrt(0.5 * c.diffusion * weight)
+    R: Array = np.asarray(np.linalg.qr(half[:, :, None] * slopes, mode="r"), dtype=float)
+    inverse = np.linalg.inv(R[:, :own, :own])
+    v = r.values[:, inner] @ inverse
+    turn = np.linalg.eigh(np.swapaxes(v, 1, 2) @ (weight[:, :, None] * v))[1]
+    shapes = np.zeros((left.size, degree + 1, degree + 1))
+    shapes[:, inner, 2 : 2 + own] = inverse @ turn
+    shapes[:, 1, 1] = 1.0
+    # The constant has no slope: at H = 0 it is h_1.
+    shapes[:, inner, 1] = np.eye(1, own) if first else -(inverse @ R[:, :own, own:])[:, :, 0]
+    shapes[:, :2, 0] = 1.0
+    shapes[:, :, 0] -= shapes[:, :, 1]
+    f = r.values @ shapes
+    slopes = np.swapaxes(r.slopes @ shapes / h[:, :, None], 1, 2)
+    steps = np.zeros(left.size)
+    if process.state_damping:
+        steps = (h * log_density_slope_error(c)) @ r.integral.sum(axis=0)
+    # All kinds of elements have as many points and terms as the kind that has the most.
+    more = rule(degree, bool(process.nonsmooth), 0).t.size - r.t.size
+    behind = ((0, 0), (0, max(more, 0)))
+    return Elements(
+        left=left,
+        right=right,
+        contact=np.full(left.size, contact),
+        shapes=shapes,
+        mass=np.swapaxes(f, 1, 2) @ (weight[:, :, None] * f),
+        drift=slopes @ ((weight * c.dissipation)[:, :, None] * f),
+        conductance=np.zeros(left.size) if first else R[:, own, own] ** 2,
+        x=np.pad(x, behind, mode="edge"),
+        weight=np.pad(h * r.weight, behind),
+        log_local=log_local,
+        log_rise=np.pad(log_rise, behind),
+        relative_error=c.relative_error.max(axis=1),
+        slope_error=steps,
+    )
+
+
+def degree_for(tol: float) -> int:
+    """Return the degree of the elements of an answer to the tolerance ``tol``."""
+    return int(np.clip(round(-math.log10(tol)), FEWEST_DIGITS, HIGHEST - MORE)) + MORE
+
+
+def meshed(process: Process, nodes: Array, degree: int, *, beyond: Array = NONE) -> Pair:
+    """Return elements between ``nodes``; those of the enriched solution end at ``beyond``, too."""
+    every = np.append(nodes, beyond)
+    return (
+        elements(process, nodes[:-1], nodes[1:], degree),
+        elements(process, every[:-1], every[1:], degree + ENRICHMENT, enriched=True),
+    )
+
+
+def cut(process: Process, pair: Pair, marked: Flags) -> Pair:
+    """Return a pair with the elements of the answer that are ``marked`` cut in two in both.
+
+    Elements are cut towards a point that is singular.
+    """
+    own, finer = pair
+    left, right = own.left[marked], own.right[marked]
+    at = split_points(left, right, np.array([0.0, *process.nonsmooth]))
+    ends, finest = (np.append(left, at), np.append(at, right)), finer.count - marked.size
+    kept = ~marked, np.append(~marked, np.ones(finest, dtype=bool))
+    new = [elements(process, *ends, e.degree, enriched=e is finer) for e in pair]
+    parts = [
+        Elements(*(getattr(e, f.name)[k] for f in fields(Elements)))
+        for e, k in zip(pair, kept, strict=True)
+    ]
+    return joined([parts[0], new[0]]), joined([parts[1], new[1]])

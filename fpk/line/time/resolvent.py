@@ -1,0 +1,143 @@
+"""The chain of elements of one energy: its equations, solved along it from H = 0 upwards.
+
+At the ends of the elements an equation (zM + A) f = load is one of conductances in series and
+admittances to ground. Eliminated from one side, all terms of all sums have one sign (z > 0), or
+lie in one sector of the complex plane: nothing cancels, whatever range the density spans.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fpk.arrays import EPS, SMALLEST, Array
+from fpk.contour import contours
+from fpk.line.time.elements import Elements
+
+Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
+"""Real numbers, or complex ones where the Laplace variables are."""
+UNDERFLOW = SMALLEST / EPS
+"""Below it numbers lose digits."""
+
+
+class Admittances(NamedTuple):
+    """Elements at the Laplace variables z: every array (elements, …, points).
+
+    ``series`` is the conductance of an element from end to end and ``shunt`` (elements, 2, …) what
+    flows off at each of its ends; ``damped`` is 1 + zν of its own functions.
+    """
+
+    z: Numbers
+    series: Numbers
+    shunt: Numbers
+    damped: Numbers
+
+
+def admittances(e: Elements, z: Numbers) -> Admittances:
+    """Return the elements at the Laplace variables ``z`` (points,)."""
+    coupling, own = e.mass[:, 2:, :2], e.load[:, 2:]
+    damped = 1.0 + e.relaxation[:, :, None] * z
+    pairs = np.stack([coupling[:, :, 0] * coupling[:, :, 1], *np.moveaxis(coupling, 2, 0) * own])
+    sums = np.einsum("aev,evz->aez", pairs, 1.0 / damped)
+    series = e.conductance[:, None] - z * (e.mass[:, 0, 1, None] - z * sums[0])
+    shunt = z * (e.load[:, :2, None] - z * np.moveaxis(sums[1:], 0, 1))
+    return Admittances(z, series, shunt, damped)
+
+
+class Eliminated(NamedTuple):
+    """The chain below each element eliminated; every array (elements, points).
+
+    ``total`` is the admittance at its left end, its own conductance included, ``ratio`` the share
+    of that conductance in it, by which the right end acts on the left one, and ``passed`` what of
+    the rest is seen through it from the right. The first element conducts nothing.
+    """
+
+    total: Numbers
+    ratio: Numbers
+    passed: Numbers
+
+
+def eliminated(e: Elements, y: Admittances) -> Eliminated:
+    """Return the elements of the chain, each with all below it eliminated."""
+    s = Eliminated(np.ones_like(y.series), np.zeros_like(y.series), np.zeros_like(y.series))
+    for k in range(1, e.count):
+        below = (s.passed[k - 1] + y.shunt[k - 1, 1]) * e.steps[k - 1] + y.shunt[k, 0]
+        s.total[k] = below + y.series[k]
+        zero = s.total[k] == 0.0  # at an eigenvalue of the part below
+        s.total[k, zero] = EPS * y.series[k, zero]
+        s.ratio[k] = y.series[k] / s.total[k]
+        s.passed[k] = below * s.ratio[k]
+    return s
+
+
+def resolvent(
+    e: Elements, z: Numbers, load: Array, end: Numbers | None = None, *, density: bool = True
+) -> tuple[Numbers, float]:
+    """Return the coefficients f (elements, functions, points) of (z − L) f = ``load``.
+
+    ``end`` (points,) is f at the right end of the last element; None: no flux leaves there. A
+    ``density`` is f = p/π of the unit 1/e^``log_scale`` in each element, its load (elements,
+    functions) physical; otherwise f has one unit, and the load is ∫π f_i … in the units of the
+    elements. Returned, too, is what is left of the equations at the nodes, relative to their terms.
+    """
+    y = admittances(e, z)
+    s, coupling = eliminated(e, y), e.mass[:, 2:, :2]
+    up, down = (np.ones(e.count - 1), e.steps) if density else (e.steps, np.ones(e.count - 1))
+    inner = load[:, 2:, None] / y.damped
+    source = load[:, :2, None] - z * np.einsum("eva,evz->eaz", coupling, inner)
+    current = np.zeros_like(s.total)
+    for k in range(1, e.count):
+        current[k] = (s.ratio[k - 1] * current[k - 1] + source[k - 1, 1]) * up[k - 1] + source[k, 0]
+    f = np.empty((e.count, e.degree + 1, z.size), dtype=s.total.dtype)
+    low, high = f[:, 0], f[:, 1]
+    if end is None:
+        end = (s.ratio[-1] * current[-1] + source[-1, 1]) / (s.passed[-1] + y.shunt[-1, 1])
+    high[-1] = end
+    for k in range(e.count - 1, 0, -1):
+        low[k] = s.ratio[k] * high[k] + current[k] / s.total[k]
+        high[k - 1] = low[k] * down[k - 1]
+    low[0] = high[0]
+    f[:, 2:] = inner - z * np.einsum("eva,eaz->evz", coupling, f[:, :2]) / y.damped
+    flux = y.series * high, y.series * low
+    right = np.array([flux[0], -flux[1], y.shunt[:, 1] * high, -source[:, 1]])[:, :-1]
+    left = np.array([flux[1], -flux[0], y.shunt[:, 0] * low, -source[:, 0]])[:, 1:]
+    terms = np.concatenate([right * up[:, None], left])
+    size = np.maximum(np.abs(terms).sum(axis=0), UNDERFLOW)
+    return f, float((np.abs(terms.sum(axis=0)) / size).max())
+
+
+class Evolved(NamedTuple):
+    """Coefficients at several times, the sizes of the terms that cancel in them, and a residual.
+
+    Both arrays are (times, elements, functions).
+    """
+
+    values: Array
+    size: Array
+    residual: float
+
+
+def evolved(
+    e: Elements, load: Array, times: Array, *, held: float | None = None, more: int = 0,
+    density: bool = True,
+) -> Evolved:  # fmt: skip
+    """Return the coefficients at ``times`` > 0 of what begins with ``load``, as of ``resolvent``.
+
+    By inverse transforms with ``more`` points on each contour. The last end is ``held`` at a value
+    from the time 0 on; None: no flux leaves there.
+    """
+    values, size = np.zeros((2, times.size, e.count, e.degree + 1))
+    residuals = [0.0]
+    for c in contours(times, more=more):
+        end = None if held is None else held / c.z
+        f, residual = resolvent(e, c.z, load, end, density=density)
+        factors, flat, shape = c.factors, f.reshape(-1, c.z.size).T, (-1, *f.shape[:2])
+        values[c.index] = (factors @ flat).imag.reshape(shape)
+        size[c.index] = (np.abs(factors) @ np.abs(flat)).reshape(shape)
+        residuals.append(residual)
+    return Evolved(values, size, float(np.max(residuals)))
+
+
+def moment(e: Elements, load: Array) -> Array:
+    """Return (−L)⁻¹ of a load in the units of the elements, 0 at the right end: first passage."""
+    f, _ = resolvent(e, np.zeros(1), load, np.zeros(1), density=False)
+    return np.asarray(f[:, :, 0])
