@@ -101,7 +101,7 @@ class Elements:
     @cached_property
     def relaxation(self) -> Array:
         """ν_j = ∫π v_j² of the v_j (elements, degree − 1), their relaxation times."""
-        return np.einsum("eii->ei", self.mass)[:, 2:]
+        return np.asarray(np.einsum("eii->ei", self.mass)[:, 2:])
 
     @cached_property
     def local_mass(self) -> Array:

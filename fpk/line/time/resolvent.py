@@ -5,6 +5,7 @@ admittances to ground. Eliminated from one side, all terms of all sums have one 
 lie in one sector of the complex plane: nothing cancels, whatever range the density spans.
 """
 
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -130,14 +131,17 @@ def evolved(
     for c in contours(times, more=more):
         end = None if held is None else held / c.z
         f, residual = resolvent(e, c.z, load, end, density=density)
-        factors, flat, shape = c.factors, f.reshape(-1, c.z.size).T, (-1, *f.shape[:2])
-        values[c.index] = (factors @ flat).imag.reshape(shape)
-        size[c.index] = (np.abs(factors) @ np.abs(flat)).reshape(shape)
+        values[c.index] = np.einsum("tz,eiz->tei", c.factors, f).imag
+        size[c.index] = np.einsum("tz,eiz->tei", np.abs(c.factors), np.abs(f))
         residuals.append(residual)
     return Evolved(values, size, float(np.max(residuals)))
 
 
 def moment(e: Elements, load: Array) -> Array:
     """Return (−L)⁻¹ of a load in the units of the elements, 0 at the right end: first passage."""
-    f, _ = resolvent(e, np.zeros(1), load, np.zeros(1), density=False)
-    return np.asarray(f[:, :, 0])
+    own = zip(load[:, :2].sum(axis=1), e.steps, strict=False)
+    below = accumulate(own, lambda current, k: (current + k[0]) * k[1], initial=0.0)
+    current = np.fromiter(below, float, e.count) + load[:, 0]
+    drop = np.append(current[:0:-1] / e.conductance[:0:-1], 0.0)
+    ends = np.append(0.0, np.cumsum(drop))[::-1]
+    return np.concatenate([ends[:-1, None], ends[1:, None], load[:, 2:]], axis=1)

@@ -34,31 +34,28 @@ MOST_ROUNDS, MOST_ELEMENTS = 6, 1_000
 """Rounds, at every second of which all elements are cut in two, and elements that end them."""
 
 
-def eigenvalues_below(e: Elements, rates: Array, *, absorbing: bool = False) -> Integers:
-    """Return how many eigenvalues are less than each of ``rates`` (points,).
+def eigenvalues_below(e: Elements, rates: Array) -> Integers:
+    """Return how many eigenvalues, 0 among them, are less than each of ``rates`` (points,).
 
-    The last end is ``absorbing``, or no flux leaves there and 0 is the first of them. As many as pivots
-    of A − λM are negative (Sylvester), those of the own functions of the elements among them
-    (Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263).
+    As many as pivots of A − λM are negative (Sylvester), those of the own functions of the elements
+    among them (Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263).
     """
     y = admittances(e, -rates)
     s = eliminated(e, y)
     inner, ends = (y.damped < 0.0).sum(axis=(0, 1)), (s.total[1:] < 0.0).sum(axis=0)
-    last = (s.passed[-1] + y.shunt[-1, 1] < 0.0) & (not absorbing)
-    return np.asarray(inner + ends + last)
+    return np.asarray(inner + ends + (s.passed[-1] + y.shunt[-1, 1] < 0.0))
 
 
-def eigenvalues(e: Elements, count: int, scale: float, *, absorbing: bool = False) -> Array:
+def eigenvalues(e: Elements, count: int, scale: float) -> Array:
     """Return the ``count`` least eigenvalues > 0 of −L, by section; ``scale`` is of their order."""
     trial = scale * 2.0 ** np.arange(-80.0, 81.0)
-    below = eigenvalues_below(e, trial, absorbing=absorbing)
-    wanted = np.arange(1, count + 1) + (not absorbing)
-    sections = 1 + max(1, POINTS // count)
+    below = eigenvalues_below(e, trial)
+    wanted, sections = np.arange(2, count + 2), 1 + max(1, POINTS // count)
     low, high = (trial[np.searchsorted(below, wanted) + k] for k in (-1, 0))
     while np.any(high - low > 2.0 * EPS * high):
         share = np.arange(1.0, sections) / sections
         grid = low[:, None] * (high / low)[:, None] ** share
-        below = eigenvalues_below(e, grid.ravel(), absorbing=absorbing).reshape(grid.shape)
+        below = eigenvalues_below(e, grid.ravel()).reshape(grid.shape)
         k = (below < wanted[:, None]).sum(axis=1)
         every = np.column_stack([low, grid, high])
         before = high - low
