@@ -12,7 +12,7 @@ from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.limit import parse_limit
-from fpk.line.time.stepping import Matrices, stepped
+from fpk.line.time.stepping import Matrices, steps_of
 from fpk.method import silent
 from fpk.modulation import Modulation
 from fpk.observable import parse_observable
@@ -187,10 +187,10 @@ def test_steps_of_nothing_have_no_residual_and_one_that_is_no_number_stays(recwa
     one, place = csc_array(np.eye(2)), np.zeros((1, 2), dtype=int)
     m = Matrices(one, one, one, place, np.zeros(2))
     always, times = Modulation([0.0], [1.0]), np.array([1.0])
-    g, residual = stepped(m, np.zeros(2), always, 1.0, times, level=0)
-    assert residual == 0.0 and not g.any() and not recwarn.list
-    _, residual = stepped(m, np.array([np.nan, 1.0]), always, 1.0, times, level=0)
-    assert np.isnan(residual)
+    for step in steps_of(m, np.zeros(2), always, 1.0, times, level=0):
+        assert step.residual == 0.0 and not step.stages.any() and not recwarn.list
+    for step in steps_of(m, np.array([np.nan, 1.0]), always, 1.0, times, level=0):
+        assert np.isnan(step.residual)
 
 
 def test_after_the_noise_none_fails():

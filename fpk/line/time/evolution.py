@@ -1,5 +1,8 @@
 """First passage of one energy by finite elements, from any start."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from fpk.arrays import Array
@@ -24,32 +27,38 @@ def fem_passage(
     nodes = source.nodes(limit, HIGHEST)
     solved = first_passage(process, limit, times=times, tol=tol, nodes=nodes)
     e = solved.answer.elements
+    # The means over the source by the points of the elements, and by those of the enriched ones.
     x, weights = source.samples(e)
-    (T, T_error), (U, U_error) = solved.mean(x), solved.second(x)
-    unit, beyond = solved.longest, 0.0
-    if source.process is None:
-        ((variance,), (variance_error,)) = solved.variance(x)
-        mean, mean_error = float(T[0]), float(T_error[0])
-    else:
-        # The means over the source once more, by the points and weights of the enriched elements.
-        y, better = source.samples(solved.enriched.elements)
-        off, beyond = solved.round_off, float(1.0 - weights.sum())
-        mean, half = float(weights @ T), float(weights @ U)
-        mean_error = SAFETY * abs(mean - float(better @ solved.mean(y)[0])) + off * mean
-        half_error = SAFETY * abs(half - float(better @ solved.second(y)[0])) + off * half
-        mean_error += float(weights @ T_error)
-        half_error += float(weights @ U_error)
-        with np.errstate(over="ignore"):
-            variance = 2.0 * half * unit * unit - mean * mean
-            variance_error = 2.0 * half_error * unit * unit + 2.0 * mean * mean_error
+    y, better = source.samples(solved.enriched.elements)
+    unit, beyond = solved.longest, float(1.0 - weights.sum())
+    off = 0.0 if source.process is None else solved.round_off
+
+    def over(f: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
+        (values, errors), (finer, _) = f(x), f(y)
+        mean = values @ weights
+        distance = SAFETY * np.abs(mean - finer @ better) + off * np.abs(mean)
+        return mean, errors @ weights + distance
+
+    mean, mean_error = map(float, over(solved.mean))
+    share = mean / unit
+
+    def spread(x: Array) -> tuple[Array, Array]:
+        """(E T − mean)² − mean² of a start in units of the square of the longest mean time."""
+        T, T_error = (a / unit for a in solved.mean(x))
+        return T * (T - 2.0 * share), 2.0 * np.abs(T - share) * T_error
+
+    (V, V_error), (W, W_error) = over(solved.variance), over(spread)
+    with np.errstate(over="ignore"):
+        variance, variance_error = (
+            (V + W + share**2) * unit * unit,
+            (V_error + W_error) * unit * unit,
+        )
     rate, rate_error = solved.rate()
     # Forward and backward equation are compared at the mean time where no other is asked for.
     compared = times if times.size else np.array([mean])
-    F, F_error = solved.failure(compared, x)
-    failure, failure_error = F @ weights + beyond, F_error @ weights
-    if source.process is not None:
-        finer = solved.failure(compared, y)[0] @ better + 1.0 - better.sum()
-        failure_error += SAFETY * np.abs(failure - finer) + off
+    failure, failure_error = over(partial(solved.failure, compared))
+    failure = failure + beyond
+    failure_error = failure_error + SAFETY * np.abs(weights.sum() - better.sum()) + off
     kept, residual = _forward(e, source, compared)
     settings: dict[str, str | float | int] = {
         "degree": e.degree, "elements": e.count, "tol": tol
@@ -71,8 +80,10 @@ def fem_passage(
 
 
 def _curve(solved: FirstPassage) -> StartCurve:
-    starts = np.linspace(0.0, solved.limit, STARTS)
-    return StartCurve(starts, *solved.mean(starts), *solved.variance(starts))
+    starts, unit = np.linspace(0.0, solved.limit, STARTS), solved.longest
+    with np.errstate(over="ignore"):
+        variance = [a * unit * unit for a in solved.variance(starts)]
+    return StartCurve(starts, *solved.mean(starts), *variance)
 
 
 def _forward(e: Elements, source: Source, times: Array) -> tuple[Array, float]:

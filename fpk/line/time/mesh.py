@@ -4,7 +4,7 @@ And the points of integrals over one element, where π is no polynomial.
 """
 
 from functools import lru_cache
-from math import comb, exp
+from math import comb, exp, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,12 @@ GROWTH = 1.6
 over it is as smooth on each element as on the one before."""
 SAME = 1e-3
 """Distance of two nodes, relative to the elements beside it, below which one is left out."""
+LAYER = 0.5
+"""Length of the elements at a start or a limit, in units of the width of the density there at the
+first time."""
+THINNEST = 1e-12
+"""Least length of the elements at a limit, relative to it: in shorter ones energies are not told
+apart. Whoever starts farther from it has not failed at times for which these are too long."""
 FEWEST = 4
 """Elements that there are at least."""
 STEEP_NATS = 4.0
@@ -52,6 +58,12 @@ def first_degree(degree: int, n: int) -> int:
     The polynomial that is orthogonal in H^(n−1) to all of a lower degree k is (n+k−1 over k) at 0.
     """
     return max(k for k in range(1, degree + 1) if k == 1 or comb(k + n - 1, k) <= LARGEST_VALUE)
+
+
+def layer_at(process: Process, limit: float, time: float) -> tuple[float, float]:
+    """Return the ``limit`` and the length of elements there: p falls to 0 over √(b t)."""
+    b = float(process.coefficients(np.array([limit])).diffusion[0])
+    return limit, max(LAYER * sqrt(b * time), THINNEST * limit)
 
 
 def time_nodes(

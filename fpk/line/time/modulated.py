@@ -14,8 +14,7 @@ from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import NO_NOISE_YET, UNRESOLVED, Transient
 from fpk.line.time.elements import Elements
 from fpk.line.time.propagation import Solution, Source
-from fpk.line.time.resolvent import Evolved
-from fpk.line.time.stepping import STAGES, matrices, stepped
+from fpk.line.time.stepping import STAGES, stepped
 from fpk.line.time.transition import SAFETY, Settings, Transition, adapted, judged, posed
 from fpk.modulation import Modulation
 from fpk.observable import number_text
@@ -131,11 +130,8 @@ def modulated_transition(
 
     @lru_cache(maxsize=len(pair))
     def carried(e: Elements, level: int) -> Solution:
-        m = matrices(e)
-        load = m.assembled(source.load(e))
-        g, residual = stepped(m, load, modulation, unit, times, level=level)
-        g = m.coefficients(g, e.log_scale[:, None])
-        return Solution(process, e, Evolved(g, np.abs(g), residual))
+        g = stepped(e, source.load(e), modulation, unit, times, level=level).g
+        return Solution(process, e, g)
 
     solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0]))
     e, finer = solved.pair

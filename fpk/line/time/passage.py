@@ -10,7 +10,7 @@ from fpk.arrays import EPS, SMALLEST, Array, Flags
 from fpk.errors import InvalidInput
 from fpk.evolution import BEYOND_RANGE
 from fpk.line.time.elements import ENRICHMENT, MOST_ROUNDS, Elements, cut, degree_for, meshed
-from fpk.line.time.mesh import NONE, time_nodes
+from fpk.line.time.mesh import NONE, layer_at, time_nodes
 from fpk.line.time.resolvent import evolved, moment
 from fpk.probe import probed
 from fpk.process import Process
@@ -21,11 +21,6 @@ ROUND_OFF = 8.0
 """Roundings of sums along the chain, for each element and each unit of ln π from end to end."""
 MOST_ELEMENTS = 3_000
 """Elements beyond which none is cut any more."""
-LAYER = 0.5
-"""Length of the elements at the limit, in units of √(b t) of the shortest time."""
-THINNEST = 1e-12
-"""Least length of the elements at the limit, relative to it: in shorter ones energies are not told
-apart. Whoever starts farther from it has not failed at times for which these are too long."""
 FARTHEST = 900.0
 """Fall of ln(π H) from its maximum to the limit beyond which none is solved for: e^900 times."""
 LARGEST_MEAN = 1e300
@@ -139,14 +134,6 @@ class FirstPassage:
         by_coefficients = self._coefficients[a.elements.element_of(x)]
         return T, SAFETY * np.abs(T - better) + rounding + by_coefficients
 
-    def second(self, x: Array) -> tuple[Array, Array]:
-        """Return E T²/2 in units of the squared ``longest`` mean time, and its error."""
-        a, b = self.answer, self.enriched
-        (U, size), (better, _) = a.elements.at(x, a.second), b.elements.at(x, b.second)
-        better = better * (b.longest / a.longest) ** 2
-        rounding = self.round_off * size
-        return U, SAFETY * np.abs(U - better) + 2.0 * self.relative * U + rounding
-
     def _rounding(self, x: Array) -> Array:
         """Relative round-off by that of the energies: T is about linear in H_f − x."""
         return ROUND_OFF * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
@@ -157,7 +144,7 @@ class FirstPassage:
         return self.answer.longest
 
     def variance(self, x: Array) -> tuple[Array, Array]:
-        """Return the variance of the time from the starts x and its error."""
+        """Return the variance of the time from the starts x in ``longest``², and its error."""
         a, b, unit = self.answer, self.enriched, self.longest
         (T, of_T), (U, of_U) = a.elements.at(x, a.mean / unit), a.elements.at(x, a.second)
         (better, _), (half, _) = b.elements.at(x, b.mean / unit), b.elements.at(x, b.second)
@@ -166,8 +153,7 @@ class FirstPassage:
         # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
         error = SAFETY * distance + (3.0 * self.relative + self._rounding(x)) * value
         error += self.round_off * 2.0 * (value + of_U + T * of_T)
-        with np.errstate(over="ignore"):
-            return value * unit * unit, error * unit * unit
+        return value, error
 
     def rate(self) -> tuple[float, float]:
         """Return the failure rate and its error."""
@@ -199,11 +185,7 @@ def first_passage(
     degree = degree_for(tol)
     beyond = InvalidInput("limit", limit, BEYOND_RANGE)
     later = times[times > 0.0]
-    fine: tuple[tuple[float, float], ...] = ()
-    if later.size:
-        b = float(process.coefficients(np.array([limit])).diffusion[0])
-        layer = LAYER * np.sqrt(b * float(later.min()))
-        fine = ((limit, max(layer, THINNEST * limit)),)
+    fine = (layer_at(process, limit, float(later.min())),) if later.size else ()
     probe = probed(process)
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
     if not probe.log_mass.max() - log_mass < FARTHEST:

@@ -18,6 +18,7 @@ from scipy.special import roots_jacobi
 
 from fpk.arrays import Array, Integers
 from fpk.line.time.elements import Elements
+from fpk.line.time.resolvent import Evolved
 from fpk.modulation import Modulation
 
 STAGES = 5
@@ -95,14 +96,38 @@ class Step(NamedTuple):
     residual: float
 
 
+class Stepped(NamedTuple):
+    """The density at the times asked for, and its mass ``kept`` at the stages of all steps.
+
+    ``at`` are the times of the stages, ``weights`` integrate over time (steps · stages,) each.
+    """
+
+    g: Evolved
+    at: Array
+    weights: Array
+    kept: Array
+
+
 def stepped(
-    m: Matrices, load: Array, modulation: Modulation, unit: float, times: Array, *, level: int
-) -> tuple[Array, float]:
-    """Return g (times, functions) at ``times`` > 0, and the residual of the equations of steps."""
-    steps = steps_of(m, load, modulation, unit, times, level=level)
-    rows = [(s.end, s.stages[-1], s.residual) for s in steps]
-    ends, g, residuals = zip(*rows, strict=True)
-    return np.array([g[ends.index(t)] for t in times.tolist()]), float(np.max(residuals))
+    e: Elements, load: Array, modulation: Modulation, unit: float, times: Array, *, level: int,
+    absorbing: bool = False,
+) -> Stepped:  # fmt: skip
+    """Return the density at ``times`` > 0 of what begins with ``load``, by ``steps_of``.
+
+    No flux leaves at the last end, or it is ``absorbing``.
+    """
+    m, log_unit = matrices(e, absorbing=absorbing), e.log_scale[:, None]
+    shares, (A, c) = m.assembled(e.load, log_unit), radau(STAGES)
+    steps = list(steps_of(m, m.assembled(load), modulation, unit, times, level=level))
+    ends, lengths = np.array([(s.end, s.length) for s in steps]).T[:, :, None]
+    last = np.array([steps[k].stages[-1] for k in np.searchsorted(ends[:, 0], times)])
+    values = m.coefficients(last, log_unit)
+    return Stepped(
+        Evolved(values, np.abs(values), float(np.max([s.residual for s in steps]))),
+        (ends - lengths * (1.0 - c)).ravel(),
+        (lengths * A[-1]).ravel(),
+        np.array([s.stages @ shares for s in steps]).ravel(),
+    )
 
 
 def steps_of(

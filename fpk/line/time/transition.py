@@ -19,7 +19,7 @@ from fpk.line.time.elements import (
     degree_for,
     meshed,
 )
-from fpk.line.time.mesh import time_nodes
+from fpk.line.time.mesh import LAYER, NONE, layer_at, time_nodes
 from fpk.line.time.propagation import Solution, Source, propagated
 from fpk.observable import number_text
 from fpk.probe import Probe, probed
@@ -29,8 +29,6 @@ SAFETY = 3.0
 """Factor on the distance to the enriched solution."""
 ROUND_OFF = 8.0
 """Roundings of the terms that cancel in the rule of the inverse transform."""
-LAYER = 0.5
-"""Length of the elements at the start, in units of the width of the density at the first time."""
 TAIL = (1e-3, 1e-8)
 """Share of the tolerance that may lie beyond the mesh: of the answer, and of the enriched one."""
 NEAR_ZERO = 1e-9
@@ -129,29 +127,29 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     return solved
 
 
-def posed(process: Process, source: Source, time: float, tol: float) -> tuple[Question, Pair]:
+def posed(
+    process: Process, source: Source, time: float, tol: float, *, limit: float | None = None
+) -> tuple[Question, Pair]:
     """Return the question, ``time`` the first one asked for, and the meshes to begin with.
 
-    Those of the answer and of the enriched solution, which reaches farther. Raises ``InvalidInput``
-    for a start beyond the range of double precision.
+    Those of the answer and of the enriched solution, which reaches farther where there is no
+    absorbing ``limit``. Raises ``InvalidInput`` for a start beyond the range of double precision.
     """
-    degree = degree_for(tol)
-    probe, start = probed(process), source.energy
-    share = _log_share_above(probe, start)
-    if share < FARTHEST or _log_share_above(probe, source.extent) < FARTHEST_EXTENT:
-        remedy = "the stationary probability beyond it is out of the range of double precision"
-        raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
-    ends = [_extent(process, source, tail * tol, share) for tail in TAIL]
+    degree, start = degree_for(tol), source.energy
+    width, fine, beyond = process.energy_scale, [], NONE
     if source.process is None:
         width = width_of(process, start, time)
-        nodes = time_nodes(process, ends[0], degree, fine=((start, LAYER * width),))
+        fine.append((start, LAYER * width))
+    if limit is not None:
+        fine.append(layer_at(process, limit, time))
+        end = limit
     else:
-        width = process.energy_scale
-        nodes = time_nodes(process, ends[0], degree, more=source.nodes(ends[0], degree))
-    ends[1] = max(ends[1], LENGTHENED * ends[0])
-    length = float(nodes[-1] - nodes[-2])
-    beyond = np.linspace(ends[0], ends[1], 1 + max(1, math.ceil((ends[1] - ends[0]) / length)))
-    pair = meshed(process, nodes, degree, beyond=beyond[1:])
+        end, last = _ends(process, source, tol)
+    nodes = time_nodes(process, end, degree, fine=tuple(fine), more=source.nodes(end, degree))
+    if limit is None:
+        length = float(nodes[-1] - nodes[-2])
+        beyond = np.linspace(end, last, 1 + max(1, math.ceil((last - end) / length)))[1:]
+    pair = meshed(process, nodes, degree, beyond=beyond)
     return Question(process, source, width, tol), pair
 
 
@@ -227,16 +225,24 @@ def _log_share_above(probe: Probe, energy: float) -> float:
     return float(min(at - probe.log_mass[top], 0.0)) if energy > probe.energy[top] else 0.0
 
 
-def _extent(process: Process, source: Source, tail: float, log_share: float) -> float:
-    """Return an energy above which no more than ``tail`` is at any time after the start.
+def _ends(process: Process, source: Source, tol: float) -> tuple[float, float]:
+    """Return energies above which no more than ``TAIL`` is at any time after the start.
 
     From a start in the stationary state beyond the energy H_0 it is not more, at any energy, than
     the stationary tail over that beyond H_0; and from H_0 itself still less.
     """
-    end = probed(process).extent(math.exp(math.log(tail) + log_share))
-    if source.process is not None:
-        end = max(end, probed(source.process).extent(tail))
-    return max(end, 1.05 * source.energy)
+    probe, start = probed(process), source.energy
+    log_share = _log_share_above(probe, start)
+    if log_share < FARTHEST or _log_share_above(probe, source.extent) < FARTHEST_EXTENT:
+        remedy = "the stationary probability beyond it is out of the range of double precision"
+        raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
+    ends = []
+    for tail in TAIL:
+        end = probe.extent(math.exp(math.log(tail * tol) + log_share))
+        if source.process is not None:
+            end = max(end, probed(source.process).extent(tail * tol))
+        ends.append(max(end, 1.05 * start))
+    return ends[0], max(ends[1], LENGTHENED * ends[0])
 
 
 def common_error(question: Question, e: Elements, p: Array, size: Array, x: Array) -> Array:
