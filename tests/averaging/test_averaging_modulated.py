@@ -184,8 +184,7 @@ def test_the_tolerance_that_is_asked_for_is_the_one_that_judges(name, monkeypatc
 
 
 def test_steps_of_nothing_have_no_residual_and_one_that_is_no_number_stays(recwarn):
-    one, place = csc_array(np.eye(2)), np.zeros((1, 2), dtype=int)
-    m = Matrices(one, one, one, place, np.zeros(2))
+    m = Matrices(*[csc_array(np.eye(2))] * 4)
     always, times = Modulation([0.0], [1.0]), np.array([1.0])
     for step in steps_of(m, np.zeros(2), always, 1.0, times, level=0):
         assert step.residual == 0.0 and not step.stages.any() and not recwarn.list

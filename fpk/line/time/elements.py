@@ -146,11 +146,13 @@ class Elements:
         ``f`` (…, elements, functions) are the coefficients and ``size`` the sizes of theirs.
         """
         k, values = self.functions(x)
-        size = np.abs(f) if size is None else size
-        return (
-            np.einsum("...xi,xi->...x", f[..., k, :], values),
-            np.einsum("...xi,xi->...x", size[..., k, :], np.abs(values)),
-        )
+        both = (f, values), (np.abs(f) if size is None else size, np.abs(values))
+        rows = [
+            [np.einsum("xi,xi->x", each[k], v) for each in a.reshape(-1, *f.shape[-2:])]
+            for a, v in both
+        ]
+        p, sizes = np.array(rows).reshape(2, *f.shape[:-2], x.size)
+        return p, sizes
 
     def log_phase_density(self, x: Array) -> Array:
         """Return ln u = ln π/T at the points x, 0 at H = 0."""

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legint, legvander
-from scipy.sparse import coo_array, csc_array, kron
+from scipy.sparse import block_diag, coo_array, csc_array, kron
 from scipy.sparse.linalg import splu
 from scipy.special import roots_jacobi
 
-from fpk.arrays import Array, Integers
+from fpk.arrays import Array
 from fpk.line.time.elements import Elements
 from fpk.line.time.resolvent import Evolved
 from fpk.modulation import Modulation
@@ -30,32 +30,16 @@ RATIO = 3.0
 
 
 class Matrices(NamedTuple):
-    """M, K and C of the free functions, ``place`` of those of each element (−1: none).
+    """M, K and C of the free functions, which are scaled to a mass of one.
 
-    The functions are scaled to a mass of one: ``scale`` is ln of the factor on each.
+    ``spread`` (functions of all elements, free functions) has e^(½ ``log_scale``) times the factor
+    of each free function, where it is one of the element's.
     """
 
     M: csc_array
     K: csc_array
     C: csc_array
-    place: Integers
-    scale: Array
-
-    def assembled(self, each: Array, log_unit: Array | float = 0.0) -> Array:
-        """Return the sums of ``each`` (elements, functions) in units e^``log_unit``: a load."""
-        total, used = np.zeros(self.scale.size), self.place >= 0
-        factor = np.exp(log_unit + self._log_factor)
-        np.add.at(total, self.place[used], (each * factor)[used])
-        return total
-
-    def coefficients(self, g: Array, log_unit: Array) -> Array:
-        """Return those (times, elements, functions) of ``g`` (times, free functions) in units."""
-        padded = np.append(g, np.zeros((len(g), 1)), axis=1)
-        return np.asarray(padded[:, self.place] * np.exp(log_unit + self._log_factor))
-
-    @property
-    def _log_factor(self) -> Array:
-        return np.append(self.scale, -np.inf)[self.place]
+    spread: csc_array
 
 
 def matrices(e: Elements, *, absorbing: bool = False) -> Matrices:
@@ -64,27 +48,23 @@ def matrices(e: Elements, *, absorbing: bool = False) -> Matrices:
     No flux leaves at the last end, or it absorbs.
     """
     size = e.degree + 1
-    K = np.tile(np.eye(size), (e.count, 1, 1))
-    K[:, :2, :2] = e.conductance[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    place = np.empty((e.count, size), dtype=np.intp)
-    place[:, 0], place[:, 1] = np.arange(-1, e.count - 1), np.arange(e.count)
-    place[:, 2:] = e.count + np.arange(e.count * (size - 2)).reshape(e.count, size - 2)
+    K_local = np.tile(np.eye(size), (e.count, 1, 1))
+    K_local[:, :2, :2] = e.conductance[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    # A vertex is of two elements, of which the one on its left has the function h_1.
+    place = np.arange(e.count * size).reshape(e.count, size)
+    place[1:, 0] = place[:-1, 1]
     masses = np.einsum("eii->ei", e.mass)
-    place[masses == 0.0] = -1
-    if absorbing:
-        place[-1, 1] = -1
-    numbers = np.unique(place[place >= 0])
-    place = np.where(place >= 0, np.searchsorted(numbers, place), -1)
-    used, unit = place >= 0, np.broadcast_to(e.log_scale[:, None], place.shape)
-    scale = np.full(numbers.size, -np.inf)
-    np.logaddexp.at(scale, place[used], np.log(masses[used]) + unit[used])
-    factor = np.where(used, np.exp(0.5 * (unit - scale[place])), 0.0)
-    pair = factor[:, :, None] * factor[:, None, :]
-    rows, columns = (np.broadcast_to(p, pair.shape) for p in (place[:, :, None], place[:, None, :]))
-    keep = (rows >= 0) & (columns >= 0)
-    at, shape = (rows[keep], columns[keep]), (numbers.size, numbers.size)
-    made = [csc_array(coo_array(((A * pair)[keep], at), shape)) for A in (e.mass, K, e.drift)]
-    return Matrices(made[0], made[1], made[2], place, -0.5 * scale)
+    used = masses != 0.0
+    used[-1, 1] &= not absorbing
+    numbers, free = np.unique(place[used], return_inverse=True)
+    unit = np.broadcast_to(e.log_scale[:, None], place.shape)[used]
+    log_mass = np.full(numbers.size, -np.inf)
+    np.logaddexp.at(log_mass, free, np.log(masses[used]) + unit)
+    factor, shape = np.exp(0.5 * (unit - log_mass[free])), (used.size, numbers.size)
+    spread = csc_array(coo_array((factor, (np.flatnonzero(used), free)), shape))
+    blocks = (block_diag(A, format="csc") for A in (e.mass, K_local, e.drift))
+    M, K, C = (csc_array(spread.T @ A @ spread) for A in blocks)
+    return Matrices(M, K, C, spread)
 
 
 class Step(NamedTuple):
@@ -116,12 +96,13 @@ def stepped(
 
     No flux leaves at the last end, or it is ``absorbing``.
     """
-    m, log_unit = matrices(e, absorbing=absorbing), e.log_scale[:, None]
-    shares, (A, c) = m.assembled(e.load, log_unit), radau(STAGES)
-    steps = list(steps_of(m, m.assembled(load), modulation, unit, times, level=level))
+    m, root = matrices(e, absorbing=absorbing), np.exp(0.5 * e.log_scale)[:, None]
+    begun, shares = (m.spread.T @ each.ravel() for each in (load / root, e.load * root))
+    A, c = radau(STAGES)
+    steps = list(steps_of(m, begun, modulation, unit, times, level=level))
     ends, lengths = np.array([(s.end, s.length) for s in steps]).T[:, :, None]
     last = np.array([steps[k].stages[-1] for k in np.searchsorted(ends[:, 0], times)])
-    values = m.coefficients(last, log_unit)
+    values = root * (m.spread @ last.T).T.reshape(-1, *e.load.shape)
     return Stepped(
         Evolved(values, np.abs(values), float(np.max([s.residual for s in steps]))),
         (ends - lengths * (1.0 - c)).ravel(),
