@@ -20,7 +20,7 @@ from fpk.line.time.modulated import modulated_transient, modulated_transition
 from fpk.line.time.modulated_passage import modulated_passage
 from fpk.line.time.propagation import Source
 from fpk.line.time.spectrum import spectrum
-from fpk.line.time.transition import Settings, transition
+from fpk.line.time.transition import transition
 from fpk.modulation import ROUND_OFF, Modulation, require_constant_noise
 from fpk.process import Process
 from fpk.square_root import SquareRoot
@@ -63,18 +63,14 @@ class OneEnergy:
         start, times, tol = asked.start, asked.times, asked.tol
         checked_times(times, positive=start.noise is None or solver == "fem")
         if solver == "fem":
-            source = self._source(start)
-            settings: Settings = {}
-            if self.modulation is None:
+            source, e = self._source(start), self.modulation
+            if e is None:
                 solved = transition(self.under(1.0), source, times, tol=tol)
+            elif not e.last and times[-1] > e.times[-1]:
+                raise NotApplicable(AFTER_THE_NOISE)
             else:
-                if not self.modulation.last and times[-1] > self.modulation.times[-1]:
-                    raise NotApplicable(AFTER_THE_NOISE)
-                solved, settings = modulated_transition(
-                    self.under, self.modulation, source, times, tol=tol
-                )
-            answer = state_transient(system, solved, asked)
-            return replace(answer, settings={**answer.settings, **settings})
+                solved = modulated_transition(self.under, e, source, times, tol=tol)
+            return state_transient(system, solved, asked)
         closed, rows = self._closed(solver), state_rows(asked.observable, system.n)
         # At temperature 1; K and M are not coupled.
         shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]

@@ -44,7 +44,7 @@ def modulated_transient(
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
     later = times > end
     stops = np.unique(np.minimum(times, end))
-    solved, settings = modulated_transition(under, modulation, source, stops, tol=tol)
+    solved = modulated_transition(under, modulation, source, stops, tol=tol)
     values, errors = np.zeros((2, times.size, at.size))
     values[~later], errors[~later] = (a[: int((~later).sum())] for a in solved.density(at))
     measured, process = solved.measured, under(1.0)
@@ -55,7 +55,7 @@ def modulated_transient(
     if not measured.l1_error <= UNRESOLVED:
         errors[:] = np.inf
     certificate = certify(measured, tol=solved.question.tol)
-    return Transient(times, values, errors, "numerical", certificate, settings)
+    return Transient(times, values, errors, "numerical", certificate, solved.settings)
 
 
 def free_decay(
@@ -111,7 +111,7 @@ def modulated_transition(
     times: Array,
     *,
     tol: float,
-) -> tuple[Transition, Settings]:
+) -> Transition:
     """Return the density at ``times`` > 0 after ``source``; ``under(F)`` has F times the noise.
 
     By steps of Radau IIA of the order 9 on elements that adapt; the error is the distance to
@@ -151,8 +151,11 @@ def modulated_transition(
     # At the ends of elements, where no point is, distances are largest while there is no noise.
     at_ends = np.abs(own.density(e.right)[0] - enriched.density(e.right)[0])
     beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
-    solved = replace(solved, distance=np.maximum(solved.distance, beside[..., None]))
-    return solved, settings_of(e, level, distances, tol)
+    return replace(
+        solved,
+        distance=np.maximum(solved.distance, beside[..., None]),
+        settings={**solved.settings, **settings_of(e, level, distances, tol)},
+    )
 
 
 def halved(

@@ -77,6 +77,7 @@ class Transition:
     top: Array
     measured: Measured
     certificate: Certificate
+    settings: Settings
 
     @property
     def elements(self) -> Elements:
@@ -87,13 +88,6 @@ class Transition:
     def pair(self) -> Pair:
         """The elements of the answer and of the enriched solution."""
         return self.solution.elements, self.enriched.elements
-
-    @property
-    def settings(self) -> Settings:
-        """The settings of an answer."""
-        e, tol = self.elements, self.question.tol
-        last = float(e.right[-1])
-        return {"degree": e.degree, "elements": e.count, "last energy": last, "tol": tol}
 
     def density(self, x: Array) -> tuple[Array, Array]:
         """Return p and its error at energies x (points,): two arrays (times, points).
@@ -211,7 +205,11 @@ def judged(
         absolute_error=float((pointwise.max(axis=1) / top).max()),
     )
     certificate = certify(measured, tol=question.tol)
-    solved = Transition(question, own, finer, distance, top, measured, certificate)
+    settings: Settings = {
+        "degree": answer.degree, "elements": answer.count, "last energy": float(answer.right[-1]),
+        "tol": question.tol,
+    }  # fmt: skip
+    solved = Transition(question, own, finer, distance, top, measured, certificate, settings)
     each = (distance * w).sum(axis=2).max(axis=0)
     return solved, each, common.sum(axis=2).max(axis=0)
 
