@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fpk.arrays import SMALLEST, Array
-from fpk.certificate import Certificate, Measured, certify
+from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.function_quantities import FunctionQuantities
 from fpk.observable import Observable, observable_name
 from fpk.piecewise import PiecewiseTensor, interpolated_tensor
@@ -137,14 +137,18 @@ def certified_density(
     values = np.asarray(pdf(*mesh))
     largest = float(values.max(initial=0.0))
     smallest = float(values.min(initial=0.0)) / largest if largest > 0.0 else np.nan
+    # To its stated error the sign of p is known.
+    known = float(np.max(pointwise(*mesh))) / largest if smallest < NEGATIVE else 0.0
+    if measured.minimum is not None and measured.minimum < smallest:
+        solved = measured.minimum, measured.absolute_error
+        smallest, known = min((smallest, known), solved, key=sum)
     added = 0.0 if added_error is None else integral(np.asarray(added_error(values, *mesh)), grids)
     checked = replace(
         measured,
         l1_error=measured.l1_error + added,
         mass_defect=abs(integral(values, grids) - 1.0),
-        minimum=measured.minimum
-        if measured.minimum is not None and measured.minimum < smallest
-        else smallest,
+        minimum=smallest,
+        absolute_error=known,
     )
     certificate = certify(checked, tol=tol)
     table, table_error = None, 0.0

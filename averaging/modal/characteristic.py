@@ -1,7 +1,7 @@
 """Densities of displacements and momenta from those of the modal energies, Eq. (35)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 from math import prod
 
@@ -30,8 +30,6 @@ PHASE = {1: 30.0, 2: 16.0}
 ``fpk.density`` (20 and 12 points) integrate such a wave to 1e-9."""
 HALF_PANELS = (4.0, 400.0)
 """Least and largest number of panels of an axis on either side of 0."""
-LATTICE = 65
-"""Points along an axis of the grid on which the largest density and error are looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +101,6 @@ def state_density(
         return np.asarray(np.abs(error) + relative * np.abs(p) + floor)
 
     extent = np.hypot(U, W) @ largest
-    lattice = [np.linspace(-e, e, LATTICE) for e in extent]
-    values, errors = both(*np.meshgrid(*lattice, indexing="ij", sparse=True))
-    absolute = (floor + float(np.max(np.abs(errors)))) / float(values.max())
     # Panels over which the phase at the edge of the band, where next to nothing is left, turns by
     # ``PHASE``, and no more of them than are affordable.
     turns = extent * (both.counts @ np.abs(both.phases))[:count] / PHASE[count]
@@ -115,7 +110,7 @@ def state_density(
         tuple(np.linspace(-e, e, 1 + 2 * half) for e, half in zip(extent, halves, strict=True)),
         lambda *x: both(*x)[0],
         pointwise,
-        measured=replace(joined(groups, own + both.l1_beyond + round_off), absolute_error=absolute),
+        measured=joined(groups, own + both.l1_beyond + round_off),
         tol=tol,
     )
 

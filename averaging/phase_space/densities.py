@@ -40,7 +40,6 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
         minimum=np.inf,
         residual=ladder.finest.residual,
         tail_mass=tail,
-        absolute_error=factor * float(local.max()) / largest,
     )
     if ladder.limit and ladder.errors[observable] > tol:
         measured = measured.with_failures(ladder.limit)

@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from averaging.phase_space.equation.damping import (
-    Matrix,
     Polynomial,
-    Space,
     by_y,
     product,
     reach,
@@ -15,7 +13,7 @@ from averaging.phase_space.equation.damping import (
 )
 from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.equation.frame import Frame
-from averaging.phase_space.equation.others import first_and_second
+from averaging.phase_space.equation.others import Matrix, Space, first_and_second
 from averaging.phase_space.moments import moments
 from averaging.phase_space.refinement import SAFETY, Ladder
 from fpk.arrays import Array

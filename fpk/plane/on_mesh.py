@@ -4,7 +4,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from fpk.arrays import Array, Flags
-from fpk.certificate import NEGATIVE, Measured, certify
+from fpk.certificate import Measured, certify
 from fpk.errors import NotCertified
 from fpk.piecewise import PiecewiseTensor
 from fpk.plane.condensation import local_order, null_vector
@@ -95,13 +95,14 @@ def solve_plane_on_mesh(
     rounding = ROUND_OFF * degree**2 * elements**0.5
     if weight is not None:
         rounding += ROUND_OFF * float(v @ (np.abs(p) * weight.terms(x[:, None], y)) @ w)
-    relative = tail + mass_defect
+    relative, distance = tail + mass_defect, SAFETY * np.abs(p - better)
     measured = Measured(
-        l1_error=SAFETY * float(v @ np.abs(p - better) @ w) + tail + relative + rounding,
+        l1_error=float(v @ distance @ w) + tail + relative + rounding,
         mass_defect=mass_defect,
         minimum=float(p.min() / p.max()),
         residual=residual,
         tail_mass=tail,
+        absolute_error=float(np.max(distance) / p.max()),
     )
     certificate = certify(measured, tol=tol)
     return PlaneSolution(process, u, enriched, weight, relative, measured, certificate)
@@ -139,7 +140,7 @@ def solve_by_elements(
 
     ``degree`` follows from ``tol`` unless given, the ends of the first mesh from the ``probe``. The
     mesh is lengthened where mass lies beyond, and intervals are halved where the highest modes are
-    too large or p is negative: until the certificate holds or the limits are reached.
+    too large: until the certificate holds or the limits are reached.
 
     Raises ``NotCertified`` where the first mesh has more than ``MAX_ENTRIES``.
     """
@@ -166,7 +167,7 @@ def _lengthened(nodes: Array) -> Array:
 
 
 def _refined(solution: PlaneSolution, tol: float) -> Nodes:
-    """The next mesh: halved where the highest modes are too large or p < 0, and long enough."""
+    """The next mesh: halved where the highest modes are too large, and long enough."""
     points = solution.degree + 2
     energies, weights = gauss_grid(solution.nodes, points)
     p = solution.density(energies[0][:, None], energies[1])
@@ -175,11 +176,9 @@ def _refined(solution: PlaneSolution, tol: float) -> Nodes:
     size = np.abs(solution.u.coefficients) * area[:, :, None, None]
     highest = size[:, :, -2:].sum(axis=(1, 2, 3)), size[..., -2:].sum(axis=(0, 2, 3))
     limit = COARSE * max(highest[0].max(), highest[1].max())
-    below = by_element(p - NEGATIVE * p.max(), area.shape).min(axis=(1, 2)) < 0.0
-    negative: Flags = below.reshape(area.shape)
     meshes = []
     for axis, nodes in enumerate(solution.nodes):
-        marked: Flags = (highest[axis] > limit) | negative.any(axis=1 - axis)
+        marked: Flags = highest[axis] > limit
         middle = 0.5 * (nodes[1:] + nodes[:-1])
         finer = np.sort(np.concatenate([nodes, middle[marked]]))
         meshes.append(_lengthened(finer) if beyond[axis] else finer)

@@ -8,33 +8,25 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fpk.certificate import NEGATIVE, outside
+from fpk.certificate import outside
 from fpk.errors import NotCertified
 from fpk.plane.on_mesh import solve_plane_on_mesh
 from fpk.plane.solution import PlaneSolution, graded
 from fpk.plane.weight import Weight, fitted_weight
 from fpk.process import Process
 
-FIRST = (2, 6)
-"""Panels along each axis and degree of the first attempts: they cost little, and give the weight.
-Their degree is raised once, by ``STEP`` where that suffices: of high degree over long panels the
-equations lose digits to round-off."""
-SECOND = (4, 8)
-"""Panels and least degree where the first panels do not suffice."""
-LIMITS = (8, 18)
-"""Most panels along each axis, and highest degree. The degree is raised first: a digit costs less
-so."""
-COARSE = 1e-4
-"""Error above which the degree is raised by no more than ``STEP``: a better weight may follow."""
-STEP = 4
+LEVELS = ((2, 6), (2, 10), *((4, p) for p in range(8, 19)), *((n, 18) for n in range(5, 9)))
+"""Panels along each axis and degree of the attempts. Those on two panels cost little, and give the
+weight; of higher degree over so long panels the equations lose digits to round-off. From four on
+the degree is raised first: a digit costs less so."""
+DIGITS, DOUBLED = 0.6, 3.0
+"""Digits of the error that a degree gains, and degrees that twice as many panels are worth: 0.4 to
+0.85 and 2.9 to 3.6 digits with two more degrees, measured for circulating van der Pol damping and
+mixtures of exponentials."""
+COARSE, STEP = 1e-4, 5.0
+"""Error above which at most ``STEP`` degrees are gained at once: a better weight may follow."""
 TRIED = 1e-5
 """Error above which a better weight is tried on the same unknowns first, and gains more."""
-DIGITS = (0.6, 3.0, 0.6)
-"""Digits that a degree gains on the first panels, that ``SECOND`` gains on ``FIRST``, and that a
-degree gains from there on: 0.4 to 0.7, 2.9 to 3.6 and 0.6 to 0.85, measured for circulating van
-der Pol damping and mixtures of exponentials."""
-NEGATIVE_DIGITS = 0.6
-"""Digits of the error that a digit of the negative minimum counts: 1/1.6 was measured."""
 BEYOND = 1e-4
 """Fraction of the tolerance that w falls to at the far edges: where w only continues what was known
 of p, p may be a thousand times as large there."""
@@ -62,9 +54,10 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
 
     Ends where the weight does not fall off, the error no longer falls, or the panels are too many.
     """
-    (panels, degree), rise, least = FIRST, -float(np.log(BEYOND * tol)), np.inf
+    level, rise, least = 0, -float(np.log(BEYOND * tol)), np.inf
     beyond, stalled, best = max(rise, LEAST_RISE), 0, weight
-    while panels <= LIMITS[0] and stalled < 2:
+    while level < len(LEVELS) and stalled < 2:
+        panels, degree = LEVELS[level]
         try:
             ends, farther = weight.ends(beyond), weight.ends(beyond + LONGER)
         except NotCertified:
@@ -86,31 +79,23 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         if halved:
             best, better, least = weight, weight_of(solution), solution.l1_error
         if better is None or solution.l1_error < TRIED:
-            panels, degree = _finer(panels, degree, solution, tol)
+            level = _finer(level, solution.l1_error, tol)
         # A weight that does not lower the error extrapolates badly: back to the one before.
         weight = best if better is None else better
         stalled = 0 if halved else stalled + 1
 
 
-def _finer(panels: int, degree: int, solution: PlaneSolution, tol: float) -> tuple[int, int]:
-    """The next panels and degree: as many degrees more as the missing digits take.
+def _finer(level: int, error: float, tol: float) -> int:
+    """Return the next of ``LEVELS``: as many degrees more as the missing digits of the error take.
 
-    An error ε in the norm weighted by w ≈ p is one of ε √p of p: p turns negative below ε² of its
-    maximum, so that a negative minimum counts about half its digits.
+    Where the density does not fall off at the edges infinitely many are missing.
     """
-    negative = max((solution.measured.minimum or 0.0) / NEGATIVE, 1.0)
-    missing = float(np.log10(max(solution.l1_error / tol, negative**NEGATIVE_DIGITS, 1.0)))
-    coarse = solution.l1_error > COARSE
-    if panels == FIRST[0]:
-        if degree == FIRST[1] and missing <= STEP * DIGITS[0]:
-            return panels, degree + STEP
-        least, most = SECOND[1], SECOND[1] if coarse else LIMITS[1]
-        return SECOND[0], int(np.clip(least + (missing - DIGITS[1]) / DIGITS[2] + 0.5, least, most))
-    if degree >= LIMITS[1]:
-        return panels + 1, degree
-    # Where the density does not fall off at the edges infinitely many digits are missing.
-    step = int(np.clip(np.ceil(missing / DIGITS[2]), 1, STEP if coarse else LIMITS[1]))
-    return panels, min(degree + step, LIMITS[1])
+    panels, degree = np.array(LEVELS).T
+    worth = degree + DOUBLED * np.log2(panels)
+    by_degree = worth[panels <= 4][:-1]  # no level beyond the highest degree is skipped to
+    missing = float(np.log10(max(error / tol, 1.0))) / DIGITS
+    wanted = worth[level] + (min(missing, STEP) if error > COARSE else missing)
+    return max(level + 1, int(np.searchsorted(by_degree, wanted)))
 
 
 def weight_of(solution: PlaneSolution) -> Weight | None:

@@ -364,7 +364,7 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # Few panels of low degree and no plain elements: inaccurate, and said so in words.
-    monkeypatch.setattr(spectral, "LIMITS", (2, 6))
+    monkeypatch.setattr(spectral, "LEVELS", ((2, 6),))
     monkeypatch.setattr(on_mesh, "MAX_ENTRIES", 0)
     solution = solve_plane(one_sided(0.3, 0.05), tol=1e-10)
     assert not solution.certificate.certified
@@ -372,12 +372,14 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
 
 
 def test_a_density_that_does_not_fall_off_at_the_edges_takes_one_step_more() -> None:
-    process = one_sided(0.3, 0.05)
-    solution = next(solve_with_weight(process, Weight(np.eye(2)[::-1], (0.6, 0.4)), tol=1e-6))
-    measured = replace(solution.measured, l1_error=np.inf)
-    at_end = replace(solution, measured=measured)
-    for panels, degree in ((2, 6), (2, 10), (4, 8)):
-        assert spectral._finer(panels, degree, at_end, 1e-6) > (panels, degree)
+    levels = spectral.LEVELS
+    after = [spectral._finer(level, np.inf, 1e-6) for level in range(len(levels))]
+    assert [levels[k] for k in after[:3]] == [(4, 8), (4, 12), (4, 13)]
+    assert all(k == level + 1 for level, k in enumerate(after) if levels[level][1] == 18)
+    assert after == sorted(after)
+    # Half a digit takes one degree more, six digits all that four panels have.
+    assert levels[spectral._finer(levels.index((4, 8)), 3e-6, 1e-6)] == (4, 9)
+    assert levels[spectral._finer(levels.index((4, 8)), 1e-5, 1e-11)] == (4, 18)
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8])

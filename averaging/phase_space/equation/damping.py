@@ -17,11 +17,10 @@ from scipy import sparse
 from averaging.phase_space.equation.basis import Basis
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.equation.others import Indices, others_to
-from averaging.phase_space.equation.terms import Group, Term
+from averaging.phase_space.equation.others import Matrix, Space, combined
+from averaging.phase_space.equation.terms import Group, Term, terms_of
 from fpk.arrays import Array
 
-Matrix = sparse.csr_array
 Polynomial = dict[tuple[int, int], Matrix]
 """Matrices on the degrees, by the powers of y and of U(y) that they stand before."""
 
@@ -50,41 +49,6 @@ def stages_to(frame: Frame, top: int) -> tuple[range, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Space:
-    """Degrees up to a level and to a count in the others, level by level.
-
-    Of each: its ``level``, the sum ``others`` of the degrees in the others, and what it is
-    ``counted`` there. ``up[j]`` (count, count) is a_j⁺, less what leads out of them.
-    """
-
-    level: Indices
-    others: Indices
-    counted: Indices
-    up: tuple[Matrix, ...]
-
-    @classmethod
-    def to(cls, total: int, others: int, d: int) -> "Space":
-        """Return the degrees up to level ``total``, in the others up to the count ``others``."""
-        sets = others_to(others, d)
-        groups = [(n, m) for n in range(total + 1) for m in range(min(n + 1, len(sets)))]
-        place = {group: k for k, group in enumerate(groups)}
-        counts = [sets[m].count for _, m in groups]
-        up = []
-        for j in range(d):
-            blocks: list[list[Matrix | None]] = [[None] * len(groups) for _ in groups]
-            for k, (n, m) in enumerate(groups):
-                blocks[k][k] = Matrix((counts[k], counts[k]))
-                if j == 0 and n < total:
-                    root = np.full(counts[k], np.sqrt(n - m + 1.0))
-                    blocks[place[n + 1, m]][k] = Matrix(sparse.diags_array(root))
-                elif j and n < total and m + 1 < len(sets):
-                    blocks[place[n + 1, m + 1]][k] = Matrix(sets[m].raising[j - 1])
-            up.append(Matrix(sparse.block_array(blocks)))
-        level, sums = np.repeat(np.array(groups, dtype=np.intp), counts, axis=0).T
-        return cls(level, sums, np.concatenate([sets[m].counted for _, m in groups]), tuple(up))
-
-
-@dataclass(frozen=True, eq=False)
 class State:
     """Displacements ``r`` (y the first of them) and velocities ``v`` times √m, and the forces f."""
 
@@ -97,7 +61,7 @@ def state(frame: Frame, reference: Reference, C: Array, space: Space) -> State:
     """Return the state as matrices on the degrees of ``space``, exact but at its end."""
     n, place = frame.n, frame.order.index
     one: Matrix = sparse.eye_array(len(space.level), format="csr")
-    z = [sum(c * (up + up.T) for c, up in zip(row, space.up, strict=True) if c) for row in C]
+    z = [combined([up + up.T for up in space.up], row) for row in C]
     v = tuple({(0, 0): x} for x in z[:n])
     r = (
         {(1, 0): one},
@@ -153,38 +117,19 @@ def damped(
     """Yield −Σ_ij C⁻¹_ji a_j⁺ f_i as terms of the equations: to which level, of which, and what."""
     beyond, d = reach(frame) + 1, 2 * frame.n - 1
     space = Space.to(degrees.total + beyond, degrees.others + beyond, d)
-    inverse = np.linalg.inv(C)
+    inverse: Array = np.asarray(np.linalg.inv(C), dtype=float)
     operator: Polynomial = {}
     for i, force in enumerate(state(frame, functions.reference, C, space).forces):
-        up = sum(c * A for c, A in zip(inverse[:, i], space.up, strict=True) if c)
+        up = combined(space.up, inverse[:, i])
         operator = added(operator, {powers: up @ X for powers, X in force.items()}, -1.0)
-    level, others = space.level, space.others
-    # Levels above the highest have no degree at all.
-    most = [degrees.others_at(n) for n in range(degrees.total + 1)] + [-1] * beyond
-    inside = (others <= np.array(most)[level]) & (space.counted <= degrees.others)
-    # Degrees of one group stand together, in the order of its unknowns.
-    name = level * (others.max() + 1) + others
-    row = np.arange(len(name)) - np.searchsorted(name, name)
     values, _ = functions.functions(functions.points)
     sets = [values @ functions.of_level(n) for n in range(2)]
-    for powers, X in operator.items():
+    for powers, A in operator.items():
         weights = by_y(frame, functions, powers)[:, None]
-        between = [[to.T @ (weights * of) for of in sets] for to in sets]
-        A = X.tocoo()
-        within = np.flatnonzero(inside[A.row] & inside[A.col] & (A.data != 0.0))
-        if not within.size:
-            continue
-        to, of, entry = A.row[within], A.col[within], A.data[within]
-        pair = name[to] * (name[-1] + 1) + name[of]
-        order = np.argsort(pair, kind="stable")
-        for at in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
-            first, second = to[at[0]], of[at[0]]
-            t, o = groups[level[first]][others[first]], groups[level[second]][others[second]]
-            D = np.zeros((t.count, o.count))
-            D[row[to[at]], row[of[at]]] = entry[at]
-            same = powers == (0, 0) and (level[first] - level[second]) % 2 == 0
-            F = between[level[first] % 2][level[second] % 2][: t.functions, : o.functions]
-            yield int(level[first]), int(level[second]), Term(t, o, D, None if same else F)
+        F: list[list[Array | None]] = [[to.T @ (weights * of) for of in sets] for to in sets]
+        if powers == (0, 0):
+            F[0][0] = F[1][1] = None
+        yield from terms_of(A, F, space, groups)
 
 
 def by_y(frame: Frame, functions: Basis, powers: tuple[int, int]) -> Array:

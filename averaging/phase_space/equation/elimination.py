@@ -13,11 +13,10 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 from averaging.phase_space.equation.basis import Basis, basis
 from averaging.phase_space.equation.chain import Chain
-from averaging.phase_space.equation.damping import Matrix
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.equations import chain_of, sizes
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.equation.others import Others
+from averaging.phase_space.equation.others import Matrix, Others
 from averaging.phase_space.equation.terms import applied, applied_from_right
 from fpk.arrays import Array
 

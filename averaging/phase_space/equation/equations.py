@@ -19,7 +19,7 @@ Damping terms (``damping``) may connect a level with others beyond its neighbour
 then eliminated in stages of several: so many that each stage meets the two below and the one above.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator
 from itertools import chain
 
 import numpy as np
@@ -29,8 +29,8 @@ from averaging.phase_space.equation.chain import Chain, size_of
 from averaging.phase_space.equation.damping import damped, stages_to
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference, linear_part
-from averaging.phase_space.equation.others import Others, others_to
-from averaging.phase_space.equation.terms import Group, Sum, Term, Terms
+from averaging.phase_space.equation.others import Others, Space, combined, others_to
+from averaging.phase_space.equation.terms import SAME, Between, Group, Sum, Term, Terms, terms_of
 from fpk.arrays import Array
 
 
@@ -51,47 +51,38 @@ def chain_of(
     y = functions.points
     force = h[0][:, None] + h[1][:, None] * y
     force[0] -= frame.contact_force(y)
-    adjoint, force_by_y = _between_sets(functions, C, inverse @ force)
+    adjoint, *forces = _between_sets(functions, C, inverse @ force)
     top, others = degrees.total, others_to(degrees.others, frame.n * 2 - 1)
     stages = stages_to(frame, top)
     groups = _placed(functions, degrees, others, stages)
-    own, above, forced, paired = [], [], [], []
-    for n in range(top + 1):
-        own.append(_own(others, drift, groups[n], n))
-        up = adjoint[n % 2]
-        above.append(
-            [
-                Term(to, of, float(np.sqrt(n - m + 1.0)), up[: to.functions, : of.functions])
-                for m, (to, of) in enumerate(zip(groups[n], groups[n + 1], strict=False))
-            ]
-            if n < top
-            else []
-        )
-        forced.append(_forced(others, force_by_y[n % 2], groups, n) if n else [])
-        paired.append(_paired(others, pair, groups, n) if n > 1 else [])
+    space = Space.to(top, degrees.others, len(drift))
+    up, down = space.up, [A.T.tocsr() for A in space.up]
+    constant = [
+        A @ (combined(down, f) + combined(up, g)) for A, f, g in zip(up, drift, pair, strict=True)
+    ]
+    blocks = [
+        terms_of(combined(constant, np.ones(len(up))), SAME, space, groups),
+        terms_of(down[0], adjoint, space, groups),
+        *(
+            terms_of(A, F, space, groups)
+            for A, F in zip(up, forces, strict=True)
+            if np.any(F[0][1])
+        ),
+    ]
+    if frame.system.damping_terms:
+        blocks.append(damped(frame, functions, degrees, C, groups))
+    closing = []
     for n in range(1, top + 1):
         for m, group in enumerate(groups[n]):
             # What the level above n lacks of the functions that the one below n has.
             present = groups[n + 1][m].functions if n < top and m < len(groups[n + 1]) else 0
             wanted = _functions(functions, degrees, n - 1, m)
-            E = adjoint[n % 2][: group.functions, present:wanted]
+            E = np.asarray(adjoint[n % 2][1 - n % 2])[: group.functions, present:wanted]
             if E.size and (closed or not present):
                 U, s, _ = np.linalg.svd(E, full_matrices=False)
-                own[n].append(Term(group, group, -float(np.sqrt(n - m + 1.0)), (U * s) @ U.T))
-    blocks: Sequence[Sequence[Terms]] = (own, above, forced, paired)
-    if frame.system.damping_terms:
-        terms = damped(frame, functions, degrees, C, groups)
-        blocks = _by_stages(stages, groups, (own, above, forced, paired), terms)
-    return Chain(
-        C,
-        others,
-        stages,
-        groups,
-        tuple(blocks[0]),
-        tuple(blocks[1]),
-        tuple(blocks[2]),
-        tuple(blocks[3]),
-    )
+                root = -np.sqrt(n - m + 1.0) * np.eye(group.count)
+                closing.append((n, n, Term(group, group, root, (U * s) @ U.T)))
+    return Chain(C, others, stages, groups, *_by_stages(stages, groups, chain(*blocks, closing)))
 
 
 def sizes(functions: Basis, degrees: Degrees) -> Array:
@@ -120,31 +111,25 @@ def _factor(F: Array, reference: Reference) -> Array:
 def _by_stages(
     stages: tuple[range, ...],
     groups: tuple[tuple[Group, ...], ...],
-    constant: Sequence[Sequence[Sequence[Term]]],
-    damping: Iterable[tuple[int, int, Term]],
-) -> Sequence[list[Terms]]:
-    """Return ``own``, ``above``, ``forced`` and ``paired`` of stages.
+    terms: Iterable[tuple[int, int, Term]],
+) -> Iterator[tuple[Terms, ...]]:
+    """Yield ``own``, ``above``, ``forced`` and ``paired`` of stages.
 
-    ``constant`` has them of levels, and ``damping`` the terms to a level of a level.
+    ``terms`` are those to a level of a level. Terms between the same groups follow each other.
     """
     stage_of = {level: n for n, levels in enumerate(stages) for level in levels}
     blocks: dict[tuple[int, int], list[Term]] = {}
-    between = (
-        (level, level + away, term)
-        for away, of_levels in zip((0, 1, -1, -2), constant, strict=True)
-        for level, terms in enumerate(of_levels)
-        for term in terms
-    )
-    for to, of, term in chain(between, damping):
+    for to, of, term in terms:
         blocks.setdefault((stage_of[to], stage_of[of]), []).append(term)
     whole = [Group(0, 1, size_of(stage, groups)) for stage in stages]
-    return [
-        [
-            [Sum(whole[n], whole[n + away], blocks[n, n + away])] if (n, n + away) in blocks else []
-            for n in range(len(stages))
-        ]
-        for away in (0, 1, -1, -2)
-    ]
+    many = any(len(stage) > 1 for stage in stages)
+
+    def block(n: int, m: int) -> Terms:
+        own = sorted(blocks.get((n, m), []), key=lambda term: (term.to.start, term.of.start))
+        return [Sum(whole[n], whole[m], own)] if own and many else own
+
+    for away in (0, 1, -1, -2):
+        yield tuple(block(n, n + away) for n in range(len(stages)))
 
 
 def _functions(functions: Basis, degrees: Degrees, n: int, m: int) -> int:
@@ -170,10 +155,8 @@ def _placed(
     return tuple(levels)
 
 
-def _between_sets(
-    functions: Basis, C: Array, force: Array
-) -> tuple[tuple[Array, Array], tuple[list[Array], list[Array]]]:
-    """Return l₁ ∂* and the matrices of a_i⁺, to continuous functions and to broken ones.
+def _between_sets(functions: Basis, C: Array, force: Array) -> list[Between]:
+    """Return l₁ ∂* and what stands with a_i⁺, between continuous functions and broken ones.
 
     ``force`` h' (d, points).
     """
@@ -186,75 +169,8 @@ def _between_sets(
     to_continuous -= np.outer(one, one @ to_continuous)
     descent = slope @ functions.continuous + functions.log_slope()[:, None] * continuous
     to_broken = -broken.T @ (w[:, None] * descent)
-    adjoint = (C[0, 0] * to_continuous, C[0, 0] * to_broken)
-    forces = (
-        [continuous.T @ ((w * f)[:, None] * broken) for f in force],
-        [broken.T @ ((w * f)[:, None] * continuous) for f in force],
-    )
-    for parts, through in zip(forces, adjoint, strict=True):
-        parts[0] += through
-    return adjoint, forces
-
-
-def _own(others: tuple[Others, ...], drift: Array, groups: tuple[Group, ...], n: int) -> list[Term]:
-    """Return the blocks within level n: F'_ij a_i⁺ a_j."""
-    terms = []
-    for m, (group, o) in enumerate(zip(groups, others, strict=False)):
-        same = drift[0, 0] * (n - m) * np.eye(group.count)
-        if m:
-            lower = others[m - 1].raising
-            for i, up in enumerate(lower):
-                for j, down in enumerate(lower):
-                    same += drift[i + 1, j + 1] * up @ down.T
-        terms.append(Term(group, group, same))
-        if m + 1 < len(groups):
-            root = np.sqrt(float(n - m))
-            up = sum(c * A for c, A in zip(drift[1:, 0], o.raising, strict=True))
-            down = sum(c * A.T for c, A in zip(drift[0, 1:], o.raising, strict=True))
-            terms.append(Term(groups[m + 1], group, np.asarray(root * up)))
-            terms.append(Term(group, groups[m + 1], np.asarray(root * down)))
-    return terms
-
-
-def _forced(
-    others: tuple[Others, ...],
-    force: list[Array],
-    groups: tuple[tuple[Group, ...], ...],
-    n: int,
-) -> list[Term]:
-    """Return the blocks from unknowns of level n − 1 to equations of level n: h'_i a_i⁺ and ∂*."""
-    terms = []
-    for m, of in enumerate(groups[n - 1]):
-        if m >= len(groups[n]):
-            continue
-        to = groups[n][m]
-        first = force[0][: to.functions, : of.functions]
-        terms.append(Term(to, of, float(np.sqrt(n - m)), first))
-        if m + 1 < len(groups[n]):
-            to = groups[n][m + 1]
-            for A, H in zip(others[m].raising, force[1:], strict=True):
-                if np.any(H):
-                    terms.append(Term(to, of, A, H[: to.functions, : of.functions]))
-    return terms
-
-
-def _paired(
-    others: tuple[Others, ...], pair: Array, groups: tuple[tuple[Group, ...], ...], n: int
-) -> list[Term]:
-    """Return the blocks from unknowns of level n − 2 to equations of level n: a_i⁺ a_j⁺."""
-    terms = []
-    for m, of in enumerate(groups[n - 2]):
-        alone = n - 1.0 - m
-        if m >= len(groups[n]):
-            continue
-        terms.append(Term(groups[n][m], of, float(pair[0, 0] * np.sqrt(alone * (alone + 1.0)))))
-        if m + 1 < len(groups[n]):
-            up = sum(c * A for c, A in zip(pair[0, 1:], others[m].raising, strict=True))
-            terms.append(Term(groups[n][m + 1], of, np.asarray(2.0 * np.sqrt(alone) * up)))
-        if m + 2 < len(groups[n]):
-            twice = np.zeros((others[m + 2].count, others[m].count))
-            for i, first in enumerate(others[m].raising):
-                for j, second in enumerate(others[m + 1].raising):
-                    twice += pair[i + 1, j + 1] * second @ first
-            terms.append(Term(groups[n][m + 2], of, twice))
-    return terms
+    adjoint = C[0, 0] * to_continuous, C[0, 0] * to_broken
+    weighted = [continuous.T @ (f[:, None] * broken) for f in w * force]
+    both = [(F, F.T) for F in weighted]
+    both[0] = weighted[0] + adjoint[0], weighted[0].T + adjoint[1]
+    return [((None, to), (back, None)) for to, back in (adjoint, *both)]

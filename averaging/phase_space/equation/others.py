@@ -8,16 +8,19 @@ by the larger one of j and k, not by j + k: half the products then reach as high
 energy of the oscillator, where j = k.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from fpk.arrays import Array, Complexes
 
 Indices = NDArray[np.intp]
+Matrix = sparse.csr_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,50 @@ def others_to(most: int, d: int) -> tuple[Others, ...]:
         counted = np.array([_counted(k) for k in products], dtype=np.intp)
         out.append(Others(total, counted, tuple(raising)))
     return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """Degrees up to a level and to a count in the others, level by level.
+
+    Of each: its ``level``, the sum ``others`` of the degrees in the others, and what it is
+    ``counted`` there. ``up[j]`` (count, count) is a_j⁺, less what leads out of them.
+    """
+
+    level: Indices
+    others: Indices
+    counted: Indices
+    up: tuple[Matrix, ...]
+
+    @classmethod
+    def to(cls, total: int, others: int, d: int) -> "Space":
+        """Return the degrees up to level ``total``, in the others up to the count ``others``."""
+        sets = others_to(others, d)
+        groups = [(n, m) for n in range(total + 1) for m in range(min(n + 1, len(sets)))]
+        counts = [sets[m].count for _, m in groups]
+        start = dict(zip(groups, np.cumsum([0, *counts[:-1]]).tolist(), strict=True))
+        raising = [[sparse.coo_array(A) for A in o.raising] for o in sets]
+        up = []
+        for j in range(d):
+            parts = [(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))]
+            for (n, m), first in start.items():
+                above = start.get((n + 1, m + (j > 0)))
+                if above is not None and j == 0:
+                    k = np.arange(sets[m].count)
+                    parts.append((above + k, first + k, np.full(k.size, np.sqrt(n - m + 1.0))))
+                elif above is not None:
+                    A = raising[m][j - 1]
+                    parts.append((above + A.row, first + A.col, A.data))
+            row, column, values = (np.concatenate(x) for x in zip(*parts, strict=True))
+            up.append(Matrix((values, (row, column)), shape=2 * (sum(counts),)))
+        level, sums = np.repeat(np.array(groups, dtype=np.intp), counts, axis=0).T
+        return cls(level, sums, np.concatenate([sets[m].counted for _, m in groups]), tuple(up))
+
+
+def combined(matrices: Sequence[Matrix], factors: Array) -> Matrix:
+    """Return the sum of ``matrices`` times ``factors``."""
+    terms = (c * A for c, A in zip(factors, matrices, strict=True) if c)
+    return sum(terms, Matrix(matrices[0].shape))
 
 
 Product = tuple[int, ...]

@@ -7,6 +7,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from averaging.phase_space.equation.others import Matrix, Space
 from fpk.arrays import Array
 
 Entries = tuple[NDArray[np.int32], NDArray[np.int32], Array]
@@ -39,24 +40,19 @@ class Group:
 class Term:
     """A block of the matrix of the equations, from unknowns of one group to equations of another.
 
-    The groups are ``of`` and ``to``; the block is a Kronecker product. ``degrees`` acts on k,
-    (count, count) or a multiple of the unit matrix, ``functions`` on functions of y, (functions,
-    functions) or None for those that both groups have, unchanged.
+    The groups are ``of`` and ``to``; the block is a Kronecker product. ``degrees`` (count, count)
+    acts on k, ``functions`` on functions of y, (functions, functions) or None for those that both
+    groups have, unchanged.
     """
 
     to: Group
     of: Group
-    degrees: Array | float
+    degrees: Array
     functions: Array | None = None
-
-    def on_degrees(self) -> Array:
-        """The matrix (count, count) that acts on k."""
-        degrees = self.degrees
-        return degrees * np.eye(self.to.count) if isinstance(degrees, float) else degrees
 
     def entries(self) -> Iterator[Entries]:
         """Yield rows, columns and values of entries of the term that are not 0."""
-        to, of, degrees = self.to, self.of, self.on_degrees()
+        to, of, degrees = self.to, self.of, self.degrees
         if self.functions is None:
             first = second = np.arange(min(to.functions, of.functions))[:, None]
             block = np.ones((len(first), 1))
@@ -73,7 +69,7 @@ class Term:
 
     def add_block_to(self, D: Array) -> None:
         """Add the block itself to a matrix (equations, unknowns) of the two groups."""
-        to, of, degrees = self.to, self.of, self.on_degrees()
+        to, of, degrees = self.to, self.of, self.degrees
         whole = D.reshape(to.count, to.functions, of.count, of.functions)
         if self.functions is None:
             each = np.arange(min(to.functions, of.functions))
@@ -104,6 +100,42 @@ class Sum:
 
 
 Terms = Sequence[Term | Sum]
+
+
+Between = Sequence[Sequence[Array | None]]
+"""Matrices on functions of y by the parities of the level to which and of which they lead.
+
+None where functions that both levels have stay as they are."""
+SAME: Between = ((None, None), (None, None))
+
+
+def terms_of(
+    A: Matrix, functions: Between, space: Space, groups: Sequence[Sequence[Group]]
+) -> Iterator[tuple[int, int, Term]]:
+    """Yield a matrix on the degrees of ``space`` as terms: to which level, of which, and what.
+
+    ``groups`` are those of each level; degrees of the space that are in none are left out.
+    """
+    level, others = space.level, space.others
+    count = np.zeros((level.max() + 1, others.max() + 1), dtype=np.intp)
+    for n, of_level in enumerate(groups):
+        count[n, : len(of_level)] = [group.count for group in of_level]
+    # Degrees of one group stand together, in the order of its unknowns.
+    name = level * (others.max() + 1) + others
+    row = np.arange(name.size) - np.searchsorted(name, name)
+    inside, X = row < count[level, others], A.tocoo()
+    within = np.flatnonzero(inside[X.row] & inside[X.col] & (X.data != 0.0))
+    to, of, entry = X.row[within], X.col[within], X.data[within]
+    pair = name[to] * (name[-1] + 1) + name[of]
+    order = np.argsort(pair, kind="stable")
+    for at in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1) if order.size else ():
+        first, second = to[at[0]], of[at[0]]
+        t, o = groups[level[first]][others[first]], groups[level[second]][others[second]]
+        D = np.zeros((t.count, o.count))
+        D[row[to[at]], row[of[at]]] = entry[at]
+        F = functions[level[first] % 2][level[second] % 2]
+        F = F if F is None else F[: t.functions, : o.functions]
+        yield int(level[first]), int(level[second]), Term(t, o, D, F)
 
 
 def applied(terms: Terms, X: Array, size: int) -> Array:
