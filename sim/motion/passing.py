@@ -12,9 +12,9 @@ from fpk.linear import natural_modes
 from fpk.modulation import Modulation
 from fpk.system import System
 from sim.arrays import LANES as W
+from sim.ensemble import Reader
 from sim.motion.between import BULGE, cubic_of, distance_to, first_passage
 from sim.motion.limits import energies_at, energies_of
-from sim.motion.motion import Reader
 from sim.motion.reading import reader
 
 NATS = 40.0

@@ -6,7 +6,7 @@ from threading import Lock
 from typing import Any
 
 from fpk.compiling import ROOT, checksum
-from sim.motion.motion import Reader
+from sim.ensemble import Reader
 
 SOURCES = (
     "sim/arrays.py",

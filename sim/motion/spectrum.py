@@ -11,10 +11,8 @@ from fpk.errors import InvalidInput
 from fpk.system import System
 from sim.arrays import LANES
 from sim.montecarlo import MonteCarlo
-from sim.motion.motion import needs_steps
-from sim.motion.rounds import Window, in_rounds
-from sim.motion.stationary import error_of, sampled_curve
-from sim.motion.steps import motion_step
+from sim.motion.rounds import Window, error_of, in_rounds, sampled_curve
+from sim.motion.steps import motion_step, needs_steps
 from sim.relaxation import relaxation_time
 from sim.step_size import contact_frequency, highest_frequency
 
@@ -62,9 +60,9 @@ def spectrum(method: MonteCarlo, asked: Question) -> Curve:
 
     read = partial(_add_fourier, row=row, omega=at * spacing, length=length)
     window = Window(length, (6 * at.size, LANES), read)
-    motions = [{"dt": spacing / step, "stride": step}]
+    steps = [(spacing / step, step, False)]
     windows, failures = in_rounds(
-        method, system, wanted, window, motions, estimate, what="spectrum", progress=progress
+        method, system, wanted, window, steps, estimate, what="spectrum", progress=progress
     )
     values, errors, leakage = _welch(powers, means, length, spacing)
     folded = _folded(system, row, at, spacing)

@@ -12,10 +12,10 @@ from fpk.errors import NotApplicable
 from fpk.linear import natural_modes
 from fpk.start import Start
 from fpk.system import System
-from sim.arrays import LANES
-from sim.ensemble import start_displacements
+from sim.arrays import LANES, in_rows
+from sim.ensemble import ensemble_from, start_displacements
 from sim.flow import factored
-from sim.motion.motion import Motion, in_rows, needs_steps
+from sim.motion.steps import needs_steps
 from sim.random import OTHER_SEED
 from sim.relaxation import relaxation_time
 from sim.step_size import chosen_step, temperature
@@ -93,12 +93,12 @@ class Origin:
         seed = (self.seed + number * OTHER_SEED + 2**63) % 2**64  # no seed of a round
         with left_out():
             dt = dt if needs_steps(system) else time
-            motion = Motion(system, q, p, dt, seed, stride=stride, workers=self.workers)
+            ensemble = ensemble_from(system, q, p, dt, seed, workers=self.workers)
         for k in range(pieces):
-            motion.advance(1)
+            ensemble.advance(stride, stride=stride)
             if self.watch and k + 1 < pieces:
                 self.watch.require("the burn-in", (k + 1) / pieces)
-        states = in_rows(motion.last)[:paths]
+        states = in_rows(ensemble.last)[:paths]
         return states[:, :n], states[:, n : 2 * n]
 
 

@@ -15,18 +15,18 @@ from fpk.method import Progress
 from fpk.observable import Observable
 from fpk.start import Start
 from fpk.system import System
-from sim.arrays import LANES, MAX_TRAJECTORIES
+from sim.arrays import LANES, MAX_TRAJECTORIES, in_rows
+from sim.ensemble import ensemble_from
 from sim.histogram import axis_of, values_of
 from sim.montecarlo import MonteCarlo
 from sim.motion.densities import Counted, answer_of
 from sim.motion.limits import Reach, largest_energy, temperature_reached
-from sim.motion.motion import Motion, in_rows, needs_steps
+from sim.motion.rounds import working
 from sim.motion.starts import Origin
-from sim.motion.stationary import interruption, not_met, working
-from sim.motion.steps import loudest, motion_step, require_times
+from sim.motion.steps import motion_step, needs_steps, require_times
 from sim.random import OTHER_SEED
+from sim.reachable import loudest
 from sim.step_size import REACHED
-from sim.workers import Workers
 
 ROUNDS = 8
 """Rounds of ``paths`` trajectories where neither an error nor a time is wanted."""
@@ -65,21 +65,22 @@ def transient(
         return [values_of(system, c, q, p) for c in observable]
 
     axis = partial(axis_of, system)
-    counted = Counted(observable, len(times), read, axis, mirror=mirror)
-    with working(method, system, wanted, start) as (workers, watch, origin):
-        for number in range(MAX_TRAJECTORIES // paths):
-            rows = ensembles(origin, times, paths, number, dt, workers)
-            for k, (fine, coarse) in enumerate(rows):
-                counted.add(k, times[k], fine, coarse)
-                done = ROUNDS * len(times)
-                progress(min(done, number * len(times) + k + 1), done, "transient")
-            error = inf if wanted is None else max(d.l1_error for d in counted.densities())
-            enough = number + 1 >= ROUNDS or wanted is not None
-            if watch.ends() or (enough and not not_met(method, wanted, error)):
-                break
-        failures += interruption(watch)
+    histograms = Counted(observable, len(times), read, axis, mirror=mirror)
+
+    def counted(number: int) -> float:
+        rows = ensembles(origin, times, paths, number, dt)
+        for k, (fine, coarse) in enumerate(rows):
+            histograms.add(k, times[k], fine, coarse)
+            done = ROUNDS * len(times)
+            progress(min(done, number * len(times) + k + 1), done, "transient")
+        return inf if wanted is None else max(d.l1_error for d in histograms.densities())
+
+    with working(method, system, wanted, start) as (_, watch, origin):
+        least = ROUNDS if wanted is None else 1
+        watch.until(counted, least=least, most=MAX_TRAJECTORIES // paths)
+        failures += watch.interruption()
     return answer_of(
-        counted,
+        histograms,
         times,
         at,
         dt,
@@ -90,7 +91,7 @@ def transient(
 
 
 def ensembles(
-    origin: Origin, times: Array, paths: int, number: int, dt: float, workers: Workers
+    origin: Origin, times: Array, paths: int, number: int, dt: float
 ) -> Iterator[tuple[Array, Array | None]]:
     """Yield the states (paths, 2n) at each time, at steps of dt/2 and of ``dt``.
 
@@ -108,21 +109,21 @@ def ensembles(
             parts = ceil(steps / CHUNK)
             stride = ceil(steps / parts)
             long = (time - now) / (parts * stride)
-            for k, (halved, many) in enumerate(((False, 2), (True, 1))[: len(states)]):
+            for k, many in enumerate((2, 1) if stepped else (1,)):
                 q, p = np.split(states[k], 2, axis=1)
                 with left_out():
-                    motion = Motion(
-                        system, q, p, long / (many if stepped else 1), seed, halved=halved,
-                        stride=stride * (many if stepped else 1), word=words[k], workers=workers,
-                        modulation=system.modulation, begin=now,
+                    ensemble = ensemble_from(
+                        system, q, p, long / many, seed, halved=k == 1, word=words[k],
+                        workers=origin.workers, modulation=system.modulation, begin=now,
                     )  # fmt: skip
                 for done in range(parts):
-                    motion.advance(1)
+                    ensemble.advance(stride * many, stride=stride * many)
                     if origin.watch and origin.watch.ends():
                         if number:  # what there is will do
                             return
                         share = (now + (time - now) * (done + 1) / parts) / times[-1]
                         origin.watch.require("the first round", share)
-                states[k], words[k] = in_rows(motion.last)[:, : 2 * system.n], motion.next_word
+                states[k] = in_rows(ensemble.last)[:, : 2 * system.n]
+                words[k] = ensemble.next_word
         now = float(time)
         yield states[0], states[1] if stepped else None
