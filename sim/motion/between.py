@@ -52,12 +52,14 @@ def largest_of(c: Cubic) -> float:
 
 
 @inlined
-def distance_to(limit: float, H: float, variance: float, beta: float) -> float:
+def distance_to(limit: float, H: float, variance: float, growth: float, at_rest: float) -> float:
     """Return d = 2 (√(e + L − H) − √e)/√β, e = σ²/β, how far an energy is from its ``limit`` L.
 
-    It has the ``variance`` σ² per time, of which the noise makes β more as it adds 1 to H: in
-    y = ∫dH/σ, σ² being linear in H, the diffusion is 1. Not positive at or beyond the limit.
+    It has the ``variance`` σ² per time, of which the noise makes β more as it adds 1 to H, β σ²
+    being the ``growth`` and β ``at_rest`` where that is 0: in y = ∫dH/σ, σ² being linear in H, the
+    diffusion is 1. Not positive at or beyond the limit.
     """
+    beta = growth / variance if growth > 0.0 else at_rest
     e = variance / beta
     return float(2.0 * (np.sqrt(max(e + limit - H, 0.0)) - np.sqrt(e)) / np.sqrt(beta))
 

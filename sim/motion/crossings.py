@@ -10,7 +10,7 @@ from fpk.dynamics import Curve, Question
 from sim.arrays import LANES, in_rows
 from sim.diagnostics import drift_limit, drifts
 from sim.montecarlo import MonteCarlo
-from sim.motion.counting import count_upcrossings
+from sim.motion.passing import count_upcrossings
 from sim.motion.rounds import both_steps, error_of, sampled_curve, working
 from sim.motion.steps import motion_step
 from sim.relaxation import relaxation_time

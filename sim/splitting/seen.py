@@ -40,7 +40,7 @@ def see(
 ) -> None:
     """Write what is ``seen`` (c, 3) at the observed state: the distance to the limit first.
 
-    Of an energy it is that of ``distance_to``; the others are σ² and β, of a displacement q and v.
+    Of an energy it is that of ``distance_to``; of a displacement q and v come after it.
     """
     n, at = step.half_inverse_mass.size, watch.at
     if kind == "q":
@@ -50,12 +50,10 @@ def see(
     else:
         p, diffusion = s[at.p : at.p + n], limit.diffusion
         for m in range(limit.values.size):
-            variance = form_of(diffusion.variance[m], p)
-            growth = form_of(diffusion.growth[m], p)
-            beta = growth / variance if growth > 0.0 else diffusion.at_rest[m]
-            H = s[watch.traced[m]]
-            seen[m, 0] = distance_to(limit.values[m], H, variance, beta)
-            seen[m, 1], seen[m, 2] = variance, beta
+            seen[m, 0] = distance_to(
+                limit.values[m], s[watch.traced[m]], form_of(diffusion.variance[m], p),
+                form_of(diffusion.growth[m], p), diffusion.at_rest[m],
+            )  # fmt: skip
 
 
 @inlined

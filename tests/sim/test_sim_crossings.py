@@ -15,7 +15,7 @@ from fpk.system import System
 from sim.arrays import LANES, in_blocks, in_rows
 from sim.ensemble import ensemble_from
 from sim.montecarlo import MonteCarlo
-from sim.motion.counting import count_upcrossings
+from sim.motion.passing import count_upcrossings
 
 Z = 4.5
 """|z| that chance explains: of 11 levels, as if independent, 8e-5."""
