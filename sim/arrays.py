@@ -99,16 +99,11 @@ class WatchArrays(NamedTuple):
 
 
 def in_blocks(rows: Array) -> Array:
-    """Return a copy of ``rows`` (paths, k) as blocks (blocks, k, LANES)."""
+    """Return ``rows`` (paths, k) as blocks (blocks, k, LANES); the first row fills up the last."""
+    rows = np.concatenate([rows, np.repeat(rows[:1], -len(rows) % LANES, axis=0)])
     return np.array(rows.T.reshape(rows.shape[1], -1, LANES).transpose(1, 0, 2), order="C")
 
 
 def in_rows(blocks: Array) -> Array:
     """Return a copy of ``blocks`` (blocks, k, LANES) as rows (paths, k)."""
     return np.array(blocks.transpose(0, 2, 1).reshape(-1, blocks.shape[1]), order="C")
-
-
-def gathered(blocks: Array, lanes: Integers) -> Array:
-    """Return the ``lanes`` of ``blocks`` (blocks, k, LANES), filled up to whole blocks."""
-    padded = np.concatenate([lanes, np.repeat(lanes[:1], -lanes.size % LANES)])
-    return in_blocks(in_rows(blocks)[padded])

@@ -14,7 +14,7 @@ from fpk.errors import NotApplicable
 from fpk.modulation import Modulation
 from fpk.observable import Coordinate
 from fpk.system import System
-from sim.arrays import LANES, StepArrays, WatchArrays, gathered, in_blocks, in_rows
+from sim.arrays import LANES, StepArrays, WatchArrays, in_blocks, in_rows
 from sim.flow import factored
 from sim.histogram import Histogram, starts
 from sim.kernel import KernelKey, compiled_kernel
@@ -313,7 +313,7 @@ class Ensemble:
         Copies go apart after one step: random numbers belong to the place. The last block is
         filled up with the first of them. Sums and counts begin anew.
         """
-        self.states, self.last = gathered(self.states, lanes), gathered(self.last, lanes)
+        self.states, self.last = (in_blocks(in_rows(a)[lanes]) for a in (self.states, self.last))
         self.paths = len(self.states) * LANES
         self._clear()
 

@@ -15,7 +15,7 @@ from fpk.method import Progress
 from fpk.modulation import Modulation
 from fpk.start import Start
 from fpk.system import System
-from sim.arrays import LANES, MAX_TRAJECTORIES, gathered, in_blocks
+from sim.arrays import LANES, MAX_TRAJECTORIES, in_blocks, in_rows
 from sim.montecarlo import MonteCarlo
 from sim.motion.failure_times import Times
 from sim.motion.limits import beyond, energies_of, reach_of
@@ -146,7 +146,7 @@ def followed(
             pair, readers, (2 * chunk, chunk), found, chances, strict=True
         ):
             ensemble.advance(many, *arrays, read=read, passed=arrays[0])
-        now = np.array([times.transpose(0, 2, 1).ravel()[: lanes.size] for times in found])
+        now = np.array([in_rows(times)[: lanes.size, 0] for times in found])
         failed[:, lanes] = now
         running = np.isinf(now).any(axis=0)
         alive = int(np.count_nonzero(running))
@@ -160,7 +160,7 @@ def followed(
             lanes = lanes[kept]
             for k, ensemble in enumerate(pair):
                 ensemble.keep(kept)
-                found[k], chances[k] = gathered(found[k], kept), gathered(chances[k], kept)
+                found[k], chances[k] = (in_blocks(in_rows(a)[kept]) for a in (found[k], chances[k]))
     until = np.full(paths, min(horizon, pair[1].time))
     # What passes in the part of the last step beyond the horizon counts as not failed.
     failed[failed > until] = inf
