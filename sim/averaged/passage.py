@@ -14,13 +14,14 @@ from fpk.evolution import Passage
 from fpk.method import Progress, silent
 from fpk.modulation import Modulation
 from sim.arrays import in_blocks, in_rows
-from sim.averaged.paths import BATCHES, Shares, batch_stream
+from sim.averaged.paths import BATCHES, Shares
 from sim.averaged.square_root import SquareRootForm, never, square_root_step
 from sim.motion.failure_times import Times
 from sim.motion.limits import AT_LIMIT
 from sim.motion.passing import Diffusion, pass_under
 from sim.motion.steps import STEP_TO_LIMIT, first_step, stages
 from sim.motion.survival import followed_for, passage_of, settled_at
+from sim.random import stream_of
 
 EMPTY = 0.75
 """Share of a batch still running at which those that have failed make room."""
@@ -115,7 +116,7 @@ def energy_passage(
     shares = Shares(seconds, threads)
 
     def followed(batch: int) -> tuple[Array, Array, Array]:
-        stream = batch_stream(seed, batch)
+        stream = stream_of(seed, batch)
         X = from_energies(form, starts(own, stream))
         if exact:
             ends = shares.ends(batch)

@@ -50,10 +50,7 @@ class Counted:
             if k == len(self.histograms):
                 self.histograms.append(self._covering(columns, time))
                 self.counts.append(np.zeros((2, GROUPS, self.histograms[k].size + 1), np.int64))
-            histogram, group = self.histograms[k], np.arange(len(states)) % GROUPS
-            index = group * (histogram.size + 1) + histogram.bins_of(columns)
-            counts = np.bincount(index, minlength=GROUPS * (histogram.size + 1))
-            self.counts[k][which] += counts.reshape(GROUPS, -1)
+            self.counts[k][which] += self.histograms[k].counted(columns, GROUPS)
         self.paths[k] += len(fine)
 
     def densities(self, which: int = 0) -> list[SampledDensity]:
@@ -66,6 +63,11 @@ class Counted:
                 self.histograms, self.counts, self.paths, strict=True
             )
         ]
+
+    @property
+    def error(self) -> float:
+        """Largest expected L1 error of the densities at all times, of the finer simulation."""
+        return max(density.l1_error for density in self.densities())
 
     def _covering(self, columns: Sequence[Array], time: float) -> Histogram:
         reached = np.zeros((len(columns), 2))

@@ -24,7 +24,7 @@ from sim.motion.rounds import both_steps, working
 from sim.motion.starts import Origin
 from sim.motion.steps import first_step, motion_step, require_times, stages
 from sim.motion.survival import followed_for, passage_of, settled_at
-from sim.random import OTHER_SEED
+from sim.random import OTHER_SEED, stream_of
 from sim.reachable import loudest
 from sim.relaxation import relaxation_time
 
@@ -129,10 +129,7 @@ def followed(
             system, q, p, first, seed, energies=energies, workers=origin.workers,
             modulation=system.modulation,
         )  # fmt: skip
-    stream = np.random.Generator(
-        np.random.Philox(key=np.array([seed, number + 2**63], dtype=np.uint64))
-    )
-    exponential = stream.exponential(size=(paths, max(1, len(energies))))
+    exponential = stream_of(seed, number + 2**63).exponential(size=(paths, max(1, len(energies))))
     chances = [in_blocks(exponential), in_blocks(exponential)]
     found = [in_blocks(np.where(past, 0.0, inf)[:, None]) for _ in pair]
     failed = np.full((2, paths), inf)

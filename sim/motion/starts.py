@@ -16,7 +16,7 @@ from sim.arrays import LANES, in_rows
 from sim.ensemble import ensemble_from, start_displacements
 from sim.flow import factored
 from sim.motion.steps import needs_steps
-from sim.random import OTHER_SEED
+from sim.random import OTHER_SEED, stream_of
 from sim.relaxation import relaxation_time
 from sim.step_size import chosen_step, temperature
 
@@ -60,9 +60,7 @@ class Origin:
     def drawn(self, paths: int, number: int) -> tuple[Array, Array]:
         """Return q and p (paths, n) of round ``number``."""
         start, n = self.start, self.system.n
-        stream = np.random.Generator(
-            np.random.Philox(key=np.array([self.seed, number], dtype=np.uint64))
-        )
+        stream = stream_of(self.seed, number)
         if start.kind == "energy" and not start.rest:
             return on_shell(self.system, start.values["H"], paths, stream)
         if start.kind == "modal":

@@ -73,7 +73,7 @@ def transient(
             histograms.add(k, times[k], fine, coarse)
             done = ROUNDS * len(times)
             progress(min(done, number * len(times) + k + 1), done, "transient")
-        return inf if wanted is None else max(d.l1_error for d in histograms.densities())
+        return inf if wanted is None else histograms.error
 
     with working(method, system, wanted, start) as (_, watch, origin):
         least = ROUNDS if wanted is None else 1

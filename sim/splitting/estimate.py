@@ -27,43 +27,32 @@ LARGEST_SPREAD = 500.0
 
 @dataclass(eq=False)
 class Repetitions:
-    """Finished repetitions at dt and dt/2 (2, made); NaN where one is not finished.
+    """The fields of repetitions at dt and dt/2, (fields, 2, made); NaN where one is not finished.
 
     ``saved`` and ``restore`` are what a checkpoint needs.
     """
 
-    log_probability: Array = field(default_factory=lambda: np.full((2, 0), np.nan))
-    levels: Array = field(default_factory=lambda: np.zeros((2, 0)))
-    failed: Array = field(default_factory=lambda: np.zeros((2, 0)))
-    steps: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    made: Array = field(default_factory=lambda: np.zeros((len(Repetition._fields), 2, 0)))
     seconds: float = 0.0
 
     def grow(self, count: int) -> None:
         """Make room for ``count`` repetitions at each step."""
-        missing = ((0, 0), (0, max(0, count - self.levels.shape[1])))
-        self.log_probability = np.pad(self.log_probability, missing, constant_values=np.nan)
-        for name in ("levels", "failed", "steps"):
-            setattr(self, name, np.pad(getattr(self, name), missing))
-
-    def finish(self, fine: int, number: int, result: Repetition) -> None:
-        """Note a finished repetition."""
-        for name, value in result._asdict().items():
-            getattr(self, name)[fine, number] = value
+        missing = (0, 0), (0, 0), (0, max(0, count - self.made.shape[2]))
+        self.made = np.pad(self.made, missing, constant_values=np.nan)
 
     def saved(self) -> dict[str, NDArray[Any]]:
         """Return everything, as arrays."""
-        arrays = {name: getattr(self, name) for name in Repetition._fields}
-        return arrays | {"seconds": np.array(self.seconds)}
+        return {"made": self.made, "seconds": np.array(self.seconds)}
 
     def restore(self, saved: dict[str, NDArray[Any]]) -> None:
-        """Go on from what ``saved`` returned."""
-        for name, value in saved.items():
-            setattr(self, name, float(value) if name == "seconds" else value)
+        """Go on from what ``saved`` returned, from the beginning if that is nothing."""
+        if saved:
+            self.made, self.seconds = saved["made"], float(saved["seconds"])
 
     @property
     def whole(self) -> int:
         """How many of the first repetitions are finished at both steps."""
-        missing = np.isnan(self.log_probability).any(axis=0)
+        missing = np.isnan(self.made[0]).any(axis=0)
         return int(np.argmax(missing)) if missing.any() else missing.size
 
 
@@ -92,7 +81,7 @@ def estimated(done: Repetitions, count: int, *, dt: float, settings: Splitting) 
     The bias at dt/2 is at most the difference from dt where it falls as dt or faster. A difference
     below its own standard error counts as that: it may be small by chance.
     """
-    coarse, fine = done.log_probability[:, :count]
+    (coarse, fine), levels, failures, _ = done.made[:, :, :count]
     unit = float(np.max([coarse, fine]))
     unit = unit if np.isfinite(unit) else 0.0
     (at_long, long_error), (mean, own) = (mean_and_error(x - unit) for x in (coarse, fine))
@@ -102,7 +91,7 @@ def estimated(done: Repetitions, count: int, *, dt: float, settings: Splitting) 
     error = hypot(own, max(abs(bias), bias_error))
     bound = (mean + DEVIATIONS * error) * scale
     if not mean > 0.0 or error == inf:
-        failed, paths = float(done.failed[1, :count].sum()), settings.replicas * count
+        failed, paths = float(failures[1].sum()), settings.replicas * count
         bound = float(betaincinv(failed + 1.0, paths - failed, 1.0 - DOUBT))  # Clopper, Pearson
     return RareFailure(
         probability=mean * scale,
@@ -114,9 +103,9 @@ def estimated(done: Repetitions, count: int, *, dt: float, settings: Splitting) 
         bias_error=bias_error * scale,
         values=np.exp(fine),
         extinct=int(np.sum(~np.isfinite(fine))),
-        levels=float(done.levels[1, :count].mean()),
+        levels=float(levels[1].mean()),
         dt=dt,
-        steps=int(done.steps.sum()),
+        steps=int(np.nansum(done.made[3])),
         seconds=done.seconds,
         settings={k: v for k, v in asdict(settings).items() if isinstance(v, (int, float, str))},
     )

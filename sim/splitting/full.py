@@ -19,9 +19,9 @@ from sim.motion.steps import STEP_TO_LIMIT, STEPS_SINCE_START, TOO_LONG
 from sim.plan import step_arrays, watched
 from sim.random import mixed_seed
 from sim.schemes.exact_flow import EXACT_FLOW
+from sim.splitting.algorithm import CompiledReplicas
 from sim.splitting.arrays import LimitArrays, Score, new_paths
 from sim.splitting.kernel import compiled_paths
-from sim.splitting.replicas import CompiledReplicas
 from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
 from sim.step_size import chosen_step, temperature
 
@@ -31,7 +31,7 @@ PROBES = 64
 
 @dataclass(frozen=True, eq=False)
 class SystemProblem:
-    """Failure of ``system`` at ``limit`` before ``time``; see ``replicas.Problem``."""
+    """Failure of ``system`` at ``limit`` before ``time``; see ``algorithm.Problem``."""
 
     system: System
     limit: Limit

@@ -14,11 +14,12 @@ from fpk.modulation import require_constant_noise
 from fpk.start import Start
 from fpk.system import System
 from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
-from sim.splitting.algorithm import Repetition, split
+from sim.motion.rounds import Watch
+from sim.random import stream_of
+from sim.splitting.algorithm import Problem, Repetition, split
 from sim.splitting.arrays import LEVELS
 from sim.splitting.estimate import Repetitions, estimated
 from sim.splitting.full import system_problem
-from sim.splitting.replicas import Problem
 from sim.splitting.score import ScoreFunction
 from sim.splitting.settings import (
     LEAST_REPETITIONS,
@@ -70,8 +71,7 @@ def repetition(
     It is not finished, its probability not a number, where more than ``left`` seconds are needed.
     """
     begin = working_time()
-    key = np.array([settings.seed, 2 * number + fine], dtype=np.uint64)
-    stream = np.random.Generator(np.random.Philox(key=key))
+    stream = stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
     replicas = problem.replicas(settings.replicas, steps, seed, stream)
     over = lambda: working_time() - begin > left  # noqa: E731
@@ -119,28 +119,28 @@ def _repeat(
     progress: Progress,
 ) -> None:
     """Make rounds of repetitions until the error is reached or the time is over."""
-    wanted, begin = settings.repetitions, working_time() - done.seconds
     step = 0.5 * problem.time / step_count(problem)
-    while True:
+    begin = working_time() - done.seconds
+    watch = Watch(settings.seconds, checkpoint.stopped, settings.tol, begin)
+
+    def repeated(number: int) -> float | None:
+        wanted = (number + 1) * settings.repetitions
         done.grow(wanted)
-        left = np.argwhere(np.isnan(done.log_probability[:, :wanted]).T).tolist()
+        left = np.argwhere(np.isnan(done.made[0, :, :wanted]).T).tolist()
         for first in range(0, len(left), workers.threads):
             tasks = left[first : first + workers.threads]
             most = settings.seconds - (working_time() - begin)
             calls = [partial(_numbered, problem, settings, most, *task) for task in tasks]
-            for number, fine, result in workers.as_finished(calls):
-                done.finish(fine, number, result)
+            for repetition, fine, result in workers.as_finished(calls):
+                done.made[:, fine, repetition] = result
                 done.seconds = working_time() - begin
                 checkpoint.save(done)
             progress(done.whole, wanted, "splitting")
-            if checkpoint.stopped() or done.seconds >= settings.seconds:
-                return
-        if settings.tol is None:
-            return
-        now = estimated(done, wanted, dt=step, settings=settings)
-        if now.relative_error <= settings.tol:
-            return
-        wanted += settings.repetitions
+            if watch.ends():
+                return None
+        return estimated(done, wanted, dt=step, settings=settings).relative_error
+
+    watch.until(repeated, most=1 if settings.tol is None else inf)
 
 
 def _numbered(
