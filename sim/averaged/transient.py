@@ -17,8 +17,8 @@ from sim.arrays import MAX_TRAJECTORIES
 from sim.averaged.passage import Starts, from_energies
 from sim.averaged.paths import BATCHES, Shares, column, energy_axis
 from sim.averaged.square_root import SquareRootForm, advanced
-from sim.motion.densities import Counted, answer_of
 from sim.motion.rounds import Watch
+from sim.motion.transient import Counted, answer_of
 from sim.random import stream_of
 
 ROUNDS = 2
@@ -53,7 +53,7 @@ def energy_transient(
     ``threads``.
     """
     axis = partial(energy_axis, form)
-    densities = Counted(observable, len(times), lambda H: [column(H, c) for c in observable], axis)
+    densities = Counted(observable, lambda H: [column(H, c) for c in observable], axis)
     over = Shares(seconds, 1).ends(BATCHES)
     simulated = partial(_simulated, form, starts, times, dt, paths, seed, modulation, over)
     most = max(ROUNDS, MAX_TRAJECTORIES // paths)

@@ -11,7 +11,7 @@ from fpk.dynamics import Curve, Question
 from fpk.errors import InvalidInput
 from sim.arrays import LANES
 from sim.montecarlo import MonteCarlo
-from sim.motion.rounds import MOST_SUMS, Window, error_of, in_rounds, sampled_curve
+from sim.motion.rounds import MOST_SUMS, error_of, in_rounds, sampled_curve
 from sim.motion.steps import longest_step, motion_step, needs_steps
 from sim.relaxation import relaxation_time
 
@@ -54,10 +54,11 @@ def correlation(method: MonteCarlo, asked: Question) -> Curve:
         curve = _curve(rounds[0], spacing, at)
         return float(np.max(error_of(curve))) / _variance(rounds[0])
 
-    window = Window(origins + lags, (origins + lags + 1, LANES), partial(_record, row=row))
+    samples, read = origins + lags, partial(_record, row=row)
     paths, failures = in_rounds(
-        method, system, wanted, window, steps, estimate, what="correlation", progress=progress
-    )
+        method, system, wanted, steps, samples, (samples + 1, LANES), read, estimate,
+        what="correlation", progress=progress,
+    )  # fmt: skip
     curves = [_curve(sums, spacing, at) for sums in rounds]
     values = curves[0].mean(axis=0)
     bias = curves[-1].mean(axis=0) - values

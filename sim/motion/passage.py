@@ -70,23 +70,22 @@ def passage(
     settled = settled_at(modulation)
     # Under noise that varies none may fail for long, and many later.
     hopeless = method.time or max(longest / HOPELESS, last, min(settled, longest))
-    sampled = Times(*np.zeros((3, 0)))
+    rows: list[Array] = []
 
     def failed(number: int) -> float:
-        nonlocal sampled
         steps = stages(first, dt, longest, most=CHUNK)
-        sampled = sampled.joined(
+        rows.append(
             followed(origin, limit, paths, number, first, steps, longest, hopeless, progress)
         )
         # About the relative standard error of the mean: times are nearly exponential.
-        return 1.1 / sqrt(max(1, sampled.failed))
+        return 1.1 / sqrt(max(1, Times(*np.hstack(rows)).failed))
 
     paths = -(-min(method.paths, AT_ONCE) // LANES) * LANES
     with working(method, system, wanted, start) as (_, watch, origin):
         watch.until(failed, least=ceil(method.paths / paths), most=MAX_TRAJECTORIES // AT_ONCE)
         failures += watch.interruption()
     return passage_of(
-        sampled,
+        Times(*np.hstack(rows)),
         times,
         limit=str(limit),
         step=first,
@@ -109,8 +108,8 @@ def horizon(
 def followed(
     origin: Origin, limit: Limit, paths: int, number: int, first: float,
     steps: Iterable[tuple[float, int]], horizon: float, hopeless: float, progress: Progress,
-) -> Times:  # fmt: skip
-    """Return the times of ``paths`` trajectories, round ``number`` of random numbers.
+) -> Array:  # fmt: skip
+    """Return the fields of ``Times`` of ``paths`` trajectories, round ``number`` of random numbers.
 
     They are followed in ``steps`` (dt, how many), of which the ``first`` is so long, until both
     simulations of each have failed, and end at the ``horizon``, at ``hopeless`` if none has failed
@@ -161,4 +160,4 @@ def followed(
     until = np.full(paths, min(horizon, pair[1].time))
     # What passes in the part of the last step beyond the horizon counts as not failed.
     failed[failed > until] = inf
-    return Times(failed[0], failed[1], until)
+    return np.vstack([failed, until])

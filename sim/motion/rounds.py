@@ -114,24 +114,14 @@ def both_steps(
     ]
 
 
-@dataclass(frozen=True)
-class Window:
-    """A number of ``samples`` of every trajectory, and ``read``, which turns a block into numbers.
-
-    ``numbers`` is the shape of what ``read`` fills from the samples of one block.
-    """
-
-    samples: int
-    numbers: tuple[int, ...]
-    read: Reader
-
-
 def in_rounds(
     method: MonteCarlo,
     system: System,
     wanted: float | None,
-    window: Window,
     steps: Sequence[tuple[float, int, bool]],
+    samples: int,
+    numbers: tuple[int, ...],
+    read: Reader,
     estimate: Callable[[list[Array], Array], float],
     *,
     what: str,
@@ -140,13 +130,14 @@ def in_rounds(
     """Follow trajectories until ``estimate`` is content; return how many, and what went wrong.
 
     ``steps`` are those of simulations with the same random numbers: dt, how many lie between
-    samples, and whether each is ``halved``. Raises ``InvalidInput`` where the time is over in the
-    first round. Of each round ``estimate`` is given the numbers (blocks, …) of each and the mean
-    squares of (q, p) at its end; what it returns is the error of all there is, in the unit of the
-    tolerance ``wanted``.
+    samples, and whether each is ``halved``. A round is a window of ``samples`` of trajectories
+    that have not been followed before; ``read`` turns those of a block into ``numbers``, a shape.
+    Raises ``InvalidInput`` where the time is over in the first round. Of each round ``estimate``
+    is given the numbers (blocks, …) of each and the mean squares of (q, p) at its end; what it
+    returns is the error of all there is, in the unit of the tolerance ``wanted``.
     """
     paths = -(-method.paths // LANES) * LANES
-    size = len(steps) * int(np.prod(window.numbers))
+    size = len(steps) * int(np.prod(numbers))
     own = max(2, min(paths // LANES, MOST_SUMS // size)) * LANES
     piece = max(1, min(MOST_SAMPLES, MOST_STEPS // (own * steps[0][1])))
     rounds = 0
@@ -160,14 +151,14 @@ def in_rounds(
                 ensemble_from(system, q, p, dt, seed, halved=halved, workers=workers)
                 for dt, _, halved in steps
             ]
-        sums = [np.zeros((own // LANES, *window.numbers)) for _ in steps]
-        while (done := running[0].samples) < window.samples and not (done and watch.ends()):
+        sums = [np.zeros((own // LANES, *numbers)) for _ in steps]
+        while (done := running[0].samples) < samples and not (done and watch.ends()):
             for ensemble, (_, stride, _), array in zip(running, steps, sums, strict=True):
-                many = min(piece, window.samples - done) * stride
-                ensemble.advance(many, array, stride=stride, read=window.read)
-        if done < window.samples:
+                many = min(piece, samples - done) * stride
+                ensemble.advance(many, array, stride=stride, read=read)
+        if done < samples:
             if not number:
-                watch.require(f"the first {own} windows", done / window.samples)
+                watch.require(f"the first {own} windows", done / samples)
             return None
         states = in_rows(running[0].last)[:, : 2 * system.n]
         rounds += 1

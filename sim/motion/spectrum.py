@@ -11,7 +11,7 @@ from fpk.errors import InvalidInput
 from fpk.system import System
 from sim.arrays import LANES
 from sim.montecarlo import MonteCarlo
-from sim.motion.rounds import Window, error_of, in_rounds, sampled_curve
+from sim.motion.rounds import error_of, in_rounds, sampled_curve
 from sim.motion.steps import motion_step, needs_steps
 from sim.relaxation import relaxation_time
 from sim.step_size import contact_frequency, highest_frequency
@@ -59,11 +59,10 @@ def spectrum(method: MonteCarlo, asked: Question) -> Curve:
         return float(np.max(_welch(powers, means, length, spacing)[1])) / scale
 
     read = partial(_add_fourier, row=row, omega=at * spacing, length=length)
-    window = Window(length, (6 * at.size, LANES), read)
-    steps = [(spacing / step, step, False)]
     windows, failures = in_rounds(
-        method, system, wanted, window, steps, estimate, what="spectrum", progress=progress
-    )
+        method, system, wanted, [(spacing / step, step, False)], length, (6 * at.size, LANES), read,
+        estimate, what="spectrum", progress=progress,
+    )  # fmt: skip
     values, errors, leakage = _welch(powers, means, length, spacing)
     folded = _folded(system, row, at, spacing)
     settings: dict[str, str | float | int] = {
