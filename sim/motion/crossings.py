@@ -5,7 +5,7 @@ from math import ceil, inf, pi
 
 import numpy as np
 
-from fpk.arrays import Array, Integers
+from fpk.arrays import Array
 from fpk.dynamics import Curve, Question
 from sim.arrays import LANES, in_rows
 from sim.diagnostics import drift_limit, drifts
@@ -37,8 +37,7 @@ def crossings(method: MonteCarlo, asked: Question) -> Curve:
     dt, too_long = motion_step(method, system, error=wanted)
     paths = -(-method.paths // LANES) * LANES
     order = np.argsort(at, kind="stable")
-    time = method.time or RELAXATIONS * relaxation_time(system)
-    steps = ceil(time / dt)
+    steps = ceil((method.time or RELAXATIONS * relaxation_time(system)) / dt)
     mass = float(system.mass[row])
     read = partial(
         count_upcrossings, row=row, momentum=system.n + row, inverse_mass=1.0 / mass,
@@ -65,7 +64,9 @@ def crossings(method: MonteCarlo, asked: Question) -> Curve:
         squares.append(np.mean(states[:, [row, system.n + row]] ** 2, axis=0))
         size = np.sqrt(np.mean(squares, axis=0))
         scale = float(size[1] / mass / (2.0 * pi * size[0])) if size[0] > 0 else 1.0
-        at_half, at_whole = (_rates(own, pair[0].time) for own in counts)
+        # Upcrossings per unit time of each block, (blocks, levels).
+        time = LANES * pair[0].time
+        at_half, at_whole = (np.cumsum(own, axis=1)[:, :-1] / time for own in counts)
         rates = 2.0 * at_half - at_whole
         progress(min(len(ends), CHUNKS), CHUNKS, "crossings")
         return float(np.max(error_of(rates))) / scale if len(ends) > number else None
@@ -92,11 +93,6 @@ def crossings(method: MonteCarlo, asked: Question) -> Curve:
         "largest step bias": float(np.max(np.abs(bias))),
     }
     return sampled_curve(values, errors, scale, wanted, failures, settings)
-
-
-def _rates(counts: Integers, time: float) -> Array:
-    """Crossings per unit time (blocks, levels) from the counts of ``count_upcrossings``."""
-    return np.asarray(np.cumsum(counts, axis=1)[:, :-1] / (LANES * time))
 
 
 def _drifting(ends: list[Array], times: list[float]) -> list[str]:

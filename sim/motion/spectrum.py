@@ -64,7 +64,10 @@ def spectrum(method: MonteCarlo, asked: Question) -> Curve:
         estimate, what="spectrum", progress=progress,
     )  # fmt: skip
     values, errors, leakage = _welch(powers, means, length, spacing)
-    folded = _folded(system, row, at, spacing)
+    # Bound of the spectrum at 2π k/spacing ± ω, by the tail N_ii/(π m² ω⁴) of white noise: twice
+    # the nearest one, as all beyond are less than it together.
+    tail = float(system.noise_matrix[row, row]) / (pi * float(system.mass[row]) ** 2)
+    folded = 2.0 * tail / (2.0 * pi / spacing - np.abs(at)) ** 4
     settings: dict[str, str | float | int] = {
         "dt": spacing / step,
         "sampled every": spacing,
@@ -131,11 +134,3 @@ def _welch(
     leakage = (whole - halves) / 3.0
     corrected = whole + leakage
     return corrected.mean(axis=0), error_of(corrected), leakage.mean(axis=0)
-
-
-def _folded(system: System, row: int, at: Array, spacing: float) -> Array:
-    """Bound of the spectrum at 2π k/spacing ± ω, by the tail N_ii/(π m² ω⁴) of white noise."""
-    tail = float(system.noise_matrix[row, row]) / (pi * float(system.mass[row]) ** 2)
-    below = 2.0 * pi / spacing - np.abs(at)
-    # Twice the nearest one: those beyond are less than it together.
-    return np.asarray(2.0 * tail / below**4)

@@ -18,7 +18,7 @@ from fpk.method import Progress, silent
 from fpk.modulation import require_constant_noise
 from fpk.start import Start
 from fpk.system import System
-from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
+from sim.checkpoint import checkpoint_of, interruptible
 from sim.motion.rounds import Watch
 from sim.random import stream_of
 from sim.splitting.algorithm import Problem, Repetition, split
@@ -31,7 +31,7 @@ from sim.splitting.settings import (
     RareFailure,
     Splitting,
 )
-from sim.workers import Workers, workers_of
+from sim.workers import workers_of
 
 MOST_STEPS = 2**32
 """Steps of a path at most: a stream has words for 2**40 divided by a few."""
@@ -136,58 +136,42 @@ def step_count(problem: Problem) -> int:
 
 def failure_of(problem: Problem, settings: Splitting, progress: Progress) -> RareFailure:
     """Return the probability of failure in ``problem``; see ``rare_failure``."""
-    steps = step_count(problem)
-    s = settings
+    dt, s = 0.5 * problem.time / step_count(problem), settings
     checkpoint = checkpoint_of(s.checkpoint, (problem, s), "splitting", less=NOT_IN_REPETITION)
     done = Repetitions()
+
+    def repeated(number: int) -> float | None:
+        wanted = (number + 1) * s.repetitions
+        done.grow(wanted)
+        left = np.argwhere(np.isnan(done.made[0, :, :wanted]).T).tolist()
+        for first in range(0, len(left), workers.threads):
+            tasks = left[first : first + workers.threads]
+            most = s.seconds - (working_time() - watch.begin)
+            calls = [partial(_numbered, problem, s, most, *task) for task in tasks]
+            for index, fine, result in workers.as_finished(calls):
+                done.made[:, fine, index] = result
+                done.seconds = working_time() - watch.begin
+                checkpoint.save(done)
+            progress(done.whole, wanted, "splitting")
+            if watch.ends():
+                return None
+        return estimated(done, wanted, dt=dt, settings=s).relative_error
+
     with (
         workers_of(s.cluster, s.threads or usable_cores()) as workers,
         checkpoint.alone(),
         interruptible(s.partial) as checkpoint.stopped,
     ):
         done.restore(checkpoint.load())
-        _repeat(problem, settings, done, workers=workers, checkpoint=checkpoint, progress=progress)
+        watch = Watch(s.seconds, checkpoint.stopped, s.tol, working_time() - done.seconds)
+        watch.until(repeated, most=1 if s.tol is None else inf)
     whole = done.whole
     if whole < LEAST_REPETITIONS:
         raise NotCertified(
             f"{whole} repetitions were finished in {done.seconds:.3g} s, and {LEAST_REPETITIONS}"
             " are needed: allow more seconds or take fewer replicas"
         )
-    return estimated(done, whole, dt=0.5 * problem.time / steps, settings=s)
-
-
-def _repeat(
-    problem: Problem,
-    settings: Splitting,
-    done: Repetitions,
-    *,
-    workers: Workers,
-    checkpoint: Checkpoint,
-    progress: Progress,
-) -> None:
-    """Make rounds of repetitions until the error is reached or the time is over."""
-    step = 0.5 * problem.time / step_count(problem)
-    begin = working_time() - done.seconds
-    watch = Watch(settings.seconds, checkpoint.stopped, settings.tol, begin)
-
-    def repeated(number: int) -> float | None:
-        wanted = (number + 1) * settings.repetitions
-        done.grow(wanted)
-        left = np.argwhere(np.isnan(done.made[0, :, :wanted]).T).tolist()
-        for first in range(0, len(left), workers.threads):
-            tasks = left[first : first + workers.threads]
-            most = settings.seconds - (working_time() - begin)
-            calls = [partial(_numbered, problem, settings, most, *task) for task in tasks]
-            for repetition, fine, result in workers.as_finished(calls):
-                done.made[:, fine, repetition] = result
-                done.seconds = working_time() - begin
-                checkpoint.save(done)
-            progress(done.whole, wanted, "splitting")
-            if watch.ends():
-                return None
-        return estimated(done, wanted, dt=step, settings=settings).relative_error
-
-    watch.until(repeated, most=1 if settings.tol is None else inf)
+    return estimated(done, whole, dt=dt, settings=s)
 
 
 def _numbered(
