@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from fpk.arrays import Array
 from fpk.compiling import inlined
+from sim.arrays import LANES as W
+from sim.lanes import add_product, fill, row
 
 BULGE = 4.0 / 27.0
 """A cubic passes the larger of its ends by ``BULGE · h (|v0| + |v1|)`` at most."""
@@ -49,6 +52,16 @@ def largest_of(c: Cubic) -> float:
     s = turning_points(c)
     largest = max(abs(c[0]), abs(value_of(c, 1.0)))
     return max(largest, abs(value_of(c, s[0])), abs(value_of(c, s[1])))
+
+
+@inlined
+def form_of(value: Array, s: Array, first: int, form: Array, width: int = W) -> None:
+    """Write pᵀ ``form`` p of each lane, p being the rows of ``s`` from ``first`` on."""
+    fill(value, 0.0, width)
+    for i in range(form.shape[0]):
+        for j in range(form.shape[1]):
+            x, y = row(s, first + i, 1, width), row(s, first + j, 1, width)
+            add_product(value, x, y, form[i, j], width)
 
 
 @inlined

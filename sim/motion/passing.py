@@ -20,12 +20,17 @@ from sim.motion.between import (
     cubic_of,
     distance_to,
     first_passage,
+    form_of,
     turning_points,
     value_of,
 )
 from sim.motion.limits import energies_at, energies_of
 
-SOURCES = ("sim/arrays.py", *(f"sim/motion/{name}.py" for name in ("between", "passing")))
+SOURCES = (
+    "sim/arrays.py",
+    "sim/lanes.py",
+    *(f"sim/motion/{name}.py" for name in ("between", "passing")),
+)
 """Files that the readers are compiled from."""
 
 NATS = 40.0
@@ -99,19 +104,6 @@ def count_upcrossings(sources: int) -> Any:
     return read
 
 
-@inlined
-def quadratic(out: Array, rows: Array, first: int, form: Array) -> None:
-    """Write Σ form_ij x_i x_j of the ``rows`` x from ``first`` on."""
-    out[:] = 0.0
-    for i in range(form.shape[0]):
-        for j in range(form.shape[1]):
-            factor = form[i, j]
-            if factor != 0.0:
-                x, y = rows[first + i], rows[first + j]
-                for w in range(W):
-                    out[w] += factor * x[w] * y[w]
-
-
 @reader
 def pass_displacement(sources: int) -> Any:
     """Write when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES), where inf.
@@ -176,8 +168,9 @@ def pass_energies(sources: int) -> Any:
             for m in range(rows.size):
                 left, limit = chance[b, m], limits[m]
                 for k in range(samples + 1):
-                    quadratic(variance, trace[b, k], first, diffusion.variance[m])
-                    quadratic(rise, trace[b, k], first, diffusion.growth[m])
+                    state = trace[b, k].reshape(trace.shape[2] * W)
+                    form_of(variance, state, first, diffusion.variance[m])
+                    form_of(rise, state, first, diffusion.growth[m])
                     H = trace[b, k, rows[m]]
                     near, h = 0, spread[max(k - 1, 0)]
                     for w in range(W):

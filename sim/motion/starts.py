@@ -130,8 +130,11 @@ def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tu
         direction = np.hstack([u[:, :n] @ back.T, u[:, n:] * root])
         radius = _radius(system, direction, energy)
         q, p = radius[:, None] * direction[:, :n], radius[:, None] * direction[:, n:]
-        slope = radius + _contact_slope(system, q, direction[:, :n])
-        weight = (radius / most) ** (2 * n - 2) * radius / slope
+        by_contact = np.zeros(many)  # Σ g_i dq_i/dr, the part of ∂H/∂r that the contacts make
+        for stop in system.stops:
+            overlap = np.maximum(stop.sign * q[:, stop.index] - stop.clearance, 0.0)
+            by_contact += stop.sign * stop.force(overlap) * direction[:, stop.index]
+        weight = (radius / most) ** (2 * n - 2) * radius / (radius + by_contact)
         accepted: Flags = stream.random(many) < weight
         states.append(np.hstack([q, p])[accepted])
         proposed, wanted = proposed + many, wanted + int(np.count_nonzero(accepted))
@@ -156,12 +159,3 @@ def _radius(system: System, direction: Array, energy: float) -> Array:
         above = system.hamiltonian(state[:, :n], state[:, n:]) > energy
         low, high = np.where(above, low, middle), np.where(above, middle, high)
     return np.asarray(0.5 * (low + high))
-
-
-def _contact_slope(system: System, q: Array, direction: Array) -> Array:
-    """Σ g_i dq_i/dr, the part of ∂H/∂r that the contacts make."""
-    slope = np.zeros(len(q))
-    for stop in system.stops:
-        overlap = np.maximum(stop.sign * q[:, stop.index] - stop.clearance, 0.0)
-        slope += stop.sign * stop.force(overlap) * direction[:, stop.index]
-    return slope

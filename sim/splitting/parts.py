@@ -13,7 +13,7 @@ from fpk.arrays import Array
 from fpk.compiled_laws import of_law
 from fpk.compiling import inlined
 from sim.arrays import StepArrays, WatchArrays
-from sim.motion.between import cubic_of, distance_to, largest_of
+from sim.motion.between import cubic_of, distance_to, form_of, largest_of
 from sim.parts.contact import numbers_of, overlap_of
 from sim.random import GOLDEN, Halves, Singles, box_muller, mixed_word
 from sim.splitting.arrays import LEVELS, LimitArrays, Paths, Score
@@ -88,36 +88,28 @@ def uniform(at: np.uint64) -> float:
     return (np.float64(mixed_word(at) >> _S11) + 0.5) * 2.0**-53
 
 
-@inlined
-def form_of(form: Array, p: Array) -> float:
-    """Return pᵀ ``form`` p."""
-    total = 0.0
-    for i in range(p.size):
-        for j in range(p.size):
-            total += form[i, j] * p[i] * p[j]
-    return float(total)
-
-
 @njit(inline="always")
 def see(
     kind: str, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, seen: Array
 ) -> None:
     """Write what is ``seen`` (c, 3) at the observed state: the distance to the limit first.
 
-    Of an energy it is that of ``distance_to``; of a displacement q and v come after it.
+    Of an energy it is that of ``distance_to``, and its numbers come after it; of a displacement q
+    and v.
     """
-    n, at = step.half_inverse_mass.size, watch.at
+    at = watch.at
     if kind == "q":
         i = limit.mass
         q, v = s[at.q + i], 2.0 * step.half_inverse_mass[i] * s[at.p + i]
         seen[0, 0], seen[0, 1], seen[0, 2] = limit.values[0] - abs(q), q, v
     else:
-        p, diffusion = s[at.p : at.p + n], limit.diffusion
+        diffusion = limit.diffusion
         for m in range(limit.values.size):
-            seen[m, 0] = distance_to(
-                limit.values[m], s[watch.traced[m]], form_of(diffusion.variance[m], p),
-                form_of(diffusion.growth[m], p), diffusion.at_rest[m],
-            )  # fmt: skip
+            variance, growth = seen[m, 1:2], seen[m, 2:3]
+            form_of(variance, s, at.p, diffusion.variance[m], 1)
+            form_of(growth, s, at.p, diffusion.growth[m], 1)
+            H, at_rest = s[watch.traced[m]], diffusion.at_rest[m]
+            seen[m, 0] = distance_to(limit.values[m], H, variance[0], growth[0], at_rest)
 
 
 @inlined
