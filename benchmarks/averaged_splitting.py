@@ -19,9 +19,9 @@ from fpk.process import Process
 from sim.averaged.passage import from_energies
 from sim.averaged.square_root import SquareRootForm, line_form
 from sim.random import GOLDEN, mixed_seed
+from sim.splitting.algorithm import CompiledReplicas
 from sim.splitting.arrays import LEVELS, Paths, Score, new_paths
 from sim.splitting.parts import begin, draw_normals, level_of, place, record, uniform
-from sim.splitting.replicas import CompiledReplicas
 from sim.splitting.run import failure_of
 from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
 from sim.splitting.settings import RareFailure, Splitting
@@ -45,7 +45,7 @@ _COMPILING = Lock()
 
 @dataclass(frozen=True, eq=False)
 class EnergyProblem:
-    """Failure at the energy ``limit`` before ``time`` from ``start``; see ``replicas.Problem``.
+    """Failure at the energy ``limit`` before ``time`` from ``start``; see ``algorithm.Problem``.
 
     ``numbers`` are d, β, γ₀; ``table`` is γ − γ₀ over R = √X up to ``top``, that of the limit;
     ``first`` is X of the start.

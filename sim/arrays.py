@@ -2,6 +2,8 @@
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from fpk.arrays import Array, Integers
 
 LANES = 128
@@ -94,3 +96,14 @@ class WatchArrays(NamedTuple):
     start: Integers  # (histograms,), first bin of each in the counts
     products: Integers  # (moments, 2), rows whose products are summed
     traced: Integers  # rows that are handed out
+
+
+def in_blocks(rows: Array) -> Array:
+    """Return ``rows`` (paths, k) as blocks (blocks, k, LANES); the first row fills up the last."""
+    rows = np.concatenate([rows, np.repeat(rows[:1], -len(rows) % LANES, axis=0)])
+    return np.array(rows.T.reshape(rows.shape[1], -1, LANES).transpose(1, 0, 2), order="C")
+
+
+def in_rows(blocks: Array) -> Array:
+    """Return a copy of ``blocks`` (blocks, k, LANES) as rows (paths, k)."""
+    return np.array(blocks.transpose(0, 2, 1).reshape(-1, blocks.shape[1]), order="C")

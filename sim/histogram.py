@@ -63,13 +63,17 @@ class Histogram:
         """Number of bins, without that for outside."""
         return int(np.prod(self.shape))
 
-    def bins_of(self, columns: Sequence[Array]) -> Integers:
-        """Return the bin of each sample, from its coordinates (samples,); ``size`` for outside."""
+    def counted(self, columns: Sequence[Array], groups: int = 1) -> Integers:
+        """Return how many samples each bin has, (groups, bins + 1), the last of them outside.
+
+        ``columns`` are the coordinates (samples,); samples belong to the groups in turn.
+        """
         bins, inside = np.zeros(columns[0].shape, dtype=np.int64), np.array(True)
         for x, e in zip(columns, self.edges, strict=True):
             inside = inside & (x >= e[0]) & (x < e[-1])
             bins = bins * (e.size - 1) + np.searchsorted(e, x, side="right") - 1
-        return np.where(inside, bins, self.size)
+        index = np.arange(bins.size) % groups * (self.size + 1) + np.where(inside, bins, self.size)
+        return np.bincount(index, minlength=groups * (self.size + 1)).reshape(groups, -1)
 
 
 def binned(

@@ -18,12 +18,11 @@ from sim.lanes import add, add_matrix, aligned_rows, row, scale_all
 from sim.parts.contact import add_contact, contact_forces, kick_by_contact
 from sim.parts.damping import damping_forces, spring_energy, term_flow, whole_energy
 from sim.parts.linear import map_state
-from sim.parts.observed import add_products, count_all, observe
+from sim.parts.observed import add_products, count_all, observe, trace_state
 from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
-from sim.parts.traced import trace_state
 from sim.random import GOLDEN, fill_normals
 
-PARTS = ("contact", "damping", "linear", "observed", "substeps", "traced")
+PARTS = ("contact", "damping", "linear", "observed", "substeps")
 NAMES = ("arrays", "kernel", "lanes", "random", *(f"parts/{part}" for part in PARTS))
 KERNEL = tuple(f"sim/{name}.py" for name in NAMES)
 """Files of this room that a kernel is compiled from."""

@@ -155,7 +155,7 @@ class MonteCarlo(StationaryMotionMethod):
             observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
         ) -> Result:
             # Compiled code and what it needs are imported by those who simulate only.
-            run = import_module("sim.run").run
+            run = import_module("sim.simulation").run
             result: Result = run(self, system, observables, progress, beside=beside)
             return result
 

@@ -60,6 +60,11 @@ _A0, _A1, _A2, _A3 = map(f32, _SIN)
 _B0, _B1, _B2, _B3, _B4 = map(f32, _COS)
 
 
+def stream_of(seed: int, number: int) -> np.random.Generator:
+    """Return NumPy's stream of random numbers of one batch, round or repetition of a ``seed``."""
+    return np.random.Generator(np.random.Philox(key=np.array([seed, number], dtype=np.uint64)))
+
+
 @inlined
 def mixed_word(z: np.uint64) -> np.uint64:
     """Return the word at the place ``z`` of the sequence."""

@@ -1,6 +1,6 @@
 """How far exact motions get: a simulation of which one gets farther is unstable, and ends."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, inf, sqrt
 
 import numpy as np
@@ -23,6 +23,14 @@ density is not Gibbs', and falls by e^−30 only instead of e^−100, none of th
 SHADOW = 2.0
 """Size of a state in units of what its energy allows that a stable step leads to: a kick keeps
 ½p² + ½(1 − h²ω²/4) ω²q², a quarter of the energy at the least up to hω = √3 of at most 2."""
+
+
+def loudest(system: System) -> System:
+    """Return the system under constant noise, as strong as its modulation makes it at the most."""
+    if system.modulation is None:
+        return system
+    most = system.modulation.largest * system.noise_intensity
+    return replace(system, noise_intensity=most, modulation=None)
 
 
 def hottest(system: System) -> float:

@@ -33,7 +33,12 @@ def relaxation_time(system: System) -> float:
     times = [2.0 * system.n / slope] if slope > 0 else []
     if (balance := modal_temperatures(system)).size:
         slowest = float(natural_modes(system)[1][0])
-        rates = np.linalg.eigvals(_jacobian(system, balance)).real
+        # ∂P/∂θ by central differences: a polynomial of low degree, so that 1e-4 costs no digit.
+        change = [
+            modal_powers(system, balance + h) - modal_powers(system, balance - h)
+            for h in np.diag(1e-4 * balance)
+        ]
+        rates = np.linalg.eigvals(np.transpose(change) / (2e-4 * balance)).real
         if np.all(rates > 0):
             times += [_amplitude_time(float(rate), slowest) for rate in rates]
     return max((time for time in times if isfinite(time)), default=inf)
@@ -86,13 +91,6 @@ def undamped_mode(system: System) -> bool:
     for term in system.damping_terms:
         reached |= size[term.row] * size[term.column] > UNDAMPED
     return not bool(np.all(reached))
-
-
-def _jacobian(system: System, theta: Array) -> Array:
-    """∂P/∂θ by central differences: a polynomial of low degree, so that 1e-4 costs no digit."""
-    steps = np.diag(1e-4 * theta)
-    change = [modal_powers(system, theta + h) - modal_powers(system, theta - h) for h in steps]
-    return np.transpose(change) / (2e-4 * theta)
 
 
 def _amplitude_time(rate: float, omega: float) -> float:

@@ -93,12 +93,10 @@ class Report:
         for m in self.moments:
             settings |= {f"E {m.name}": m.mean, f"standard error of E {m.name}": m.error}
         settings["step bias"] = self.step_pair
-        for d in densities:
-            if bias := self.step_biases.get(d.name):
-                name = f"step bias of {d.name}"
-                settings |= {name: bias.difference, f"{name} by chance": bias.chance}
-        for m in self.moments:
-            if bias := self.step_biases.get(m.name):
-                name = f"step bias of E {m.name}"
-                settings |= {name: bias.difference, f"standard error of {name}": bias.chance}
+        named = [(d.name, d.name, "{} by chance") for d in densities]
+        named += [(m.name, f"E {m.name}", "standard error of {}") for m in self.moments]
+        for key, of, chance in named:
+            if bias := self.step_biases.get(key):
+                name = f"step bias of {of}"
+                settings |= {name: bias.difference, chance.format(name): bias.chance}
         return settings

@@ -1,22 +1,33 @@
-"""One simulation: burn-in, a pilot for the histograms, and sampling until it is enough."""
+"""Simulations as they are asked for: burn-in, pilot, sampling, half the step, and what follows."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
-from math import ceil, inf
+from math import ceil, hypot, inf, nan
 from typing import Any
 
 import numpy as np
 
 from fpk.arrays import Array
 from fpk.clock import left_out, working_time
+from fpk.cores import usable_cores
 from fpk.effects import effects_of
 from fpk.method import Progress, Result, silent
-from sim.assessment import assessed
+from fpk.observable import Observable
+from fpk.system import System
 from sim.checkpoint import Checkpoint, interruptible
+from sim.diagnostics import Diagnosis, diagnosis
 from sim.ensemble import Ensemble
-from sim.histogram import axis_of, covering, extremes, sampled_density
+from sim.histogram import Histogram, axis_of, covering, extremes, sampled_density
+from sim.montecarlo import MonteCarlo
+from sim.random import OTHER_SEED
 from sim.record import SNAPSHOTS, Record
-from sim.setup import Setup
-from sim.statistics import moment_products
+from sim.relaxation import relaxation_time
+from sim.report import Report, StepBias, Steps
+from sim.setup import Setup, setup_of
+from sim.statistics import l1_difference, moment_identities, moment_products
+from sim.step_size import temperature
+from sim.workers import workers_of
 
 PILOT_STATES = 16
 """States of the ensemble from which the pilot takes the ranges of the histograms."""
@@ -39,6 +50,71 @@ LEAST_CHUNKS = 8
 
 CHECK_AT = 0.95
 """Share of the samples wanted, as 1/error² predicts them, at which the error is computed again."""
+
+LARGEST_Z = 5.0
+"""|z| of a moment identity that chance explains: by Student's t 2e-5 of 32 batches, 5e-6 of 64."""
+
+STEP_BIAS = 1e-3
+"""Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
+leave beyond chance."""
+
+
+def run(
+    method: MonteCarlo,
+    system: System,
+    observables: Sequence[Observable],
+    progress: Progress,
+    *,
+    beside: Sequence[Observable] = (),
+) -> Result:
+    """Return the densities of ``observables`` with their report, as ``method`` asks for them.
+
+    Those of ``beside`` are sampled with them.
+    """
+    setup = setup_of(method, system, [*observables, *beside])
+    with workers_of(method.cluster, method.threads or usable_cores()) as workers:
+        result = simulate(setup, workers=workers, progress=progress)
+        report = result.report
+        assert isinstance(report, Report)
+        if method.step_pair and report.diagnosis is not None:
+            seed = (method.seed + OTHER_SEED) % 2**64
+            densities: Any = result.densities  # of histograms
+            half = replace(
+                setup,
+                method=replace(method, seed=seed),
+                dt=0.5 * setup.dt,
+                time=report.steps.time,
+                tol=inf,
+                seconds=2.0 / 3.0 * method.seconds if method.seconds else inf,
+                histograms=tuple(Histogram(d.observable, d.bins) for d in densities),
+            )
+            report = with_step_bias(result, simulate(half, workers=workers, progress=progress))
+    asked = len(observables)
+    densities, others = result.densities[:asked], result.densities[asked:]
+    return replace(
+        result,
+        densities=densities,
+        beside=others,
+        report=report,
+        settings=report.settings(densities),
+    )
+
+
+def with_step_bias(result: Result, at_half: Result) -> Report:
+    """Return the report of ``result`` with the differences from the run at half the step.
+
+    Of a run that was interrupted or has no chunk by the limit of time there are none.
+    """
+    report, half = result.report, at_half.report
+    assert isinstance(report, Report) and isinstance(half, Report)
+    if half.interrupted or half.diagnosis is None:
+        words = "interrupted" if half.interrupted else "the limit of time came"
+        return replace(report, step_pair=f"not measured: {words}")
+    pairs: Any = zip(result.densities, at_half.densities, strict=True)  # of histograms
+    biases = {a.name: StepBias(*l1_difference(a, b)) for a, b in pairs}
+    for a, b in zip(report.moments, half.moments, strict=True):
+        biases[a.name] = StepBias(a.mean - b.mean, hypot(a.error, b.error))
+    return replace(report, step_biases=biases, step_pair="dt against dt/2")
 
 
 def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Result:
@@ -165,3 +241,66 @@ def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: P
             return
         if setup.open and len(record.ends) == 2 * CHUNKS:  # one of every two
             record.ends, record.chunk_samples = record.ends[1::2], 2 * record.chunk_samples
+
+
+def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) -> Result:
+    """Return the certified densities, the moment identities and the report.
+
+    ``interrupted``, in words and empty if it was not, stands against a certificate, as does what
+    the limit of time cut short so that nothing can be diagnosed (``limited``). Of a system with
+    mirror symmetry mirror images of samples count as samples.
+    """
+    ensemble = record.ensemble
+    taken = ensemble.samples * setup.stride
+    steps = Steps(
+        dt=setup.dt / setup.scheme.small,
+        paths=ensemble.paths,
+        time=taken * setup.dt,
+        burn_in=min(setup.burn_in_steps, ensemble.done - ensemble.phase) * setup.dt,
+        relaxation_time=relaxation_time(setup.system),
+        scheme=setup.scheme.name,
+        steps=taken,
+        stride=setup.stride,
+        batches=ensemble.edges.size - 1,
+        seed=ensemble.seed,
+        threads=ensemble.threads,
+        kT=temperature(setup.system),
+        long_step=setup.dt,
+        ns_per_particle_step=1e9 * record.stepping * ensemble.threads / (ensemble.paths * taken),
+        small_steps=setup.division,
+        limited_by=setup.limited_by,
+    )
+    failures = [*(words for words in (interrupted, limited) if words), *setup.failures]
+    identities = moment_identities(setup.system, ensemble.batch_means())
+    stationary = ensemble.done - ensemble.phase >= setup.burn_in_steps
+    judged = identities if stationary else ()
+    failures += [
+        f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
+        for identity in judged
+        if abs(identity.value - identity.expected)
+        > LARGEST_Z * identity.error + STEP_BIAS * (identity.expected or temperature(setup.system))
+    ]
+    diagnosed: Diagnosis | None = None
+    if not (interrupted or limited):
+        diagnosed = diagnosis(
+            record.effective(), record.names, record.means(),
+            time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
+            burn_in=steps.burn_in,
+        )  # fmt: skip
+        failures += diagnosed.failures
+    densities = tuple(
+        sampled_density(
+            histogram,
+            counts,
+            taken=ensemble.paths * ensemble.samples,
+            mirror=effects_of(setup.system).mirror,
+            residual=max((abs(identity.z) for identity in judged), default=nan),
+            tol=setup.tol if m == 0 else inf,
+            failures=failures,
+        )
+        for m, (histogram, counts) in enumerate(ensemble.counted())
+    )
+    report = Report(steps, diagnosed, record.moments(), interrupted)
+    return Result(
+        setup.method, densities, identities=identities, partial=bool(interrupted), report=report
+    )

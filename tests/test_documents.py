@@ -29,7 +29,7 @@ from fpk import bin_fit, clearance, contour, damping
 from fpk.errors import InvalidInput
 from sim import checkpoint, diagnostics, histogram, montecarlo, step_size, substeps
 from sim.motion import correlation, failure_times, spectrum
-from sim.splitting import estimate
+from sim.splitting import run as splitting
 
 ROOT = Path(__file__).parent.parent
 THEORY = ROOT / "docs" / "theory.md"
@@ -180,7 +180,7 @@ CONSTANTS = {
         f"$a \\ge {substeps.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
         f"clearance > {clearance.CLEARANCE_RULE:g} rms",
         f"one serves all times within a factor {contour.SPREAD:g}",
-        f"Above {100 * estimate.RESOLVED:g} % no error is stated",
+        f"Above {100 * splitting.RESOLVED:g} % no error is stated",
         f"the error is {refinement.SAFETY:g} d",
         f"r at least {refinement.SLOWEST}",
         f"and {refinement.FIRST * refinement.SAFETY:g} d after two solutions",

@@ -9,15 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from fpk.arrays import SMALLEST, Array
+from fpk.arrays import Array
 from fpk.evolution import Passage
 from fpk.method import Progress, silent
 from fpk.modulation import Modulation
-from sim.averaged.paths import BATCHES, Shares, batch_stream
+from sim.arrays import in_blocks, in_rows
+from sim.averaged.paths import BATCHES, Shares
 from sim.averaged.square_root import SquareRootForm, never, square_root_step
 from sim.motion.failure_times import Times
+from sim.motion.limits import AT_LIMIT
+from sim.motion.passing import Diffusion, pass_under
 from sim.motion.steps import STEP_TO_LIMIT, first_step, stages
 from sim.motion.survival import followed_for, passage_of, settled_at
+from sim.random import stream_of
 
 EMPTY = 0.75
 """Share of a batch still running at which those that have failed make room."""
@@ -41,26 +45,22 @@ class EnergyLimits:
     """Limits of sums of X: ``weights`` (limits, d) · X reaches ``values`` (limits,).
 
     A sum S of square-root processes has dS = … + σ dB, σ² = Σ w² β X; as the noise moves S by 1 it
-    moves σ² by g = Σ w³ β² X/σ². In y = ∫dS/σ, σ² being linear in S, the diffusion is 1.
+    moves σ² by Σ w³ β² X/σ². Both are forms of the momenta √X, as ``pass_energies`` has them.
     """
 
     weights: Array
     values: Array
     name: str
 
-    def distances(self, form: SquareRootForm, X: Array) -> Array:
-        """Return how far each limit is in y, (paths, limits); not positive beyond it."""
-        w = self.weights.T
-        left = self.values - X @ w
-        square = X @ (form.slope[:, None] * w**2)
-        growth = X @ (form.slope[:, None] ** 2 * w**3)
-        # At rest the limit of both: one energy alone would begin to move.
-        rest = np.max(form.slope[:, None] * w, axis=0)
-        g = np.divide(
-            growth, square, out=np.broadcast_to(rest, left.shape).copy(), where=square > 0
-        )
-        e = square / g
-        return np.asarray(2.0 * (np.sqrt(np.maximum(e + left, 0.0)) - np.sqrt(e)) / np.sqrt(g))
+    def diffusion(self, form: SquareRootForm) -> Diffusion:
+        """Return the forms of σ², and of its growth; at rest one energy alone begins to move."""
+        w, one = self.weights[:, :, None], np.eye(form.slope.size)
+        slope = form.slope[:, None]
+        return Diffusion(w**2 * slope * one, w**3 * slope**2 * one, np.max(w * slope, axis=(1, 2)))
+
+    def rows(self, X: Array) -> Array:
+        """Return √X and the sums, (paths, d + limits)."""
+        return np.hstack([np.sqrt(X), X @ self.weights.T])
 
 
 def from_energies(form: SquareRootForm, energies: Array) -> Array:
@@ -116,7 +116,7 @@ def energy_passage(
     shares = Shares(seconds, threads)
 
     def followed(batch: int) -> tuple[Array, Array, Array]:
-        stream = batch_stream(seed, batch)
+        stream = stream_of(seed, batch)
         X = from_energies(form, starts(own, stream))
         if exact:
             ends = shares.ends(batch)
@@ -168,51 +168,34 @@ def _failed(
     until ``end`` at the least; inf where none.
     """
     paths, until, time = len(X), sum(h * many for h, many in steps), 0.0
-    found = np.full((len(strides), paths), inf)
+    lanes, rows = np.arange(paths), limits.rows(X)
     # One exponential number for each limit, of all strides: see ``pass_energies``.
-    chance = stream.exponential(size=(1, paths, len(limits.values))).repeat(len(strides), axis=0)
-    before = np.repeat(limits.distances(form, X)[None], len(strides), axis=0)
-    found[:, np.any(before[0] <= 0.0, axis=1)] = 0.0
-    lanes, now = np.arange(paths), found.copy()
+    chance = stream.exponential(size=(paths, len(limits.values)))
+    past = np.any(rows[:, X.shape[1] :] >= AT_LIMIT * limits.values, axis=1)
+    first = np.where(past, 0.0, inf)[:, None]
+    seen = [[in_blocks(a) for a in (rows, first, chance)] for _ in strides]
+    found = np.repeat(first.T, len(strides), axis=0)
+    see = partial(
+        pass_under, modulation=modulation, first=0, rows=X.shape[1] + np.arange(chance.shape[1]),
+        limits=limits.values, diffusion=limits.diffusion(form),
+    )  # fmt: skip
     for step, h in enumerate((h for h, many in steps for _ in range(many)), start=1):
         X = square_root_step(form, X, h, stream, modulation, time)
         time += h
-        after = limits.distances(form, X)
-        for s, stride in enumerate(strides):
+        after = in_blocks(limits.rows(X))
+        for arrays, stride in zip(seen, strides, strict=True):
             if step % stride == 0:
-                spread = long = stride * h
-                if modulation is not None:
-                    square = float(modulation.mean_square(np.array(time - long), long))
-                    spread = max(long * square, SMALLEST)
-                _see(now[s], chance[s], before[s], after, time, long, spread)
-                before[s] = after
-        running = np.isinf(now).any(axis=0)
-        alive = int(np.count_nonzero(running))
-        if alive <= EMPTY * lanes.size:
-            found[:, lanes] = now
-            X, lanes, now = X[running], lanes[running], now[:, running]
-            chance, before = chance[:, running], before[:, running]
-        if not alive or time >= end:
+                trace = np.stack([arrays[0], after], axis=1)
+                see(trace, 1, 0, *arrays[1:], dt=stride * h, begin=time - stride * h)
+                arrays[0] = after
+        found[:, lanes] = [in_rows(now)[: lanes.size, 0] for _, now, _ in seen]
+        running = np.flatnonzero(np.isinf(found[:, lanes]).any(axis=0))
+        if not running.size or time >= end:
             break
         if step % strides[-1] == 0 and ends():
             until = time
             break
-    found[:, lanes] = now
+        if running.size <= EMPTY * lanes.size:
+            X, lanes = X[running], lanes[running]
+            seen = [[in_blocks(in_rows(a)[running]) for a in arrays] for arrays in seen]
     return until, *found
-
-
-def _see(
-    time: Array, chance: Array, before: Array, after: Array, end: float, h: float, spread: float
-) -> None:
-    """Note what has passed a limit in the step up to ``end``; arrays are (paths,), (paths, limits).
-
-    The bridge over h from d0 to d1 vanishes with the probability exp(−2 d0 d1/``spread``), spread
-    being h times the mean e² of modulated noise; then at the share d0/(d0 + |d1|) of the step, the
-    mean of which is right.
-    """
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        none = -np.expm1(-2.0 * np.maximum(before, 0.0) * np.maximum(after, 0.0) / spread)
-        chance += np.log(none)
-        passed = np.where(chance <= 0.0, before / (before + np.abs(after)), inf)
-    first = end - h + h * passed.min(axis=1)
-    np.copyto(time, first, where=np.isinf(time) & (first < inf))

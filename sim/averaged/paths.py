@@ -17,6 +17,7 @@ from fpk.observable import Coordinate, Observable
 from fpk.sampled_density import SampledDensity
 from sim.averaged.square_root import SquareRootForm, advanced, never
 from sim.histogram import MARGIN, binned, covering, log_states, sampled_density
+from sim.random import stream_of
 
 BATCHES = 64
 """Independent batches of paths, each with its own stream of random numbers."""
@@ -65,14 +66,14 @@ def simulate_energies(
     begun = partial(burnt_in, form, interval=interval, steps=steps, time=burn_in)
     pilot_ends = Shares(seconds and PILOT_SHARE * seconds, 1).ends(BATCHES)
     shares = Shares(seconds, threads)
-    pilot = form.energies(begun(PILOT_PATHS, batch_stream(seed, BATCHES), pilot_ends))
+    pilot = form.energies(begun(PILOT_PATHS, stream_of(seed, BATCHES), pilot_ends))
     reached = np.array([(0.0, column(pilot, c).max()) for o in observables for c in o])
     histograms = covering(observables, reached, partial(energy_axis, form), bins=BINS)
     counts = [np.zeros((BATCHES, h.size + 1), dtype=np.int64) for h in histograms]
     short, taken = np.zeros(BATCHES, dtype=bool), np.zeros(BATCHES, dtype=np.int64)
 
     def sample(batch: int) -> None:
-        stream, ends = batch_stream(seed, batch), shares.ends(batch)
+        stream, ends = stream_of(seed, batch), shares.ends(batch)
         X = begun(own, stream, ends)
         short[batch] = ends()
         for number in range(samples):
@@ -82,8 +83,7 @@ def simulate_energies(
             X = advanced(form, X, interval / steps, steps, stream, ends=ends)
             H = form.energies(X)
             for total, histogram in zip(counts, histograms, strict=True):
-                bins = histogram.bins_of([column(H, c) for c in histogram.observable])
-                total[batch] += np.bincount(bins, minlength=histogram.size + 1)
+                total[batch] += histogram.counted([column(H, c) for c in histogram.observable])[0]
 
     with ThreadPoolExecutor(threads) as pool:
         for done, _ in enumerate(pool.map(sample, range(BATCHES)), start=1):
@@ -141,11 +141,6 @@ class Shares:
         end = self.begin + self.seconds * min(1.0, (batch // self.threads + 1) / turns)
         end = now + part * (end - now)
         return lambda: working_time() > end
-
-
-def batch_stream(seed: int, batch: int) -> np.random.Generator:
-    """Return the random numbers of one batch."""
-    return np.random.Generator(np.random.Philox(key=np.array([seed, batch], dtype=np.uint64)))
 
 
 def energy_axis(

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from math import ceil
+from math import ceil, inf
 
 import numpy as np
 
@@ -15,9 +15,11 @@ from fpk.modulation import Modulation
 from fpk.observable import Observable
 from sim.arrays import MAX_TRAJECTORIES
 from sim.averaged.passage import Starts, from_energies
-from sim.averaged.paths import BATCHES, Shares, batch_stream, column, energy_axis
+from sim.averaged.paths import BATCHES, Shares, column, energy_axis
 from sim.averaged.square_root import SquareRootForm, advanced
-from sim.motion.densities import Counted, answer_of
+from sim.motion.rounds import Watch
+from sim.motion.transient import Counted, answer_of
+from sim.random import stream_of
 
 ROUNDS = 2
 """Rounds of ``paths`` paths, each with a stream of its own, between two looks at the error."""
@@ -51,25 +53,25 @@ def energy_transient(
     ``threads``.
     """
     axis = partial(energy_axis, form)
-    counted = Counted(observable, len(times), lambda H: [column(H, c) for c in observable], axis)
+    densities = Counted(observable, lambda H: [column(H, c) for c in observable], axis)
     over = Shares(seconds, 1).ends(BATCHES)
     simulated = partial(_simulated, form, starts, times, dt, paths, seed, modulation, over)
-    number, most = 0, max(ROUNDS, MAX_TRAJECTORIES // paths)
+    most = max(ROUNDS, MAX_TRAJECTORIES // paths)
+
+    def counted(number: int) -> float:
+        rounds = range(number * ROUNDS, min((number + 1) * ROUNDS, most))
+        for made, states in zip(rounds, pool.map(simulated, rounds), strict=True):
+            if not (states or densities.histograms):
+                raise InvalidInput("seconds", seconds, "are over in the first round; give more")
+            for k, (fine, coarse) in enumerate(states):
+                densities.add(k, times[k], fine, coarse)
+            progress(min(made + 1, ROUNDS), ROUNDS, "transient, averaged")
+        return densities.error
+
     with ThreadPoolExecutor(threads) as pool:
-        while True:
-            rounds = range(number, min(number + ROUNDS, most))
-            for states in pool.map(simulated, rounds):
-                number += 1
-                if not (states or counted.histograms):
-                    raise InvalidInput("seconds", seconds, "are over in the first round; give more")
-                for k, (fine, coarse) in enumerate(states):
-                    counted.add(k, times[k], fine, coarse)
-                progress(min(number, ROUNDS), ROUNDS, "transient, averaged")
-            error = max(density.l1_error for density in counted.densities())
-            if tol is None or error <= tol or number >= most or over():
-                break
+        Watch(inf, over, tol).until(counted, most=ceil(most / ROUNDS))
     settings = {"seed": seed, "steps": "exact" if form.damping is None else "Strang splitting"}
-    return answer_of(counted, times, at, dt, settings=settings, tol=np.inf if tol is None else tol)
+    return answer_of(densities, times, at, dt, settings=settings, tol=inf if tol is None else tol)
 
 
 def _simulated(
@@ -77,7 +79,7 @@ def _simulated(
     modulation: Modulation | None, over: Callable[[], bool], number: int,
 ) -> list[States]:  # fmt: skip
     """The states at all times of round ``number``; none where it is ``over()`` before its end."""
-    stream = batch_stream(seed, number)
+    stream = stream_of(seed, number)
     X = from_energies(form, starts(paths, stream))
     fine = _followed(form, X, times, 0.5 * dt, stream, modulation, over)
     if over():

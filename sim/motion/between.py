@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from fpk.arrays import Array
 from fpk.compiling import inlined
+from sim.arrays import LANES as W
+from sim.lanes import add_product, fill, row
 
 BULGE = 4.0 / 27.0
 """A cubic passes the larger of its ends by ``BULGE · h (|v0| + |v1|)`` at most."""
@@ -52,12 +55,24 @@ def largest_of(c: Cubic) -> float:
 
 
 @inlined
-def distance_to(limit: float, H: float, variance: float, beta: float) -> float:
+def form_of(value: Array, s: Array, first: int, form: Array, width: int = W) -> None:
+    """Write pᵀ ``form`` p of each lane, p being the rows of ``s`` from ``first`` on."""
+    fill(value, 0.0, width)
+    for i in range(form.shape[0]):
+        for j in range(form.shape[1]):
+            x, y = row(s, first + i, 1, width), row(s, first + j, 1, width)
+            add_product(value, x, y, form[i, j], width)
+
+
+@inlined
+def distance_to(limit: float, H: float, variance: float, growth: float, at_rest: float) -> float:
     """Return d = 2 (√(e + L − H) − √e)/√β, e = σ²/β, how far an energy is from its ``limit`` L.
 
-    It has the ``variance`` σ² per time, of which the noise makes β more as it adds 1 to H: in
-    y = ∫dH/σ, σ² being linear in H, the diffusion is 1. Not positive at or beyond the limit.
+    It has the ``variance`` σ² per time, of which the noise makes β more as it adds 1 to H, β σ²
+    being the ``growth`` and β ``at_rest`` where that is 0: in y = ∫dH/σ, σ² being linear in H, the
+    diffusion is 1. Not positive at or beyond the limit.
     """
+    beta = growth / variance if growth > 0.0 else at_rest
     e = variance / beta
     return float(2.0 * (np.sqrt(max(e + limit - H, 0.0)) - np.sqrt(e)) / np.sqrt(beta))
 

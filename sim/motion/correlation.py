@@ -11,10 +11,8 @@ from fpk.dynamics import Curve, Question
 from fpk.errors import InvalidInput
 from sim.arrays import LANES
 from sim.montecarlo import MonteCarlo
-from sim.motion.motion import needs_steps
-from sim.motion.rounds import MOST_SUMS, Window, in_rounds
-from sim.motion.stationary import error_of, sampled_curve
-from sim.motion.steps import longest_step, motion_step
+from sim.motion.rounds import MOST_SUMS, error_of, in_rounds, sampled_curve
+from sim.motion.steps import longest_step, motion_step, needs_steps
 from sim.relaxation import relaxation_time
 
 RELAXATIONS = 20.0
@@ -38,17 +36,17 @@ def correlation(method: MonteCarlo, asked: Question) -> Curve:
     dt, too_long = motion_step(method, system)
     step = max(1, int(longest_step(system) / dt)) if needs_steps(system) else 1
     spacing = step * dt
-    motions = [{"dt": 0.5 * dt, "stride": 2 * step}, {"dt": dt, "stride": step, "halved": True}]
-    motions = motions if needs_steps(system) else motions[1:]
+    steps = [(0.5 * dt, 2 * step, False), (dt, step, True)]
+    steps = steps if needs_steps(system) else steps[1:]
     longest = float(np.max(at))
-    most = MOST_SUMS // (LANES * len(motions))
+    most = MOST_SUMS // (LANES * len(steps))
     if longest > 0.5 * most * spacing:
         remedy = f"a lag takes {longest / spacing:.1e} samples at once; ask for shorter ones"
         raise InvalidInput("at", longest, remedy)
     lags = 2 * ceil(0.5 * longest / spacing) + BEYOND
     wished = ceil((method.time or RELAXATIONS * relaxation_time(system)) / spacing)
     origins = min(wished, most - lags)
-    rounds: list[list[tuple[Array, Array, Array]]] = [[] for _ in motions]
+    rounds: list[list[tuple[Array, Array, Array]]] = [[] for _ in steps]
 
     def estimate(series: list[Array], _: Array) -> float:
         for sums, q in zip(rounds, series, strict=True):
@@ -56,17 +54,18 @@ def correlation(method: MonteCarlo, asked: Question) -> Curve:
         curve = _curve(rounds[0], spacing, at)
         return float(np.max(error_of(curve))) / _variance(rounds[0])
 
-    window = Window(origins + lags, (origins + lags + 1, LANES), partial(_record, row=row))
+    samples, read = origins + lags, partial(_record, row=row)
     paths, failures = in_rounds(
-        method, system, wanted, window, motions, estimate, what="correlation", progress=progress
-    )
+        method, system, wanted, steps, samples, (samples + 1, LANES), read, estimate,
+        what="correlation", progress=progress,
+    )  # fmt: skip
     curves = [_curve(sums, spacing, at) for sums in rounds]
     values = curves[0].mean(axis=0)
     bias = curves[-1].mean(axis=0) - values
     spline = _spline_error(rounds[0], spacing)
     errors = np.sqrt(error_of(curves[0]) ** 2 + bias**2 + spline**2)
     settings: dict[str, str | float | int] = {
-        "dt": motions[0]["dt"],
+        "dt": steps[0][0],
         "coarse dt": dt,
         "sampled every": spacing,
         "time": origins * spacing,

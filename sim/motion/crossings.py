@@ -1,26 +1,17 @@
 """Upcrossing rates of the full system (6) by simulation, counted between the steps too."""
 
-from collections.abc import Sequence
 from functools import partial
 from math import ceil, inf, pi
 
 import numpy as np
 
-from fpk.arrays import Array, Integers
+from fpk.arrays import Array
 from fpk.dynamics import Curve, Question
-from sim.arrays import LANES
+from sim.arrays import LANES, in_rows
 from sim.diagnostics import drift_limit, drifts
 from sim.montecarlo import MonteCarlo
-from sim.motion.counting import count_upcrossings
-from sim.motion.motion import Motion, Reader, in_rows
-from sim.motion.stationary import (
-    Watch,
-    error_of,
-    interruption,
-    not_met,
-    sampled_curve,
-    working,
-)
+from sim.motion.passing import count_upcrossings
+from sim.motion.rounds import both_steps, error_of, sampled_curve, working
 from sim.motion.steps import motion_step
 from sim.relaxation import relaxation_time
 
@@ -46,41 +37,47 @@ def crossings(method: MonteCarlo, asked: Question) -> Curve:
     dt, too_long = motion_step(method, system, error=wanted)
     paths = -(-method.paths // LANES) * LANES
     order = np.argsort(at, kind="stable")
-    time = method.time or RELAXATIONS * relaxation_time(system)
-    steps = ceil(time / dt)
+    steps = ceil((method.time or RELAXATIONS * relaxation_time(system)) / dt)
     mass = float(system.mass[row])
-    with working(method, system, wanted) as (workers, watch, origin):
-        q, p = origin.drawn(paths, 0)
-        pair = [
-            Motion(system, q, p, h, method.seed, halved=halved, workers=workers)
-            for h, halved in ((0.5 * dt, False), (dt, True))
-        ]
-        counts = [np.zeros((paths // LANES, at.size + 1), dtype=np.int64) for _ in pair]
-        read = partial(
-            count_upcrossings, row=row, momentum=system.n + row, inverse_mass=1.0 / mass,
-            levels=at[order],
-        )  # fmt: skip
-        ends: list[Array] = []
-        times: list[float] = []
-        squares: list[Array] = []
-        scale, error, rates = inf, inf, np.zeros(0)
-        while not (done := len(ends) >= CHUNKS and not not_met(method, wanted, error)):
-            chunk = max(1, steps * (len(ends) + 1) // CHUNKS - steps * len(ends) // CHUNKS)
-            if _counted(pair, counts, chunk, read, watch):
-                ends.append(np.cumsum(counts[0], axis=1)[:, :-1].astype(float))
-                times.append(pair[0].time)
-            states = in_rows(pair[0].last)
-            squares.append(np.mean(states[:, [row, system.n + row]] ** 2, axis=0))
-            at_half, at_whole = (_rates(own, pair[0].time) for own in counts)
-            rates = 2.0 * at_half - at_whole
-            size = np.sqrt(np.mean(squares, axis=0))
-            scale = float(size[1] / mass / (2.0 * pi * size[0])) if size[0] > 0 else 1.0
-            error = float(np.max(error_of(rates))) / scale
-            progress(min(len(ends), CHUNKS), CHUNKS, "crossings")
+    read = partial(
+        count_upcrossings, row=row, momentum=system.n + row, inverse_mass=1.0 / mass,
+        levels=at[order],
+    )  # fmt: skip
+    ends: list[Array] = []
+    times: list[float] = []
+    squares: list[Array] = []
+    scale, rates, at_half = inf, np.zeros(0), np.zeros(0)
+
+    def counted(number: int) -> float | None:
+        nonlocal scale, rates, at_half
+        chunk = max(1, steps * (number + 1) // CHUNKS - steps * number // CHUNKS)
+        for begun in range(0, chunk, AT_ONCE):
+            piece = min(AT_ONCE, chunk - begun)
+            for ensemble, own, many in zip(pair, counts, (2 * piece, piece), strict=True):
+                ensemble.advance(many, own, read=partial(read, dt=ensemble.dt))
             if watch.ends():
                 break
+        else:
+            ends.append(np.cumsum(counts[0], axis=1)[:, :-1].astype(float))
+            times.append(pair[0].time)
+        states = in_rows(pair[0].last)
+        squares.append(np.mean(states[:, [row, system.n + row]] ** 2, axis=0))
+        size = np.sqrt(np.mean(squares, axis=0))
+        scale = float(size[1] / mass / (2.0 * pi * size[0])) if size[0] > 0 else 1.0
+        # Upcrossings per unit time of each block, (blocks, levels).
+        time = LANES * pair[0].time
+        at_half, at_whole = (np.cumsum(own, axis=1)[:, :-1] / time for own in counts)
+        rates = 2.0 * at_half - at_whole
+        progress(min(len(ends), CHUNKS), CHUNKS, "crossings")
+        return float(np.max(error_of(rates))) / scale if len(ends) > number else None
+
+    with working(method, system, wanted) as (workers, watch, origin):
+        q, p = origin.drawn(paths, 0)
+        pair = both_steps(system, q, p, dt, method.seed, workers=workers)
+        counts = [np.zeros((paths // LANES, at.size + 1), dtype=np.int64) for _ in pair]
+        done = watch.until(counted, least=CHUNKS)
         failures = [] if done or method.seconds else ["it was ended before all chunks were done"]
-        failures += interruption(watch)
+        failures += watch.interruption()
     failures += too_long + _drifting(ends, times)
     total = paths * pair[0].time
     bias = (rates - at_half).mean(axis=0)
@@ -96,28 +93,6 @@ def crossings(method: MonteCarlo, asked: Question) -> Curve:
         "largest step bias": float(np.max(np.abs(bias))),
     }
     return sampled_curve(values, errors, scale, wanted, failures, settings)
-
-
-def _counted(
-    pair: Sequence[Motion], counts: Sequence[Integers], steps: int, read: Reader, watch: Watch
-) -> bool:
-    """Follow both motions for so many ``steps`` of the longer one and count what ``read`` sees.
-
-    Return whether all were made before the ``watch`` ended them.
-    """
-    for begun in range(0, steps, AT_ONCE):
-        piece = min(AT_ONCE, steps - begun)
-        for motion, own in zip(pair, counts, strict=True):
-            each = partial(read, dt=motion.dt)
-            motion.advance(piece if motion.halved else 2 * piece, each, own)
-        if watch.ends():
-            return False
-    return True
-
-
-def _rates(counts: Integers, time: float) -> Array:
-    """Crossings per unit time (blocks, levels) from the counts of ``count_upcrossings``."""
-    return np.asarray(np.cumsum(counts, axis=1)[:, :-1] / (LANES * time))
 
 
 def _drifting(ends: list[Array], times: list[float]) -> list[str]:

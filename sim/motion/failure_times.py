@@ -32,17 +32,6 @@ class Times:
     coarse: Array | None
     until: Array
 
-    def joined(self, other: "Times") -> "Times":
-        """Return the times of both."""
-        coarse = None
-        if self.coarse is not None and other.coarse is not None:
-            coarse = np.concatenate([self.coarse, other.coarse])
-        return Times(
-            np.concatenate([self.fine, other.fine]),
-            coarse,
-            np.concatenate([self.until, other.until]),
-        )
-
     @property
     def failed(self) -> int:
         """How many failed."""

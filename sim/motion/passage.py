@@ -1,8 +1,7 @@
 """First passage in the full system (6): trajectories are followed until they pass the limit."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from math import inf, sqrt
+from collections.abc import Iterable
+from math import ceil, inf, sqrt
 
 import numpy as np
 
@@ -16,19 +15,18 @@ from fpk.method import Progress
 from fpk.modulation import Modulation
 from fpk.start import Start
 from fpk.system import System
-from sim.arrays import LANES
+from sim.arrays import LANES, MAX_TRAJECTORIES, in_blocks, in_rows
 from sim.montecarlo import MonteCarlo
 from sim.motion.failure_times import Times
 from sim.motion.limits import beyond, energies_of, reach_of
-from sim.motion.motion import Motion, gathered, in_blocks
 from sim.motion.passing import reader_of
+from sim.motion.rounds import both_steps, working
 from sim.motion.starts import Origin
-from sim.motion.stationary import interruption, not_met, working
-from sim.motion.steps import first_step, loudest, motion_step, require_times, stages
+from sim.motion.steps import first_step, motion_step, require_times, stages
 from sim.motion.survival import followed_for, passage_of, settled_at
-from sim.random import OTHER_SEED
+from sim.random import OTHER_SEED, stream_of
+from sim.reachable import loudest
 from sim.relaxation import relaxation_time
-from sim.workers import Workers
 
 AT_ONCE = 32768
 """Trajectories that run together: a chunk of them takes less than a second."""
@@ -72,18 +70,22 @@ def passage(
     settled = settled_at(modulation)
     # Under noise that varies none may fail for long, and many later.
     hopeless = method.time or max(longest / HOPELESS, last, min(settled, longest))
-    sampled, number, done = Times(*np.zeros((3, 0))), 0, False
-    with working(method, system, wanted, start) as (workers, watch, origin):
-        rounds = Rounds(method, system, limit, origin, dt, first, longest, hopeless, workers)
-        while not done:
-            sampled = sampled.joined(rounds.run(number, watch.ends, progress))
-            number += 1
-            enough = sampled.fine.size >= method.paths
-            enough = enough and not not_met(method, wanted, _relative_error(sampled))
-            done = enough or watch.ends() or (number + 1) * AT_ONCE > 1 << 24
-    failures += interruption(watch)
+    rows: list[Array] = []
+
+    def failed(number: int) -> float:
+        steps = stages(first, dt, longest, most=CHUNK)
+        rows.append(
+            followed(origin, limit, paths, number, first, steps, longest, hopeless, progress)
+        )
+        # About the relative standard error of the mean: times are nearly exponential.
+        return 1.1 / sqrt(max(1, Times(*np.hstack(rows)).failed))
+
+    paths = -(-min(method.paths, AT_ONCE) // LANES) * LANES
+    with working(method, system, wanted, start) as (_, watch, origin):
+        watch.until(failed, least=ceil(method.paths / paths), most=MAX_TRAJECTORIES // AT_ONCE)
+        failures += watch.interruption()
     return passage_of(
-        sampled,
+        Times(*np.hstack(rows)),
         times,
         limit=str(limit),
         step=first,
@@ -103,83 +105,59 @@ def horizon(
     return method.time or followed_for(method.most_steps / 3.0 * dt, last, modulation)
 
 
-@dataclass(frozen=True, eq=False)
-class Rounds:
-    """Trajectories that are followed together, a round with random numbers of its own.
+def followed(
+    origin: Origin, limit: Limit, paths: int, number: int, first: float,
+    steps: Iterable[tuple[float, int]], horizon: float, hopeless: float, progress: Progress,
+) -> Array:  # fmt: skip
+    """Return the fields of ``Times`` of ``paths`` trajectories, round ``number`` of random numbers.
 
-    Steps grow from ``first`` to ``dt`` as of ``stages``.
+    They are followed in ``steps`` (dt, how many), of which the ``first`` is so long, until both
+    simulations of each have failed, and end at the ``horizon``, at ``hopeless`` if none has failed
+    by then, and after some steps when the watch of the ``origin`` ends it; times so cut short are
+    marked by ``until``.
     """
-
-    method: MonteCarlo
-    system: System
-    limit: Limit
-    origin: Origin
-    dt: float
-    first: float
-    horizon: float
-    hopeless: float
-    workers: Workers
-
-    def run(self, number: int, ends: Callable[[], bool], progress: Progress) -> Times:
-        """Return the times of up to ``AT_ONCE`` trajectories.
-
-        They are followed until both simulations of each have failed, and end at the ``horizon``,
-        at ``hopeless`` if none has failed by then, and after a chunk when ``ends()``; times so cut
-        short are marked by ``until``.
-        """
-        paths = -(-min(self.method.paths, AT_ONCE) // LANES) * LANES
-        q, p = self.origin.drawn(paths, number)
-        past = beyond(self.system, self.limit, q, p)
-        if np.all(past):
-            raise InvalidInput("start", str(self.origin.start), f"is beyond the limit {self.limit}")
-        energies = energies_of(self.limit, self.system.n)
-        seed = (self.method.seed + number * OTHER_SEED) % 2**64
-        with left_out():
-            pair = [
-                Motion(
-                    self.system, q, p, dt, seed, energies=energies, halved=halved,
-                    workers=self.workers, modulation=self.system.modulation,
-                )
-                for dt, halved in ((0.5 * self.first, False), (self.first, True))
-            ]  # fmt: skip
-        stream = np.random.Generator(
-            np.random.Philox(key=np.array([seed, number + 2**63], dtype=np.uint64))
-        )
-        exponential = stream.exponential(size=(paths, max(1, len(energies))))
-        chances = [in_blocks(exponential), in_blocks(exponential)]
-        found = [in_blocks(np.where(past, 0.0, inf)[:, None]) for _ in pair]
-        failed = np.full((2, paths), inf)
-        lanes = np.arange(paths)
-        until = np.full(paths, self.horizon)
-        readers = [reader_of(self.system, self.limit, motion.dt) for motion in pair]
-        for dt, chunk in stages(self.first, self.dt, self.horizon, most=CHUNK):
-            if dt != pair[1].dt:
-                pair = [motion.onward(dt if motion.halved else 0.5 * dt) for motion in pair]
-                readers = [reader_of(self.system, self.limit, m.dt, m.begin) for m in pair]
-            for motion, read, *arrays in zip(pair, readers, found, chances, strict=True):
-                many = chunk if motion.halved else 2 * chunk
-                motion.advance(many, read, *arrays, passed=arrays[0])
-            now = np.array([times.transpose(0, 2, 1).ravel()[: lanes.size] for times in found])
-            failed[:, lanes] = now
-            running = np.isinf(now).any(axis=0)
-            alive = int(np.count_nonzero(running))
-            done = max(1.0 - alive / paths, min(1.0, pair[1].time / self.horizon))
-            progress(int(PROGRESS * done), PROGRESS, "first passage")
-            hopeless = not np.isfinite(failed).any() and pair[1].time >= self.hopeless
-            if not alive or hopeless or ends():
-                break
-            if 2 * alive <= pair[1].last.shape[0] * LANES and pair[1].last.shape[0] > 1:
-                kept = np.flatnonzero(running)
-                lanes = lanes[kept]
-                for k, motion in enumerate(pair):
-                    motion.keep(kept)
-                    found[k], chances[k] = gathered(found[k], kept), gathered(chances[k], kept)
-        until = np.full(paths, min(self.horizon, pair[1].time))
-        # What passes in the part of the last step beyond the horizon counts as not failed.
-        failed[failed > until] = inf
-        return Times(failed[0], failed[1], until)
-
-
-def _relative_error(sampled: Times) -> float:
-    """About the relative standard error of the mean: times are nearly exponential."""
-    return 1.1 / sqrt(max(1, sampled.failed))
+    system = origin.system
+    q, p = origin.drawn(paths, number)
+    past = beyond(system, limit, q, p)
+    if np.all(past):
+        raise InvalidInput("start", str(origin.start), f"is beyond the limit {limit}")
+    energies = energies_of(limit, system.n)
+    seed = (origin.seed + number * OTHER_SEED) % 2**64
+    with left_out():
+        pair = both_steps(
+            system, q, p, first, seed, energies=energies, workers=origin.workers,
+            modulation=system.modulation,
+        )  # fmt: skip
+    exponential = stream_of(seed, number + 2**63).exponential(size=(paths, max(1, len(energies))))
+    chances = [in_blocks(exponential), in_blocks(exponential)]
+    found = [in_blocks(np.where(past, 0.0, inf)[:, None]) for _ in pair]
+    failed = np.full((2, paths), inf)
+    lanes = np.arange(paths)
+    readers = [reader_of(system, limit, ensemble.dt) for ensemble in pair]
+    for dt, chunk in steps:
+        if dt != pair[1].dt:
+            pair = [ensemble.onward(h) for ensemble, h in zip(pair, (0.5 * dt, dt), strict=True)]
+            readers = [reader_of(system, limit, e.dt, e.begin) for e in pair]
+        for ensemble, read, many, *arrays in zip(
+            pair, readers, (2 * chunk, chunk), found, chances, strict=True
+        ):
+            ensemble.advance(many, *arrays, read=read, passed=arrays[0])
+        now = np.array([in_rows(times)[: lanes.size, 0] for times in found])
+        failed[:, lanes] = now
+        running = np.isinf(now).any(axis=0)
+        alive = int(np.count_nonzero(running))
+        done = max(1.0 - alive / paths, min(1.0, pair[1].time / horizon))
+        progress(int(PROGRESS * done), PROGRESS, "first passage")
+        nothing = not np.isfinite(failed).any() and pair[1].time >= hopeless
+        if not alive or nothing or (origin.watch and origin.watch.ends()):
+            break
+        if 2 * alive <= pair[1].last.shape[0] * LANES and pair[1].last.shape[0] > 1:
+            kept = np.flatnonzero(running)
+            lanes = lanes[kept]
+            for k, ensemble in enumerate(pair):
+                ensemble.keep(kept)
+                found[k], chances[k] = (in_blocks(in_rows(a)[kept]) for a in (found[k], chances[k]))
+    until = np.full(paths, min(horizon, pair[1].time))
+    # What passes in the part of the last step beyond the horizon counts as not failed.
+    failed[failed > until] = inf
+    return np.vstack([failed, until])

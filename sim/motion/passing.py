@@ -1,21 +1,37 @@
-"""Readers of a trace that see when each trajectory first passes its limit, between steps too."""
+"""Compiled readers of traces: upcrossings, and when a limit is passed, between the steps too."""
 
-from functools import lru_cache, partial
+from collections.abc import Callable
+from functools import cache, lru_cache, partial, wraps
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fpk.arrays import Array, Integers
-from fpk.compiling import cached_njit, inlined
+from fpk.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.limit import Limit
 from fpk.linear import natural_modes
 from fpk.modulation import Modulation
 from fpk.system import System
 from sim.arrays import LANES as W
-from sim.motion.between import BULGE, cubic_of, distance_to, first_passage
+from sim.ensemble import Reader
+from sim.motion.between import (
+    BULGE,
+    cubic_of,
+    distance_to,
+    first_passage,
+    form_of,
+    turning_points,
+    value_of,
+)
 from sim.motion.limits import energies_at, energies_of
-from sim.motion.motion import Reader
-from sim.motion.reading import reader
+
+SOURCES = (
+    "sim/arrays.py",
+    "sim/lanes.py",
+    *(f"sim/motion/{name}.py" for name in ("between", "passing")),
+)
+"""Files that the readers are compiled from."""
 
 NATS = 40.0
 """−ln of a probability that counts as none: 4e-18."""
@@ -24,17 +40,68 @@ SMALLEST = 1e-200
 """Stands for the β of an energy without noise, of which the limit is then infinitely far."""
 
 
+def reader(make: Callable[[int], Any]) -> Reader:
+    """Return the reader that ``make(sources)`` compiles, with the name and docstring of ``make``.
+
+    ``sources`` is the checksum of ``SOURCES``, which the compiled function returns as a constant.
+    """
+    lock, compiled = Lock(), cache(lambda: make(checksum([ROOT / name for name in SOURCES])))
+
+    @wraps(make)
+    def read(*arrays: Any, **numbers: Any) -> None:
+        with lock:  # two threads would compile it twice
+            function = compiled()
+        function(*arrays, **numbers)
+
+    return read
+
+
 @inlined
-def quadratic(out: Array, rows: Array, first: int, form: Array) -> None:
-    """Write Σ form_ij x_i x_j of the ``rows`` x from ``first`` on."""
-    out[:] = 0.0
-    for i in range(form.shape[0]):
-        for j in range(form.shape[1]):
-            factor = form[i, j]
-            if factor != 0.0:
-                x, y = rows[first + i], rows[first + j]
+def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None:
+    """Count the levels in (low, high]: +1 at the first of them, −1 behind the last."""
+    if high <= levels[0] or low >= levels[-1] or not low < high:
+        return
+    begin, end = np.searchsorted(levels, low, "right"), np.searchsorted(levels, high, "right")
+    if end > begin:
+        counts[begin] += 1
+        counts[end] -= 1
+
+
+@reader
+def count_upcrossings(sources: int) -> Any:
+    """Add to ``counts`` (blocks, levels + 1), whose running sums are upcrossings of the ``levels``.
+
+    Levels ascend. Between samples q is the cubic through q and v at both ends: each of its rising
+    parts is counted, so that a level passed up and down within a step is not lost.
+    """
+
+    @cached_njit()
+    def read(
+        trace: Array, samples: int, done: int, counts: Integers, dt: float, row: int, momentum: int,
+        inverse_mass: float, levels: Array,
+    ) -> int:  # fmt: skip
+        for b in range(trace.shape[0]):
+            own = counts[b]
+            for k in range(samples):
+                q0, q1 = trace[b, k, row], trace[b, k + 1, row]
+                p0, p1 = trace[b, k, momentum], trace[b, k + 1, momentum]
                 for w in range(W):
-                    out[w] += factor * x[w] * y[w]
+                    v0, v1 = inverse_mass * p0[w], inverse_mass * p1[w]
+                    change = q1[w] - q0[w]
+                    # De Boor and Swartz: a cubic with these slopes is monotone.
+                    if min(v0, v1) >= 0.0 and dt * max(v0, v1) <= 3.0 * change:
+                        count_rise(own, levels, q0[w], q1[w])
+                    elif max(v0, v1) > 0.0 or dt * min(v0, v1) < 3.0 * change:
+                        cubic = cubic_of(q0[w], v0, q1[w], v1, dt)
+                        turning, before = turning_points(cubic), q0[w]
+                        for s in (turning[0], turning[1]):
+                            value = value_of(cubic, s)
+                            count_rise(own, levels, before, value)
+                            before = value
+                        count_rise(own, levels, before, q1[w])
+        return sources
+
+    return read
 
 
 @reader
@@ -101,13 +168,15 @@ def pass_energies(sources: int) -> Any:
             for m in range(rows.size):
                 left, limit = chance[b, m], limits[m]
                 for k in range(samples + 1):
-                    quadratic(variance, trace[b, k], first, diffusion.variance[m])
-                    quadratic(rise, trace[b, k], first, diffusion.growth[m])
+                    state = trace[b, k].reshape(trace.shape[2] * W)
+                    form_of(variance, state, first, diffusion.variance[m])
+                    form_of(rise, state, first, diffusion.growth[m])
                     H = trace[b, k, rows[m]]
                     near, h = 0, spread[max(k - 1, 0)]
                     for w in range(W):
-                        beta = rise[w] / variance[w] if rise[w] > 0.0 else diffusion.at_rest[m]
-                        after[w] = distance_to(limit, H[w], variance[w], beta)
+                        after[w] = distance_to(
+                            limit, H[w], variance[w], rise[w], diffusion.at_rest[m]
+                        )
                         near += 2.0 * before[w] * after[w] < NATS * h
                     if k > 0 and near > 0:
                         end = begin + (done + k) * dt

@@ -11,10 +11,8 @@ from fpk.errors import InvalidInput
 from fpk.system import System
 from sim.arrays import LANES
 from sim.montecarlo import MonteCarlo
-from sim.motion.motion import needs_steps
-from sim.motion.rounds import Window, in_rounds
-from sim.motion.stationary import error_of, sampled_curve
-from sim.motion.steps import motion_step
+from sim.motion.rounds import error_of, in_rounds, sampled_curve
+from sim.motion.steps import motion_step, needs_steps
 from sim.relaxation import relaxation_time
 from sim.step_size import contact_frequency, highest_frequency
 
@@ -61,13 +59,15 @@ def spectrum(method: MonteCarlo, asked: Question) -> Curve:
         return float(np.max(_welch(powers, means, length, spacing)[1])) / scale
 
     read = partial(_add_fourier, row=row, omega=at * spacing, length=length)
-    window = Window(length, (6 * at.size, LANES), read)
-    motions = [{"dt": spacing / step, "stride": step}]
     windows, failures = in_rounds(
-        method, system, wanted, window, motions, estimate, what="spectrum", progress=progress
-    )
+        method, system, wanted, [(spacing / step, step, False)], length, (6 * at.size, LANES), read,
+        estimate, what="spectrum", progress=progress,
+    )  # fmt: skip
     values, errors, leakage = _welch(powers, means, length, spacing)
-    folded = _folded(system, row, at, spacing)
+    # Bound of the spectrum at 2π k/spacing ± ω, by the tail N_ii/(π m² ω⁴) of white noise: twice
+    # the nearest one, as all beyond are less than it together.
+    tail = float(system.noise_matrix[row, row]) / (pi * float(system.mass[row]) ** 2)
+    folded = 2.0 * tail / (2.0 * pi / spacing - np.abs(at)) ** 4
     settings: dict[str, str | float | int] = {
         "dt": spacing / step,
         "sampled every": spacing,
@@ -134,11 +134,3 @@ def _welch(
     leakage = (whole - halves) / 3.0
     corrected = whole + leakage
     return corrected.mean(axis=0), error_of(corrected), leakage.mean(axis=0)
-
-
-def _folded(system: System, row: int, at: Array, spacing: float) -> Array:
-    """Bound of the spectrum at 2π k/spacing ± ω, by the tail N_ii/(π m² ω⁴) of white noise."""
-    tail = float(system.noise_matrix[row, row]) / (pi * float(system.mass[row]) ** 2)
-    below = 2.0 * pi / spacing - np.abs(at)
-    # Twice the nearest one: those beyond are less than it together.
-    return np.asarray(2.0 * tail / below**4)

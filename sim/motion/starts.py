@@ -12,11 +12,11 @@ from fpk.errors import NotApplicable
 from fpk.linear import natural_modes
 from fpk.start import Start
 from fpk.system import System
-from sim.arrays import LANES
-from sim.ensemble import start_displacements
+from sim.arrays import LANES, in_rows
+from sim.ensemble import ensemble_from, start_displacements
 from sim.flow import factored
-from sim.motion.motion import Motion, in_rows, needs_steps
-from sim.random import OTHER_SEED
+from sim.motion.steps import needs_steps
+from sim.random import OTHER_SEED, stream_of
 from sim.relaxation import relaxation_time
 from sim.step_size import chosen_step, temperature
 
@@ -60,9 +60,7 @@ class Origin:
     def drawn(self, paths: int, number: int) -> tuple[Array, Array]:
         """Return q and p (paths, n) of round ``number``."""
         start, n = self.start, self.system.n
-        stream = np.random.Generator(
-            np.random.Philox(key=np.array([self.seed, number], dtype=np.uint64))
-        )
+        stream = stream_of(self.seed, number)
         if start.kind == "energy" and not start.rest:
             return on_shell(self.system, start.values["H"], paths, stream)
         if start.kind == "modal":
@@ -93,12 +91,12 @@ class Origin:
         seed = (self.seed + number * OTHER_SEED + 2**63) % 2**64  # no seed of a round
         with left_out():
             dt = dt if needs_steps(system) else time
-            motion = Motion(system, q, p, dt, seed, stride=stride, workers=self.workers)
+            ensemble = ensemble_from(system, q, p, dt, seed, workers=self.workers)
         for k in range(pieces):
-            motion.advance(1)
+            ensemble.advance(stride, stride=stride)
             if self.watch and k + 1 < pieces:
                 self.watch.require("the burn-in", (k + 1) / pieces)
-        states = in_rows(motion.last)[:paths]
+        states = in_rows(ensemble.last)[:paths]
         return states[:, :n], states[:, n : 2 * n]
 
 
@@ -132,8 +130,11 @@ def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tu
         direction = np.hstack([u[:, :n] @ back.T, u[:, n:] * root])
         radius = _radius(system, direction, energy)
         q, p = radius[:, None] * direction[:, :n], radius[:, None] * direction[:, n:]
-        slope = radius + _contact_slope(system, q, direction[:, :n])
-        weight = (radius / most) ** (2 * n - 2) * radius / slope
+        by_contact = np.zeros(many)  # Σ g_i dq_i/dr, the part of ∂H/∂r that the contacts make
+        for stop in system.stops:
+            overlap = np.maximum(stop.sign * q[:, stop.index] - stop.clearance, 0.0)
+            by_contact += stop.sign * stop.force(overlap) * direction[:, stop.index]
+        weight = (radius / most) ** (2 * n - 2) * radius / (radius + by_contact)
         accepted: Flags = stream.random(many) < weight
         states.append(np.hstack([q, p])[accepted])
         proposed, wanted = proposed + many, wanted + int(np.count_nonzero(accepted))
@@ -158,12 +159,3 @@ def _radius(system: System, direction: Array, energy: float) -> Array:
         above = system.hamiltonian(state[:, :n], state[:, n:]) > energy
         low, high = np.where(above, low, middle), np.where(above, middle, high)
     return np.asarray(0.5 * (low + high))
-
-
-def _contact_slope(system: System, q: Array, direction: Array) -> Array:
-    """Σ g_i dq_i/dr, the part of ∂H/∂r that the contacts make."""
-    slope = np.zeros(len(q))
-    for stop in system.stops:
-        overlap = np.maximum(stop.sign * q[:, stop.index] - stop.clearance, 0.0)
-        slope += stop.sign * stop.force(overlap) * direction[:, stop.index]
-    return slope

@@ -1,12 +1,12 @@
 """Steps of motions in time, short enough to see what happens between two of them."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from math import ceil, inf, pi
 
 import numpy as np
 
 from fpk.arrays import Array
+from fpk.effects import effects_of
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
@@ -45,12 +45,10 @@ def require_times(times: Array, *, least: float = 0.0) -> None:
         raise InvalidInput("times", times, f"must be finite, ascend, and be {least:g} or later")
 
 
-def loudest(system: System) -> System:
-    """Return the system under constant noise, as strong as its modulation makes it at the most."""
-    if system.modulation is None:
-        return system
-    most = system.modulation.largest * system.noise_intensity
-    return replace(system, noise_intensity=most, modulation=None)
+def needs_steps(system: System) -> bool:
+    """Return whether the step has an error at all: without contact and terms it is exact."""
+    effects = effects_of(system)
+    return effects.contact or effects.state_damping
 
 
 def longest_step(system: System, reach: Reach = STATIONARY) -> float:

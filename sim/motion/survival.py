@@ -71,8 +71,10 @@ def passage_of(
         error[3:][times > followed] = inf
     if too_soon := _too_soon(fine[fine <= until], step):
         error[:] = inf
+    # Relative to the mean; where some never fail, absolute of probabilities.
+    never = np.max(error[3:], initial=0.0) if settled == inf else inf
     measured = Measured(
-        l1_error=_relative(best, error, settled),
+        l1_error=float(error[0] / best[0] if best[0] < inf else never),
         mass_defect=None,
         minimum=float(np.min(best[3:], initial=0.0)),
         residual=None,
@@ -117,13 +119,6 @@ def followed_for(most: float, last: float, modulation: Modulation | None) -> flo
     if modulation is not None and not modulation.last:
         most = min(most, float(modulation.times[-1]))
     return max(most, last)
-
-
-def _relative(best: Array, error: Array, settled: float) -> float:
-    """Relative error of the mean; where some never fail, the absolute ones of probabilities."""
-    if best[0] < inf:
-        return float(error[0] / best[0])
-    return inf if settled < inf else float(np.max(error[3:], initial=0.0))
 
 
 def _seen(sampled: Times, begin: float, bias: Array, known: bool) -> dict[str, str | float | int]:

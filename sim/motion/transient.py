@@ -1,32 +1,46 @@
-"""Transient densities of the full system (6): an ensemble from the start, at given times."""
+"""Transient densities of the full system (6), counted in groups of trajectories at two steps."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from math import ceil, inf
 
 import numpy as np
 
-from fpk.arrays import Array
-from fpk.certificate import tolerance
+from fpk.arrays import Array, Integers
+from fpk.bins import BinAxis
+from fpk.certificate import Measured, certify, outside, tolerance, worst
 from fpk.clock import left_out
 from fpk.effects import effects_of
+from fpk.errors import InvalidInput
 from fpk.evolution import Transient
 from fpk.method import Progress
 from fpk.observable import Observable
+from fpk.sampled_density import SampledDensity
 from fpk.start import Start
 from fpk.system import System
-from sim.arrays import LANES, MAX_TRAJECTORIES
-from sim.histogram import axis_of, values_of
+from sim.arrays import LANES, MAX_TRAJECTORIES, in_rows
+from sim.ensemble import ensemble_from
+from sim.histogram import (
+    Histogram,
+    axis_of,
+    covering,
+    rises,
+    sampled_density,
+    unresolved_words,
+    values_of,
+)
 from sim.montecarlo import MonteCarlo
-from sim.motion.densities import Counted, answer_of
 from sim.motion.limits import Reach, largest_energy, temperature_reached
-from sim.motion.motion import Motion, in_rows, needs_steps
+from sim.motion.rounds import working
 from sim.motion.starts import Origin
-from sim.motion.stationary import interruption, not_met, working
-from sim.motion.steps import loudest, motion_step, require_times
+from sim.motion.steps import motion_step, needs_steps, require_times
 from sim.random import OTHER_SEED
+from sim.reachable import loudest
 from sim.step_size import REACHED
-from sim.workers import Workers
+
+GROUPS = 64
+"""Independent batches of trajectories, from which errors are taken."""
 
 ROUNDS = 8
 """Rounds of ``paths`` trajectories where neither an error nor a time is wanted."""
@@ -65,21 +79,22 @@ def transient(
         return [values_of(system, c, q, p) for c in observable]
 
     axis = partial(axis_of, system)
-    counted = Counted(observable, len(times), read, axis, mirror=mirror)
-    with working(method, system, wanted, start) as (workers, watch, origin):
-        for number in range(MAX_TRAJECTORIES // paths):
-            rows = ensembles(origin, times, paths, number, dt, workers)
-            for k, (fine, coarse) in enumerate(rows):
-                counted.add(k, times[k], fine, coarse)
-                done = ROUNDS * len(times)
-                progress(min(done, number * len(times) + k + 1), done, "transient")
-            error = inf if wanted is None else max(d.l1_error for d in counted.densities())
-            enough = number + 1 >= ROUNDS or wanted is not None
-            if watch.ends() or (enough and not not_met(method, wanted, error)):
-                break
-        failures += interruption(watch)
+    histograms = Counted(observable, read, axis, mirror)
+
+    def counted(number: int) -> float:
+        rows = ensembles(origin, times, paths, number, dt)
+        for k, (fine, coarse) in enumerate(rows):
+            histograms.add(k, times[k], fine, coarse)
+            done = ROUNDS * len(times)
+            progress(min(done, number * len(times) + k + 1), done, "transient")
+        return inf if wanted is None else histograms.error
+
+    with working(method, system, wanted, start) as (_, watch, origin):
+        least = ROUNDS if wanted is None else 1
+        watch.until(counted, least=least, most=MAX_TRAJECTORIES // paths)
+        failures += watch.interruption()
     return answer_of(
-        counted,
+        histograms,
         times,
         at,
         dt,
@@ -90,7 +105,7 @@ def transient(
 
 
 def ensembles(
-    origin: Origin, times: Array, paths: int, number: int, dt: float, workers: Workers
+    origin: Origin, times: Array, paths: int, number: int, dt: float
 ) -> Iterator[tuple[Array, Array | None]]:
     """Yield the states (paths, 2n) at each time, at steps of dt/2 and of ``dt``.
 
@@ -108,21 +123,120 @@ def ensembles(
             parts = ceil(steps / CHUNK)
             stride = ceil(steps / parts)
             long = (time - now) / (parts * stride)
-            for k, (halved, many) in enumerate(((False, 2), (True, 1))[: len(states)]):
+            for k, many in enumerate((2, 1) if stepped else (1,)):
                 q, p = np.split(states[k], 2, axis=1)
                 with left_out():
-                    motion = Motion(
-                        system, q, p, long / (many if stepped else 1), seed, halved=halved,
-                        stride=stride * (many if stepped else 1), word=words[k], workers=workers,
-                        modulation=system.modulation, begin=now,
+                    ensemble = ensemble_from(
+                        system, q, p, long / many, seed, halved=k == 1, word=words[k],
+                        workers=origin.workers, modulation=system.modulation, begin=now,
                     )  # fmt: skip
                 for done in range(parts):
-                    motion.advance(1)
+                    ensemble.advance(stride * many, stride=stride * many)
                     if origin.watch and origin.watch.ends():
                         if number:  # what there is will do
                             return
                         share = (now + (time - now) * (done + 1) / parts) / times[-1]
                         origin.watch.require("the first round", share)
-                states[k], words[k] = in_rows(motion.last)[:, : 2 * system.n], motion.next_word
+                states[k] = in_rows(ensemble.last)[:, : 2 * system.n]
+                words[k] = ensemble.next_word
         now = float(time)
         yield states[0], states[1] if stepped else None
+
+
+@dataclass(eq=False)
+class Counted:
+    """Histograms of one observable at several times, their ranges from the first round.
+
+    ``read`` gives the coordinates of the observable, (paths,) each, of states (paths, ...);
+    ``axis`` makes the bins of a coordinate, as ``axis_of`` does. ``paths`` have been counted so
+    far, at two steps where they are ``stepped``.
+    """
+
+    observable: Observable
+    read: Callable[[Array], Sequence[Array]]
+    axis: Callable[..., BinAxis]
+    mirror: bool = False
+    histograms: list[Histogram] = field(default_factory=list)
+    counts: list[Integers] = field(default_factory=list)  # of each time: (2, GROUPS, bins + 1)
+    paths: list[int] = field(default_factory=list)
+    stepped: bool = False
+
+    def add(self, k: int, time: float, fine: Array, coarse: Array | None) -> None:
+        """Count the states (paths, ...) of time number ``k``, at half the step and at the step."""
+        self.stepped = coarse is not None
+        for which, states in enumerate((fine,) if coarse is None else (fine, coarse)):
+            columns = self.read(states)
+            if k == len(self.histograms):
+                self.histograms.append(self._covering(columns, time))
+                self.counts.append(np.zeros((2, GROUPS, self.histograms[k].size + 1), np.int64))
+                self.paths.append(0)
+            self.counts[k][which] += self.histograms[k].counted(columns, GROUPS)
+        self.paths[k] += len(fine)
+
+    def densities(self, which: int = 0) -> list[SampledDensity]:
+        """Return the densities at all times, of the finer simulation or the coarser one (1)."""
+        return [
+            sampled_density(
+                histogram, counts[which], taken=paths, mirror=self.mirror, everywhere=False
+            )
+            for histogram, counts, paths in zip(
+                self.histograms, self.counts, self.paths, strict=True
+            )
+        ]
+
+    @property
+    def error(self) -> float:
+        """Largest expected L1 error of the densities at all times, of the finer simulation."""
+        return max(density.l1_error for density in self.densities())
+
+    def _covering(self, columns: Sequence[Array], time: float) -> Histogram:
+        reached = np.zeros((len(columns), 2))
+        for c, x, ends in zip(self.observable, columns, reached, strict=True):
+            ends[:] = x.min(), x.max()
+            if not ends[1] - ends[0] > 1e-9 * np.max(np.abs(ends)):
+                words = f"{c} is one value at t = {time:g}, and has no density; ask for later times"
+                raise InvalidInput("times", time, words)
+        low = [x for c, x in zip(self.observable, columns, strict=True) if c.kind == "H"]
+        axis = partial(self.axis, rises=any(map(rises, low)))
+        return covering([self.observable], reached, axis)[0]
+
+
+def answer_of(
+    counted: Counted, times: Array, at: tuple[Array, ...], dt: float, *,
+    settings: Mapping[str, str | float | int], failures: Sequence[str] = (), tol: float,
+) -> Transient:  # fmt: skip
+    """Return the densities at ``times`` at the points ``at``, ``dt`` being the longer step.
+
+    In the error are, in quadrature, one standard error by the groups and what changes at the longer
+    step. Where the bins do not show the density errors are inf and nothing is certified.
+    """
+    fine = counted.densities()
+    coarse = counted.densities(1) if counted.stepped else fine
+    values, errors, bias, wide = [], [], 0.0, list[str]()
+    for time, a, b in zip(times.tolist(), fine, coarse, strict=True):
+        value, error = a.at(*at)
+        step, lost = b.at(*at)[0] - value, a.fits.are_unresolved(np.stack(at))
+        values.append(value)
+        errors.append(np.where(lost, inf, np.hypot(error, step)))
+        if lost.any():
+            wide.append(f"at t = {time:g} {unresolved_words(a)[0]}; ask for later times")
+        bias = max(bias, float(np.max(np.abs(step), initial=0.0)))
+    certificates = [density.certificate for density in fine]
+    own = dict.fromkeys(words for c in certificates for words in c.failures)
+    measured = Measured(
+        l1_error=max(density.l1_error for density in fine),
+        mass_defect=worst(c.mass_defect for c in certificates),
+        minimum=min((x for c in certificates if (x := c.minimum) is not None), default=None),
+        residual=worst(c.residual for c in certificates),
+        tail_mass=max(map(outside, certificates)),
+        failures=(*failures, *own, *wide[:1]),
+    )
+    settings = {
+        "trajectories": min(counted.paths),
+        **settings,
+        "expected L1 error": measured.l1_error,
+    }
+    if counted.stepped:
+        settings |= {"dt": 0.5 * dt, "coarse dt": dt, "largest difference of both": bias}
+    certificate = certify(measured, tol=tol, sampled=True)
+    return Transient(times, np.array(values), np.array(errors), "sampling", certificate, settings)

@@ -1,4 +1,4 @@
-"""The observed state, products of its rows, and histograms."""
+"""The observed state, products of its rows, histograms, and the rows that are handed out."""
 
 from typing import Any
 
@@ -185,3 +185,11 @@ def count_all(
         own = counts[watch.start[m] :]
         for k in range(live):
             own[index[k]] += 1
+
+
+@inlined
+def trace_state(s: Array, trace: Array, watch: WatchArrays, sample: int) -> None:
+    """Copy the rows ``watch.traced`` of a block to number ``sample`` of its ``trace``."""
+    rows = watch.traced.size
+    for r in range(rows):
+        copy(row(trace, sample * rows + r), row(s, watch.traced[r]))

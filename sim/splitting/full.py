@@ -19,9 +19,9 @@ from sim.motion.steps import STEP_TO_LIMIT, STEPS_SINCE_START, TOO_LONG
 from sim.plan import step_arrays, watched
 from sim.random import mixed_seed
 from sim.schemes.exact_flow import EXACT_FLOW
+from sim.splitting.algorithm import CompiledReplicas
 from sim.splitting.arrays import LimitArrays, Score, new_paths
 from sim.splitting.kernel import compiled_paths
-from sim.splitting.replicas import CompiledReplicas
 from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
 from sim.step_size import chosen_step, temperature
 
@@ -31,7 +31,7 @@ PROBES = 64
 
 @dataclass(frozen=True, eq=False)
 class SystemProblem:
-    """Failure of ``system`` at ``limit`` before ``time``; see ``replicas.Problem``."""
+    """Failure of ``system`` at ``limit`` before ``time``; see ``algorithm.Problem``."""
 
     system: System
     limit: Limit
@@ -91,7 +91,10 @@ def system_problem(
     """
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: whether the limit is passed is no chance")
-    require_inside(system, limit, start)
+    # A share of a random start may have failed at once.
+    states = () if start.kind == "noise" else Origin(system, start, 0).drawn(PROBES, 0)
+    if states and np.all(beyond(system, limit, *states)):
+        raise InvalidInput("start", str(start), f"must lie below the limit {limit}")
     scores, tops = scores_of(system, limit)
     if score is not None:
         if len(scores) > 1:
@@ -107,14 +110,6 @@ def system_problem(
     if dt is not None and dt > TOO_LONG * longest:
         raise InvalidInput("dt", dt, f"is too long to see a passage; use {longest:.2g}")
     return SystemProblem(system, limit, start, time, dt or longest, table)
-
-
-def require_inside(system: System, limit: Limit, start: Start) -> None:
-    """Raise ``InvalidInput`` for a start at or beyond the limit, whatever its phases."""
-    if start.kind == "noise":
-        return  # of which a share may have failed at once
-    if np.all(beyond(system, limit, *Origin(system, start, 0).drawn(PROBES, 0))):
-        raise InvalidInput("start", str(start), f"must lie below the limit {limit}")
 
 
 def scores_of(system: System, limit: Limit) -> tuple[list[ScoreFunction], Array]:

@@ -20,10 +20,18 @@ from sim.parts.linear import map_state
 from sim.parts.observed import observe
 from sim.random import GOLDEN
 from sim.splitting.arrays import LEVELS, LimitArrays, Paths, Score
-from sim.splitting.parts import begin, draw_normals, level_of, place, record
-from sim.splitting.seen import left_after, see, share_of
+from sim.splitting.parts import (
+    begin,
+    draw_normals,
+    left_after,
+    level_of,
+    place,
+    record,
+    see,
+    share_of,
+)
 
-PARTS = ("arrays", "kernel", "parts", "seen")
+PARTS = ("arrays", "kernel", "parts")
 NAMES = ("motion/between", *(f"splitting/{part}" for part in PARTS))
 OWN = tuple(f"sim/{name}.py" for name in NAMES)
 """Files that paths are compiled from beside those of a kernel."""

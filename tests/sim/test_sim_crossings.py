@@ -12,10 +12,10 @@ from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.observable import Coordinate
 from fpk.system import System
-from sim.arrays import LANES
+from sim.arrays import LANES, in_blocks, in_rows
+from sim.ensemble import ensemble_from
 from sim.montecarlo import MonteCarlo
-from sim.motion.counting import count_upcrossings
-from sim.motion.motion import Motion, in_blocks, in_rows
+from sim.motion.passing import count_upcrossings
 
 Z = 4.5
 """|z| that chance explains: of 11 levels, as if independent, 8e-5."""
@@ -78,12 +78,12 @@ def counts_of(dt: float, level: float, steps: int) -> tuple[float, float]:
     """Upcrossings a period by cosines of random phases: counted, and by the signs at the steps."""
     system = System([1.0], [1.0], [0.0], [1e-24])
     phase = np.random.default_rng(2).random((8 * LANES, 1)) * 2.0 * np.pi
-    motion = Motion(system, np.cos(phase), -np.sin(phase), dt, 1)
+    motion = ensemble_from(system, np.cos(phase), -np.sin(phase), dt, 1)
     counts, signs = np.zeros((8, 2), dtype=np.int64), 0
     for _ in range(steps):
         before = in_rows(motion.last)[:, 0]
         motion.advance(
-            1, lambda *a: count_upcrossings(*a, dt, 0, 1, 1.0, np.array([level])), counts
+            1, counts, read=lambda *a: count_upcrossings(*a, dt, 0, 1, 1.0, np.array([level]))
         )
         signs += np.count_nonzero((before < level) & (in_rows(motion.last)[:, 0] >= level))
     time = 8 * LANES * steps * dt

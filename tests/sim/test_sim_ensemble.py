@@ -17,7 +17,7 @@ from sim.arrays import LANES
 from sim.checkpoint import program_checksum
 from sim.ensemble import Ensemble
 from sim.kernel import KERNEL, KernelKey, kernel_checksum
-from sim.motion.reading import SOURCES
+from sim.motion.passing import SOURCES
 from sim.plan import step_arrays, watched
 from sim.schemes import SCHEMES
 from sim.splitting.kernel import NAMES

@@ -83,7 +83,7 @@ def test_the_limit_holds_for_the_second_simulation_of_a_pair(
         setups.append(setup)
         return simulate(setup, **options)
 
-    monkeypatch.setattr("sim.run.simulate", slow)
+    monkeypatch.setattr("sim.simulation.simulate", slow)
     method = replace(SHORT, step_pair=True, burn_in=0.1, seconds=3.0)
     report = method.solve(fig6(), OF).report
     assert isinstance(report, Report) and report.diagnosis is not None

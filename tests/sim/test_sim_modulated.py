@@ -1,6 +1,5 @@
 """Modulated noise by simulation: the exact covariance, the order of its step, first passage."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -20,12 +19,12 @@ from fpk.quadrature import panel_rule
 from fpk.start import parse_start
 from fpk.system import System
 from sim import MonteCarlo
+from sim.arrays import in_rows
+from sim.ensemble import ensemble_from
 from sim.flow import flow_covariance
-from sim.motion.motion import Motion, in_rows
 from sim.motion.passing import spread_of
 from sim.motion.starts import Origin
 from sim.motion.transient import ensembles
-from sim.workers import Workers
 
 ENVELOPE = Modulation([0.0, 2.0, 4.0, 9.0], [0.0, 1.5, 1.5, 0.0])
 ONE = System([1.5], [2.0], [0.3], [0.03], modulation=ENVELOPE)
@@ -54,9 +53,8 @@ def by_steps(system, time, dt):
 
 
 def test_steps_of_modulated_noise_have_the_covariance_of_their_rule():
-    workers = Workers(ThreadPoolExecutor(1), 1)
     origin = Origin(ONE, parse_start("rest", ONE), 3)
-    rows = list(ensembles(origin, TIMES, PATHS, 0, 0.5, workers))
+    rows = list(ensembles(origin, TIMES, PATHS, 0, 0.5))
     for time, (fine, coarse) in zip(TIMES, rows, strict=True):
         for states, dt in ((fine, 0.25), (coarse, 0.5)):
             wanted = by_steps(ONE, time, dt)
@@ -175,7 +173,7 @@ def test_motions_without_modulation_are_what_they_were():
     plain = replace(TWO, modulation=None)
     q = p = np.zeros((128, 2))
     held, free = (
-        Motion(plain, q, p, 0.05, 7, modulation=m) for m in (Modulation([0.0], [1.0]), None)
+        ensemble_from(plain, q, p, 0.05, 7, modulation=m) for m in (Modulation([0.0], [1.0]), None)
     )
     for motion in (held, free):
         motion.advance(20)

@@ -10,9 +10,9 @@ from fpk.damping import DampingTerm
 from fpk.errors import NotApplicable
 from fpk.observable import Coordinate
 from fpk.system import System
-from sim.arrays import LANES
+from sim.arrays import LANES, in_blocks, in_rows
+from sim.ensemble import ensemble_from
 from sim.kernel import KernelKey
-from sim.motion.motion import Motion, in_blocks, in_rows
 from sim.workers import workers_of
 
 H = (Coordinate("H"),)
@@ -34,7 +34,7 @@ def states(system: System, size: float = 0.6) -> Any:
 @pytest.mark.parametrize("system", [linear(), fig6(), mixed(), with_terms()])
 def test_the_first_observed_state_is_the_start(system: System) -> None:
     q, p = states(system)
-    motion = Motion(system, q, p, 0.03, 1, H)
+    motion = ensemble_from(system, q, p, 0.03, 1, energies=H)
     first = in_rows(motion.last)
     assert first[:, : system.n] == pytest.approx(q, abs=1e-12)
     assert first[:, system.n : 2 * system.n] == pytest.approx(p, abs=1e-12)
@@ -43,14 +43,17 @@ def test_the_first_observed_state_is_the_start(system: System) -> None:
 
 def test_a_step_that_begins_in_no_start_is_refused() -> None:
     with pytest.raises(NotApplicable, match="use a smaller dt"):
-        Motion(fig6(), *states(fig6(), 8.0), 0.6, 1)
+        ensemble_from(fig6(), *states(fig6(), 8.0), 0.6, 1)
 
 
 def test_halved_steps_are_the_same_motion_but_for_the_error_of_the_step() -> None:
     # Exactly so without contact; with it the kicks differ by O(dt²), 4 to 1 in a short time.
     def apart(system: System, dt: float) -> float:
         q, p = states(system)
-        fine, coarse = Motion(system, q, p, 0.5 * dt, 1), Motion(system, q, p, dt, 1, halved=True)
+        fine, coarse = (
+            ensemble_from(system, q, p, 0.5 * dt, 1),
+            ensemble_from(system, q, p, dt, 1, halved=True),
+        )
         for motion, many in ((fine, 2), (coarse, 1)):
             motion.advance(many * round(1.0 / dt))
         assert (fine.time, fine.next_word) == (coarse.time, coarse.next_word)
@@ -71,22 +74,22 @@ def test_bitwise_the_same_for_any_threads_pieces_and_strides() -> None:
 
     def read(threads: int, parts: tuple[int, ...]) -> Any:
         with workers_of(None, threads) as workers:
-            motion = Motion(system, q, p, 0.05, 3, H, workers=workers)
+            motion = ensemble_from(system, q, p, 0.05, 3, energies=H, workers=workers)
             rows = np.zeros((3, 201, LANES))
             for part in parts:
-                motion.advance(part, record, rows)
+                motion.advance(part, rows, read=record)
         return rows, motion
 
     rows, motion = read(1, (200,))
     for other in (read(2, (1, 63, 136)), read(3, (200,))):
         np.testing.assert_array_equal(rows, other[0])
-    every = Motion(system, q, p, 0.05, 3, H, stride=25)
-    every.advance(8)
+    every = ensemble_from(system, q, p, 0.05, 3, energies=H)
+    every.advance(200, stride=25)
     np.testing.assert_array_equal(every.last, motion.last)
-    resumed = Motion(linear(), *states(linear()), 0.05, 3)
+    resumed = ensemble_from(linear(), *states(linear()), 0.05, 3)
     resumed.advance(10)
     last = in_rows(resumed.last)
-    on = Motion(linear(), last[:, :2], last[:, 2:], 0.05, 3, word=resumed.next_word)
+    on = ensemble_from(linear(), last[:, :2], last[:, 2:], 0.05, 3, word=resumed.next_word)
     for later in (resumed, on):
         later.advance(10)
     np.testing.assert_array_equal(resumed.last, on.last)
@@ -94,7 +97,7 @@ def test_bitwise_the_same_for_any_threads_pieces_and_strides() -> None:
 
 def test_lanes_that_are_kept_go_on_and_copies_part() -> None:
     system = fig6()
-    motion = Motion(system, *states(system), 0.05, 3, H)
+    motion = ensemble_from(system, *states(system), 0.05, 3, energies=H)
     motion.advance(5)
     before = in_rows(motion.last)
     motion.keep(np.array([7, 7, 200]))

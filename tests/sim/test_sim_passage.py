@@ -17,11 +17,11 @@ from fpk.method import silent
 from fpk.observable import Coordinate
 from fpk.start import parse_start
 from fpk.system import System
-from sim.arrays import LANES
+from sim.arrays import LANES, in_blocks, in_rows
+from sim.ensemble import ensemble_from
 from sim.montecarlo import MonteCarlo
 from sim.motion.failure_times import Times, estimates, tail_begin
 from sim.motion.limits import energies_of
-from sim.motion.motion import Motion, in_blocks, in_rows
 from sim.motion.passing import reader_of
 from sim.motion.starts import on_shell
 from sim.motion.survival import passage_of
@@ -87,9 +87,9 @@ def share_failed(system: System, limit: str, dts: Any, until: float, q0: float) 
         naive = partial(look_at_the_steps, dt=dt, row=row, limit=asked.value)
         times = []
         for read in (right, naive):
-            motion = Motion(system, q, 0.0 * q, dt, 3, energies)
+            motion = ensemble_from(system, q, 0.0 * q, dt, 3, energies=energies)
             time = in_blocks(np.full((paths, 1), np.inf))
-            motion.advance(round(until / dt), read, time, in_blocks(chance))
+            motion.advance(round(until / dt), time, in_blocks(chance), read=read)
             times.append(in_rows(time)[:, 0])
         shares.append([np.mean(t <= until) for t in times])
     return np.array(shares)
@@ -126,8 +126,8 @@ def test_without_noise_the_time_of_a_passage_is_that_of_the_cosine() -> None:
     q = np.full((LANES, 1), 0.5)
     p = np.full((LANES, 1), np.sqrt(0.75))
     time = in_blocks(np.full((LANES, 1), np.inf))
-    motion = Motion(system, q, p, dt, 1)
-    motion.advance(12, reader_of(system, limit, dt), time, time)
+    motion = ensemble_from(system, q, p, dt, 1)
+    motion.advance(12, time, time, read=reader_of(system, limit, dt))
     expected = np.arccos(0.5) - np.arccos(0.999)
     assert time == pytest.approx(expected, abs=7e-5)
 
@@ -154,7 +154,7 @@ def test_a_shell_of_energy_stays_as_it_is_without_noise_and_damping() -> None:
     stream = np.random.default_rng(3)
     q, p = on_shell(system, 0.5, 32 * LANES, stream)
     assert system.hamiltonian(q, p) == pytest.approx(0.5, rel=1e-12)
-    motion = Motion(system, *on_shell(system, 0.5, 32 * LANES, stream), dt=0.02, seed=1)
+    motion = ensemble_from(system, *on_shell(system, 0.5, 32 * LANES, stream), dt=0.02, seed=1)
     motion.advance(3)
     for _ in range(2):
         motion.advance(57)

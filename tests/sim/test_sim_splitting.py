@@ -26,9 +26,9 @@ from sim.random import GOLDEN, mixed_seed
 from sim.splitting import RareFailure, Splitting, rare_failure
 from sim.splitting.algorithm import split
 from sim.splitting.arrays import LEVELS
-from sim.splitting.estimate import mean_and_error
 from sim.splitting.full import system_problem
 from sim.splitting.parts import draw_normals
+from sim.splitting.run import mean_and_error
 from sim.workers import workers_of
 
 QUICK = Splitting(replicas=64, killed=4, repetitions=8, threads=1)
