@@ -1,15 +1,15 @@
 """Questions of a motion that begins at a given time: transient densities and first passage.
 
-A ``Method`` answers them if it has the method ``transient`` or ``passage``, as the protocols
-``Transients`` and ``Passages`` say. ``tol`` is the largest error wanted, None for the default of
-the method; ``progress`` as of ``Method.solve``. Both raise ``NotApplicable`` where the method does
-not answer for this system, observable, limit or start, and ``InvalidInput`` for a start at or
-beyond the limit or times that do not ascend from 0 or later.
+A ``Method`` answers them if it derives from ``Transients`` or ``Passages``. ``tol`` is the largest
+error wanted, None for the default of the method; ``progress`` as of ``Method.solve``. Both raise
+``NotApplicable`` where the method does not answer for this system, observable, limit or start, and
+``InvalidInput`` for a start at or beyond the limit or times that do not ascend from 0 or later.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 
@@ -175,9 +175,37 @@ def certified_passage(
     )
 
 
-@runtime_checkable
-class Transients(Protocol):
-    """A method that gives densities at times after a start."""
+@dataclass(frozen=True, eq=False)
+class AfterStart:
+    """A question about the motion of ``system`` at ``times`` (times,) after ``start``.
+
+    ``tol`` is the largest error wanted, None for the default of the method.
+    """
+
+    system: System
+    start: Start
+    times: Array
+    tol: float | None
+    progress: Progress
+
+
+@dataclass(frozen=True, eq=False)
+class TransientAsked(AfterStart):
+    """Densities of ``observable`` at the points ``at``, an array (points,) a coordinate."""
+
+    observable: Observable
+    at: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PassageAsked(AfterStart):
+    """First passage of ``limit``, with the reliability at the times."""
+
+    limit: Limit
+
+
+class Transients(ABC):
+    """Base class of methods that give densities at times after a start, by ``_transient``."""
 
     def transient(
         self,
@@ -194,11 +222,15 @@ class Transients(Protocol):
 
         ``at`` is one array (points,) for each coordinate of the observable.
         """
+        return self._transient(TransientAsked(system, start, times, tol, progress, observable, at))
+
+    @abstractmethod
+    def _transient(self, asked: TransientAsked) -> Transient:
+        """Return the densities that are asked for."""
 
 
-@runtime_checkable
-class Passages(Protocol):
-    """A method that gives the first passage of a limit."""
+class Passages(ABC):
+    """Base class of methods that give the first passage of a limit, by ``_passage``."""
 
     def passage(
         self,
@@ -211,3 +243,12 @@ class Passages(Protocol):
         progress: Progress = silent,
     ) -> Passage:
         """Return the first passage of ``limit`` from ``start``, the reliability at ``times``."""
+        return self._passage(PassageAsked(system, start, times, tol, progress, limit))
+
+    @abstractmethod
+    def _passage(self, asked: PassageAsked) -> Passage:
+        """Return the first passage that is asked for."""
+
+
+class InTime(Transients, Passages):
+    """Base class of methods that give both."""

@@ -11,12 +11,10 @@ from math import ceil, inf, isfinite
 from typing import Any, Self
 
 from cases.scene.expect import Theory
-from fpk.arrays import Array
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.escape import require_held
-from fpk.evolution import Passage, Transient
-from fpk.limit import Limit
+from fpk.evolution import InTime, Passage, PassageAsked, Transient, TransientAsked
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.process import Process
@@ -41,7 +39,7 @@ sets the paths for a wanted relative error; and most paths."""
 
 
 @dataclass(frozen=True)
-class AveragedSimulation(Method):
+class AveragedSimulation(InTime, Method):
     """Averaged energies (17) or energy (9) of a theory by simulation: its ``solver`` "simulation".
 
     Times come from the process: an energy relaxes in about the time in which noise fills its scale,
@@ -88,16 +86,7 @@ class AveragedSimulation(Method):
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
         return Plan(self._unknown, partial(self._sampled, self._process(system)))
 
-    def passage(
-        self,
-        system: System,
-        limit: Limit,
-        start: Start,
-        times: Array,
-        *,
-        tol: float | None,
-        progress: Progress,
-    ) -> Passage:
+    def _passage(self, asked: PassageAsked) -> Passage:
         """Return the first passage of an energy by simulation in steps of ``step`` and of half it.
 
         ``tol``, the relative error wanted of the mean, makes more of the ``paths`` where needed.
@@ -107,36 +96,26 @@ class AveragedSimulation(Method):
         from sim.averaged.passage import energy_passage
         from sim.motion.steps import require_times
 
-        require_times(times)
-        wanted = self.tol if tol is None else tol
+        require_times(asked.times)
+        system, wanted = asked.system, self.tol if asked.tol is None else asked.tol
         form = self._form(self._process(system))
         scales = form.scales / form.noise
         paths = self.paths if wanted is None else max(self.paths, ceil((PER_PATH / wanted) ** 2))
         return energy_passage(
             form,
-            limits_of(self.theory, form, limit),
-            self._starts(system, start),
-            times,
+            limits_of(self.theory, form, asked.limit),
+            self._starts(system, asked.start),
+            asked.times,
             dt=self.step * float(scales.min()),
             memory=2.0 * float(scales.max()),
             paths=min(paths, MOST_PATHS),
             modulation=system.modulation,
             **self._sampling(),
             tol=inf if wanted is None else wanted,
-            progress=progress,
+            progress=asked.progress,
         )
 
-    def transient(
-        self,
-        system: System,
-        observable: Observable,
-        start: Start,
-        times: Array,
-        at: tuple[Array, ...],
-        *,
-        tol: float | None,
-        progress: Progress,
-    ) -> Transient:
+    def _transient(self, asked: TransientAsked) -> Transient:
         """Return the densities of energies at ``times``, in steps of ``step`` and of half it.
 
         ``tol``, the expected L1 error wanted at every time, makes more paths. Starts as of
@@ -145,23 +124,24 @@ class AveragedSimulation(Method):
         from sim.averaged.transient import energy_transient
         from sim.motion.steps import require_times
 
+        system = asked.system
         require_held(system)
-        require_times(times)
-        if reason := self._unknown(observable):
+        require_times(asked.times)
+        if reason := self._unknown(asked.observable):
             raise NotApplicable(reason)
         form = self._form(self._process(system))
         return energy_transient(
             form,
-            observable,
-            self._starts(system, start),
-            times,
-            at,
+            asked.observable,
+            self._starts(system, asked.start),
+            asked.times,
+            asked.at,
             dt=self.step * float((form.scales / form.noise).min()),
             paths=self.paths,
             modulation=system.modulation,
             **self._sampling(),
-            tol=self.tol if tol is None else tol,
-            progress=progress,
+            tol=self.tol if asked.tol is None else asked.tol,
+            progress=asked.progress,
         )
 
     def _process(self, system: System) -> Process:

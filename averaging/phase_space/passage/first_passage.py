@@ -72,7 +72,7 @@ def first_passage(
 
     Levels of meshes rise until two agree to ``tol`` (None: the default), relative to mean, variance
     and rate, absolute in the reliability; the answer is that of the finer one. Raises as the
-    protocol ``Passages`` says, and ``NotCertified`` for a limit that is beyond what double
+    module ``fpk.evolution`` says, and ``NotCertified`` for a limit that is beyond what double
     precision reaches.
     """
     checked_times(times)
