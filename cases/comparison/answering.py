@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from cases.comparison.budget import Budget
+from cases.comparison.attempts import Attempts, Budget
 from cases.comparison.in_time import Given, Replies
-from cases.comparison.loosened import loosened, note_of
 from cases.comparison.rare import SPLITTING, split_passage, splitting_of
-from cases.comparison.refusal import Attempts
 from cases.comparison.time_distances import failure_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
 from fpk.arrays import Array
@@ -64,13 +62,12 @@ def replies_of(
     until the last time. Splitting takes the place of the simulation of the full system where that
     would see few failures, by an answer that came before, or is not certified.
     """
-    attempts, names, budget = Attempts(partial), (question.name,), budget or Budget()
+    attempts, names, budget = Attempts(partial, relax), (question.name,), budget or Budget()
     kind: Any = Passages if isinstance(question, PassageQuestion) else Transients
     able: list[Any] = [method for method in methods if isinstance(method, kind)]
     # Splitting, or the choice of the window, may come beside them.
     budget.begin(1 + sum(method.route.sampled for method in able))
     given: list[Given] = []
-    notes: list[str] = []
 
     @cache
     def window() -> tuple[Array | None, tuple[Any, ...]]:
@@ -104,10 +101,8 @@ def replies_of(
 
         if not relax:
             return at_tolerance(None if method.route.sampled else tol)
-        answer, met = loosened(at_tolerance, lambda answer: [answer.certificate])
-        if met is not None:
-            notes.append(f"{question.name}: {note_of(method.route.label, met)}")
-        return answer
+        label = f"{question.name}: {method.route.label}"
+        return attempts.at_default(label, at_tolerance, lambda answer: [answer.certificate])
 
     for method in able:
         if reason := _too_rare(question, method, given):
@@ -133,9 +128,8 @@ def replies_of(
             for words in (w for g in replaced for w in g.answer.certificate.failures):
                 attempts.refuse(plain.route, names, words)
     points, windows = window() if given else (None, ())
-    refused = tuple(attempts.refused)
-    ends = attempts.interrupted, tuple(notes)
-    return Replies(question, tuple(given), refused, points, windows, *ends)
+    ends = attempts.interrupted, tuple(attempts.notes)
+    return Replies(question, tuple(given), tuple(attempts.refused), points, windows, *ends)
 
 
 def _to_be_replaced(

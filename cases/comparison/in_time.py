@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from cases.comparison.attempts import Refusal
 from cases.comparison.compare import Comparison, discrepancies, what_is_measured
-from cases.comparison.refusal import Refusal
 from cases.comparison.time_distances import density_distances, passage_distances
 from cases.scene.questions import Question
 from fpk.arrays import Array

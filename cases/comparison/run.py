@@ -7,7 +7,7 @@ from typing import Any
 
 from cases.comparison.answering import replies_of
 from cases.comparison.answers import Answers
-from cases.comparison.budget import budget_of
+from cases.comparison.attempts import budget_of
 from cases.comparison.in_time import Replies
 from cases.comparison.stationary import answers_of
 from cases.scene.questions import Question

@@ -7,9 +7,7 @@ from math import inf
 from typing import Any
 
 from cases.comparison.answers import Answers
-from cases.comparison.budget import Budget
-from cases.comparison.loosened import loosened, note_of
-from cases.comparison.refusal import INTERRUPTED, REFUSALS, Attempts
+from cases.comparison.attempts import INTERRUPTED, REFUSALS, Attempts, Budget
 from cases.written import bound
 from fpk.contact_quantities import joint_at_stops
 from fpk.density import Density
@@ -42,8 +40,7 @@ def answers_of(
     budget = budget or Budget()
     budget.begin(sum(m.route.sampled and _is_taken(m, system, share) for m in methods))
     results: list[Result] = []
-    notes: list[str] = []
-    attempts = Attempts(partial)
+    attempts = Attempts(partial, relax)
     for method in methods:
         refuse = partial_of(attempts.refuse, method.route)
         if attempts.interrupted:
@@ -64,7 +61,7 @@ def answers_of(
 
         def solve(own: Method, taken: Method = taken, plan: Plan = plan, given: Any = given) -> Any:
             plan = plan if own is taken else own.prepare(system)
-            return _solved(plan, system, given, notes, relax, progress, rates)
+            return _solved(plan, system, given, attempts, progress, rates)
 
         result = attempts.answer_of(
             method.route,
@@ -76,15 +73,13 @@ def answers_of(
             continue
         attempts.interrupted |= result.partial
         if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
-            notes.append(
+            attempts.notes.append(
                 f"{method.route.label}: certified to {bound(_worst_error(result))}; its work is"
                 f" bounded as no method was named; fpk density --method {method.name} goes further"
             )
         results.append(result)
-    refused = tuple(attempts.refused)
-    return Answers(
-        system, tuple(results), refused, notes=tuple(notes), interrupted=attempts.interrupted
-    )
+    refused, notes = tuple(attempts.refused), tuple(attempts.notes)
+    return Answers(system, tuple(results), refused, notes=notes, interrupted=attempts.interrupted)
 
 
 def _is_taken(method: Method, system: System, share: float | None) -> bool:
@@ -100,16 +95,13 @@ def _solved(
     plan: Plan,
     system: System,
     observables: Sequence[Observable],
-    notes: list[str],
-    relax: bool,
+    attempts: Attempts,
     progress: Progress,
     rates: bool,
 ) -> Result:
-    """The answer of ``plan``, with ``relax`` as ``loosened`` says and then with a note."""
+    """The answer of ``plan``, or as ``Attempts.at_default`` says."""
     beside = joint_at_stops(system, observables) if rates else []
     result = solved(plan, system, observables, beside=beside, progress=progress)
-    if not relax:
-        return result
 
     def ask(tol: float | None) -> Result:
         if tol is None:
@@ -119,10 +111,10 @@ def _solved(
         return again
 
     own = hasattr(result.method, "tol")
-    answer, tol = loosened(ask, lambda r: [d.certificate for d in r.densities] if own else [])
-    if tol is not None:
-        notes.append(note_of(answer.method.route.label, tol))
-    return answer
+    label = result.method.route.label
+    return attempts.at_default(
+        label, ask, lambda r: [d.certificate for d in r.densities] if own else []
+    )
 
 
 def _worst_error(result: Result) -> float:

@@ -5,11 +5,11 @@ from collections.abc import Iterable, Sequence
 from typing import get_args
 
 from cases.comparison.answers import Answers
+from cases.comparison.attempts import Refusal
 from cases.comparison.claims import Verdict, findings, time_findings
 from cases.comparison.compare import Comparison
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import Quantity
-from cases.comparison.refusal import Refusal
 from cases.comparison.run import Outcome
 from cases.output.facts import facts_record
 from cases.output.records import Record, answer_tail, answer_units, passage_numbers, plain

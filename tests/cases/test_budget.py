@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from cases.comparison import answering
+from cases.comparison.attempts import LEAST, Budget, budget_of
 from cases.comparison.averaged import AveragedSimulation
-from cases.comparison.budget import LEAST, Budget, budget_of
 from cases.comparison.run import run_scene
 from cases.scene.scene import load_scene
 from fpk.errors import InvalidInput, NotCertified

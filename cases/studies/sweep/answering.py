@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from cases.comparison.attempts import REFUSALS
 from cases.comparison.compare import distance_between
 from cases.comparison.quantity import (
     AVERAGING,
@@ -18,7 +19,6 @@ from cases.comparison.quantity import (
     total,
 )
 from cases.comparison.rare import passage_answer
-from cases.comparison.refusal import REFUSALS
 from cases.comparison.stationary import answers_of
 from cases.scene.questions import PassageQuestion
 from cases.studies.sweep.reference import reference_of
