@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from cases.comparison.attempts import Attempts, Budget
-from cases.comparison.in_time import Given, Replies
+from cases.comparison.in_time import Given, Replies, failure_of
 from cases.comparison.rare import SPLITTING, split_passage, splitting_of
-from cases.comparison.time_distances import failure_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
 from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable, NotCertified

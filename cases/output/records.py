@@ -8,7 +8,7 @@ import numpy as np
 from pydantic_core import to_jsonable_python
 
 from cases.comparison.doubt import averaging_notes
-from cases.comparison.time_distances import failure_of
+from cases.comparison.in_time import failure_of
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
 from cases.written import bound

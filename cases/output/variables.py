@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cases.comparison.in_time import Replies
+from cases.comparison.in_time import Replies, failure_of
 from cases.comparison.run import Outcome
-from cases.comparison.time_distances import failure_of
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import Units, attribute
 from fpk.arrays import Array
