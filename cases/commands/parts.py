@@ -199,17 +199,15 @@ def with_plain_keys(record: Any) -> Any:
         return [with_plain_keys(entry) for entry in record]
     if not isinstance(record, dict):
         return record
-    keys = {key: key if key in NORMS else _plain_key(key) for key in record}
+    keys = {}
+    for key in record:
+        words = re.sub(r"\bE (?=[a-z])", "mean ", key).replace("²", " squared").lower()
+        keys[key] = key if key in NORMS else re.sub(r"[^a-z0-9]+", "_", words).strip("_")
     names = Counter(keys.values())
     return {
         keys[key] if names[keys[key]] == 1 else key: with_plain_keys(value)
         for key, value in record.items()
     }
-
-
-def _plain_key(key: str) -> str:
-    words = re.sub(r"\bE (?=[a-z])", "mean ", key).replace("²", " squared").lower()
-    return re.sub(r"[^a-z0-9]+", "_", words).strip("_")
 
 
 def as_wide(text: str) -> str:

@@ -123,7 +123,7 @@ def over_grid(command: Any) -> Any:
 
 def _over_grid(settings: dict[str, Any]) -> dict[str, Any]:
     """The arguments of a study over a grid that ``settings``, of ``over_grid``, ask for."""
-    from cases.studies.sweep.reference import SIMULATION
+    from cases.studies.sweep.answering import SIMULATION
 
     own = ("reference", "progress", "tol")
     given: dict[str, Any] = {key: settings.pop(key) for key in own if key in settings}

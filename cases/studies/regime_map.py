@@ -17,7 +17,7 @@ from cases.scene.scene import Scene
 from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
 from cases.studies.picture import Field, Panel, curves_over, spans_decades
-from cases.studies.sweep.reference import SIMULATION
+from cases.studies.sweep.answering import SIMULATION
 from cases.studies.sweep.result import Sweep
 from cases.studies.sweep.sweep import every_answer
 from fpk.clearance import CLEARANCE_RULE, stop_clearances
