@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
@@ -190,8 +190,9 @@ def verify(scenes: tuple[str, ...], coarse: bool, **settings: Any) -> None:
 
     shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
     loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
+    from cases.comparison.claims import Verdict
     from cases.comparison.routes import all_methods
-    from cases.output.digest import digest_of, verify_record, verify_row
+    from cases.output.digest import digest_of, verify_row
     from cases.output.text import rendered
 
     if coarse:
@@ -203,8 +204,14 @@ def verify(scenes: tuple[str, ...], coarse: bool, **settings: Any) -> None:
         rows.append(verify_row(digest_of(parts.outcome_of(scene, methods))))
         if not click.get_current_context().meta["json"]:
             click.echo(rendered("verify_line.txt", {"row": rows[-1], "width": width}))
+    verdicts = [claim["verdict"] for row in rows for claim in row["claims"]]
     parts.end(
-        verify_record(rows),
+        {
+            "scenes": rows,
+            "holds": all(row["holds"] for row in rows),
+            "claims": {word: verdicts.count(word) for word in get_args(Verdict)},
+            "seconds": sum(row["seconds"] for row in rows),
+        },
         lambda: rendered("verify.txt", {"rows": rows}),
         problems=[f"{row['scene']}: {problem}" for row in rows for problem in row["problems"]],
     )

@@ -109,7 +109,11 @@ def replies_of(
             continue
         ask(method.route, lambda points, m=method: budget.spend(m, partial_of(answered, points)))
     if isinstance(question, PassageQuestion) and not attempts.interrupted:
-        plain = _to_be_replaced(system, question, able, given)
+        # Splitting, which knows constant noise only, answers in the place of the simulation of the
+        # full system where no certified answer for it is known.
+        known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
+        asked = question.times and system.modulation is None and not known
+        plain = next((m for m in able if m.route.solves == "full" and m.route.sampled), None)
 
         def split(_: Any) -> Passage:
             def work(own: Any) -> Passage:
@@ -121,7 +125,7 @@ def replies_of(
             answer: Passage = budget.spend(plain, work)
             return answer
 
-        if plain and ask(SPLITTING, split):
+        if plain and asked and ask(SPLITTING, split):
             replaced = [g for g in given if g.route == plain.route]
             given = [g for g in given if g not in replaced]
             for words in (w for g in replaced for w in g.answer.certificate.failures):
@@ -129,19 +133,6 @@ def replies_of(
     points, windows = window() if given else (None, ())
     ends = attempts.interrupted, tuple(attempts.notes)
     return Replies(question, tuple(given), tuple(attempts.refused), points, windows, *ends)
-
-
-def _to_be_replaced(
-    system: System, question: PassageQuestion, able: Sequence[Any], given: Sequence[Given]
-) -> Any:
-    """The simulation of the full system if splitting has to answer in its place, else None.
-
-    It has to where no certified answer for the full system is known; it knows constant noise only.
-    """
-    known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
-    plain = (m for m in able if m.route.solves == "full" and m.route.sampled)
-    asked = question.times and system.modulation is None and not known
-    return next(plain, None) if asked else None
 
 
 def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cases.scene.errors import refused_as
 from cases.scene.expect import Range, Theory, range_of
 from fpk.errors import InvalidInput
 from fpk.evolution import checked_times
@@ -90,10 +91,8 @@ def transients_of(
     questions = []
     for k, table in enumerate(tables, start=1):
         with _placed(f"transient[{k}]"):
-            try:
+            with refused_as("of", table["of"]):
                 of = parse_observable(table["of"], system.n)
-            except InvalidInput as error:
-                raise InvalidInput("of", table["of"], error.remedy) from None
             if len(of) > 1:
                 raise InvalidInput("of", table["of"], "must be one coordinate, not a pair")
             start, times = _start(table, system), _times(table)
@@ -118,10 +117,8 @@ def _start(table: Mapping[str, Any], system: System) -> Start:
 
 def _times(table: Mapping[str, Any]) -> tuple[float, ...]:
     times = table.get("times", [])
-    try:
+    with refused_as("times", times):
         checked_times(np.array(times, dtype=float))
-    except InvalidInput as error:
-        raise InvalidInput("times", times, error.remedy) from None
     return tuple(map(float, times))
 
 

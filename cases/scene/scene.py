@@ -5,7 +5,7 @@ from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from cases.scene.errors import BadInput, misspelt, toml_value
+from cases.scene.errors import BadInput, misspelt, refused_as, toml_value
 from cases.scene.expect import Expect, expect_of
 from cases.scene.questions import PassageQuestion, TransientQuestion, passages_of, transients_of
 from cases.scene.reading import read_toml
@@ -125,10 +125,8 @@ def _observables(densities: list[str] | None, system: System) -> tuple[Observabl
         return tuple(parse_observable(name, system.n) for name in names)
     observables: list[Observable] = []
     for k, name in enumerate(densities, start=1):
-        try:
+        with refused_as(f"observe.densities[{k}]", name):
             observable = parse_observable(name, system.n)
-        except InvalidInput as error:
-            raise InvalidInput(f"observe.densities[{k}]", name, error.remedy) from None
         if observable in observables:
             raise InvalidInput(f"observe.densities[{k}]", name, "is asked for twice; leave one out")
         observables.append(observable)
@@ -141,10 +139,8 @@ def _exceedance(
     key = "observe.exceedance"
     levels: list[Level] = []
     for name, values in table.items():
-        try:
+        with refused_as(key, name):
             observable = parse_observable(name, system.n)
-        except InvalidInput as error:
-            raise InvalidInput(key, name, error.remedy) from None
         if len(observable) > 1:
             raise InvalidInput(key, name, "is a pair; name one coordinate")
         if observable not in observables:

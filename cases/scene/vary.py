@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cases.scene.errors import refused_as
 from cases.scene.numbers import place_of, with_numbers
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
@@ -65,10 +66,8 @@ def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> t
         raise InvalidInput(f"vary.{key}", values, "the scene has no [[contact]] to vary")
     systems = [system]
     for i, value in enumerate(values, start=1):
-        try:
+        with refused_as(f"vary.{key}[{i}]", value):
             other = changed(system, key, value)
-        except InvalidInput as error:
-            raise InvalidInput(f"vary.{key}[{i}]", value, error.remedy) from None
         if not any(np.array_equal(_read(other, key), _read(s, key)) for s in systems):
             systems.append(other)
     if key == "system.damping" and all(_common_ratio(s) is not None for s in systems):

@@ -4,7 +4,7 @@ Solvers answer to falling tolerances and are held against the best of them; a si
 once and its error falls with the root of the time.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -19,7 +19,6 @@ from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.evolution import Passage, Passages
 from fpk.method import Progress, silent
 from fpk.number import Number
-from fpk.route import Route
 from fpk.system import System
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
@@ -44,7 +43,7 @@ def passage_routes(
 
     The equations are the averaged one of each theory, and that of the full system.
     """
-    refused: list[Priced | NotTimed] = []
+    routes: list[Priced | NotTimed] = []
     answers = []
     for route in listed_routes():
         method: Any = route.make()
@@ -59,14 +58,29 @@ def passage_routes(
             ask = partial(_rate, method, system, question, progress)
             measured = _sampled(ask) if route.sampled else _solved(ask)
         except (NotApplicable, NotCertified, InvalidInput) as reason:
-            refused.append(NotTimed(route.label, equation, reason=str(reason)))
+            routes.append(NotTimed(route.label, equation, reason=str(reason)))
         else:
             answers.append((route, equation, measured))
     best: dict[str, Number] = {}
     for _, equation, measured in answers:
         for _, rate in measured:
             best[equation] = min(best.get(equation, rate), rate, key=_relative)
-    return refused + [_priced(*answer, best[answer[1]]) for answer in answers]
+    for route, equation, measured in answers:
+        # An answer may be off by what it states, four times that where it is sampled, and the best.
+        finest, sure, points = best[equation], 4.0 if route.sampled else 1.0, []
+        for level, rate in measured:
+            distance = abs(rate.value - finest.value) / finest.value
+            if not route.sampled:
+                level = replace(level, error=max(distance, _relative(finest)))
+            if not level.modelled:
+                allowed = (sure * rate.error + finest.error) / finest.value
+                level = replace(level, distance=distance, estimate=allowed)
+            points.append(level)
+        kind = "sampling" if route.sampled else "numerical"
+        axis = f"{kind}: relative error of the failure rate"
+        words = "differs from the best answer by more than both state"
+        routes.append(judged(route.label, equation, axis, points, words))
+    return routes
 
 
 def _rate(
@@ -108,21 +122,3 @@ def _sampled(rate_at: Callable[[None], Number]) -> list[tuple[Level, Number]]:
 
 def _relative(rate: Number) -> float:
     return rate.error / rate.value
-
-
-def _priced(
-    route: Route, equation: str, measured: Sequence[tuple[Level, Number]], best: Number
-) -> Priced | NotTimed:
-    """The route, unless an answer is off by more than it, or four times it, and the best allow."""
-    sure, points = 4.0 if route.sampled else 1.0, []
-    for level, rate in measured:
-        distance = abs(rate.value - best.value) / best.value
-        if not route.sampled:
-            level = replace(level, error=max(distance, _relative(best)))
-        if not level.modelled:
-            allowed = (sure * rate.error + best.error) / best.value
-            level = replace(level, distance=distance, estimate=allowed)
-        points.append(level)
-    axis = f"{'sampling' if route.sampled else 'numerical'}: relative error of the failure rate"
-    words = "differs from the best answer by more than both state"
-    return judged(route.label, equation, axis, points, words)
