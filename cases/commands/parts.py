@@ -20,7 +20,7 @@ from cases.written import SCHEMA
 from fpk.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from cases.comparison.run import Outcome
+    from cases.comparison.stationary import Outcome
     from cases.scene.scene import Scene
     from fpk.observable import Observable
 
@@ -230,7 +230,7 @@ def _folded(line: str, width: int) -> str:
 
 def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":
     """Run ``scene`` by ``methods`` under a progress bar, with ``settings`` of ``run_scene``."""
-    from cases.comparison.run import run_scene
+    from cases.comparison.stationary import run_scene
     from cases.output.bar import progress_bar
 
     with progress_bar() as progress:

@@ -12,8 +12,7 @@ from scipy.special import ndtr
 from cases.comparison.answers import Answers
 from cases.comparison.compare import distance_between
 from cases.comparison.doubt import ACCEPTABLE_L1
-from cases.scene.expect import RELATIONS, Expect
-from cases.scene.questions import PassageQuestion
+from cases.scene.questions import RELATIONS, Expect, PassageQuestion
 from cases.written import with_error
 from fpk.clearance import stop_clearances
 from fpk.density import AnyDensity

@@ -8,7 +8,7 @@ from cases.comparison.claims import findings, time_findings
 from cases.comparison.compare import Comparison
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import Quantity
-from cases.comparison.run import Outcome
+from cases.comparison.stationary import Outcome
 from cases.output.facts import facts_record
 from cases.output.records import Record, answer_tail, answer_units, passage_numbers, plain
 from cases.output.words import stationary_note

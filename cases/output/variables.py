@@ -14,7 +14,7 @@ from fpk.evolution import Transient
 from fpk.number import Number
 
 if TYPE_CHECKING:
-    from cases.comparison.run import Outcome
+    from cases.comparison.stationary import Outcome
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""

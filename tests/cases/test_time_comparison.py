@@ -14,7 +14,7 @@ from cases.comparison.answering import replies_of
 from cases.comparison.claims import time_findings
 from cases.comparison.in_time import Given, Replies
 from cases.comparison.routes import method_for, register_routes
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of, verify_row
 from cases.output.fields import write_netcdf
 from cases.output.report import write_report

@@ -20,8 +20,7 @@ from cases.scene.scene import Scene
 from cases.scene.units import NO_UNITS
 from cases.studies.sweep.answering import REFERENCE_TOL, SIMULATION, sweep_point
 from cases.studies.sweep.grid import parse_axes, place_words
-from cases.studies.sweep.result import Sweep, SweepPoint
-from cases.studies.sweep.store import PointStore
+from cases.studies.sweep.result import PointStore, Sweep, SweepPoint
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method, Progress, silent
