@@ -1,15 +1,17 @@
 """Questions of a motion that begins at a given time: transient densities and first passage.
 
-A ``Method`` answers them if it derives from ``Transients`` or ``Passages``. ``tol`` is the largest
-error wanted, None for the default of the method; ``progress`` as of ``Method.solve``. Both raise
-``NotApplicable`` where the method does not answer for this system, observable, limit or start, and
-``InvalidInput`` for a start at or beyond the limit or times that do not ascend from 0 or later.
+A ``Method`` answers them if it has the method ``transient`` or ``passage``, as the protocols
+``Transients`` and ``Passages`` say; one that derives from these defines ``_transient`` or
+``_passage`` in their place. ``tol`` is the largest error wanted, None for the default of the
+method; ``progress`` as of ``Method.solve``. Both raise ``NotApplicable`` where the method does not
+answer for this system, observable, limit or start, and ``InvalidInput`` for a start at or beyond
+the limit or times that do not ascend from 0 or later.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -204,8 +206,9 @@ class PassageAsked(AfterStart):
     limit: Limit
 
 
-class Transients(ABC):
-    """Base class of methods that give densities at times after a start, by ``_transient``."""
+@runtime_checkable
+class Transients(Protocol):
+    """A method that gives densities at times after a start."""
 
     def transient(
         self,
@@ -222,15 +225,15 @@ class Transients(ABC):
 
         ``at`` is one array (points,) for each coordinate of the observable.
         """
-        return self._transient(TransientAsked(system, start, times, tol, progress, observable, at))
+        own: Any = self
+        asked = TransientAsked(system, start, times, tol, progress, observable, at)
+        answer: Transient = own._transient(asked)
+        return answer
 
-    @abstractmethod
-    def _transient(self, asked: TransientAsked) -> Transient:
-        """Return the densities that are asked for."""
 
-
-class Passages(ABC):
-    """Base class of methods that give the first passage of a limit, by ``_passage``."""
+@runtime_checkable
+class Passages(Protocol):
+    """A method that gives the first passage of a limit."""
 
     def passage(
         self,
@@ -243,12 +246,19 @@ class Passages(ABC):
         progress: Progress = silent,
     ) -> Passage:
         """Return the first passage of ``limit`` from ``start``, the reliability at ``times``."""
-        return self._passage(PassageAsked(system, start, times, tol, progress, limit))
-
-    @abstractmethod
-    def _passage(self, asked: PassageAsked) -> Passage:
-        """Return the first passage that is asked for."""
+        own: Any = self
+        asked = PassageAsked(system, start, times, tol, progress, limit)
+        answer: Passage = own._passage(asked)
+        return answer
 
 
 class InTime(Transients, Passages):
     """Base class of methods that give both."""
+
+    @abstractmethod
+    def _transient(self, asked: TransientAsked) -> Transient:
+        """Return the densities that are asked for."""
+
+    @abstractmethod
+    def _passage(self, asked: PassageAsked) -> Passage:
+        """Return the first passage that is asked for."""
