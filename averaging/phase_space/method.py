@@ -207,10 +207,7 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
 
     def _passage(self, asked: PassageAsked) -> Passage:
         """Return the first passage of one mass, by finite elements of the backward equation."""
-        return first_passage(
-            asked.system, asked.limit, asked.start, asked.times,
-            tol=asked.tol, progress=asked.progress,
-        )  # fmt: skip
+        return first_passage(asked)
 
     @property
     def _bounds(self) -> Bounds:

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from cases.commands import authoring, completed, dynamics, export, parts, studies
+from cases.commands import authoring, completed, dynamics, parts, studies
 from cases.commands.examples import EXAMPLES
 from cases.scene.errors import BadInput, misspelt, one_line
 from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
@@ -123,7 +123,7 @@ def run(
     parts.end(digest, text, written, problems=outcome.problems, quiet=quiet)
 
 
-for _module in (authoring, dynamics, export, studies):
+for _module in (authoring, dynamics, studies):
     for _command in vars(_module).values():
         if isinstance(_command, click.Command):
             app.add_command(_command)

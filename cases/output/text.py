@@ -47,7 +47,7 @@ def _templates() -> Environment:
         "keyed": with_key,
         "effects": effects_in_words,
         "unit": bracketed,
-        "table": _rows_table,
+        "table": text_table,
         "pm": with_error,
         "bound": bound,
         "up": up,
@@ -63,11 +63,6 @@ def _claim(claim: Record) -> str:
     """Return the claim, the curve that it is about and what was measured."""
     where = f"{claim['curve']}: " if claim["curve"] else ""
     return named(f"{claim['claim']}; {where}{claim['measured']}")
-
-
-def _rows_table(rows: list[list[str]], width: int, words: int = 1) -> list[str]:
-    """Return the lines of a table of rows, the heads first, as ``text_table`` of its columns."""
-    return text_table(list(zip(*rows, strict=True)), width, words) if len(rows) > 1 else []
 
 
 def _term(term: Record) -> str:
@@ -172,7 +167,7 @@ def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> 
     """Return the lines of a table of each observable, see ``text_table``. ``every``: all routes."""
     lines: list[str] = []
     for heads, columns in quantity_columns(rows, every=every):
-        lines += [*text_table([heads, *columns], width), ""]
+        lines += [*text_table(list(zip(heads, *columns, strict=True)), width), ""]
     return lines
 
 
@@ -194,13 +189,17 @@ def quantity_columns(
         yield heads, [[words(r), *(cells.get((n, r), "") for n in units)] for r in routes]
 
 
-def text_table(columns: Sequence[Sequence[str]], width: int, words: int = 1) -> list[str]:
+def text_table(rows: Sequence[Sequence[str]], width: int, words: int = 1) -> list[str]:
     """Return the lines of a table no wider than ``width`` where that can be.
 
-    ``columns`` begin with their heads; the first ``words`` of them are text, the others numbers,
-    which stand at the right. Where they do not fit, heads and texts go on in a line below; what
-    then still does not fit is in another table below, with the first column again.
+    ``rows`` begin with the heads of the columns, alone there are no lines; the first ``words``
+    columns are text, the others numbers, which stand at the right. Where they do not fit, heads and
+    texts go on in a line below; what then still does not fit is in another table below, with the
+    first column again.
     """
+    if len(rows) < 2:
+        return []
+    columns = list(zip(*rows, strict=True))
     least = [max(len(w) for text in column for w in text.split() or [""]) for column in columns]
     numbers = [max(map(len, c[1:]), default=0) for c in columns]
     least[words:] = map(max, least[words:], numbers[words:])
@@ -214,8 +213,8 @@ def text_table(columns: Sequence[Sequence[str]], width: int, words: int = 1) -> 
             if own[k] == least[k]:
                 break
             own[k] -= 1
-        for row in zip(*(columns[k] for k in chosen), strict=True):
-            cells = [wrap(t, max(own[k], 1)) or [""] for k, t in zip(chosen, row, strict=True)]
+        for row in rows:
+            cells = [wrap(row[k], max(own[k], 1)) or [""] for k in chosen]
             for i in range(max(map(len, cells))):
                 texts = [cell[i] if i < len(cell) else "" for cell in cells]
                 aligned = (

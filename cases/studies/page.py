@@ -91,9 +91,8 @@ class Table:
         """Return title, table and remarks for a terminal, see ``text_table``."""
         head, rows = self.unrepeated()
         words = (*self.texts, False).index(False)
-        columns = list(zip(head, *rows, strict=True))
         wrapped = [line for remark in self.remarks for line in wrap(named(remark), width)]
-        return [self.title, "", *text_table(columns, width, max(words, 1)), "", *wrapped, ""]
+        return [self.title, "", *text_table([head, *rows], width, max(words, 1)), "", *wrapped, ""]
 
     def markdown(self) -> list[str]:
         """Return title, rows in aligned columns, and remarks; first cells are not repeated."""

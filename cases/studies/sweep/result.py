@@ -166,7 +166,8 @@ class Sweep:
 
     def plot(self) -> "Figure":
         """Return a figure of every quantity: lines over one axis, heat pictures over two."""
-        figure: Figure = _page().sweep_figure(self)
+        study_figure = import_module("cases.studies.picture").study_figure
+        figure: Figure = study_figure(_page().sweep_panels(self))
         return figure
 
     def _repr_html_(self) -> str:
