@@ -54,9 +54,7 @@ def crossings(asked: Asked, of: str, at: str) -> None:
     By linear, exact, phase-space or the averaged theories (nonintegrable, integrable), or counted
     in a simulation by montecarlo.
     """
-    from fpk.dynamics import CrossingsMethod
-
-    _curve(asked, CrossingsMethod, "crossings", "rate", of, at)
+    _curve(asked, "crossings", of, at)
 
 
 @asking(*DISPLACEMENT)
@@ -66,9 +64,7 @@ def spectrum(asked: Asked, of: str, at: str) -> None:
     It is two-sided: its integral over all frequencies, negative ones too, is the variance. By
     linear or phase-space, or estimated from a simulation by montecarlo.
     """
-    from fpk.dynamics import StationaryMotionMethod
-
-    _curve(asked, StationaryMotionMethod, "spectrum", "spectrum", of, at)
+    _curve(asked, "spectrum", of, at)
 
 
 @asking(*DISPLACEMENT)
@@ -78,9 +74,7 @@ def correlation(asked: Asked, of: str, at: str) -> None:
     It begins with the variance. By linear or phase-space, or estimated from a simulation by
     montecarlo.
     """
-    from fpk.dynamics import StationaryMotionMethod
-
-    _curve(asked, StationaryMotionMethod, "correlation", "correlation", of, at)
+    _curve(asked, "correlation", of, at)
 
 
 @asking(
@@ -107,11 +101,12 @@ def relaxation(asked: Asked, rates: int) -> None:
     )
 
 
-def _curve(asked: Asked, kind: type, question: str, key: str, of: str, at: str) -> None:
-    """Ask for the ``question``, a method of the protocol ``kind``, about one displacement."""
+def _curve(asked: Asked, question: str, of: str, at: str) -> None:
+    """Ask the ``question``, the name of a method of ``fpk.dynamics``, about one displacement."""
     observable, system = parts.observable_of(of, asked.scene), asked.scene.system
     from cases.output.records import columns_text
     from cases.scene.points import parse_points
+    from fpk.dynamics import CrossingsMethod, StationaryMotionMethod
     from fpk.modulation import require_constant_noise
 
     if len(observable) != 1 or observable[0].kind != "q":
@@ -123,13 +118,13 @@ def _curve(asked: Asked, kind: type, question: str, key: str, of: str, at: str) 
         return getattr(method, question)(system, observable, points, **how)
 
     asked.reply(
-        kind,
+        CrossingsMethod if question == "crossings" else StationaryMotionMethod,
         question,
         f"{question} of {of}",
         {"observable": str(observable[0]), "points": points},
         work,
         columns_text,
-        key=key,
+        key="rate" if question == "crossings" else question,
     )
 
 
