@@ -218,14 +218,13 @@ def as_wide(text: str) -> str:
     width = get_terminal_size((0, 0)).columns
     if width < NARROWEST:
         return text
-    lines = text.split("\n")
-    return "\n".join(_folded(line, width) if len(line) > width else line for line in lines)
-
-
-def _folded(line: str, width: int) -> str:
-    indent = " " * (len(line) - len(line.lstrip()) + 4)
-    how: Any = {"break_long_words": False, "break_on_hyphens": False, "drop_whitespace": True}
-    return "\n".join(wrap(line, width, subsequent_indent=indent, expand_tabs=False, **how))
+    how: Any = {"break_long_words": False, "break_on_hyphens": False, "expand_tabs": False}
+    lines: list[str] = []
+    for line in text.split("\n"):
+        indent = " " * (len(line) - len(line.lstrip()) + 4)
+        long = len(line) > width
+        lines += wrap(line, width, subsequent_indent=indent, **how) if long else [line]
+    return "\n".join(lines)
 
 
 def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":

@@ -3,6 +3,8 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
+from html import escape
+from itertools import chain, repeat
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, get_args
@@ -166,15 +168,13 @@ def theory_table(rows: Sequence[Record]) -> Record:
 def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> list[str]:
     """Return the lines of a table of each observable, see ``text_table``. ``every``: all routes."""
     lines: list[str] = []
-    for heads, columns in quantity_columns(rows, every=every):
-        lines += [*text_table(list(zip(heads, *columns, strict=True)), width), ""]
+    for table in quantity_rows(rows, every=every):
+        lines += [*text_table(table, width), ""]
     return lines
 
 
-def quantity_columns(
-    rows: Sequence[Record], *, every: bool = True
-) -> Iterator[tuple[list[str], list[list[str]]]]:
-    """Yield of each observable its name above its quantities, and each route above its numbers.
+def quantity_rows(rows: Sequence[Record], *, every: bool = True) -> Iterator[list[tuple[str, ...]]]:
+    """Yield a table of each observable: its name beside the routes, then rows of quantities.
 
     Of ``every`` route, else of those of ``shown_rows``, by the names of the theories.
     """
@@ -186,7 +186,17 @@ def quantity_columns(
         units = {row["quantity"]: bracketed(row.get("unit") or "") for row in own}
         heads = [observable, *(name + unit for name, unit in units.items())]
         words = named if every else theory_of_route
-        yield heads, [[words(r), *(cells.get((n, r), "") for n in units)] for r in routes]
+        columns = [[words(r), *(cells.get((n, r), "") for n in units)] for r in routes]
+        yield list(zip(heads, *columns, strict=True))
+
+
+def html_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return the rows as a table of HTML, the heads of the columns first; texts are escaped."""
+    head, *body = (
+        f"<tr>{''.join(f'<{tag}>{escape(text)}</{tag}>' for text in row)}</tr>"
+        for row, tag in zip(rows, chain(["th"], repeat("td")), strict=False)
+    )
+    return f"<table><thead>{head}</thead><tbody>{''.join(body)}</tbody></table>"
 
 
 def text_table(rows: Sequence[Sequence[str]], width: int, words: int = 1) -> list[str]:
