@@ -186,13 +186,12 @@ def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
                     f"{question.name}: averaging error of the {what} by the {question.theory}"
                     f" theory {sign} {limits.limit:g}"
                 )
-                of = f"{question.name}: {words}"
-                own = [  # of the theory's equation, solved, with the full system
+                # Distances of the theory's equation, solved, to the full system.
+                of, wanted = f"{question.name}: {words}", ("averaging", "relative", question.theory)
+                own = [
                     c
                     for c in replies.comparisons
-                    if (c.measures, c.norm, c.a.method)
-                    == ("averaging", "relative", question.theory)
-                    and c.observable.startswith(of)
+                    if (c.measures, c.norm, c.a.method) == wanted and c.observable.startswith(of)
                 ]
                 if not own:
                     yield Finding(claim, curve.label, "no answer to compare with", "not checked")

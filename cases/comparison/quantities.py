@@ -109,13 +109,7 @@ def compared_quantities(
                 difference,
                 band if measures != "averaging" and isfinite(band) else None,
                 a.number.error + b.number.error,
-                tuple(
-                    r.method.route
-                    for r in of
-                    if not all(
-                        d.certificate.certified for d in r.densities if d.name == a.observable
-                    )
-                ),
+                tuple(r.method.route for r in of if not _certified(r, a.observable)),
                 norm="absolute",
             )
         )
@@ -136,6 +130,10 @@ def quantity_discrepancies(
         if not c.holds and key not in said:
             worst.setdefault(key, c)
     return discrepancies(quantities, list(worst.values()))
+
+
+def _certified(result: Result, name: str) -> bool:
+    return all(d.certificate.certified for d in result.densities if d.name == name)
 
 
 def _rows(system: System, result: Result, exceedance: Sequence[Level]) -> Iterator[Quantity]:
