@@ -12,25 +12,22 @@ from averaging.modal.resonance import correlations, nearest_resonance, require_n
 from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
 from averaging.time.start import TOL, DensityQuestion, modal_start
-from fpk.arrays import Array
 from fpk.certificate import tolerance
 from fpk.clearance import CLEARANCE_RULE
 from fpk.density import Density
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve
 from fpk.errors import NotApplicable
 from fpk.escape import require_held
-from fpk.evolution import Passage, Transient
-from fpk.limit import Limit
+from fpk.evolution import InTime, Passage, PassageAsked, Transient, TransientAsked
 from fpk.method import Plan, Progress, Result, silent
 from fpk.modulation import require_constant_noise
 from fpk.observable import Coordinate, Observable, observable_name
-from fpk.start import Start
 from fpk.system import System
 from fpk.upcrossings import upcrossings
 
 
 @dataclass(frozen=True)
-class Integrable(CrossingsMethod, Theory):
+class Integrable(CrossingsMethod, InTime, Theory):
     """Averaged modal energies, Eqs. (17), (33), their stationary density, Eqs. (34)-(36).
 
     Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3
@@ -102,45 +99,28 @@ class Integrable(CrossingsMethod, Theory):
             values, errors, scale=scale, of=of_q, tol=asked.tol or self.wanted(system)
         )
 
-    def transient(
-        self,
-        system: System,
-        observable: Observable,
-        start: Start,
-        times: Array,
-        at: tuple[Array, ...],
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Transient:
+    def _transient(self, asked: TransientAsked) -> Transient:
         """Return the densities of modal energies at times, as ``fpk.evolution`` says."""
+        system, wanted = asked.system, tolerance(asked.tol, TOL)
         require_held(system)
         modes = self._in_time(system)
-        begins = modal_start(system, modes, start)
-        asked = DensityQuestion(observable, begins, times, at, tolerance(tol, TOL))
+        begins = modal_start(system, modes, asked.start)
+        of_modes = DensityQuestion(asked.observable, begins, asked.times, asked.at, wanted)
         if self.solver == "closed-form":
-            answer = closed_form.transient(modes, asked, system.modulation)
+            answer = closed_form.transient(modes, of_modes, system.modulation)
         else:
             require_constant_noise(system.modulation)
-            answer = elements.transient(modes, asked)
+            answer = elements.transient(modes, of_modes)
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
-    def passage(
-        self,
-        system: System,
-        limit: Limit,
-        start: Start,
-        times: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Passage:
+    def _passage(self, asked: PassageAsked) -> Passage:
         """Return the first passage of modal energies or of their sum."""
+        system = asked.system
         require_constant_noise(system.modulation)
         modes = self._in_time(system)
-        begins = modal_start(system, modes, start)
+        begins = modal_start(system, modes, asked.start)
         solved = closed_form.passage if self.solver == "closed-form" else elements.passage
-        answer = solved(modes, limit, begins, times, tol=tolerance(tol, TOL))
+        answer = solved(modes, asked.limit, begins, asked.times, tol=tolerance(asked.tol, TOL))
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def relaxation(

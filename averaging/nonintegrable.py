@@ -12,18 +12,15 @@ from averaging.time.energy import total_energy
 from averaging.time.start import DensityQuestion, total_energy_start
 from averaging.weyl import Solution, StateDensity, tabulated
 from averaging.zero_flux import solve_by_quadrature
-from fpk.arrays import Array
 from fpk.certificate import tolerance
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates
 from fpk.errors import NotApplicable
 from fpk.escape import require_held
-from fpk.evolution import Passage, Transient
-from fpk.limit import Limit
+from fpk.evolution import InTime, Passage, PassageAsked, Transient, TransientAsked
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Coordinate, Observable
 from fpk.process import Process
-from fpk.start import Start
 from fpk.system import System
 
 ENERGY = Coordinate("H")
@@ -35,7 +32,7 @@ MODULATED_TOL = 1e-6
 
 
 @dataclass(frozen=True)
-class NonIntegrable(CrossingsMethod, Theory):
+class NonIntegrable(CrossingsMethod, InTime, Theory):
     """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements; "quadrature"
@@ -85,53 +82,35 @@ class NonIntegrable(CrossingsMethod, Theory):
             source, asked.row, asked.at, tol=asked.tol or self.wanted(asked.system)
         )
 
-    def transient(
-        self,
-        system: System,
-        observable: Observable,
-        start: Start,
-        times: Array,
-        at: tuple[Array, ...],
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Transient:
+    def _transient(self, asked: TransientAsked) -> Transient:
         """Return the densities of the energy, or of one or two of (q, p), at ``times``.
 
         ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
         under modulated noise.
         """
+        system, observable = asked.system, asked.observable
         require_held(system)
-        wanted = tolerance(tol, self._tol_in_time(system))
-        one, begins = total_energy(system), total_energy_start(system, start)
-        asked = DensityQuestion(observable, begins, times, at, wanted)
+        wanted = tolerance(asked.tol, self._tol_in_time(system))
+        one, begins = total_energy(system), total_energy_start(system, asked.start)
+        of_energy = DensityQuestion(observable, begins, asked.times, asked.at, wanted)
         if observable == (ENERGY,):
-            return one.transient(self.solver, asked)
+            return one.transient(self.solver, of_energy)
         if reason := energy_only_refusal(system, observable):
             raise NotApplicable(reason)
-        return one.state_transient(system, self.solver, asked)
+        return one.state_transient(system, self.solver, of_energy)
 
-    def passage(
-        self,
-        system: System,
-        limit: Limit,
-        start: Start,
-        times: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Passage:
-        """Return the first passage of the energy through ``limit``; ``tol`` as of ``transient``."""
+    def _passage(self, asked: PassageAsked) -> Passage:
+        """Return the first passage of the energy through a limit; ``tol`` as of ``transient``."""
+        system, limit = asked.system, asked.limit
         one = total_energy(system)
         if limit.kind != "H":
             raise NotApplicable(
                 f"{limit}: this theory knows the total energy only; give a limit H=.."
             )
-        begins = total_energy_start(system, start)
+        begins, tol = total_energy_start(system, asked.start), self._tol_in_time(system)
         begins.require_below(limit)
-        return one.passage(
-            self.solver, begins, limit.value, times, tol=tolerance(tol, self._tol_in_time(system))
-        )
+        wanted = tolerance(asked.tol, tol)
+        return one.passage(self.solver, begins, limit.value, asked.times, tol=wanted)
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent

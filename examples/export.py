@@ -18,7 +18,7 @@ import pyvista
 
 import fpk
 from averaging import Exact
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.fields import write_netcdf
 from cases.output.vtk import write_vtu
 from cases.scene.scene import shipped_scenes

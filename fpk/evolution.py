@@ -1,15 +1,17 @@
 """Questions of a motion that begins at a given time: transient densities and first passage.
 
 A ``Method`` answers them if it has the method ``transient`` or ``passage``, as the protocols
-``Transients`` and ``Passages`` say. ``tol`` is the largest error wanted, None for the default of
-the method; ``progress`` as of ``Method.solve``. Both raise ``NotApplicable`` where the method does
-not answer for this system, observable, limit or start, and ``InvalidInput`` for a start at or
-beyond the limit or times that do not ascend from 0 or later.
+``Transients`` and ``Passages`` say; one that derives from these defines ``_transient`` or
+``_passage`` in their place. ``tol`` is the largest error wanted, None for the default of the
+method; ``progress`` as of ``Method.solve``. Both raise ``NotApplicable`` where the method does not
+answer for this system, observable, limit or start, and ``InvalidInput`` for a start at or beyond
+the limit or times that do not ascend from 0 or later.
 """
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -175,6 +177,35 @@ def certified_passage(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class AfterStart:
+    """A question about the motion of ``system`` at ``times`` (times,) after ``start``.
+
+    ``tol`` is the largest error wanted, None for the default of the method.
+    """
+
+    system: System
+    start: Start
+    times: Array
+    tol: float | None
+    progress: Progress
+
+
+@dataclass(frozen=True, eq=False)
+class TransientAsked(AfterStart):
+    """Densities of ``observable`` at the points ``at``, an array (points,) a coordinate."""
+
+    observable: Observable
+    at: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PassageAsked(AfterStart):
+    """First passage of ``limit``, with the reliability at the times."""
+
+    limit: Limit
+
+
 @runtime_checkable
 class Transients(Protocol):
     """A method that gives densities at times after a start."""
@@ -194,6 +225,10 @@ class Transients(Protocol):
 
         ``at`` is one array (points,) for each coordinate of the observable.
         """
+        own: Any = self
+        asked = TransientAsked(system, start, times, tol, progress, observable, at)
+        answer: Transient = own._transient(asked)
+        return answer
 
 
 @runtime_checkable
@@ -211,3 +246,19 @@ class Passages(Protocol):
         progress: Progress = silent,
     ) -> Passage:
         """Return the first passage of ``limit`` from ``start``, the reliability at ``times``."""
+        own: Any = self
+        asked = PassageAsked(system, start, times, tol, progress, limit)
+        answer: Passage = own._passage(asked)
+        return answer
+
+
+class InTime(Transients, Passages):
+    """Base class of methods that give both."""
+
+    @abstractmethod
+    def _transient(self, asked: TransientAsked) -> Transient:
+        """Return the densities that are asked for."""
+
+    @abstractmethod
+    def _passage(self, asked: PassageAsked) -> Passage:
+        """Return the first passage that is asked for."""

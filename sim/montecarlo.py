@@ -10,16 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from fpk.arrays import Array
 from fpk.dynamics import Curve, Question, StationaryMotionMethod
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passage, Transient
-from fpk.limit import Limit
-from fpk.method import Plan, Progress, Result, silent
+from fpk.evolution import InTime, Passage, PassageAsked, Transient, TransientAsked
+from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable
 from fpk.recognition import REGISTRY
 from fpk.route import ROUTES, Route, register
-from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES, MAX_TRAJECTORIES
 from sim.relaxation import relaxation_time, undamped_mode
@@ -72,7 +69,7 @@ def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, i
 
 
 @dataclass(frozen=True)
-class MonteCarlo(StationaryMotionMethod):
+class MonteCarlo(StationaryMotionMethod, InTime):
     """Simulation of Eq. (6) with sampling errors from independent batches.
 
     Times are in the unit of time of the system, but for ``seconds`` and ``longest`` (wall time).
@@ -161,37 +158,20 @@ class MonteCarlo(StationaryMotionMethod):
 
         return Plan(lambda _: None, lambda observables, p: solve(observables, (), p), solve)
 
-    def passage(
-        self,
-        system: System,
-        limit: Limit,
-        start: Start,
-        times: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Passage:
+    def _passage(self, asked: PassageAsked) -> Passage:
         """Return first passage: Brownian bridges or cubics between steps; see ``sim.motion``."""
         answer: Passage = import_module("sim.motion.passage").passage(
-            self, system, limit, start, times, tol=tol, progress=progress
-        )
+            self, asked.system, asked.limit, asked.start, asked.times,
+            tol=asked.tol, progress=asked.progress,
+        )  # fmt: skip
         return answer
 
-    def transient(
-        self,
-        system: System,
-        observable: Observable,
-        start: Start,
-        times: Array,
-        at: tuple[Array, ...],
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Transient:
+    def _transient(self, asked: TransientAsked) -> Transient:
         """Return densities at ``times`` from histograms of an ensemble; see ``sim.motion``."""
         answer: Transient = import_module("sim.motion.transient").transient(
-            self, system, observable, start, times, at, tol=tol, progress=progress
-        )
+            self, asked.system, asked.observable, asked.start, asked.times, asked.at,
+            tol=asked.tol, progress=asked.progress,
+        )  # fmt: skip
         return answer
 
     def _crossings(self, asked: Question) -> Curve:

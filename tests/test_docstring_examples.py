@@ -17,7 +17,7 @@ import averaging
 import fpk
 import sim
 from averaging.energy_process import energy_process
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.fields import write_netcdf
 from cases.output.vtk import write_vtu
 from cases.scene.scene import shipped_scenes

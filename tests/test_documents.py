@@ -14,17 +14,17 @@ from averaging.phase_space import refinement
 from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.passage import first_passage, mesh
 from averaging.time import start
-from cases.commands import verify
+from cases.commands import studies
 from cases.commands.app import app
-from cases.comparison import answering, claims, doubt, quantity
+from cases.comparison import answering, claims, compare, quantity
 from cases.comparison.answers import Answers
 from cases.comparison.routes import listed_routes
-from cases.output import motion, presented, text, vtk
+from cases.output import facts, presented, text, vtk
 from cases.output.pictures import joint, lines
 from cases.scene import schema
 from cases.studies import converge_page, cost_page, levels, orders
 from cases.studies.orders import grid_convergence
-from cases.studies.sweep import reference
+from cases.studies.sweep import answering as sweep_answering
 from fpk import bin_fit, clearance, contour, damping
 from fpk.errors import InvalidInput
 from sim import checkpoint, diagnostics, histogram, montecarlo, step_size, substeps
@@ -139,15 +139,15 @@ CONSTANTS = {
     ),
     "command-line.md": (
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)} an observable",
-        f"Where that is off by more than {doubt.ACCEPTABLE_L1}, a stop",
+        f"Where that is off by more than {compare.ACCEPTABLE_L1}, a stop",
         "quantiles of {0:.0%} and {2:.0%}".format(*quantity.QUANTILES.values()).replace("%", " %"),
         f"{short(phase_space.UNASKED_TOL)} or better where that is met",
         f"Where less than {short(phase_space.UNASKED_ACCEPTED)} is out of reach",
         f"`--tol` below {short(phase_space.UNASKED_TOL)} does not reach it",
         f"applies to at most {WORDS[phase_space.UNASKED_MASSES]} masses",
         f"up to {WORDS[phase_space.MOST_MASSES]} masses, stops on one of them",
-        f"With more than {WORDS[motion.MASSES]} masses",
-        f"simulation {PARTS[round(montecarlo.RELAXATIONS / verify.USUAL)]} as long",
+        f"With more than {WORDS[facts.MASSES]} masses",
+        f"simulation {PARTS[round(montecarlo.RELAXATIONS / studies.USUAL)]} as long",
         f"to {short(PhaseSpace().tol)} by default",
         f"as long as a solution needs at most {refinement.MEMORY:g} GB",
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
@@ -156,14 +156,14 @@ CONSTANTS = {
         f"of `fem` {short(theory.DEFAULT)}, with two energies {short(start.TOL)},",
         f"judged by an L1 error of {short(theory.DEFAULT)}, of systems with",
         f"stops on more than two masses by {short(theory.DEFAULT_BY_LINES)}.",
-        f"solved to {short(reference.REFERENCE_TOL)}",
+        f"solved to {short(sweep_answering.REFERENCE_TOL)}",
         f"within {short(vtk.SUBDIVISION)} of the largest density",
         f"is at least {short(vtk.CUT)} of its maximum",
     ),
     "cluster.md": (f"Every {checkpoint.INTERVAL:g} seconds of a simulation",),
     "faq.md": (f"gives it to {short(phase_space.UNASKED_TOL)} or better",),
     "scene.md": (
-        f"within {doubt.ACCEPTABLE_L1} in L1 of the full system",
+        f"within {compare.ACCEPTABLE_L1} in L1 of the full system",
         f"(a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}, over all times)",
         f"up to {schema.MOST_QUESTIONS} of each",
         f"up to {schema.MOST_LEVELS} levels a coordinate",
@@ -265,7 +265,7 @@ def test_messages_and_help_state_the_limits_of_the_code():
     assert f"within {WORDS[orders.ABOVE_FLOOR]} times the floor" in converge_page.ORDER_WORDS
     assert "the median of {} to {} runs".format(*levels.REPEATS) in cost_page.MEANING
     assert lines.TAIL == 1e-6  # "to a millionth of the top"
-    assert f"within {doubt.ACCEPTABLE_L1} in L1" in str(schema.EXPECT["acceptable"]["metadata"])
+    assert f"within {compare.ACCEPTABLE_L1} in L1" in str(schema.EXPECT["acceptable"]["metadata"])
     system = {key: [1.0] for key in schema.SYSTEM["fields"]} | {"noise_gain": [[1.0]]}
     keys = schema.UNITS["fields"]
     with pytest.raises(InvalidInput) as refusal:

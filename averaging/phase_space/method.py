@@ -27,11 +27,9 @@ from fpk.certificate import Measured, certify, tolerance
 from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.escape import require_held
-from fpk.evolution import Passage
-from fpk.limit import Limit
+from fpk.evolution import Passage, PassageAsked, Passages
 from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Coordinate, Observable, observable_name
-from fpk.start import Start
 from fpk.system import System
 
 MOST_MASSES = 3
@@ -50,7 +48,7 @@ densities, and take more eliminations, those of spectra in complex numbers."""
 
 
 @dataclass(frozen=True)
-class PhaseSpace(StationaryMotionMethod, Theory):
+class PhaseSpace(StationaryMotionMethod, Passages, Theory):
     """Densities of displacements and momenta from the stationary FPK equation of Eq. (6) itself.
 
     An expansion in Hermite functions of all velocities and displacements but that of the mass that
@@ -207,18 +205,9 @@ class PhaseSpace(StationaryMotionMethod, Theory):
             positive=scale - np.abs(values) if signed else None,
         )
 
-    def passage(
-        self,
-        system: System,
-        limit: Limit,
-        start: Start,
-        times: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Passage:
+    def _passage(self, asked: PassageAsked) -> Passage:
         """Return the first passage of one mass, by finite elements of the backward equation."""
-        return first_passage(system, limit, start, times, tol=tol, progress=progress)
+        return first_passage(asked)
 
     @property
     def _bounds(self) -> Bounds:

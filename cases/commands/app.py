@@ -12,14 +12,8 @@ from typing import Any
 
 import click
 
-from cases.commands import completed, parts
-from cases.commands.authoring import check, completion, new, schema, show
-from cases.commands.dynamics import correlation, crossings, density, relaxation, spectrum
-from cases.commands.evolution import passage, transient
+from cases.commands import authoring, completed, dynamics, parts, studies
 from cases.commands.examples import EXAMPLES
-from cases.commands.export import export
-from cases.commands.studies import converge, cost, regime, sweep
-from cases.commands.verify import verify
 from cases.scene.errors import BadInput, misspelt, one_line
 from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
@@ -129,11 +123,10 @@ def run(
     parts.end(digest, text, written, problems=outcome.problems, quiet=quiet)
 
 
-for _command in (
-    density, transient, passage, crossings, spectrum, correlation, relaxation,
-    converge, cost, export, verify, regime, sweep, new, check, schema, show, completion,
-):  # fmt: skip
-    app.add_command(_command)
+for _module in (authoring, dynamics, studies):
+    for _command in vars(_module).values():
+        if isinstance(_command, click.Command):
+            app.add_command(_command)
 for _name, _lines in EXAMPLES.items():
     app.commands[_name].epilog = "\b\nExamples:\n" + "\n".join(f"  {line}" for line in _lines)
 

@@ -101,15 +101,18 @@ class Asked:
         self, kind: type, words: str, work: Callable[..., Any], settings: dict[str, Any]
     ) -> tuple[Any, Any, float]:
         """The method that answers, its answer and the seconds that it took."""
-        from cases.comparison.routes import listed_routes, methods_of, require_settings
+        from cases.comparison.routes import listed_routes, methods_of, settings_of
         from cases.output.bar import progress_bar
 
         start, name, reasons = perf_counter(), self.method, []
         try:
             offered = methods_of(name, self.solver, **settings)
             methods = [method for method in offered if isinstance(method, kind)]
-            for method in methods[:1]:
-                require_settings(method, name, settings)
+            for setting, value in sorted(settings.items()) if methods else ():
+                known = {*settings_of(methods[0]), "partial", "tol"}
+                if value not in (None, False) and setting not in known:
+                    remedy = f"is not an option of {name} by {methods[0].solver}; leave it out"
+                    raise InvalidInput(setting.replace("_", "-"), value, remedy)
             for method in methods:
                 try:
                     with progress_bar() as progress:

@@ -28,9 +28,8 @@ def new(name: str, masses: int, law: str, out: Path | None) -> None:
     A file that is there is never overwritten.
     """
     from cases.output.files import write_text
-    from cases.scene.json_schema import FILE, scene_schema
+    from cases.scene.json_schema import FILE, scene_schema, scene_text
     from cases.scene.scene import shipped_scenes
-    from cases.scene.template import scene_text
     from fpk.contact_law import LAWS
 
     if not NAME.fullmatch(name):

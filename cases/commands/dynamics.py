@@ -1,4 +1,4 @@
-"""The commands about the stationary state: its density and its motion."""
+"""The commands about the stationary state, and about motion after a start."""
 
 from typing import Any
 
@@ -54,9 +54,7 @@ def crossings(asked: Asked, of: str, at: str) -> None:
     By linear, exact, phase-space or the averaged theories (nonintegrable, integrable), or counted
     in a simulation by montecarlo.
     """
-    from fpk.dynamics import CrossingsMethod
-
-    _curve(asked, CrossingsMethod, "crossings", "rate", of, at)
+    _curve(asked, "crossings", of, at)
 
 
 @asking(*DISPLACEMENT)
@@ -66,9 +64,7 @@ def spectrum(asked: Asked, of: str, at: str) -> None:
     It is two-sided: its integral over all frequencies, negative ones too, is the variance. By
     linear or phase-space, or estimated from a simulation by montecarlo.
     """
-    from fpk.dynamics import StationaryMotionMethod
-
-    _curve(asked, StationaryMotionMethod, "spectrum", "spectrum", of, at)
+    _curve(asked, "spectrum", of, at)
 
 
 @asking(*DISPLACEMENT)
@@ -78,9 +74,7 @@ def correlation(asked: Asked, of: str, at: str) -> None:
     It begins with the variance. By linear or phase-space, or estimated from a simulation by
     montecarlo.
     """
-    from fpk.dynamics import StationaryMotionMethod
-
-    _curve(asked, StationaryMotionMethod, "correlation", "correlation", of, at)
+    _curve(asked, "correlation", of, at)
 
 
 @asking(
@@ -107,11 +101,12 @@ def relaxation(asked: Asked, rates: int) -> None:
     )
 
 
-def _curve(asked: Asked, kind: type, question: str, key: str, of: str, at: str) -> None:
-    """Ask for the ``question``, a method of the protocol ``kind``, about one displacement."""
+def _curve(asked: Asked, question: str, of: str, at: str) -> None:
+    """Ask the ``question``, the name of a method of ``fpk.dynamics``, about one displacement."""
     observable, system = parts.observable_of(of, asked.scene), asked.scene.system
     from cases.output.records import columns_text
     from cases.scene.points import parse_points
+    from fpk.dynamics import CrossingsMethod, StationaryMotionMethod
     from fpk.modulation import require_constant_noise
 
     if len(observable) != 1 or observable[0].kind != "q":
@@ -123,11 +118,93 @@ def _curve(asked: Asked, kind: type, question: str, key: str, of: str, at: str) 
         return getattr(method, question)(system, observable, points, **how)
 
     asked.reply(
-        kind,
+        CrossingsMethod if question == "crossings" else StationaryMotionMethod,
         question,
         f"{question} of {of}",
         {"observable": str(observable[0]), "points": points},
         work,
         columns_text,
-        key=key,
+        key="rate" if question == "crossings" else question,
     )
+
+
+START = click.option(
+    "--start", metavar="START", default="rest",
+    help="rest (the default), H=0.3, H1=0.1,H2=0.2, q1=..,p1=..,.. or noise=0.5.",
+)  # fmt: skip
+
+
+@asking(
+    observed("H, q1.., p1.., H1.. or a pair a,b."),
+    START,
+    click.option("--times", metavar="LIST", required=True, help="Times after the start."),
+    *(AT, TOL, *SIMULATED),
+)
+def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
+    """Give the density of an observable at times after a start."""
+    system, observable = asked.scene.system, parts.observable_of(of, asked.scene)
+    from cases.output.records import columns_text, listed
+    from cases.scene.points import parse_points
+    from fpk.evolution import Transients
+    from fpk.observable import observable_name
+    from fpk.start import parse_start
+
+    begin = parts.read("start", start, lambda: parse_start(start, system))
+    points, later = parse_points(at, len(observable)), _times(times)
+    name = observable_name(observable)
+    asked.reply(
+        Transients,
+        "densities in time",
+        f"the density of {of}",
+        {"observable": name, "start": str(begin), "points": listed(points)},
+        lambda method, **how: method.transient(system, observable, begin, later, points, **how),
+        columns_text,
+        key="density",
+    )
+
+
+@asking(
+    click.option("--limit", metavar="LIMIT", required=True, help="H=1.5, H1=0.4,H2=0.6 or q2=1.2."),
+    START,
+    click.option("--times", metavar="LIST", help="Times at which the reliability is given."),
+    *(TOL, *SIMULATED),
+)
+def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
+    """Give the first passage of a limit: moments of its time, failure rate, reliability.
+
+    Where it is so rare that a plain simulation sees too few in all the time that it may take,
+    montecarlo gives the reliability at the times by multilevel splitting, and no more.
+    """
+    from cases.comparison.rare import passage_answer
+    from cases.output.records import passage_text
+    from cases.scene.questions import PassageQuestion, require_below
+    from fpk.evolution import Passages
+    from fpk.limit import parse_limit
+    from fpk.start import parse_start
+
+    system = asked.scene.system
+    begin = parts.read("start", start, lambda: parse_start(start, system))
+    end = parts.read("limit", limit, lambda: parse_limit(limit, system.n))
+    parts.read("start", start, lambda: require_below(system, end, begin))
+    question = PassageQuestion(end, begin, tuple(_times(times).tolist()))
+    asked.reply(
+        Passages,
+        "first passage",
+        "first passage",
+        {"limit": str(end), "start": str(begin)},
+        lambda method, **how: passage_answer(method, system, question, **how),
+        passage_text,
+    )
+
+
+def _times(text: str | None) -> Any:
+    """Return the times that ``text`` lists, none where there is no text."""
+    import numpy as np
+
+    from cases.scene.points import parse_points
+    from fpk.evolution import checked_times
+
+    if text is None:
+        return np.zeros(0)
+    (times,) = parse_points(text, 1, option="times")
+    return parts.read("times", text, lambda: checked_times(times))

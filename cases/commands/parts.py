@@ -20,7 +20,7 @@ from cases.written import SCHEMA
 from fpk.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from cases.comparison.run import Outcome
+    from cases.comparison.stationary import Outcome
     from cases.scene.scene import Scene
     from fpk.observable import Observable
 
@@ -199,17 +199,15 @@ def with_plain_keys(record: Any) -> Any:
         return [with_plain_keys(entry) for entry in record]
     if not isinstance(record, dict):
         return record
-    keys = {key: key if key in NORMS else _plain_key(key) for key in record}
+    keys = {}
+    for key in record:
+        words = re.sub(r"\bE (?=[a-z])", "mean ", key).replace("²", " squared").lower()
+        keys[key] = key if key in NORMS else re.sub(r"[^a-z0-9]+", "_", words).strip("_")
     names = Counter(keys.values())
     return {
         keys[key] if names[keys[key]] == 1 else key: with_plain_keys(value)
         for key, value in record.items()
     }
-
-
-def _plain_key(key: str) -> str:
-    words = re.sub(r"\bE (?=[a-z])", "mean ", key).replace("²", " squared").lower()
-    return re.sub(r"[^a-z0-9]+", "_", words).strip("_")
 
 
 def as_wide(text: str) -> str:
@@ -220,19 +218,18 @@ def as_wide(text: str) -> str:
     width = get_terminal_size((0, 0)).columns
     if width < NARROWEST:
         return text
-    lines = text.split("\n")
-    return "\n".join(_folded(line, width) if len(line) > width else line for line in lines)
-
-
-def _folded(line: str, width: int) -> str:
-    indent = " " * (len(line) - len(line.lstrip()) + 4)
-    how: Any = {"break_long_words": False, "break_on_hyphens": False, "drop_whitespace": True}
-    return "\n".join(wrap(line, width, subsequent_indent=indent, expand_tabs=False, **how))
+    how: Any = {"break_long_words": False, "break_on_hyphens": False, "expand_tabs": False}
+    lines: list[str] = []
+    for line in text.split("\n"):
+        indent = " " * (len(line) - len(line.lstrip()) + 4)
+        long = len(line) > width
+        lines += wrap(line, width, subsequent_indent=indent, **how) if long else [line]
+    return "\n".join(lines)
 
 
 def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":
     """Run ``scene`` by ``methods`` under a progress bar, with ``settings`` of ``run_scene``."""
-    from cases.comparison.run import run_scene
+    from cases.comparison.stationary import run_scene
     from cases.output.bar import progress_bar
 
     with progress_bar() as progress:

@@ -1,19 +1,30 @@
-"""The commands ``fpk converge``, ``cost``, ``regime`` and ``sweep``: studies of one scene."""
+"""Commands that run all routes of a scene, or study it.
+
+These are ``fpk converge``, ``cost``, ``regime``, ``sweep``, ``verify`` and ``export``.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
 from cases.commands import completed, parts
+from cases.scene.errors import BadInput
 
 if TYPE_CHECKING:
     from cases.scene.scene import Scene
     from cases.studies.page import Page
+
+USUAL, COARSE, COARSE_PATHS = 38.0, 5.0, 4096
+"""Relaxation times sampled on a path: a quarter of what ``fpk run`` takes. Bands are from the
+sample itself, so that a shorter simulation judges less sharply, never wrongly."""
+WORK = 5e10
+"""Multiplications that a solution of the full equation may need: a second, and an error below what
+sampling leaves."""
 
 
 def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
@@ -116,7 +127,7 @@ def over_grid(command: Any) -> Any:
 
 def _over_grid(settings: dict[str, Any]) -> dict[str, Any]:
     """The arguments of a study over a grid that ``settings``, of ``over_grid``, ask for."""
-    from cases.studies.sweep.reference import SIMULATION
+    from cases.studies.sweep.answering import SIMULATION
 
     own = ("reference", "progress", "tol")
     given: dict[str, Any] = {key: settings.pop(key) for key in own if key in settings}
@@ -166,3 +177,107 @@ def sweep(
 
     result = sweep_system(scene, vary, quantity, methods=method, **_over_grid(settings))
     return result, sweep_page(result, scene)
+
+
+@click.command()
+@click.argument("scenes", nargs=-1, metavar="[SCENE]...")
+@click.option("--coarse", is_flag=True, help="A quick look: a still shorter simulation.")
+@parts.seed
+@parts.threads
+@parts.as_json
+def verify(scenes: tuple[str, ...], coarse: bool, **settings: Any) -> None:
+    """Run scenes by every route and judge them: one line each, one final table.
+
+    SCENE: names or paths; all shipped scenes but the hard ones where none is given.
+    """
+    from cases.scene.scene import load_scene, shipped_scenes
+
+    shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
+    loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
+    from cases.comparison.claims import Verdict
+    from cases.comparison.routes import all_methods
+    from cases.output.digest import digest_of, verify_row
+    from cases.output.text import rendered
+
+    if coarse:
+        settings |= {"paths": COARSE_PATHS}
+    methods = all_methods(relaxations=COARSE if coarse else USUAL, work=WORK, **settings)
+    width = max(len(scene.name) for scene in loaded)
+    rows = []
+    for scene in loaded:
+        rows.append(verify_row(digest_of(parts.outcome_of(scene, methods))))
+        if not click.get_current_context().meta["json"]:
+            click.echo(rendered("verify_line.txt", {"row": rows[-1], "width": width}))
+    verdicts = [claim["verdict"] for row in rows for claim in row["claims"]]
+    parts.end(
+        {
+            "scenes": rows,
+            "holds": all(row["holds"] for row in rows),
+            "claims": {word: verdicts.count(word) for word in get_args(Verdict)},
+            "seconds": sum(row["seconds"] for row in rows),
+        },
+        lambda: rendered("verify.txt", {"rows": rows}),
+        problems=[f"{row['scene']}: {problem}" for row in rows for problem in row["problems"]],
+    )
+
+
+ENDINGS = (".vtu", ".pvd", ".nc", ".csv")
+
+
+@click.command()
+@parts.scene_name
+@click.option(
+    "--out", type=parts.FOLDER, required=True, help="File to write: .vtu, .pvd, .nc or .csv."
+)
+@click.option(
+    "--of", metavar="OBS", help="This density instead of the scene's own.",
+    shell_complete=completed.observables,
+)  # fmt: skip
+@parts.tol
+@click.option("--simulate", is_flag=True, help="With the simulation of the full system.")
+@parts.seed
+@parts.seconds
+@parts.threads
+@parts.as_json
+def export(
+    scene: str, out: Path, of: str | None, tol: float | None, simulate: bool, **settings: Any
+) -> None:
+    """Write the densities of a scene by theory, of all its curves, to one file.
+
+    A .vtu holds one field of the scene's own system (the first pair observed, else the first
+    density), and beside it the stops as planes; a .pvd collects one .vtu for every curve, one for
+    every density.
+    """
+    loaded = parts.checked(scene, tol=tol)
+    from cases.output.files import make_folder
+
+    if out.suffix not in ENDINGS:
+        raise BadInput(f"--out {out}: the ending says the format; use {', '.join(ENDINGS)}")
+    if of is not None:
+        loaded = replace(loaded, observables=(parts.observable_of(of, loaded),))
+    make_folder(out.parent)  # one that cannot be written is refused before the work
+    if out.suffix == ".vtu":
+        first = next((o for o in loaded.observables if len(o) == 2), loaded.observables[0])
+        loaded = replace(loaded, observables=(first,), curves=loaded.curves[:1])
+    from cases.comparison.routes import all_methods
+    from cases.output.fields import write_csv, write_netcdf
+    from cases.output.vtk import write_pvd, write_vtu
+
+    # Without all routes nothing can be claimed, and a density may be left out.
+    loaded = replace(loaded, expect=None, densities_asked=False)
+    methods = [
+        m
+        for m in all_methods(tol=tol, **settings)
+        if (simulate and m.route.method == "montecarlo")
+        or m.route.solves != "full"
+        or (m.route.quick and not m.route.sampled)
+    ]
+    outcome = parts.outcome_of(loaded, methods)
+    if not any(map(len, outcome.curves)):
+        reason = f"no stationary density: {outcome.curves[0].absence}"
+        raise BadInput(f"{loaded.name}: {[*outcome.problems, reason][0]}")
+    write = dict(zip(ENDINGS, (write_vtu, write_pvd, write_netcdf, write_csv), strict=True))
+    files = [str(path) for path in write[out.suffix](outcome, out)]
+    record = {"scene": loaded.name, "file": str(out), "files": files, "seconds": outcome.seconds}
+    words = "\n".join(f"wrote {file}" for file in files)
+    parts.end(record, lambda: words, problems=outcome.problems)

@@ -9,12 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from cases.comparison.budget import Budget
-from cases.comparison.in_time import Given, Replies
-from cases.comparison.loosened import loosened, note_of
+from cases.comparison.attempts import Attempts, Budget
+from cases.comparison.in_time import Given, Replies, failure_of
 from cases.comparison.rare import SPLITTING, split_passage, splitting_of
-from cases.comparison.refusal import Attempts
-from cases.comparison.time_distances import failure_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
 from fpk.arrays import Array
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
@@ -64,13 +61,12 @@ def replies_of(
     until the last time. Splitting takes the place of the simulation of the full system where that
     would see few failures, by an answer that came before, or is not certified.
     """
-    attempts, names, budget = Attempts(partial), (question.name,), budget or Budget()
+    attempts, names, budget = Attempts(partial, relax), (question.name,), budget or Budget()
     kind: Any = Passages if isinstance(question, PassageQuestion) else Transients
     able: list[Any] = [method for method in methods if isinstance(method, kind)]
     # Splitting, or the choice of the window, may come beside them.
     budget.begin(1 + sum(method.route.sampled for method in able))
     given: list[Given] = []
-    notes: list[str] = []
 
     @cache
     def window() -> tuple[Array | None, tuple[Any, ...]]:
@@ -104,10 +100,8 @@ def replies_of(
 
         if not relax:
             return at_tolerance(None if method.route.sampled else tol)
-        answer, met = loosened(at_tolerance, lambda answer: [answer.certificate])
-        if met is not None:
-            notes.append(f"{question.name}: {note_of(method.route.label, met)}")
-        return answer
+        label = f"{question.name}: {method.route.label}"
+        return attempts.at_default(label, at_tolerance, lambda answer: [answer.certificate])
 
     for method in able:
         if reason := _too_rare(question, method, given):
@@ -115,7 +109,11 @@ def replies_of(
             continue
         ask(method.route, lambda points, m=method: budget.spend(m, partial_of(answered, points)))
     if isinstance(question, PassageQuestion) and not attempts.interrupted:
-        plain = _to_be_replaced(system, question, able, given)
+        # Splitting, which knows constant noise only, answers in the place of the simulation of the
+        # full system where no certified answer for it is known.
+        known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
+        asked = question.times and system.modulation is None and not known
+        plain = next((m for m in able if m.route.solves == "full" and m.route.sampled), None)
 
         def split(_: Any) -> Passage:
             def work(own: Any) -> Passage:
@@ -127,28 +125,14 @@ def replies_of(
             answer: Passage = budget.spend(plain, work)
             return answer
 
-        if plain and ask(SPLITTING, split):
+        if plain and asked and ask(SPLITTING, split):
             replaced = [g for g in given if g.route == plain.route]
             given = [g for g in given if g not in replaced]
             for words in (w for g in replaced for w in g.answer.certificate.failures):
                 attempts.refuse(plain.route, names, words)
     points, windows = window() if given else (None, ())
-    refused = tuple(attempts.refused)
-    ends = attempts.interrupted, tuple(notes)
-    return Replies(question, tuple(given), refused, points, windows, *ends)
-
-
-def _to_be_replaced(
-    system: System, question: PassageQuestion, able: Sequence[Any], given: Sequence[Given]
-) -> Any:
-    """The simulation of the full system if splitting has to answer in its place, else None.
-
-    It has to where no certified answer for the full system is known; it knows constant noise only.
-    """
-    known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
-    plain = (m for m in able if m.route.solves == "full" and m.route.sampled)
-    asked = question.times and system.modulation is None and not known
-    return next(plain, None) if asked else None
+    ends = attempts.interrupted, tuple(attempts.notes)
+    return Replies(question, tuple(given), tuple(attempts.refused), points, windows, *ends)
 
 
 def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | None:

@@ -6,8 +6,14 @@ from functools import cached_property
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from cases.comparison.compare import Comparison, compared, discrepancies
-from cases.comparison.doubt import averaging_notes, incompatibility
+from cases.comparison.attempts import Refusal
+from cases.comparison.compare import (
+    Comparison,
+    averaging_notes,
+    compared,
+    discrepancies,
+    incompatibility,
+)
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import (
     Quantity,
@@ -15,7 +21,6 @@ from cases.comparison.quantities import (
     quantities_of,
     quantity_discrepancies,
 )
-from cases.comparison.refusal import Refusal
 from fpk.density import AnyDensity
 from fpk.method import Result
 from fpk.observable import Level, Observable, observable_name, parse_observable

@@ -10,13 +10,16 @@ from functools import partial
 from math import ceil, inf, isfinite
 from typing import Any, Self
 
-from cases.scene.expect import Theory
+import numpy as np
+
+from cases.scene.questions import Theory
 from fpk.arrays import Array
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.escape import require_held
-from fpk.evolution import Passage, Transient
+from fpk.evolution import InTime, Passage, PassageAsked, Transient, TransientAsked
 from fpk.limit import Limit
+from fpk.linear import modal_energies
 from fpk.method import Method, Plan, Progress, Result
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.process import Process
@@ -41,7 +44,7 @@ sets the paths for a wanted relative error; and most paths."""
 
 
 @dataclass(frozen=True)
-class AveragedSimulation(Method):
+class AveragedSimulation(InTime, Method):
     """Averaged energies (17) or energy (9) of a theory by simulation: its ``solver`` "simulation".
 
     Times come from the process: an energy relaxes in about the time in which noise fills its scale,
@@ -88,55 +91,35 @@ class AveragedSimulation(Method):
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
         return Plan(self._unknown, partial(self._sampled, self._process(system)))
 
-    def passage(
-        self,
-        system: System,
-        limit: Limit,
-        start: Start,
-        times: Array,
-        *,
-        tol: float | None,
-        progress: Progress,
-    ) -> Passage:
+    def _passage(self, asked: PassageAsked) -> Passage:
         """Return the first passage of an energy by simulation in steps of ``step`` and of half it.
 
         ``tol``, the relative error wanted of the mean, makes more of the ``paths`` where needed.
         A state begins at its energies, H of the integrable theory anywhere on H1 + H2 + … = H.
         """
-        from cases.comparison.averaged_passage import limits_of
         from sim.averaged.passage import energy_passage
         from sim.motion.steps import require_times
 
-        require_times(times)
-        wanted = self.tol if tol is None else tol
+        require_times(asked.times)
+        system, wanted = asked.system, self.tol if asked.tol is None else asked.tol
         form = self._form(self._process(system))
         scales = form.scales / form.noise
         paths = self.paths if wanted is None else max(self.paths, ceil((PER_PATH / wanted) ** 2))
         return energy_passage(
             form,
-            limits_of(self.theory, form, limit),
-            self._starts(system, start),
-            times,
+            self.limits(form, asked.limit),
+            self._starts(system, asked.start),
+            asked.times,
             dt=self.step * float(scales.min()),
             memory=2.0 * float(scales.max()),
             paths=min(paths, MOST_PATHS),
             modulation=system.modulation,
             **self._sampling(),
             tol=inf if wanted is None else wanted,
-            progress=progress,
+            progress=asked.progress,
         )
 
-    def transient(
-        self,
-        system: System,
-        observable: Observable,
-        start: Start,
-        times: Array,
-        at: tuple[Array, ...],
-        *,
-        tol: float | None,
-        progress: Progress,
-    ) -> Transient:
+    def _transient(self, asked: TransientAsked) -> Transient:
         """Return the densities of energies at ``times``, in steps of ``step`` and of half it.
 
         ``tol``, the expected L1 error wanted at every time, makes more paths. Starts as of
@@ -145,23 +128,24 @@ class AveragedSimulation(Method):
         from sim.averaged.transient import energy_transient
         from sim.motion.steps import require_times
 
+        system = asked.system
         require_held(system)
-        require_times(times)
-        if reason := self._unknown(observable):
+        require_times(asked.times)
+        if reason := self._unknown(asked.observable):
             raise NotApplicable(reason)
         form = self._form(self._process(system))
         return energy_transient(
             form,
-            observable,
-            self._starts(system, start),
-            times,
-            at,
+            asked.observable,
+            self._starts(system, asked.start),
+            asked.times,
+            asked.at,
             dt=self.step * float((form.scales / form.noise).min()),
             paths=self.paths,
             modulation=system.modulation,
             **self._sampling(),
-            tol=self.tol if tol is None else tol,
-            progress=progress,
+            tol=self.tol if asked.tol is None else asked.tol,
+            progress=asked.progress,
         )
 
     def _process(self, system: System) -> Process:
@@ -181,24 +165,59 @@ class AveragedSimulation(Method):
 
         return (line_form if self.theory == "nonintegrable" else square_root_form)(process)
 
+    def limits(self, form: Any, limit: Limit) -> Any:
+        """Return the limit as one of X; raise ``NotApplicable`` where the theory knows it not."""
+        from sim.averaged.passage import EnergyLimits, from_energies
+
+        line, d = self.theory == "nonintegrable", form.scales.size
+        if limit.kind == "q" or (limit.kind == "modal" and line):
+            known = "H" if line else "H and of modal energies"
+            raise NotApplicable(f"{limit}: this theory knows limits of {known} only")
+        if limit.kind == "modal":
+            named = sorted((int(name[1:]) - 1, value) for name, value in limit.values.items())
+            values = np.array([value for _, value in named])
+            return EnergyLimits(np.eye(d)[[m for m, _ in named]], values, str(limit))
+        values = np.array([limit.value])
+        values = from_energies(form, values[None])[0] if line else values
+        return EnergyLimits(np.ones((1, d)), values, str(limit))
+
     def _starts(self, system: System, start: Start) -> Any:
         """Return ``draw(paths, stream)``, the energies (paths, d) at time 0.
 
         A start ``noise=F`` is the stationary state under F times the noise intensity: its energies
-        are sampled by a simulation of ``BURN_IN`` relaxation times under that noise.
+        are sampled by a simulation of ``BURN_IN`` relaxation times under that noise. H of the
+        integrable theory is spread evenly over H1 + H2 + … = H, as on its shell. Raises
+        ``NotApplicable`` for modal energies where contact leaves H open.
         """
-        from cases.comparison.averaged_passage import starts_of
         from sim.averaged.paths import burnt_in
 
-        factor = start.values.get("noise", 0.0)
-        if not factor:
-            return starts_of(self.theory, system, start)
-        louder = replace(system, noise_intensity=factor * system.noise_intensity)
-        form = self._form(self._process(louder))
-        slowest, steps = self._steps(form)
-        interval, time = 0.5 * slowest, BURN_IN * slowest
-        begun = partial(burnt_in, form, interval=interval, steps=steps, time=time)
-        return lambda paths, stream: form.energies(begun(paths, stream))
+        line, n, values = self.theory == "nonintegrable", system.n, start.values
+        if factor := values.get("noise", 0.0):
+            louder = replace(system, noise_intensity=factor * system.noise_intensity)
+            form = self._form(self._process(louder))
+            slowest, steps = self._steps(form)
+            interval, time = 0.5 * slowest, BURN_IN * slowest
+            begun = partial(burnt_in, form, interval=interval, steps=steps, time=time)
+            return lambda paths, stream: form.energies(begun(paths, stream))
+        if start.kind == "energy" and not line:
+
+            def spread(paths: int, stream: np.random.Generator) -> Array:
+                share = stream.exponential(size=(paths, n))
+                return np.asarray(values["H"] * share / share.sum(axis=1, keepdims=True))
+
+            return spread
+        if start.kind == "energy":
+            energies = np.array([values["H"]])
+        elif start.kind == "modal":
+            if line and system.stops:
+                raise NotApplicable(f"{start}: modal energies leave H open where there is contact")
+            energies = np.array([values[f"H{m + 1}"] for m in range(n)])
+        else:
+            q, p = start.state(n)
+            total = np.array([float(system.hamiltonian(q, p))])
+            energies = total if line else modal_energies(system, q, p)
+        fixed = np.atleast_1d(energies.sum()) if line else energies
+        return lambda paths, stream: np.tile(fixed, (paths, 1))
 
     def _steps(self, form: Any) -> tuple[float, int]:
         """The longest relaxation time, and the number of steps in half of it."""

@@ -10,10 +10,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from cases.comparison.answers import Answers
-from cases.comparison.compare import Comparison, distance_between
-from cases.comparison.doubt import ACCEPTABLE_L1
-from cases.scene.expect import RELATIONS, Expect, Range
-from cases.scene.questions import PassageQuestion
+from cases.comparison.compare import ACCEPTABLE_L1, distance_between
+from cases.scene.questions import RELATIONS, Expect, PassageQuestion
 from cases.written import with_error
 from fpk.clearance import stop_clearances
 from fpk.density import AnyDensity
@@ -180,35 +178,29 @@ def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
                 ("failure rate", question.rate_error),
                 ("P(T ≤ ", question.failure_error),
             ):
-                if limits is not None:
-                    own = [c for c in replies.comparisons if _is_of(c, question, words)]
-                    yield _finding(curve.label, question, words, limits, own)
-
-
-def _finding(
-    label: str, question: PassageQuestion, words: str, limits: Range, own: Sequence[Comparison]
-) -> Finding:
-    sign, holds = RELATIONS[limits.relation]
-    what = "P(T ≤ t)" if words.startswith("P") else words
-    claim = (
-        f"{question.name}: averaging error of the {what} by the {question.theory} theory"
-        f" {sign} {limits.limit:g}"
-    )
-    if not own:
-        return Finding(claim, label, "no answer to compare with", "not checked")
-    c = min(own, key=lambda c: c.error)
-    measured = f"relative {with_error(c.L1, c.error)}, {c.a.label} against {c.b.label}"
-    undecided = abs(c.L1 - limits.limit) <= 2.0 * c.error
-    return Finding(
-        claim, label, measured, _verdict(None if undecided else holds(c.L1, limits.limit))
-    )
-
-
-def _is_of(c: Comparison, question: PassageQuestion, words: str) -> bool:
-    """Whether the comparison is one of the theory's equation, solved, with the full system."""
-    of = c.observable.removeprefix(f"{question.name}: ")
-    averaging = c.measures == "averaging" and c.norm == "relative"
-    return averaging and of.startswith(words) and c.a.method == question.theory
+                if limits is None:
+                    continue
+                sign, holds = RELATIONS[limits.relation]
+                what = "P(T ≤ t)" if words.startswith("P") else words
+                claim = (
+                    f"{question.name}: averaging error of the {what} by the {question.theory}"
+                    f" theory {sign} {limits.limit:g}"
+                )
+                # Distances of the theory's equation, solved, to the full system.
+                of, wanted = f"{question.name}: {words}", ("averaging", "relative", question.theory)
+                own = [
+                    c
+                    for c in replies.comparisons
+                    if (c.measures, c.norm, c.a.method) == wanted and c.observable.startswith(of)
+                ]
+                if not own:
+                    yield Finding(claim, curve.label, "no answer to compare with", "not checked")
+                    continue
+                c = min(own, key=lambda c: c.error)
+                measured = f"relative {with_error(c.L1, c.error)}, {c.a.label} against {c.b.label}"
+                undecided = abs(c.L1 - limits.limit) <= 2.0 * c.error
+                verdict = _verdict(None if undecided else holds(c.L1, limits.limit))
+                yield Finding(claim, curve.label, measured, verdict)
 
 
 def _below(value: float, limit: float, slack: float) -> bool | None:

@@ -26,7 +26,7 @@ from fpk.method import Result, silent
 from fpk.number import Number
 from fpk.observable import Coordinate, Level, observable_name
 from fpk.route import Route
-from fpk.sampled_density import ErrorKind
+from fpk.sampled_density import ErrorKind, SampledDensity
 from fpk.system import System
 from fpk.upcrossings import upcrossings
 from sim.diagnostics import FALSE_ALARMS
@@ -183,9 +183,16 @@ def _rates(
 
 def _reach(definition: Definition, density: AnyDensity, number: Number, count: int) -> float:
     """How far a number of ``density`` may be from the truth, see ``reach_of``."""
-    kind = definition.kind
-    if kind == "quantile" and definition.at is not None:
-        return _reach_of_quantile(density, definition.at, number, count)
+    kind, p = definition.kind, definition.at
+    sampled = isinstance(density, SampledDensity) and isfinite(number.value)
+    if kind == "quantile" and p is not None and sampled:
+        # By chance a quantile may be off by that of p plus and minus what its share may be.
+        share = density.cdf(number.value) if p <= 0.5 else density.exceedance(number.value)
+        reach = reach_of(density, share, 0.0, count)
+        ends = [p - reach, p + reach]
+        if not 0.0 < ends[0] < ends[1] < 1.0:
+            return np.inf
+        return max(abs(density.quantile(end).value - number.value) for end in ends)
     size = {"skewness": 1.0, "correlation": 1.0}.get(kind, 0.0)
     if kind == "mean":
         size = density.std().value
@@ -208,15 +215,3 @@ def reach_of(density: AnyDensity, number: Number, size: float, count: int) -> fl
         return np.inf
     z = -float(stdtrit(density.batch_values.shape[0] - 1, FALSE_ALARMS / (2 * count)))
     return z * error + 2.0 * (z * error) ** 2 / max(value, size, error)
-
-
-def _reach_of_quantile(density: AnyDensity, p: float, number: Number, count: int) -> float:
-    """How far a quantile may be off: by chance that of p plus and minus what its share may be."""
-    if isinstance(density, Density) or not isfinite(number.value):
-        return reach_of(density, number, 0.0, count)
-    share = density.cdf(number.value) if p <= 0.5 else density.exceedance(number.value)
-    reach = reach_of(density, share, 0.0, count)
-    ends = [p - reach, p + reach]
-    if not 0.0 < ends[0] < ends[1] < 1.0:
-        return np.inf
-    return max(abs(density.quantile(end).value - number.value) for end in ends)

@@ -89,21 +89,13 @@ def chosen_methods(
     return left
 
 
-def require_settings(method: Method, name: str, settings: Mapping[str, Any]) -> None:
-    """Raise ``InvalidInput`` for a setting that was given and ``method`` does not have."""
-    known = {*_settings_of(method), "partial", "tol"}
-    for setting, value in sorted(settings.items()):
-        if value not in (None, False) and setting not in known:
-            remedy = f"is not an option of {name} by {method.solver}; leave it out"
-            raise InvalidInput(f"--{setting.replace('_', '-')}", value, remedy)
-
-
-def _settings_of(method: Method) -> set[str]:
+def settings_of(method: Method) -> set[str]:
+    """Return the names of the fields of a method."""
     return {f.name for f in fields(method)}  # type: ignore[arg-type]  # methods are dataclasses
 
 
 def _made(route: Route, settings: Mapping[str, Any]) -> Method:
     method = route.make()
-    known = _settings_of(method)
+    known = settings_of(method)
     given = {k: v for k, v in settings.items() if v is not None and k in known}
     return replace(method, **given)  # type: ignore[type-var]

@@ -1,15 +1,18 @@
-"""Stationary densities of a system, asked of several methods one after the other."""
+"""Stationary densities of a system by several methods, and the run of a scene."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial as partial_of
 from math import inf
+from time import perf_counter
 from typing import Any
 
+from cases.comparison.answering import replies_of
 from cases.comparison.answers import Answers
-from cases.comparison.budget import Budget
-from cases.comparison.loosened import loosened, note_of
-from cases.comparison.refusal import INTERRUPTED, REFUSALS, Attempts
+from cases.comparison.attempts import INTERRUPTED, REFUSALS, Attempts, Budget, budget_of
+from cases.comparison.in_time import Replies
+from cases.scene.questions import Question
+from cases.scene.scene import Scene
 from cases.written import bound
 from fpk.contact_quantities import joint_at_stops
 from fpk.density import Density
@@ -42,8 +45,7 @@ def answers_of(
     budget = budget or Budget()
     budget.begin(sum(m.route.sampled and _is_taken(m, system, share) for m in methods))
     results: list[Result] = []
-    notes: list[str] = []
-    attempts = Attempts(partial)
+    attempts = Attempts(partial, relax)
     for method in methods:
         refuse = partial_of(attempts.refuse, method.route)
         if attempts.interrupted:
@@ -64,7 +66,7 @@ def answers_of(
 
         def solve(own: Method, taken: Method = taken, plan: Plan = plan, given: Any = given) -> Any:
             plan = plan if own is taken else own.prepare(system)
-            return _solved(plan, system, given, notes, relax, progress, rates)
+            return _solved(plan, system, given, attempts, progress, rates)
 
         result = attempts.answer_of(
             method.route,
@@ -76,15 +78,13 @@ def answers_of(
             continue
         attempts.interrupted |= result.partial
         if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
-            notes.append(
+            attempts.notes.append(
                 f"{method.route.label}: certified to {bound(_worst_error(result))}; its work is"
                 f" bounded as no method was named; fpk density --method {method.name} goes further"
             )
         results.append(result)
-    refused = tuple(attempts.refused)
-    return Answers(
-        system, tuple(results), refused, notes=tuple(notes), interrupted=attempts.interrupted
-    )
+    refused, notes = tuple(attempts.refused), tuple(attempts.notes)
+    return Answers(system, tuple(results), refused, notes=notes, interrupted=attempts.interrupted)
 
 
 def _is_taken(method: Method, system: System, share: float | None) -> bool:
@@ -100,16 +100,13 @@ def _solved(
     plan: Plan,
     system: System,
     observables: Sequence[Observable],
-    notes: list[str],
-    relax: bool,
+    attempts: Attempts,
     progress: Progress,
     rates: bool,
 ) -> Result:
-    """The answer of ``plan``, with ``relax`` as ``loosened`` says and then with a note."""
+    """The answer of ``plan``, or as ``Attempts.at_default`` says."""
     beside = joint_at_stops(system, observables) if rates else []
     result = solved(plan, system, observables, beside=beside, progress=progress)
-    if not relax:
-        return result
 
     def ask(tol: float | None) -> Result:
         if tol is None:
@@ -119,12 +116,82 @@ def _solved(
         return again
 
     own = hasattr(result.method, "tol")
-    answer, tol = loosened(ask, lambda r: [d.certificate for d in r.densities] if own else [])
-    if tol is not None:
-        notes.append(note_of(answer.method.route.label, tol))
-    return answer
+    label = result.method.route.label
+    return attempts.at_default(
+        label, ask, lambda r: [d.certificate for d in r.densities] if own else []
+    )
 
 
 def _worst_error(result: Result) -> float:
     """Largest L1 error that a solver states, 0 of samples."""
     return max((d.l1_error for d in result.densities if isinstance(d, Density)), default=0.0)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The curves of a scene, the scene's own first, and the seconds that their answers took."""
+
+    scene: Scene
+    curves: tuple[Answers, ...]
+    seconds: float
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Every check that does not hold, in words; empty when all do."""
+        return tuple(text for curve in self.curves for text in curve.problems)
+
+
+def run_scene(
+    scene: Scene,
+    methods: Sequence[Method],
+    *,
+    progress: Progress = silent,
+    partial: bool = False,
+    relax: bool = False,
+    tol: float | None = None,
+    save: Callable[[Outcome], object] = lambda outcome: None,
+) -> Outcome:
+    """Return the answers of ``methods`` for every curve of ``scene``, as they are taken unasked.
+
+    ``partial`` and ``relax`` as in ``answers_of``, ``tol`` as in ``replies_of``; once one was
+    interrupted, the curves that follow are not run. The ``seconds`` of the simulations are shared
+    as ``Budget`` says. ``save`` gets the outcome so far when the
+    answers of a curve have been made, before they are compared.
+    """
+    start, share = perf_counter(), 1.0 / len(scene.curves)
+    questions = 1 + len(scene.passages) + len(scene.transients)
+    budget = budget_of(methods, len(scene.curves) * questions)
+    options: Any = {"progress": progress, "partial": partial, "relax": relax, "budget": budget}
+    curves: list[Answers] = []
+    for k, curve in enumerate(scene.curves, start=1):
+        interrupted = any(c.interrupted for c in curves)
+        wanted = [] if interrupted else methods
+        stationary: Any = {"share": share, "rates": True, **options}
+        answers = answers_of(curve.system, scene.observables, wanted, **stationary)
+        own: Any = {"label": curve.label, "value": curve.value, "exceedance": scene.exceedance}
+        own["asked"] = scene.observables if scene.densities_asked else ()
+        answers = replace(answers, **own)
+        if not (interrupted or answers.interrupted):
+            replies: list[Replies] = []
+            asked: tuple[Question, ...] = (*scene.passages, *scene.transients)
+            for question in asked:
+                if any(r.interrupted for r in replies):
+                    replies.append(Replies(question, interrupted=True))
+                else:
+                    replies.append(replies_of(curve.system, question, methods, tol=tol, **options))
+            count = len(scene.passages)
+            absence = answers.absence if replies and answers.asked else None
+            none = [f"no stationary density: {absence}"] if absence else []
+            answers = replace(
+                answers,
+                passages=tuple(replies[:count]),
+                transients=tuple(replies[count:]),
+                notes=(*answers.notes, *none, *(note for r in replies for note in r.notes)),
+                interrupted=any(r.interrupted for r in replies),
+            )
+        curves.append(answers)
+        save(Outcome(scene, tuple(curves), perf_counter() - start))
+        progress(k - 1, len(scene.curves), "comparing")
+        _ = answers.problems  # compares, once and for all: the comparisons are cached
+        progress(k, len(scene.curves), "comparing")
+    return Outcome(scene, tuple(curves), perf_counter() - start)

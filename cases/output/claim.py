@@ -8,7 +8,7 @@ from pathlib import Path
 from cases.output.files import make_folder, write_text
 from cases.output.records import Record, program_version
 from cases.scene.errors import BadInput
-from cases.scene.reading import read_text
+from cases.scene.scene import read_text
 from fpk.lock import locked
 from fpk.recognition import canonical
 from sim.checkpoint import PROGRAM, program_checksum

@@ -1,16 +1,14 @@
 """The record of a run, from which all that is shown is written, and that of many, the gate's."""
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
-from typing import get_args
+from collections.abc import Iterable
 
 from cases.comparison.answers import Answers
-from cases.comparison.claims import Verdict, findings, time_findings
+from cases.comparison.attempts import Refusal
+from cases.comparison.claims import findings, time_findings
 from cases.comparison.compare import Comparison
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import Quantity
-from cases.comparison.refusal import Refusal
-from cases.comparison.run import Outcome
+from cases.comparison.stationary import Outcome
 from cases.output.facts import facts_record
 from cases.output.records import Record, answer_tail, answer_units, passage_numbers, plain
 from cases.output.words import stationary_note
@@ -251,15 +249,4 @@ def verify_row(digest: Record) -> Record:
         "claims": digest["claims"],
         "seconds": digest["seconds"],
         "holds": not problems,
-    }
-
-
-def verify_record(rows: Sequence[Record]) -> Record:
-    """Return the record of ``fpk verify``."""
-    verdicts = Counter(claim["verdict"] for row in rows for claim in row["claims"])
-    return {
-        "scenes": list(rows),
-        "holds": all(row["holds"] for row in rows),
-        "claims": {word: verdicts[word] for word in get_args(Verdict)},
-        "seconds": sum(row["seconds"] for row in rows),
     }

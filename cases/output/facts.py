@@ -1,12 +1,13 @@
-"""Facts of a system as plain records: its effects, regime, boundaries and applicable theories."""
+"""Facts of a system as plain records: its effects, regime, modes, rms, and applicable theories."""
 
 from contextlib import suppress
 
+import numpy as np
+
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
-from cases.comparison.doubt import averaging_notes, incompatibility
-from cases.comparison.routes import listed_routes
-from cases.output.motion import modes_record, rms_record
+from cases.comparison.compare import averaging_notes, incompatibility
+from cases.comparison.routes import listed_routes, method_for
 from cases.output.records import Record, plain
 from cases.scene.numbers import Place
 from cases.scene.scene import Scene
@@ -14,17 +15,23 @@ from cases.scene.units import NUMBER
 from fpk.clearance import stop_clearances
 from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
-from fpk.errors import InvalidInput, NotApplicable
+from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.escape import escape
 from fpk.linear import natural_modes
-from fpk.observable import observable_name
+from fpk.observable import Coordinate, observable_name
 from fpk.route import ROUTES, solvers_of
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
 from sim.setup import expected_seconds
 
 MODES_SHOWN = 50
-"""Modes whose boundaries are classified: half a second for as many, and a time of n³ for more."""
+"""Modes whose damping, shape and boundaries are given: boundaries of more take a time of n³."""
+MASSES, LINEAR_MASSES = 3, 50
+"""Masses of a chain with one contact mass, and of one without contacts, up to which the rms of
+every displacement is given: a second. In longer chains, and where the damping depends on the
+state beside a contact, that of the one in contact."""
+RMS_METHODS = ("linear", "exact", "nonintegrable")
+"""Routes to the rms of a displacement, those exact for (6) before; the first that applies."""
 
 
 def show_record(scene: Scene) -> Record:
@@ -183,3 +190,56 @@ def _boundaries(system: System) -> list[Record]:
             reason = f"only the first {MODES_SHOWN} modes are"
             ends.append(("integrable", BoundaryClass(others, "not classified", reason)))
     return [{"process": theory, **plain(end)} for theory, end in ends]
+
+
+def modes_record(system: System) -> list[Record]:
+    """Return frequency, damping ratio and shape of the natural modes, the slowest first.
+
+    The ratio is c*_mm/(2 ω_m), c* = Tᵀ c T with Tᵀ M T = 1: of the constant damping, without what
+    couples the modes (``coupled`` is the largest |c*_ml| beside it over √(c*_mm c*_ll)). The
+    largest component of a shape is 1.
+    """
+    shapes, omega = natural_modes(system)
+    c = shapes.T @ system.damping @ shapes
+    own = np.diag(c)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        coupling = np.nan_to_num(np.abs(c) / np.sqrt(np.outer(own, own)), posinf=0.0)
+    np.fill_diagonal(coupling, 0.0)
+    largest = shapes[np.argmax(np.abs(shapes), axis=0), np.arange(system.n)]
+    return [
+        {
+            "frequency": omega[m],
+            "damping_ratio": own[m] / (2.0 * omega[m]),
+            "coupled": np.max(coupling[m]),
+            "shape": shapes[:, m] / largest[m],
+        }
+        for m in range(min(system.n, MODES_SHOWN))
+    ]
+
+
+def rms_record(system: System) -> list[Record]:
+    """Return √E q_i² with its numerical error and its route; one of an averaged theory averages.
+
+    Empty where no method of ``RMS_METHODS`` applies, and where more than one mass has stops:
+    integrals that take seconds. A number that is known badly is given with its large error.
+    """
+    touching = system.contact_masses
+    if len(touching) > 1:
+        return []
+    easy = not touching or not system.damping_terms
+    every = easy and system.n <= (MASSES if touching else LINEAR_MASSES)
+    wanted = [(Coordinate("q", i),) for i in (range(system.n) if every else touching)]
+    for name in RMS_METHODS:
+        with suppress(NotApplicable, NotCertified):
+            method = method_for(name)
+            result = method.solve(system, wanted)
+            return [
+                {
+                    "of": density.name,
+                    **vars(density.rms()),
+                    "route": method.route.label,
+                    "solves": method.route.solves,
+                }
+                for density in result.densities
+            ]
+    return []

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from cases.comparison.answers import Answers
-from cases.comparison.run import Outcome
+from cases.comparison.stationary import Outcome
 from cases.output.digest import method_record
 from cases.output.files import write_by, write_text
 from cases.output.records import plain, program_version

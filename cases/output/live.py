@@ -8,7 +8,7 @@ import numpy as np
 from cases.comparison.answers import Answers
 from cases.comparison.compare import joined
 from cases.comparison.in_time import Replies
-from cases.comparison.run import Outcome
+from cases.comparison.stationary import Outcome
 from cases.output.facts import units_record
 from cases.output.fields import common_grid
 from cases.output.page import MARKS, rounded, script_record

@@ -128,12 +128,15 @@ def script_record(plots: Sequence[Record], **more: Any) -> Record:
     return plain({"plots": plots, "palette": palette, **more})
 
 
-def rounded(*, error: Any, **values: Any) -> Record:
-    """Return the values to ``DIGITS`` digits and their ``error``, rounded up; no number is None."""
-    return {
-        **{key: [_number(f"{v:.{DIGITS - 1}e}") for v in own] for key, own in values.items()},
-        "error": [_number(bound(e, ERROR_DIGITS)) for e in error],
-    }
+def rounded(*, error: Any = None, **values: Any) -> Record:
+    """Return the values to ``DIGITS`` digits, and their ``error``, if any, rounded up.
+
+    What is not a number is None.
+    """
+    own = {key: [_number(f"{v:.{DIGITS - 1}e}") for v in each] for key, each in values.items()}
+    return (
+        own if error is None else own | {"error": [_number(bound(e, ERROR_DIGITS)) for e in error]}
+    )
 
 
 def _number(text: str) -> float | None:

@@ -1,6 +1,5 @@
 """Answers in Python: as a data frame, labelled arrays, a figure, the tables of a notebook."""
 
-from collections.abc import Iterable
 from html import escape
 from importlib import import_module
 from typing import Any
@@ -15,7 +14,7 @@ from cases.output.pictures.joint import LOWEST, contour_panels, joint_figure
 from cases.output.pictures.lines import POINTS, density_figure
 from cases.output.pictures.style import COLOURS, SHOWN, STYLE, density_words, words_of
 from cases.output.records import UNITS, plain, program_version
-from cases.output.text import quantity_columns
+from cases.output.text import html_table, quantity_rows
 from cases.output.variables import Variables
 from cases.output.words import named
 from cases.scene.units import Units
@@ -98,17 +97,9 @@ def html_tables(answers: Answers) -> str:
     """Return the quantities as HTML, a table of each observable."""
     rows = [plain(quantity_row(q)) for q in answers.quantities]
     parts = [f"<p>{escape(repr(answers))}</p>"]
-    for heads, columns in quantity_columns(rows):
-        first, *others = zip(heads, *columns, strict=True)
-        body = "".join(f"<tr>{_cells('td', row)}</tr>" for row in others)
-        head = f"<thead><tr>{_cells('th', first)}</tr></thead>"
-        parts.append(f"<table>{head}<tbody>{body}</tbody></table>")
+    parts += map(html_table, quantity_rows(rows))
     notes = [*([NOTE] if rows else []), *map(named, answers.averaging_notes)]
     return "".join([*parts, *(f"<p>{escape(note)}</p>" for note in notes)])
-
-
-def _cells(tag: str, texts: Iterable[str]) -> str:
-    return "".join(f"<{tag}>{escape(text)}</{tag}>" for text in texts)
 
 
 def needed(name: str) -> Any:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from pydantic_core import to_jsonable_python
 
-from cases.comparison.doubt import averaging_notes
-from cases.comparison.time_distances import failure_of
+from cases.comparison.compare import averaging_notes
+from cases.output.variables import CURVES, NUMBERS
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
 from cases.written import bound
@@ -110,20 +110,13 @@ def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[
 
 def passage_numbers(answer: Passage) -> Record:
     """Return the moments, the failure rate and the reliability with their errors."""
-    failure, failure_error = failure_of(answer)
-    return {
-        "mean": answer.mean.value,
-        "mean_error": answer.mean.error,
-        "variance": answer.variance.value,
-        "variance_error": answer.variance.error,
-        "rate": answer.rate and answer.rate.value,
-        "rate_error": answer.rate and answer.rate.error,
-        "times": answer.times,
-        "survival": answer.survival,
-        "survival_error": answer.survival_error,
-        "failure": failure,
-        "failure_error": failure_error,
-    }
+    record: Record = {}
+    for key, (*_, read) in NUMBERS.items():
+        record[key], record[f"{key}_error"] = read(answer)
+    record["times"] = answer.times
+    for key, (_, read) in CURVES.items():
+        record[key], record[f"{key}_error"] = read(answer)
+    return record
 
 
 def listed(points: tuple[Array, ...]) -> Array:
@@ -178,14 +171,11 @@ def passage_text(record: Record) -> str:
         row = _row([record[key]], record[f"{key}_error"])
         lines.append(f"{key:8}  {row}{'  ' + unit if unit else ''}")
     time = f"# time{bracketed(units.get('times', ''))}"
-    if record["times"]:
-        lines.append(f"{time}   survival   {_kind(record)}")
-        rows = zip(record["times"], record["survival"], record["survival_error"], strict=True)
-        lines += [_row([time, value], error) for time, value, error in rows]
-    if "failure" in record and record["times"]:
-        lines.append(f"{time}   P(T <= t)   {_kind(record)}")
-        rows = zip(record["times"], record["failure"], record["failure_error"], strict=True)
-        lines += [_row([time, value], error) for time, value, error in rows]
+    for key, words in (("survival", "survival"), ("failure", "P(T <= t)")):
+        if record["times"]:
+            lines.append(f"{time}   {words}   {_kind(record)}")
+            rows = zip(record["times"], record[key], record[f"{key}_error"], strict=True)
+            lines += [_row([t, value], error) for t, value, error in rows]
     return "\n".join(lines)
 
 

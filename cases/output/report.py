@@ -9,8 +9,8 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from cases.comparison.claims import ALMOST_KURTOSIS, ALMOST_L1
-from cases.comparison.doubt import ACCEPTABLE_L1
-from cases.comparison.run import Outcome
+from cases.comparison.compare import ACCEPTABLE_L1
+from cases.comparison.stationary import Outcome
 from cases.output.digest import curves_of
 from cases.output.facts import theories, units_record
 from cases.output.files import write_text

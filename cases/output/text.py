@@ -3,6 +3,8 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
+from html import escape
+from itertools import chain, repeat
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, get_args
@@ -47,7 +49,7 @@ def _templates() -> Environment:
         "keyed": with_key,
         "effects": effects_in_words,
         "unit": bracketed,
-        "table": _rows_table,
+        "table": text_table,
         "pm": with_error,
         "bound": bound,
         "up": up,
@@ -63,11 +65,6 @@ def _claim(claim: Record) -> str:
     """Return the claim, the curve that it is about and what was measured."""
     where = f"{claim['curve']}: " if claim["curve"] else ""
     return named(f"{claim['claim']}; {where}{claim['measured']}")
-
-
-def _rows_table(rows: list[list[str]], width: int, words: int = 1) -> list[str]:
-    """Return the lines of a table of rows, the heads first, as ``text_table`` of its columns."""
-    return text_table(list(zip(*rows, strict=True)), width, words) if len(rows) > 1 else []
 
 
 def _term(term: Record) -> str:
@@ -171,15 +168,13 @@ def theory_table(rows: Sequence[Record]) -> Record:
 def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> list[str]:
     """Return the lines of a table of each observable, see ``text_table``. ``every``: all routes."""
     lines: list[str] = []
-    for heads, columns in quantity_columns(rows, every=every):
-        lines += [*text_table([heads, *columns], width), ""]
+    for table in quantity_rows(rows, every=every):
+        lines += [*text_table(table, width), ""]
     return lines
 
 
-def quantity_columns(
-    rows: Sequence[Record], *, every: bool = True
-) -> Iterator[tuple[list[str], list[list[str]]]]:
-    """Yield of each observable its name above its quantities, and each route above its numbers.
+def quantity_rows(rows: Sequence[Record], *, every: bool = True) -> Iterator[list[tuple[str, ...]]]:
+    """Yield a table of each observable: its name beside the routes, then rows of quantities.
 
     Of ``every`` route, else of those of ``shown_rows``, by the names of the theories.
     """
@@ -191,16 +186,30 @@ def quantity_columns(
         units = {row["quantity"]: bracketed(row.get("unit") or "") for row in own}
         heads = [observable, *(name + unit for name, unit in units.items())]
         words = named if every else theory_of_route
-        yield heads, [[words(r), *(cells.get((n, r), "") for n in units)] for r in routes]
+        columns = [[words(r), *(cells.get((n, r), "") for n in units)] for r in routes]
+        yield list(zip(heads, *columns, strict=True))
 
 
-def text_table(columns: Sequence[Sequence[str]], width: int, words: int = 1) -> list[str]:
+def html_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return the rows as a table of HTML, the heads of the columns first; texts are escaped."""
+    head, *body = (
+        f"<tr>{''.join(f'<{tag}>{escape(text)}</{tag}>' for text in row)}</tr>"
+        for row, tag in zip(rows, chain(["th"], repeat("td")), strict=False)
+    )
+    return f"<table><thead>{head}</thead><tbody>{''.join(body)}</tbody></table>"
+
+
+def text_table(rows: Sequence[Sequence[str]], width: int, words: int = 1) -> list[str]:
     """Return the lines of a table no wider than ``width`` where that can be.
 
-    ``columns`` begin with their heads; the first ``words`` of them are text, the others numbers,
-    which stand at the right. Where they do not fit, heads and texts go on in a line below; what
-    then still does not fit is in another table below, with the first column again.
+    ``rows`` begin with the heads of the columns, alone there are no lines; the first ``words``
+    columns are text, the others numbers, which stand at the right. Where they do not fit, heads and
+    texts go on in a line below; what then still does not fit is in another table below, with the
+    first column again.
     """
+    if len(rows) < 2:
+        return []
+    columns = list(zip(*rows, strict=True))
     least = [max(len(w) for text in column for w in text.split() or [""]) for column in columns]
     numbers = [max(map(len, c[1:]), default=0) for c in columns]
     least[words:] = map(max, least[words:], numbers[words:])
@@ -214,8 +223,8 @@ def text_table(columns: Sequence[Sequence[str]], width: int, words: int = 1) -> 
             if own[k] == least[k]:
                 break
             own[k] -= 1
-        for row in zip(*(columns[k] for k in chosen), strict=True):
-            cells = [wrap(t, max(own[k], 1)) or [""] for k, t in zip(chosen, row, strict=True)]
+        for row in rows:
+            cells = [wrap(row[k], max(own[k], 1)) or [""] for k in chosen]
             for i in range(max(map(len, cells))):
                 texts = [cell[i] if i < len(cell) else "" for cell in cells]
                 aligned = (

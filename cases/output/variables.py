@@ -1,19 +1,20 @@
 """Answers of several routes for several curves, and in time, as labelled arrays of a netCDF."""
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cases.comparison.in_time import Replies
-from cases.comparison.run import Outcome
-from cases.comparison.time_distances import failure_of
+from cases.comparison.in_time import Replies, failure_of
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import Units, attribute
 from fpk.arrays import Array
 from fpk.evolution import Transient
 from fpk.number import Number
+
+if TYPE_CHECKING:
+    from cases.comparison.stationary import Outcome
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
@@ -77,7 +78,7 @@ def by_route(
     return variables
 
 
-def time_variables(outcome: Outcome) -> Variables:
+def time_variables(outcome: "Outcome") -> Variables:
     """Return the answers to question k = 1, 2, … of either kind, by curve and route.
 
     ``mean_passage_1``, ``variance_…`` and ``rate_…`` (curve, route), ``survival_…`` and

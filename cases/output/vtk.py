@@ -9,7 +9,7 @@ import meshio
 import numpy as np
 
 from cases.comparison.answers import Answers
-from cases.comparison.run import Outcome
+from cases.comparison.stationary import Outcome
 from cases.output.fields import POINTS, attributes_of, curve_numbers, variable_name
 from cases.output.files import write_by
 from cases.scene.units import attribute, bracketed

@@ -7,7 +7,7 @@ from datetime import date, time
 from itertools import islice, zip_longest
 from typing import Any
 
-from fpk.errors import shown
+from fpk.errors import InvalidInput, shown
 
 LONGEST = 600
 """Characters of a message; what is quoted in a longer one is cut out of its middle."""
@@ -34,6 +34,15 @@ def readable_errors(label: object, words: str, remedy: str) -> Iterator[None]:
             raise
         reason = getattr(error, "strerror", None) or error
         raise BadInput(f"{label}: {words}: {reason}; {remedy}") from None
+
+
+@contextmanager
+def refused_as(key: str, value: object) -> Iterator[None]:
+    """Return a context in which ``InvalidInput`` is about ``key`` and its ``value``."""
+    try:
+        yield
+    except InvalidInput as error:
+        raise InvalidInput(key, value, error.remedy) from None
 
 
 def misspelt(word: str, known: Iterable[str]) -> str | None:

@@ -1,13 +1,17 @@
-"""Questions of a scene about motion after a start: the tables [[transient]] and [[passage]]."""
+"""What a scene asks about motion after a start, and the claims of its source about its figure.
 
-from collections.abc import Iterator, Mapping, Sequence
+The questions are the tables [[transient]] and [[passage]], the claims the table ``[expect]``.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from operator import ge, gt, le, lt
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from cases.scene.expect import Range, Theory, range_of
+from cases.scene.errors import refused_as
 from fpk.errors import InvalidInput
 from fpk.evolution import checked_times
 from fpk.limit import Limit, parse_limit
@@ -15,6 +19,76 @@ from fpk.linear import modal_energies
 from fpk.observable import Observable, observable_name, parse_observable
 from fpk.start import REST, Start, parse_start
 from fpk.system import System
+
+Theory = Literal["nonintegrable", "integrable"]
+
+RELATIONS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
+    "above": (">", gt),
+    "below": ("<", lt),
+    "at_least": ("≥", ge),
+    "at_most": ("≤", le),
+}
+"""How a claim gives a range of the varied number, with the sign of each."""
+
+
+class Range(NamedTuple):
+    """Values of the varied number in a ``relation`` of ``RELATIONS`` to ``limit``."""
+
+    relation: str
+    limit: float
+
+
+def range_of(key: str, given: Mapping[str, float]) -> Range:
+    """Return the range that a claim gives; raise ``InvalidInput`` for none or several."""
+    if len(given) != 1:
+        raise InvalidInput(key, given, f"must have exactly one of {', '.join(RELATIONS)}")
+    return Range(*next(iter(given.items())))
+
+
+@dataclass(frozen=True)
+class Expect:
+    """The claims of one figure; a claim that is not made is None.
+
+    ``of`` is the density that they are about. ``better``: the first theory is nearer to the full
+    system than the second. ``acceptable``: theories whose L1 distance to the full system is small.
+    ``clearance_rule``: the integrable theory is acceptable where every clearance exceeds this many
+    rms displacements; elsewhere the converse is asked, that it is not.
+    """
+
+    of: Observable
+    non_gaussian: Range | None = None
+    almost_gaussian: Range | None = None
+    nonintegrable_better_with: Literal["larger", "smaller"] | None = None
+    better: tuple[Theory, Theory] | None = None
+    acceptable: tuple[Theory, ...] = ()
+    clearance_rule: float | None = None
+
+
+def expect_of(
+    table: Mapping[str, Any] | None, observables: Sequence[Observable], *, curves: int
+) -> Expect | None:
+    """Return the claims of the table about a figure of so many ``curves``.
+
+    Raises ``InvalidInput`` for a claim that the scene cannot test.
+    """
+    if table is None:
+        return None
+    by_name = {observable_name(o): o for o in observables}
+    given = table.get("of", next(iter(by_name)))
+    name = ",".join(part.strip() for part in given.split(","))
+    if name not in by_name:
+        remedy = f"is not observed here; use {', '.join(by_name)}"
+        raise InvalidInput("expect.of", given, remedy)
+    claims = {**table, "of": by_name[name]}
+    for key in table.keys() & {"non_gaussian", "almost_gaussian"}:
+        claims[key] = range_of(f"expect.{key}", table[key])
+        if len(by_name[name]) > 1:
+            raise InvalidInput(f"expect.{key}", table[key], "is for one coordinate, not a pair")
+    for key in table.keys() & {"non_gaussian", "almost_gaussian", "nonintegrable_better_with"}:
+        if curves < 2:
+            remedy = "is about the curves of [vary]; add it"
+            raise InvalidInput(f"expect.{key}", table[key], remedy)
+    return Expect(**claims)
 
 
 @dataclass(frozen=True)
@@ -90,10 +164,8 @@ def transients_of(
     questions = []
     for k, table in enumerate(tables, start=1):
         with _placed(f"transient[{k}]"):
-            try:
+            with refused_as("of", table["of"]):
                 of = parse_observable(table["of"], system.n)
-            except InvalidInput as error:
-                raise InvalidInput("of", table["of"], error.remedy) from None
             if len(of) > 1:
                 raise InvalidInput("of", table["of"], "must be one coordinate, not a pair")
             start, times = _start(table, system), _times(table)
@@ -118,10 +190,8 @@ def _start(table: Mapping[str, Any], system: System) -> Start:
 
 def _times(table: Mapping[str, Any]) -> tuple[float, ...]:
     times = table.get("times", [])
-    try:
+    with refused_as("times", times):
         checked_times(np.array(times, dtype=float))
-    except InvalidInput as error:
-        raise InvalidInput("times", times, error.remedy) from None
     return tuple(map(float, times))
 
 

@@ -1,20 +1,100 @@
-"""Scenes: one system, what is observed of it, and the further curves of its figure."""
+"""Scenes: read from a file; one system, what is observed of it, and the curves of its figure."""
 
+import re
+import stat
+import tomllib
 from dataclasses import dataclass
 from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from cases.scene.errors import BadInput, misspelt, toml_value
-from cases.scene.expect import Expect, expect_of
-from cases.scene.questions import PassageQuestion, TransientQuestion, passages_of, transients_of
-from cases.scene.reading import read_toml
+from cases.scene.errors import BadInput, misspelt, readable_errors, refused_as, toml_value
+from cases.scene.numbers import Curve, curves_of
+from cases.scene.questions import (
+    Expect,
+    PassageQuestion,
+    TransientQuestion,
+    expect_of,
+    passages_of,
+    transients_of,
+)
 from cases.scene.schema import validated
 from cases.scene.units import NO_UNITS, Units
-from cases.scene.vary import Curve, curves_of
 from fpk.errors import InvalidInput
 from fpk.observable import Level, Observable, parse_observable
 from fpk.system import System
+
+MAX_BYTES = 1 << 20
+"""A scene is a page of text; what is larger than this is something else."""
+
+MAX_DEPTH = 16
+"""Levels of tables and lists, and parts of a dotted key; a scene needs five. Some hundreds exhaust
+the stack of what follows, and the parser takes a time of n² for a key of n parts."""
+
+NO_KEY = re.compile(
+    r""""{3}(?:\\.?|[^\\])*?(?:"{3}|\Z) | '{3}.*?(?:'{3}|\Z)
+      | "(?:\\.|[^"\\\n])*+"? | '[^'\n]*+'? | \#[^\n]* | \d\.\d""",
+    re.VERBOSE | re.DOTALL,
+)
+"""Texts, comments and decimal points: the dots that are left in a line are those of dotted keys."""
+
+
+def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
+    """Return the tables of the TOML file at ``path`` and its text, without a byte order mark.
+
+    ``label`` names the file in messages. Raises ``BadInput`` with one line for everything that can
+    be wrong with the file.
+    """
+    text = read_text(path, label, most=MAX_BYTES, what="a scene").removeprefix("\ufeff")
+    if not text.strip():
+        raise BadInput(f"{label}: the file is empty; a scene needs at least the table [system]")
+    too_deep = BadInput(f"{label}: nested too deeply; a scene has at most {MAX_DEPTH} levels")
+    if any(line.count(".") > MAX_DEPTH for line in NO_KEY.sub("", text).splitlines()):
+        raise too_deep
+    try:
+        tables = tomllib.loads(text)
+        depth = _depth(tables)
+    except RecursionError:
+        raise too_deep from None
+    except ValueError as error:  # TOMLDecodeError and numbers of thousands of digits
+        raise BadInput(f"{label}: is not valid TOML: {error}; correct it there") from None
+    if depth > MAX_DEPTH:
+        raise too_deep
+    return tables, text
+
+
+def read_text(path: Path, label: str, *, most: int, what: str) -> str:
+    """Return the UTF-8 text of a regular file of at most ``most`` bytes, ``what`` it should be.
+
+    Nothing is read of a file that is larger, of a folder, a pipe or a device, which may have no
+    end. Raises ``BadInput`` with one line that begins with ``label``.
+    """
+    with readable_errors(label, "cannot be read", "give another file"):
+        mode = path.stat().st_mode
+        if stat.S_ISDIR(mode):
+            raise BadInput(f"{label}: is a folder; {what} is a file in it")
+        if not stat.S_ISREG(mode):
+            raise BadInput(f"{label}: is not a regular file; {what} is one")
+        with path.open("rb") as stream:
+            content = stream.read(most + 1)
+    if len(content) > most:
+        few = f"{what} has at most {most} ({most >> 20} MiB)"
+        raise BadInput(f"{label}: has more than {most} bytes; {few}")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise BadInput(
+            f"{label}: is not UTF-8 text: byte 0x{content[error.start]:02x} at position"
+            f" {error.start}; save the file as UTF-8"
+        ) from None
+
+
+def _depth(value: Any) -> int:
+    """Levels of tables and lists."""
+    if not isinstance(value, (dict, list)):
+        return 0
+    return 1 + max(map(_depth, value.values() if isinstance(value, dict) else value), default=0)
+
 
 SHIPPED = ("paper", "hard", "more", "time")
 """The folders of the shipped scenes, in the order in which they are listed."""
@@ -125,10 +205,8 @@ def _observables(densities: list[str] | None, system: System) -> tuple[Observabl
         return tuple(parse_observable(name, system.n) for name in names)
     observables: list[Observable] = []
     for k, name in enumerate(densities, start=1):
-        try:
+        with refused_as(f"observe.densities[{k}]", name):
             observable = parse_observable(name, system.n)
-        except InvalidInput as error:
-            raise InvalidInput(f"observe.densities[{k}]", name, error.remedy) from None
         if observable in observables:
             raise InvalidInput(f"observe.densities[{k}]", name, "is asked for twice; leave one out")
         observables.append(observable)
@@ -141,10 +219,8 @@ def _exceedance(
     key = "observe.exceedance"
     levels: list[Level] = []
     for name, values in table.items():
-        try:
+        with refused_as(key, name):
             observable = parse_observable(name, system.n)
-        except InvalidInput as error:
-            raise InvalidInput(key, name, error.remedy) from None
         if len(observable) > 1:
             raise InvalidInput(key, name, "is a pair; name one coordinate")
         if observable not in observables:

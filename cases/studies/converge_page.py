@@ -105,7 +105,11 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
         curves = [_in_unknowns(ladder) for ladder in e["ladders"] if ladder.equation == name]
         panels.append(Panel(f"{name}; dashed: order of theory", "unknowns N", y, curves, **axis))
         if e["dimension"] == 1:
-            curves = [_in_degree(ladder) for ladder in e["ladders"] if ladder.family == "p"]
+            curves = []
+            for ladder in (x for x in e["ladders"] if x.family == "p"):
+                degrees = [-np.log(level.size) for level in ladder.levels]
+                label = f"{ladder.equation}: exp(−{ladder.verdicts['L1'].order:.1f} p)"
+                curves.append(Curve(label, degrees, [level.error for level in ladder.levels]))
             x, axis["logarithmic"] = "degree p on a fixed mesh", False
             panels.append(Panel("exponential in p", x, y, curves, **axis))
     return [*panels, _step_panel(study.schemes, study.scene.units)] if study.schemes else panels
@@ -122,12 +126,6 @@ def _in_unknowns(ladder: Ladder) -> Curve:
     return Curve(
         f"{ladder.name}: order {ladder.verdicts['L1'].order:.2f}", N, e, dashed=dashed, notes=notes
     )
-
-
-def _in_degree(ladder: Ladder) -> Curve:
-    degrees = [-np.log(level.size) for level in ladder.levels]
-    label = f"{ladder.equation}: exp(−{ladder.verdicts['L1'].order:.1f} p)"
-    return Curve(label, degrees, [level.error for level in ladder.levels])
 
 
 def _step_panel(schemes: Sequence[WeakOrder], units: Units) -> Panel:

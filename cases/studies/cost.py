@@ -15,8 +15,7 @@ from cases.studies.converge import H_LEVELS
 from cases.studies.equations import EQUATIONS, Equation
 from cases.studies.law import FULL, Law, averaged_route, full_routes, solved_routes
 from cases.studies.levels import Discretisation, refined_levels, timed_first, timing
-from cases.studies.passage import passage_routes
-from cases.studies.prices import NotTimed, Priced, crossovers, price_list
+from cases.studies.prices import NotTimed, Priced, crossovers, passage_routes, price_list
 from cases.studies.simulation import Reference, deterministic, full_reference
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.method import Progress, silent

@@ -103,38 +103,33 @@ def full_routes(
 ) -> tuple[list[Priced | NotTimed], list[Law]]:
     """Measure the schemes: one run of each, and by the law the cheapest (dt, N) for ``ERRORS``.
 
+    A scheme has its law from the largest step at which it holds; a baseline may have none.
     ``unit`` is that of time in words.
     """
     results: list[Priced | NotTimed] = []
     laws: list[Law] = []
     for scheme in sorted(SCHEMES, key=lambda s: -SCHEMES[s].weak_order):
         method = MonteCarlo(scheme=scheme, seed=seed, threads=1)
-        route, own = _route(system, method, reference, unit)
+        baseline = scheme != MonteCarlo.scheme
+        factor = largest_stable(system, method, patience=PATIENCE)
+        words = f"no usable step: none down to {SMALLEST:g} of the chosen one is stable and cheap"
+        route: Priced | NotTimed = NotTimed(scheme, FULL, reason=words, baseline=baseline)
+        factors = [] if factor is None else [factor * 0.5**k for k in range(HALVINGS + 1)]
+        for own in factors:  # next to its limit of stability a scheme has no order yet
+            law, level = _law(system, method, own, reference.density, unit)
+            if level.honest:
+                of = f"expected L1 of p({reference.density.name}) of the full system"
+                points = level, *(law.point(error, unit) for error in ERRORS)
+                axis = f"sampling and step error: {of}"
+                route = Priced(f"{scheme}, (dt, N)", FULL, axis, points)
+                laws.append(law)
+                break
+            words = f"differs from the {reference.words} by more than chance and its order explain"
+            measured = level.settings, level.distance, level.estimate
+            route = NotTimed(scheme, FULL, *measured, reason=words, baseline=baseline)
         results.append(route)
-        laws += own
         progress(len(results), len(SCHEMES), f"cost of {FULL}")
     return results, laws
-
-
-def _route(
-    system: System, method: MonteCarlo, reference: Reference, unit: str
-) -> tuple[Priced | NotTimed, list[Law]]:
-    """A scheme with its law, from the largest step at which it holds; a baseline may have none."""
-    scheme, factor = method.scheme, largest_stable(system, method, patience=PATIENCE)
-    baseline = scheme != MonteCarlo.scheme
-    if factor is None:
-        words = f"no usable step: none down to {SMALLEST:g} of the chosen one is stable and cheap"
-        return NotTimed(scheme, FULL, reason=words, baseline=baseline), []
-    for k in range(HALVINGS + 1):  # next to its limit of stability a scheme has no order yet
-        law, level = _law(system, method, factor * 0.5**k, reference.density, unit)
-        if level.honest:
-            of = f"expected L1 of p({reference.density.name}) of the full system"
-            points = level, *(law.point(error, unit) for error in ERRORS)
-            axis = f"sampling and step error: {of}"
-            return Priced(f"{scheme}, (dt, N)", FULL, axis, points), [law]
-    words = f"differs from the {reference.words} by more than chance and its order explain"
-    measured = level.settings, level.distance, level.estimate
-    return NotTimed(scheme, FULL, *measured, reason=words, baseline=baseline), []
 
 
 def _law(

@@ -4,7 +4,6 @@ import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from io import StringIO
 from itertools import pairwise
 from math import nan
@@ -18,7 +17,7 @@ from cases.output.fields import attributes_of, write_variables
 from cases.output.files import write_text
 from cases.output.page import PLOTS, as_script_data, origin_record, page_record, script_record
 from cases.output.pictures.svg import inline_svg, svg_text
-from cases.output.text import rendered, text_table
+from cases.output.text import html_table, rendered, text_table
 from cases.output.variables import Variables
 from cases.output.words import named
 from cases.scene.scene import Scene
@@ -91,9 +90,8 @@ class Table:
         """Return title, table and remarks for a terminal, see ``text_table``."""
         head, rows = self.unrepeated()
         words = (*self.texts, False).index(False)
-        columns = list(zip(head, *rows, strict=True))
         wrapped = [line for remark in self.remarks for line in wrap(named(remark), width)]
-        return [self.title, "", *text_table(columns, width, max(words, 1)), "", *wrapped, ""]
+        return [self.title, "", *text_table([head, *rows], width, max(words, 1)), "", *wrapped, ""]
 
     def markdown(self) -> list[str]:
         """Return title, rows in aligned columns, and remarks; first cells are not repeated."""
@@ -109,9 +107,7 @@ class Table:
     def html(self) -> str:
         """Return the rows as an HTML table."""
         head, rows = self.cells()
-        lines = [f"<th>{'</th><th>'.join(map(escape, head))}</th>"]
-        lines += [f"<td>{'</td><td>'.join(map(escape, row))}</td>" for row in rows]
-        return f"<table><tr>{'</tr><tr>'.join(lines)}</tr></table>"
+        return html_table([head, *rows])
 
     def variables(self) -> Variables:
         """Return the columns as netCDF variables ``name_column``: numbers, else text."""

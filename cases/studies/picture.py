@@ -172,10 +172,10 @@ def _live_curves(panel: Panel) -> Record:
         own: Record = {
             "curve": "", "name": named(curve.name), "shown": True, "colour": colour, "marks": mark,
             "x": None if shared else curve.x, "notes": curve.notes, "guide": curve.dashed,
-            "y": rounded(y=np.maximum(y, ROUND_OFF) if panel.y_logarithmic else y, error=())["y"],
+            **rounded(y=np.maximum(y, ROUND_OFF) if panel.y_logarithmic else y, error=curve.bar),
         }  # fmt: skip
         if curve.bar is not None:
-            own |= {"error": rounded(error=curve.bar)["error"], "bars": 1}
+            own["bars"] = 1
         if curve.style != "none":
             own["dash"] = "1 3" if curve.style == ":" else ""
         series.append(own)
@@ -199,11 +199,8 @@ def _live_map(fields: Sequence[Field]) -> Record:
     for field in fields:
         given = field.values[np.isfinite(field.values)]
         low, high = field.limits or ((given.min(), given.max()) if given.size else (0.0, 1.0))
-        numbers = rounded(
-            z=field.values.ravel(), error=() if field.errors is None else field.errors.ravel()
-        )
-        if field.errors is None:
-            del numbers["error"]
+        error = None if field.errors is None else field.errors.ravel()
+        numbers = rounded(z=field.values.ravel(), error=error)
         words, colours = zip(*field.categories, strict=True) if field.categories else ((), ())
         one: Record = {"name": field.title, "shown": True, "log": field.logarithmic, **numbers}
         one |= {

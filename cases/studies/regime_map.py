@@ -17,7 +17,7 @@ from cases.scene.scene import Scene
 from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
 from cases.studies.picture import Field, Panel, curves_over, spans_decades
-from cases.studies.sweep.reference import SIMULATION
+from cases.studies.sweep.answering import SIMULATION
 from cases.studies.sweep.result import Sweep
 from cases.studies.sweep.sweep import every_answer
 from fpk.clearance import CLEARANCE_RULE, stop_clearances
@@ -142,7 +142,14 @@ def winner_of(distances: dict[str, tuple[float, float]]) -> str:
 
 def map_page(result: RegimeMap) -> Page:
     """Return what ``fpk regime`` shows and writes: every point, and how often each is nearer."""
-    heads = [a.key + bracketed(a.unit) for a in result.sweep.axes]
+    swept, name = result.sweep, observable_name(result.observable)
+    keys = tuple(axis.dimension for axis in swept.axes)
+
+    def field(key: str, kind: type) -> Any:
+        shape = [axis.values.size for axis in swept.axes]
+        return np.array([getattr(p, key) for p in result.points], dtype=kind).reshape(shape)
+
+    heads = [a.key + bracketed(a.unit) for a in swept.axes]
     rows = [
         {
             **dict(zip(heads, p.values, strict=True)),
@@ -155,17 +162,27 @@ def map_page(result: RegimeMap) -> Page:
         for p in result.points
     ]
     counts = Counter(p.winner for p in result.points)
-    names = [name for name in (*THEORIES, UNDECIDED, NEITHER) if counts[name]]
+    winners = [word for word in (*THEORIES, UNDECIDED, NEITHER) if counts[word]]
     summary = (
-        f"p({observable_name(result.observable)}), {len(result.points)} points"
-        f" ({result.sweep.reused} from disk), nearer to the full system: "
-        + ", ".join(f"{named(name)} {counts[name]}" for name in names)
+        f"p({name}), {len(result.points)} points ({swept.reused} from disk),"
+        " nearer to the full system: "
+        + ", ".join(f"{named(word)} {counts[word]}" for word in winners)
     )
     words = (
         "L1 is the distance of a theory to the full system, rms_ratio the least clearance over the"
         " rms displacement without contact."
     )
-    fields = map_variables(result)
+    distance = f"L1 distance of p({name}) to the full system"
+    moved = "how far chance and the solvers may have moved L1"
+    ratio = "smallest clearance over rms displacement without contact"
+    fields: Variables = {
+        "theory": (("theory",), np.array(THEORIES), {}),
+        **swept.coordinates(),
+        "L1": (("theory", *keys), swept.field("value")[0], {"long_name": distance}),
+        "error": (("theory", *keys), swept.field("error")[0], {"long_name": moved}),
+        "rms_ratio": (keys, field("rms_ratio", float), {"long_name": ratio}),
+        **{key: (keys, field(key, str), {}) for key in ("winner", "reference")},
+    }
     return Page(
         "regime",
         result.scene,
@@ -183,28 +200,6 @@ def map_page(result: RegimeMap) -> Page:
         summary=summary,
         gridded=fields,
     )
-
-
-def map_variables(result: RegimeMap) -> Variables:
-    """Return ``L1`` and ``error`` (theory, parameters); by parameters what else is known."""
-    swept, name = result.sweep, observable_name(result.observable)
-    keys = tuple(axis.dimension for axis in swept.axes)
-
-    def field(key: str, kind: type) -> Any:
-        shape = [axis.values.size for axis in swept.axes]
-        return np.array([getattr(p, key) for p in result.points], dtype=kind).reshape(shape)
-
-    distance = f"L1 distance of p({name}) to the full system"
-    moved = "how far chance and the solvers may have moved L1"
-    ratio = "smallest clearance over rms displacement without contact"
-    return {
-        "theory": (("theory",), np.array(THEORIES), {}),
-        **swept.coordinates(),
-        "L1": (("theory", *keys), swept.field("value")[0], {"long_name": distance}),
-        "error": (("theory", *keys), swept.field("error")[0], {"long_name": moved}),
-        "rms_ratio": (keys, field("rms_ratio", float), {"long_name": ratio}),
-        **{key: (keys, field(key, str), {}) for key in ("winner", "reference")},
-    }
 
 
 def regime_panels(result: RegimeMap, fields: Variables) -> list[Panel] | list[Field]:

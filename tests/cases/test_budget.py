@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from cases.comparison import answering
+from cases.comparison.attempts import LEAST, Budget, budget_of
 from cases.comparison.averaged import AveragedSimulation
-from cases.comparison.budget import LEAST, Budget, budget_of
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.scene.scene import load_scene
 from fpk.errors import InvalidInput, NotCertified
 from fpk.limit import parse_limit

@@ -14,7 +14,7 @@ pytest.importorskip("averaging.nonintegrable")
 pytest.importorskip("sim.montecarlo")
 
 from cases.comparison.routes import all_methods, method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.route import solvers_of
 
@@ -254,7 +254,7 @@ def test_a_path_that_cannot_be_used_is_refused_before_the_work(
         raise AssertionError("worked")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cases.comparison.run.run_scene", worked)
+    monkeypatch.setattr("cases.comparison.stationary.run_scene", worked)
     status, out, err = fpk(*arguments)
     assert (status, out) == (2, "") and err.count("\n") == 1
     assert not list(tmp_path.iterdir())

@@ -9,15 +9,14 @@ import pytest
 from averaging.closed_form import averaged_density
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
-from cases.studies import passage
+from cases.studies import prices
 from cases.studies.cost import CostStudy, candidates, equation_routes, study_cost
 from cases.studies.cost_page import cost_page
 from cases.studies.equations import energy_equation
 from cases.studies.law import FULL, Law, full_routes, solved_routes
 from cases.studies.levels import Level, density_of, errors
 from cases.studies.page import Table, cell
-from cases.studies.passage import passage_routes
-from cases.studies.prices import NotTimed, Priced, crossovers, price_list
+from cases.studies.prices import NotTimed, Priced, crossovers, passage_routes, price_list
 from cases.studies.simulation import full_reference
 from cases.written import duration
 from fpk.density import l1_distance
@@ -315,15 +314,15 @@ def test_the_failure_rate_is_priced_by_every_route_that_solves_it():
 
 def test_a_wrong_failure_rate_is_not_timed(monkeypatch):
     scene = load_scene("cir")
-    right = passage._rate
+    right = prices._rate
 
     def wrong(method, *asked):
         rate = right(method, *asked)
         return replace(rate, value=(1.001 if method.solver == "fem" else 1.0) * rate.value)
 
-    monkeypatch.setattr(passage, "_rate", wrong)
-    own = [route for route in passage.listed_routes() if route.method == "nonintegrable"]
-    monkeypatch.setattr(passage, "listed_routes", lambda: own)
+    monkeypatch.setattr(prices, "_rate", wrong)
+    own = [route for route in prices.listed_routes() if route.method == "nonintegrable"]
+    monkeypatch.setattr(prices, "listed_routes", lambda: own)
     routes = passage_routes(scene.system, scene.passages[0], simulate=False, seed=1)
     (caught,) = (route for route in routes if isinstance(route, NotTimed) and route.wrong)
     # Which of both is wrong nobody knows: the one is caught that states the larger error.

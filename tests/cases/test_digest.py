@@ -1,7 +1,7 @@
 """Averaging rows once for each pair of theories, refusals with the same reason joined."""
 
+from cases.comparison.attempts import Refusal
 from cases.comparison.compare import Comparison
-from cases.comparison.refusal import Refusal
 from cases.comparison.routes import register_routes
 from cases.output.digest import comparison_rows, refusal_record
 from cases.output.text import refusals_of

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from cases.comparison.routes import all_methods, method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.fields import write_netcdf
 from cases.output.report import write_report

@@ -11,7 +11,7 @@ from functools import partial
 import pytest
 
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.fields import write_csv, write_netcdf
 from cases.output.files import LOCK, make_folder, output_folder, write_by, write_text
@@ -179,7 +179,7 @@ def test_a_folder_is_written_by_one_command_at_a_time(command, fpk, tmp_path, mo
     def worked(*_, **__):
         raise AssertionError("worked")
 
-    monkeypatch.setattr("cases.comparison.run.run_scene", worked)
+    monkeypatch.setattr("cases.comparison.stationary.run_scene", worked)
     monkeypatch.setattr("cases.studies.sweep.sweep.every_answer", worked)
     with output_folder(tmp_path):
         status, out, err = fpk(*command, "--out", tmp_path)

@@ -9,7 +9,7 @@ import xarray as xr
 
 from cases.commands.parts import with_plain_keys
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.fields import write_netcdf
 from cases.scene.scene import load_scene

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scenes_drawn import mutated_scenes, valid_scenes
 
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.facts import show_record
 from cases.output.text import rendered
 from cases.scene.errors import LONGEST, BadInput

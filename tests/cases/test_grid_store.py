@@ -8,8 +8,7 @@ import pytest
 
 from cases.output.claim import claimed
 from cases.scene.errors import BadInput
-from cases.studies.sweep.result import SweepPoint, Value
-from cases.studies.sweep.store import NAME, PointStore
+from cases.studies.sweep.result import NAME, PointStore, SweepPoint, Value
 
 POINTS = [
     SweepPoint(

@@ -7,7 +7,7 @@ import pytest
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.method import UNASKED_TOL, UNASKED_WORK, PhaseSpace
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.facts import theories
 from cases.scene.scene import load_scene

@@ -4,7 +4,7 @@ from math import inf, nan
 
 import pytest
 
-from cases.comparison.loosened import LOOSEST, loosened
+from cases.comparison.attempts import LOOSEST, loosened
 from fpk.certificate import Measured, certify
 
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 import fpk as face
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.live import live_record
 from cases.output.pictures.style import COLOURS, DARK

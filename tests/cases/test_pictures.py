@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.pictures.svg import svg_text
 from cases.output.report import figures
 from cases.scene.scene import load_scene

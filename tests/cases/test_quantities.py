@@ -15,7 +15,7 @@ from scipy.integrate import quad
 import fpk as face
 from cases.comparison.answers import Answers
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.text import quantity_tables
 from cases.scene.scene import load_scene

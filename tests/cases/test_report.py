@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from cases.commands.parts import command_line
 from cases.comparison.rare import SPLITTING
 from cases.comparison.routes import method_for, register_routes
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.live import MARKS
 from cases.output.page import TEMPLATES
@@ -423,7 +423,7 @@ def test_the_policy_allows_the_style_of_the_page_alone(outcome):
 @pytest.fixture(scope="module")
 def outcome(scene_text, tmp_path_factory):
     from cases.comparison.routes import method_for  # noqa: PLC0415
-    from cases.comparison.run import run_scene  # noqa: PLC0415
+    from cases.comparison.stationary import run_scene  # noqa: PLC0415
     from cases.scene.scene import load_scene  # noqa: PLC0415
 
     path = tmp_path_factory.mktemp("scene") / "any.toml"

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.live import live_record
 from cases.output.page import PageStyle

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
-from cases.comparison.stationary import answers_of
+from cases.comparison.stationary import answers_of, run_scene
 from cases.output.digest import digest_of
 from cases.output.live import live_record
 from cases.output.page import TEMPLATES, as_script_data

@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.report import write_report
 from cases.scene.scene import load_scene

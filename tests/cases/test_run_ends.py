@@ -9,7 +9,7 @@ import pytest
 
 from averaging.nonintegrable import NonIntegrable
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.text import rendered
 from cases.scene.scene import load_scene

@@ -9,12 +9,12 @@ import h5netcdf
 import numpy as np
 import pytest
 
-from cases.comparison import answering, time_distances
+from cases.comparison import answering, in_time
 from cases.comparison.answering import replies_of
 from cases.comparison.claims import time_findings
 from cases.comparison.in_time import Given, Replies
 from cases.comparison.routes import method_for, register_routes
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of, verify_row
 from cases.output.fields import write_netcdf
 from cases.output.report import write_report
@@ -105,8 +105,8 @@ def test_a_right_simulation_is_rarely_called_wrong(expected):
         S = count / paths
         errors = np.maximum(np.sqrt(S * (1.0 - S) / paths), 1.0 / paths)
         pair = exact, survival_answer(S, errors, "sampling")
-        (row,) = time_distances._worst(
-            "{}", exact.times, time_distances._survivals(*pair), (False, True), "absolute", True
+        (row,) = in_time._worst(
+            "{}", exact.times, in_time._survivals(*pair), (False, True), "absolute", True
         )
         wrong += row[2] > row[4]
     # Of 4000 draws at FALSE_ALARMS 0.004 are expected; 2 or more have a chance below 1e-5.
@@ -121,7 +121,7 @@ def test_a_start_that_all_survive_leaves_the_bands_of_later_times_as_they_are():
         c for c in compared(PASSAGE, (FEM, exact), (SIMULATED, seen)) if "P(T" in c.observable
     ]
     assert row.holds
-    (_, _), (_, errors) = time_distances._survivals(exact, seen)
+    (_, _), (_, errors) = in_time._survivals(exact, seen)
     assert errors == pytest.approx([0.0, 1e-4], rel=1e-3)
 
 

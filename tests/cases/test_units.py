@@ -11,8 +11,8 @@ import pytest
 from scipy.linalg import eigh
 
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
-from cases.output.motion import modes_record, rms_record
+from cases.comparison.stationary import run_scene
+from cases.output.facts import modes_record, rms_record
 from cases.output.pictures.style import density_words, in_units, time_words, words_of
 from cases.output.report import figures
 from cases.scene.numbers import place_of

@@ -9,7 +9,7 @@ import pytest
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from cases.comparison.routes import method_for
-from cases.comparison.run import run_scene
+from cases.comparison.stationary import run_scene
 from cases.output.vtk import CUT, SUBDIVISION, field_of, write_vtu
 from cases.scene.scene import load_scene
 from fpk.certificate import Certificate

@@ -17,8 +17,8 @@ from hard_plain import plain_elements
 
 from averaging.energy_process import energy_process
 from averaging.integrable import Integrable
+from cases.scene.numbers import Curve
 from cases.scene.scene import Scene, load_scene, shipped_scenes
-from cases.scene.vary import Curve
 from fpk.density import Density, l1_distance
 from fpk.observable import observable_name, parse_observable
 from fpk.system import System

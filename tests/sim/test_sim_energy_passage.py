@@ -9,7 +9,6 @@ from sim_systems import fig6, linear
 from test_sim_passage import CIR_MEAN, CIR_RATE, oscillator
 
 from cases.comparison.averaged import AveragedSimulation
-from cases.comparison.averaged_passage import limits_of
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Passages
 from fpk.limit import parse_limit
@@ -67,7 +66,7 @@ def failed_by(dt: float, until: float, *, bridge: bool) -> float:
     By the product of the chances that no bridge passed: no random number is in that.
     """
     form = square_root_form(AveragedSimulation("integrable")._process(oscillator(1.0, 1.0)))
-    limits = limits_of("integrable", form, parse_limit("H1=1.5", 1))
+    limits = AveragedSimulation("integrable").limits(form, parse_limit("H1=1.5", 1))
     stream = np.random.default_rng(4)
     X = np.full((65536, 1), 1.2)
     survived, before = np.ones(len(X)), distances(limits, form, X)

@@ -12,12 +12,8 @@ from averaging.phase_space.passage.states import Region, Source, region_of, sour
 from fpk.arrays import Array
 from fpk.certificate import tolerance
 from fpk.errors import NotCertified
-from fpk.evolution import Passage, certified_passage, checked_times
-from fpk.limit import Limit
-from fpk.method import Progress
+from fpk.evolution import Passage, PassageAsked, certified_passage, checked_times
 from fpk.number import Number
-from fpk.start import Start
-from fpk.system import System
 
 TOL, GLANCING_TOL = 1e-6, 1e-5
 """Error wanted where none is asked for: of an energy; of a displacement, which takes ten times as
@@ -59,27 +55,19 @@ class Level(NamedTuple):
     degree: int
 
 
-def first_passage(
-    system: System,
-    limit: Limit,
-    start: Start,
-    times: Array,
-    *,
-    tol: float | None,
-    progress: Progress,
-) -> Passage:
-    """Return the first passage of ``limit`` from ``start``, with the reliability at ``times``.
+def first_passage(asked: PassageAsked) -> Passage:
+    """Return the first passage that is asked for, with the reliability at its times.
 
-    Levels of meshes rise until two agree to ``tol`` (None: the default), relative to mean, variance
-    and rate, absolute in the reliability; the answer is that of the finer one. Raises as the
-    protocol ``Passages`` says, and ``NotCertified`` for a limit that is beyond what double
-    precision reaches.
+    Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,
+    absolute in the reliability; the answer is that of the finer one. Raises as the module
+    ``fpk.evolution`` says, and ``NotCertified`` for a limit that is beyond what double precision
+    reaches.
     """
-    checked_times(times)
-    oscillator = oscillator_of(system)
-    region = region_of(system, oscillator, limit)
-    source = source_of(system, region, start)
-    tol = tolerance(tol, TOL if region.of_energy else GLANCING_TOL)
+    times = checked_times(asked.times)
+    oscillator = oscillator_of(asked.system)
+    region = region_of(asked.system, oscillator, asked.limit)
+    source = source_of(asked.system, region, asked.start)
+    tol = tolerance(asked.tol, TOL if region.of_energy else GLANCING_TOL)
     for what, height in (("limit", region.height), ("energy of the start", source.height)):
         if (fall := oscillator.inverse_temperature * height) > HIGHEST:
             words = f"up to it the density falls by exp(−{fall:.0f})"
@@ -96,7 +84,7 @@ def first_passage(
             if later.certificate.certified:
                 return later
         previous = solved
-        progress(level + 1, LEVELS, "first passage")
+        asked.progress(level + 1, LEVELS, "first passage")
     if answer is None:
         raise NotCertified("the motion is too finely structured: light noise, or stiff stops")
     return answer

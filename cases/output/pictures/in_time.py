@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cases.comparison.answers import Answers
-from cases.comparison.in_time import Replies
-from cases.comparison.time_distances import failure_of
+from cases.comparison.in_time import Replies, failure_of
 from cases.output.pictures.lines import HEIGHT, LINES, MARK
 from cases.output.pictures.style import (
     COLOURS,

@@ -12,9 +12,8 @@ from math import nan, prod
 import numpy as np
 
 from cases.scene.errors import BadInput, toml_value
-from cases.scene.numbers import place_of, with_numbers
+from cases.scene.numbers import VARIED, place_of, with_numbers
 from cases.scene.units import NO_UNITS, Units, bracketed
-from cases.scene.vary import VARIED
 from fpk.arrays import Array
 from fpk.errors import InvalidInput
 from fpk.system import System

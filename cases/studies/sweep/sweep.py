@@ -10,19 +10,17 @@ from time import perf_counter
 
 import numpy as np
 
-from cases.comparison.doubt import averaging_notes
+from cases.comparison.compare import averaging_notes
 from cases.comparison.quantity import AVERAGING, RELAXATION, parse_definition
-from cases.comparison.routes import methods_of
+from cases.comparison.routes import method_for, methods_of
 from cases.output.claim import claimed
 from cases.scene.errors import BadInput
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import Scene
 from cases.scene.units import NO_UNITS
-from cases.studies.sweep.answering import sweep_point
-from cases.studies.sweep.grid import Axis, parse_axes, place_words
-from cases.studies.sweep.reference import SIMULATION, solver_of
-from cases.studies.sweep.result import Sweep, SweepPoint
-from cases.studies.sweep.store import PointStore
+from cases.studies.sweep.answering import REFERENCE_TOL, SIMULATION, sweep_point
+from cases.studies.sweep.grid import parse_axes, place_words
+from cases.studies.sweep.result import PointStore, Sweep, SweepPoint
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import Method, Progress, silent
@@ -103,11 +101,16 @@ def every_answer(
         raise InvalidInput("system", system, 'must be a System or a scene, as fpk.load("fig6a")')
     name, units = (system.name, system.units) if isinstance(system, Scene) else ("", NO_UNITS)
     system = system.system if isinstance(system, Scene) else system
-    axes = parse_axes(_texts(vary), system, units)
+    texts = [
+        f"{path}={grid if isinstance(grid, str) else ','.join(map(str, np.ravel(grid).tolist()))}"
+        for path, grid in (vary.items() if isinstance(vary, Mapping) else ())
+    ]
+    axes = parse_axes(texts if isinstance(vary, Mapping) else list(vary), system, units)
     wanted = {str(q): q for q in (parse_definition(text, system) for text in quantities)}
     methods = tuple(dict.fromkeys(methods)) or METHODS
     asked = tuple((method, _candidates(method, tol, simulation)) for method in methods)
-    solver = solver_of(reference)
+    simulated = reference == SIMULATION.route.method
+    solver = None if simulated else method_for(reference, tol=REFERENCE_TOL)
     about = {
         "system": system,
         "keys": [axis.key for axis in axes],
@@ -119,11 +122,15 @@ def every_answer(
     }
     timed = simulation.seconds is not None or simulation.tol is not None
     identity = {} if folder is None else canonical(about, () if timed else ANYWHERE)
-    tasks: dict[tuple[float, ...], Callable[[MonteCarlo], SweepPoint]] = {
-        values: partial(sweep_point, own, values, tuple(wanted.values()), asked, solver)
-        for values, own in _systems(system, axes).items()
-    }
-    sampled = any(m.route.sampled for _, own in asked for m in own)
+    tasks: dict[tuple[float, ...], Callable[[MonteCarlo], SweepPoint]] = {}
+    for values in product(*(axis.values.tolist() for axis in axes)):  # the last axis fastest
+        numbers = dict(zip((axis.key for axis in axes), values, strict=True))
+        try:
+            own = with_numbers(system, numbers)
+        except InvalidInput as error:
+            raise BadInput(f"--vary: at {place_words(axes, values)}: {error}") from None
+        tasks[values] = partial(sweep_point, own, values, tuple(wanted.values()), asked, solver)
+    sampled = any(m.route.sampled for _, each in asked for m in each)
     against_samples = solver is None and any(q.kind == AVERAGING for q in wanted.values())
     with claimed(folder, identity):
         store = PointStore(folder, identity)
@@ -134,7 +141,7 @@ def every_answer(
             store.add(point)
             progress(done, len(todo), "points of the grid")
     points, reused = tuple(store.points[values] for values in tasks), len(tasks) - len(todo)
-    own = tuple(units.number(q.kind, observable_name(q.observable)) for q in wanted.values())
+    of = tuple(units.number(q.kind, observable_name(q.observable)) for q in wanted.values())
     seconds = perf_counter() - start
     given = {(a.quantity, a.method) for p in points for a in p.answers if a.value is not None}
     notes = averaging_notes(system, [
@@ -142,19 +149,7 @@ def every_answer(
          q.limit is not None or q.kind == RELAXATION)
         for text, q in wanted.items() if q.kind != AVERAGING
     ])  # fmt: skip
-    return Sweep(name, axes, tuple(wanted), methods, points, reused, seconds, own, notes)
-
-
-def _systems(system: System, axes: Sequence[Axis]) -> dict[tuple[float, ...], System]:
-    """The system at every point of the grid, the last axis fastest."""
-    systems = {}
-    for values in product(*(axis.values.tolist() for axis in axes)):
-        numbers = dict(zip((axis.key for axis in axes), values, strict=True))
-        try:
-            systems[values] = with_numbers(system, numbers)
-        except InvalidInput as error:
-            raise BadInput(f"--vary: at {place_words(axes, values)}: {error}") from None
-    return systems
+    return Sweep(name, axes, tuple(wanted), methods, points, reused, seconds, of, notes)
 
 
 def _finished(
@@ -177,15 +172,6 @@ def _finished(
             pool.shutdown(wait=False, cancel_futures=True)
     else:
         yield from (point(method) for point in todo)
-
-
-def _texts(vary: Mapping[str, str | Sequence[float]] | Sequence[str]) -> list[str]:
-    if not isinstance(vary, Mapping):
-        return list(vary)
-    return [
-        f"{path}={grid if isinstance(grid, str) else ','.join(map(str, np.ravel(grid).tolist()))}"
-        for path, grid in vary.items()
-    ]
 
 
 def _candidates(name: str, tol: float | None, simulation: MonteCarlo) -> tuple[Method, ...]:

@@ -1,13 +1,12 @@
 """A sweep as a page: its table, and curves over one axis or heat pictures over two."""
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from cases.output.words import named, stationary_note
 from cases.scene.scene import Scene
 from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
-from cases.studies.picture import Field, Panel, curves_over, spans_decades, study_figure
+from cases.studies.picture import Field, Panel, curves_over, spans_decades
 from cases.studies.sweep.result import Sweep
 from fpk.arrays import Array
 
@@ -30,11 +29,6 @@ def sweep_table(result: Sweep, remarks: tuple[str, ...] = ()) -> Table:
         for a in p.answers
     ]
     return Table("points", "Values", rows, remarks, parameters=len(heads))
-
-
-def sweep_figure(result: Sweep) -> Figure:
-    """Return the picture of a sweep alone."""
-    return study_figure(sweep_panels(result))
 
 
 def sweep_page(result: Sweep, scene: Scene) -> Page:
