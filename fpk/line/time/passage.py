@@ -242,10 +242,10 @@ def fem_passage(
     off = 0.0 if source.process is None else solved.round_off
 
     def over(f: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
-        (values, errors), (finer, _) = f(x), f(y)
-        mean = values @ weights
-        distance = SAFETY * np.abs(mean - finer @ better) + off * np.abs(mean)
-        return mean, errors @ weights + distance
+        values, errors = f(np.append(x, y))
+        mean, finer = values[..., : x.size] @ weights, values[..., x.size :] @ better
+        distance = SAFETY * np.abs(mean - finer) + off * np.abs(mean)
+        return mean, errors[..., : x.size] @ weights + distance
 
     mean, mean_error = map(float, over(solved.mean))
     share = mean / unit
