@@ -15,9 +15,9 @@ from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
-from fpk.line.time.evolution import fem_passage
 from fpk.line.time.modulated import modulated_transient, modulated_transition
 from fpk.line.time.modulated_passage import modulated_passage
+from fpk.line.time.passage import fem_passage
 from fpk.line.time.propagation import Source
 from fpk.line.time.spectrum import spectrum
 from fpk.line.time.transition import transition

@@ -9,8 +9,7 @@ from square_root_exact import failure, moments
 from averaging.energy_process import energy_process
 from fpk.contact import Contact
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.line.time.evolution import fem_passage
-from fpk.line.time.passage import first_passage
+from fpk.line.time.passage import fem_passage, first_passage
 from fpk.line.time.propagation import Source
 from fpk.quadrature import panel_rule
 from fpk.square_root import SquareRoot

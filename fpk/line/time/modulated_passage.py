@@ -9,9 +9,8 @@ from fpk.arrays import EPS, SMALLEST, Array
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, certified_passage
 from fpk.line.time.elements import Elements
-from fpk.line.time.evolution import fem_passage
 from fpk.line.time.modulated import LEVELS, begins, halved, settings_of
-from fpk.line.time.passage import FirstPassage, first_passage
+from fpk.line.time.passage import FirstPassage, fem_passage, first_passage
 from fpk.line.time.propagation import Solution, Source
 from fpk.line.time.stepping import stepped
 from fpk.line.time.transition import ROUND_OFF, SAFETY, adapted, posed

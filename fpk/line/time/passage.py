@@ -1,17 +1,20 @@
 """First passage of one energy through a limit: moments, failure rate and probability of failure."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from fpk.arrays import EPS, SMALLEST, Array, Flags
 from fpk.errors import InvalidInput
-from fpk.evolution import BEYOND_RANGE
+from fpk.evolution import BEYOND_RANGE, STARTS, Passage, StartCurve, certified_passage
 from fpk.line.time.elements import ENRICHMENT, MOST_ROUNDS, Elements, cut, degree_for, meshed
-from fpk.line.time.mesh import NONE, layer_at, time_nodes
+from fpk.line.time.mesh import HIGHEST, NONE, layer_at, time_nodes
+from fpk.line.time.propagation import Source
 from fpk.line.time.resolvent import evolved, moment
+from fpk.number import Number
 from fpk.probe import probed
 from fpk.process import Process
 
@@ -219,3 +222,77 @@ def _marked(solved: FirstPassage, times: Array, wanted: float) -> Flags:
         distance = np.abs(p - better)
         marked |= (distance.max(axis=0) > wanted).reshape(a.count, -1).any(axis=1)
     return np.asarray(marked)
+
+
+def fem_passage(
+    process: Process, limit: float, source: Source, times: Array, *, tol: float
+) -> Passage:
+    """Return the first passage of the energy through ``limit`` from ``source`` below it.
+
+    Of a density that begins beyond the limit in part, that part has failed at the time 0. Raises
+    ``InvalidInput`` where the mean time is beyond double precision.
+    """
+    nodes = source.nodes(limit, HIGHEST)
+    solved = first_passage(process, limit, times=times, tol=tol, nodes=nodes)
+    e = solved.answer.elements
+    # The means over the source by the points of the elements, and by those of the enriched ones.
+    x, weights = source.samples(e)
+    y, better = source.samples(solved.enriched.elements)
+    unit, beyond = solved.longest, float(1.0 - weights.sum())
+    off = 0.0 if source.process is None else solved.round_off
+
+    def over(f: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
+        values, errors = f(np.append(x, y))
+        mean, finer = values[..., : x.size] @ weights, values[..., x.size :] @ better
+        distance = SAFETY * np.abs(mean - finer) + off * np.abs(mean)
+        return mean, errors[..., : x.size] @ weights + distance
+
+    mean, mean_error = map(float, over(solved.mean))
+    share = mean / unit
+
+    def spread(x: Array) -> tuple[Array, Array]:
+        """(E T − mean)² − mean² of a start in units of the square of the longest mean time."""
+        T, T_error = (a / unit for a in solved.mean(x))
+        return T * (T - 2.0 * share), 2.0 * np.abs(T - share) * T_error
+
+    (V, V_error), (W, W_error) = over(solved.variance), over(spread)
+    starts = np.linspace(0.0, limit, STARTS)
+    with np.errstate(over="ignore"):
+        variance, variance_error, *variances = (
+            a * unit * unit
+            for a in (V + (W + share**2), V_error + W_error, *solved.variance(starts))
+        )
+    rate, rate_error = solved.rate()
+    # Forward and backward equation are compared at the mean time where no other is asked for.
+    compared = times if times.size else np.array([mean])
+    failure, failure_error = over(partial(solved.failure, compared))
+    failure = failure + beyond
+    failure_error = failure_error + SAFETY * np.abs(weights.sum() - better.sum()) + off
+    kept, residual = _forward(e, source, compared)
+    settings: dict[str, str | float | int] = {
+        "degree": e.degree, "elements": e.count, "tol": tol
+    }  # fmt: skip
+    if source.process is not None:
+        settings["beyond the limit at the start"] = float(beyond)
+    numbers = Number(mean, mean_error), Number(float(variance), float(variance_error))
+    return certified_passage(
+        (*numbers, Number(rate, rate_error)),
+        times,
+        failure[: times.size],
+        failure_error[: times.size],
+        tol=tol,
+        mass_defect=float(np.abs(kept + failure - 1.0).max()),
+        residual=residual,
+        starts=StartCurve(starts, *solved.mean(starts), *variances),
+        settings=settings,
+    )
+
+
+def _forward(e: Elements, source: Source, times: Array) -> tuple[Array, float]:
+    """Return ∫p at ``times`` where the limit absorbs, by the forward equation, and its residual."""
+    later = times > 0.0
+    load = source.load(e)
+    g = evolved(e, load, times[later], held=0.0)
+    mass = np.full(times.size, load[:, :2].sum())
+    mass[later] = np.einsum("tei,ei->t", g.values, e.load)
+    return mass, g.residual

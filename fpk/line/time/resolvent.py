@@ -27,7 +27,6 @@ class Admittances(NamedTuple):
     flows off at each of its ends; ``damped`` is 1 + zν of its own functions.
     """
 
-    z: Numbers
     series: Numbers
     shunt: Numbers
     damped: Numbers
@@ -41,7 +40,7 @@ def admittances(e: Elements, z: Numbers) -> Admittances:
     sums = np.einsum("aev,evz->aez", pairs, 1.0 / damped)
     series = e.conductance[:, None] - z * (e.mass[:, 0, 1, None] - z * sums[0])
     shunt = z * (e.load[:, :2, None] - z * np.moveaxis(sums[1:], 0, 1))
-    return Admittances(z, series, shunt, damped)
+    return Admittances(series, shunt, damped)
 
 
 class Eliminated(NamedTuple):
@@ -78,7 +77,8 @@ def resolvent(
     ``end`` (points,) is f at the right end of the last element; None: no flux leaves there. A
     ``density`` is f = p/π of the unit 1/e^``log_scale`` in each element, its load (elements,
     functions) physical; otherwise f has one unit, and the load is ∫π f_i … in the units of the
-    elements. Returned, too, is what is left of the equations at the nodes, relative to their terms.
+    elements. Of a density is returned, too, what is left of the equations at the nodes, relative to
+    their terms.
     """
     y = admittances(e, z)
     s, coupling = eliminated(e, y), e.mass[:, 2:, :2]
@@ -98,10 +98,12 @@ def resolvent(
         high[k - 1] = low[k] * down[k - 1]
     low[0] = high[0]
     f[:, 2:] = inner - z * np.einsum("eva,eaz->evz", coupling, f[:, :2]) / y.damped
+    if not density:
+        return f, 0.0
     flux = y.series * high, y.series * low
     right = np.array([flux[0], -flux[1], y.shunt[:, 1] * high, -source[:, 1]])[:, :-1]
     left = np.array([flux[1], -flux[0], y.shunt[:, 0] * low, -source[:, 0]])[:, 1:]
-    terms = np.concatenate([right * up[:, None], left])
+    terms = np.concatenate([right, left])
     size = np.maximum(np.abs(terms).sum(axis=0), UNDERFLOW)
     return f, float((np.abs(terms.sum(axis=0)) / size).max())
 
