@@ -113,8 +113,8 @@ def damped(
     degrees: Degrees,
     C: Array,
     groups: Sequence[Sequence[Group]],
-) -> Iterator[tuple[int, int, Term]]:
-    """Yield −Σ_ij C⁻¹_ji a_j⁺ f_i as terms of the equations: to which level, of which, and what."""
+) -> Iterator[Term]:
+    """Yield −Σ_ij C⁻¹_ji a_j⁺ f_i as terms of the equations."""
     beyond, d = reach(frame) + 1, 2 * frame.n - 1
     space = Space.to(degrees.total + beyond, degrees.others + beyond, d)
     inverse: Array = np.asarray(np.linalg.inv(C), dtype=float)

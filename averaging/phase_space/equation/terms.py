@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ Entries = tuple[NDArray[np.int32], NDArray[np.int32], Array]
 class Group:
     """Unknowns of a level with one degree in the others: ``count`` of k times ``functions`` of y.
 
-    ``start`` is the first of them among those of the stage of the elimination (``Chain``).
+    ``start`` is the first of them among all unknowns (``Chain``).
     """
 
     start: int
@@ -32,7 +31,7 @@ class Group:
 
     @property
     def span(self) -> slice:
-        """Where they stand among the unknowns of the stage."""
+        """Where they stand among all unknowns."""
         return slice(self.start, self.start + self.size)
 
 
@@ -50,8 +49,8 @@ class Term:
     degrees: Array
     functions: Array | None = None
 
-    def entries(self) -> Iterator[Entries]:
-        """Yield rows, columns and values of entries of the term that are not 0."""
+    def entries(self) -> Entries:
+        """Return rows, columns and values of the entries of the term that are not 0."""
         to, of, degrees = self.to, self.of, self.degrees
         if self.functions is None:
             first = second = np.arange(min(to.functions, of.functions))[:, None]
@@ -65,41 +64,7 @@ class Term:
         row[:] = (to.start + to.functions * i)[:, None, None] + first
         column[:] = (of.start + of.functions * j)[:, None, None] + second
         values = degrees[i, j][:, None, None] * block
-        yield row.ravel(), column.ravel(), values.ravel()
-
-    def add_block_to(self, D: Array) -> None:
-        """Add the block itself to a matrix (equations, unknowns) of the two groups."""
-        to, of, degrees = self.to, self.of, self.degrees
-        whole = D.reshape(to.count, to.functions, of.count, of.functions)
-        if self.functions is None:
-            each = np.arange(min(to.functions, of.functions))
-            whole[:, each, :, each] += degrees
-        else:
-            whole += degrees[:, None, :, None] * self.functions[:, None]
-
-
-@dataclass(frozen=True, eq=False)
-class Sum:
-    """A block of many terms between all unknowns of two stages.
-
-    Its matrix is made to use it and not kept, as those of all blocks would fill the memory.
-    """
-
-    to: Group
-    of: Group
-    terms: Sequence[Term]
-
-    def entries(self) -> Iterator[Entries]:
-        """Yield rows, columns and values of entries of the terms."""
-        for term in self.terms:
-            yield from term.entries()
-
-    def add_block_to(self, D: Array) -> None:
-        """Add the sum itself to a matrix (equations, unknowns)."""
-        add_matrix(D, self.terms)
-
-
-Terms = Sequence[Term | Sum]
+        return row.ravel(), column.ravel(), values.ravel()
 
 
 Between = Sequence[Sequence[Array | None]]
@@ -111,8 +76,8 @@ SAME: Between = ((None, None), (None, None))
 
 def terms_of(
     A: Matrix, functions: Between, space: Space, groups: Sequence[Sequence[Group]]
-) -> Iterator[tuple[int, int, Term]]:
-    """Yield a matrix on the degrees of ``space`` as terms: to which level, of which, and what.
+) -> Iterator[Term]:
+    """Yield a matrix on the degrees of ``space`` as terms between groups.
 
     ``groups`` are those of each level; degrees of the space that are in none are left out.
     """
@@ -135,38 +100,4 @@ def terms_of(
         D[row[to[at]], row[of[at]]] = entry[at]
         F = functions[level[first] % 2][level[second] % 2]
         F = F if F is None else F[: t.functions, : o.functions]
-        yield int(level[first]), int(level[second]), Term(t, o, D, F)
-
-
-def applied(terms: Terms, X: Array, size: int) -> Array:
-    """Return the matrix (``size``, unknowns) of terms times X (unknowns, columns)."""
-    out = np.zeros((size, X.shape[1]), X.dtype)
-    for to, of, D in _dense(terms, X.dtype):
-        out[to.span] += D @ X[of.span]
-    return out
-
-
-def applied_from_right(X: Array, terms: Terms, size: int) -> Array:
-    """Return X (rows, equations) times the matrix (equations, ``size``) of terms."""
-    out = np.zeros((X.shape[0], size), X.dtype)
-    for to, of, D in _dense(terms, X.dtype):
-        out[:, of.span] += X[:, to.span] @ D
-    return out
-
-
-def _dense(terms: Terms, kind: np.dtype) -> Iterator[tuple[Group, Group, Array]]:
-    """Yield groups and the sum of all terms between them that follow each other, as a matrix.
-
-    Dense linear algebra is faster than small products, and the matrix of one pair of groups small.
-    """
-    for (to, of), same in groupby(terms, lambda term: (term.to, term.of)):
-        D = np.zeros((to.size, of.size), kind)
-        for term in same:
-            term.add_block_to(D)
-        yield to, of, D
-
-
-def add_matrix(A: Array, terms: Terms) -> None:
-    """Add terms to a matrix (equations, unknowns)."""
-    for term in terms:
-        term.add_block_to(A[term.to.span, term.of.span])
+        yield Term(t, o, D, F)
