@@ -29,7 +29,7 @@ from averaging.phase_space.equation.damping import damped, stages_to
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference, linear_part
 from averaging.phase_space.equation.others import Matrix, Others, Space, combined, others_to
-from averaging.phase_space.equation.terms import SAME, Between, Group, Term, terms_of
+from averaging.phase_space.equation.terms import SAME, Between, Group, block, blocks_of
 from fpk.arrays import Array
 
 
@@ -60,10 +60,10 @@ def chain_of(
         A @ (combined(down, f) + combined(up, g)) for A, f, g in zip(up, drift, pair, strict=True)
     ]
     blocks = [
-        terms_of(combined(constant, np.ones(len(up))), SAME, space, groups),
-        terms_of(down[0], adjoint, space, groups),
+        blocks_of(combined(constant, np.ones(len(up))), SAME, space, groups),
+        blocks_of(down[0], adjoint, space, groups),
         *(
-            terms_of(A, F, space, groups)
+            blocks_of(A, F, space, groups)
             for A, F in zip(up, forces, strict=True)
             if np.any(F[0][1])
         ),
@@ -79,10 +79,11 @@ def chain_of(
             E = np.asarray(adjoint[n % 2][1 - n % 2])[: group.functions, present:wanted]
             if E.size and (closed or not present):
                 U, s, _ = np.linalg.svd(E, full_matrices=False)
-                root = -np.sqrt(n - m + 1.0) * np.eye(group.count)
-                closing.append(Term(group, group, root, (U * s) @ U.T))
-    entries = zip(*map(Term.entries, chain(*blocks, closing)), strict=True)
-    row, column, values = map(np.concatenate, entries)
+                k = np.arange(group.count)
+                root = k, k, np.full(k.size, -np.sqrt(n - m + 1.0))
+                closing.append(block(group, group, root, (U * s) @ U.T))
+    parts = zip(*chain(*blocks, closing), strict=True)
+    row, column, values = (np.concatenate(part) for part in parts)
     size = int(ends_of(stages, groups)[-1])
     matrix = Matrix((values, (row, column)), shape=(size, size))
     return Chain(C, others, stages, groups, matrix)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from averaging.phase_space.equation.others import Matrix, Space
 from fpk.arrays import Array
 
-Entries = tuple[NDArray[np.int32], NDArray[np.int32], Array]
+Entries = tuple[NDArray[np.integer], NDArray[np.integer], Array]
 """Rows, columns and values of entries of a matrix."""
 
 
@@ -25,46 +25,28 @@ class Group:
     functions: int
 
     @property
-    def size(self) -> int:
-        """How many they are."""
-        return self.count * self.functions
-
-    @property
     def span(self) -> slice:
         """Where they stand among all unknowns."""
-        return slice(self.start, self.start + self.size)
+        return slice(self.start, self.start + self.count * self.functions)
 
 
-@dataclass(frozen=True, eq=False)
-class Term:
-    """A block of the matrix of the equations, from unknowns of one group to equations of another.
+def block(to: Group, of: Group, degrees: Entries, functions: Array | None) -> Entries:
+    """Return the entries of a block of the matrix, from unknowns of ``of`` to equations of ``to``.
 
-    The groups are ``of`` and ``to``; the block is a Kronecker product. ``degrees`` (count, count)
-    acts on k, ``functions`` on functions of y, (functions, functions) or None for those that both
-    groups have, unchanged.
+    It is a Kronecker product: ``degrees`` (count, count) acts on k, ``functions`` on functions of
+    y, (functions, functions) or None for those that both groups have, unchanged.
     """
-
-    to: Group
-    of: Group
-    degrees: Array
-    functions: Array | None = None
-
-    def entries(self) -> Entries:
-        """Return rows, columns and values of the entries of the term that are not 0."""
-        to, of, degrees = self.to, self.of, self.degrees
-        if self.functions is None:
-            first = second = np.arange(min(to.functions, of.functions))[:, None]
-            block = np.ones((len(first), 1))
-        else:
-            first, second = np.ix_(*map(np.arange, self.functions.shape))
-            block = self.functions
-        i, j = np.nonzero(degrees)
-        shape = (i.size, *block.shape)
-        row, column = (np.empty(shape, dtype=np.int32) for _ in range(2))
-        row[:] = (to.start + to.functions * i)[:, None, None] + first
-        column[:] = (of.start + of.functions * j)[:, None, None] + second
-        values = degrees[i, j][:, None, None] * block
-        return row.ravel(), column.ravel(), values.ravel()
+    if functions is None:
+        first = second = np.arange(min(to.functions, of.functions))[:, None]
+        functions = np.ones((len(first), 1))
+    else:
+        first, second = np.ix_(*map(np.arange, functions.shape))
+    i, j, factor = (x[:, None, None] for x in degrees)
+    values = factor * functions
+    row, column = (np.empty(values.shape, dtype=np.int32) for _ in range(2))
+    row[:] = to.start + to.functions * i + first
+    column[:] = of.start + of.functions * j + second
+    return row.ravel(), column.ravel(), values.ravel()
 
 
 Between = Sequence[Sequence[Array | None]]
@@ -74,10 +56,10 @@ None where functions that both levels have stay as they are."""
 SAME: Between = ((None, None), (None, None))
 
 
-def terms_of(
+def blocks_of(
     A: Matrix, functions: Between, space: Space, groups: Sequence[Sequence[Group]]
-) -> Iterator[Term]:
-    """Yield a matrix on the degrees of ``space`` as terms between groups.
+) -> Iterator[Entries]:
+    """Yield the entries of a matrix on the degrees of ``space``, of one pair of groups at a time.
 
     ``groups`` are those of each level; degrees of the space that are in none are left out.
     """
@@ -96,8 +78,6 @@ def terms_of(
     for at in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1) if order.size else ():
         first, second = to[at[0]], of[at[0]]
         t, o = groups[level[first]][others[first]], groups[level[second]][others[second]]
-        D = np.zeros((t.count, o.count))
-        D[row[to[at]], row[of[at]]] = entry[at]
         F = functions[level[first] % 2][level[second] % 2]
         F = F if F is None else F[: t.functions, : o.functions]
-        yield Term(t, o, D, F)
+        yield block(t, o, (row[to[at]], row[of[at]], entry[at]), F)
