@@ -15,7 +15,7 @@ from fpk.certificate import Measured, certify, tolerance
 from fpk.density import Density
 from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
 from fpk.errors import NotApplicable
-from fpk.linear import linear_covariance, natural_modes, stationary_covariance
+from fpk.linear import linear_covariance, stationary_covariance
 from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Coordinate, Observable
 from fpk.system import System
@@ -152,7 +152,8 @@ def autocovariance(system: System, row: int, at: Array) -> tuple[Array, Array]:
     grows, |e^(At)| <= 1: round-off of A changes e^(At) by no more than t times itself and
     |e^(At/2)|. An error of Σ, relative to it as a quadratic form, is felt by q and its forecast.
     """
-    modes, A = system.fact(linear_covariance), _modal_drift(system)
+    modes = system.fact(linear_covariance)
+    A = modes.drift
     w = np.append(modes.shapes[row] / modes.omega, np.zeros(system.n))
     Sigma, size = modes.covariance, float(np.linalg.norm(A, 2))
     own = float(w @ Sigma @ w)
@@ -167,13 +168,6 @@ def autocovariance(system: System, row: int, at: Array) -> tuple[Array, Array]:
         felt = np.sqrt(own * max(float(forecast @ Sigma @ forecast), 0.0))
         errors[k] += modes.relative_error * felt
     return values, errors
-
-
-def _modal_drift(system: System) -> Array:
-    """A of dx = A x dt + … with x = (ω Q, P) of the natural modes, shape (2n, 2n)."""
-    T, omega = natural_modes(system)
-    nothing = np.zeros((system.n, system.n))
-    return np.block([[nothing, np.diag(omega)], [-np.diag(omega), -T.T @ system.damping @ T]])
 
 
 def rice_rates(q: float, v: float, relative: float, at: Array) -> tuple[Array, Array]:
@@ -195,7 +189,7 @@ def eigenvalue_sums(system: System, count: int) -> tuple[Complexes, Array]:
     round-off, by the condition of each eigenvalue; of one that is double it is the square root.
     """
     n = system.n
-    A = _modal_drift(system)
+    A = system.fact(linear_covariance).drift
     decomposed: Any = eig(-A, left=True, right=True)
     mu, left, right = decomposed
     overlap = np.abs(np.sum(left.conj() * right, axis=0))

@@ -71,14 +71,16 @@ def decay_time(system: System) -> float:
 class LinearCovariance:
     """Covariance of a system without contacts in (ω Q, P) of its modes, and how well it is known.
 
-    ``shapes`` T (n, n) and ``omega`` (n,) as of ``natural_modes``; ``covariance`` (2n, 2n) is
-    V diag(``variance``) Vᵀ with ``axes`` V, ascending. ``variance_error`` (2n,) estimates the error
-    of each, ``relative_error`` that of the whole as a quadratic form; ``residual`` is the largest
-    entry of the Lyapunov equation relative to the terms that cancel in it.
+    ``shapes`` T (n, n) and ``omega`` (n,) as of ``natural_modes``; ``drift`` A (2n, 2n) is that of
+    dx = A x dt + … of x = (ω Q, P); ``covariance`` (2n, 2n) is V diag(``variance``) Vᵀ with
+    ``axes`` V, ascending. ``variance_error`` (2n,) estimates the error of each, ``relative_error``
+    that of the whole as a quadratic form; ``residual`` is the largest entry of the Lyapunov
+    equation relative to the terms that cancel in it.
     """
 
     shapes: Array
     omega: Array
+    drift: Array
     covariance: Array
     axes: Array
     variance: Array
@@ -142,6 +144,7 @@ def linear_covariance(system: System) -> LinearCovariance:
     return LinearCovariance(
         shapes=T,
         omega=omega,
+        drift=A,
         covariance=covariance,
         axes=V,
         variance=variance,

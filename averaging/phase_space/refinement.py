@@ -11,11 +11,10 @@ from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import CONVERGED, Expansion, cost, expanded
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.fit import fitted
 from averaging.phase_space.growth import finer, lowest, rise_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments
-from averaging.phase_space.start import start
+from averaging.phase_space.reference import fitted, start
 from fpk.cores import usable_cores
 from fpk.method import Progress
 from fpk.observable import Coordinate, Observable

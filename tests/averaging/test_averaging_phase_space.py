@@ -16,8 +16,8 @@ from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.moments import moments
+from averaging.phase_space.reference import start
 from averaging.phase_space.refinement import least_distance
-from averaging.phase_space.start import start
 from cases.comparison.compare import compared
 from fpk.density import l1_distance
 from fpk.errors import NotApplicable

@@ -12,11 +12,10 @@ from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded, inverted
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.equation.others import lowered, others_to, raised
-from averaging.phase_space.fit import fitted
 from averaging.phase_space.growth import fitting, rise_of, size_of_top
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import refitted
-from averaging.phase_space.start import start
+from averaging.phase_space.reference import fitted, start
 from fpk.observable import parse_observable
 from fpk.quadrature import gauss_grid, integral
 

@@ -72,11 +72,11 @@ class Generator:
 
     def shaped(self, u: Array) -> list[Array]:
         """Return the parts of a vector as ``levels`` of an ``Expansion``."""
-        return [x for n, part in enumerate(self.chain.split(u)) for x in self.chain.shaped(n, part)]
+        return self.chain.shaped(u)
 
     def packed(self, levels: Sequence[Array]) -> Array:
         """Return ``levels`` of an ``Expansion`` as a vector."""
-        return np.concatenate([self.chain.packed(n, levels) for n in range(self.chain.top + 1)])
+        return self.chain.packed(levels)
 
     def resolvent(self, shift: complex, step: Step) -> Callable[[Array], Array]:
         """Return the function b → (s − A)⁻¹ b for s = ``shift``, b a vector or columns of them.

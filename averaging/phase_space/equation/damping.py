@@ -18,7 +18,7 @@ from averaging.phase_space.equation.basis import Basis
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.equation.others import Matrix, Space, combined
-from averaging.phase_space.equation.terms import Group, Term, terms_of
+from averaging.phase_space.equation.terms import Entries, Group, blocks_of
 from fpk.arrays import Array
 
 Polynomial = dict[tuple[int, int], Matrix]
@@ -113,8 +113,8 @@ def damped(
     degrees: Degrees,
     C: Array,
     groups: Sequence[Sequence[Group]],
-) -> Iterator[tuple[int, int, Term]]:
-    """Yield −Σ_ij C⁻¹_ji a_j⁺ f_i as terms of the equations: to which level, of which, and what."""
+) -> Iterator[Entries]:
+    """Yield the entries of −Σ_ij C⁻¹_ji a_j⁺ f_i in the matrix of the equations."""
     beyond, d = reach(frame) + 1, 2 * frame.n - 1
     space = Space.to(degrees.total + beyond, degrees.others + beyond, d)
     inverse: Array = np.asarray(np.linalg.inv(C), dtype=float)
@@ -129,7 +129,7 @@ def damped(
         F: list[list[Array | None]] = [[to.T @ (weights * of) for of in sets] for to in sets]
         if powers == (0, 0):
             F[0][0] = F[1][1] = None
-        yield from terms_of(A, F, space, groups)
+        yield from blocks_of(A, F, space, groups)
 
 
 def by_y(frame: Frame, functions: Basis, powers: tuple[int, int]) -> Array:

@@ -17,7 +17,6 @@ from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.equations import chain_of, sizes
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.equation.others import Matrix, Others
-from averaging.phase_space.equation.terms import applied, applied_from_right
 from fpk.arrays import Array
 
 ELIMINATED_IN: type = np.float32
@@ -108,8 +107,8 @@ def expanded(
         u, residual = _refined(factors, scale * one, one)
         if residual < CONVERGED or cost(functions, degrees, number=8)[0] > memory:
             break
-    shaped = tuple(level for n, x in enumerate(u) for level in chain.shaped(n, x))
-    return Expansion(functions, chain.factor, degrees, shaped, chain.others, residual)
+    levels = tuple(chain.shaped(u))
+    return Expansion(functions, chain.factor, degrees, levels, chain.others, residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +146,8 @@ class Factors:
         return np.concatenate(u)
 
 
-def _refined(factors: Factors, given: Array, one: Array) -> tuple[list[Array], float]:
-    """Return the stationary solution by stages and its residual, relative to what cancels in it.
+def _refined(factors: Factors, given: Array, one: Array) -> tuple[Array, float]:
+    """Return the stationary solution and its residual, relative to what cancels in it.
 
     ``given`` is the right side of level 0, the others have none. The equation of the mass, which
     ``factors`` have, is added to those of the chain.
@@ -180,7 +179,7 @@ def _refined(factors: Factors, given: Array, one: Array) -> tuple[list[Array], f
         if not changed < before or residual <= REFINED:
             break
         before = changed
-    return chain.split(u), residual
+    return u, residual
 
 
 def with_mass(A: Array, one: Array) -> tuple[Array, float]:
@@ -214,25 +213,25 @@ def factored(
     inverses: list[Array] = []
     two_below = np.zeros((0, 0))
     A = chain.within(top, shift=shift, kind=kind)
+    matrix = chain.matrix.astype(A.dtype, copy=False)
+    above, forced = (chain.blocks(matrix, away) for away in (1, -1))
+    pairs = chain.blocks(matrix, -2) if paired else []
     for n in range(top, 0, -1):
-        inverse, below = inverted(A, chain.starts(n)), chain.size(n - 1)
+        inverse = inverted(A, chain.starts(n))
         A = chain.within(n - 1, shift=shift, kind=kind)
         # What the two stages below n make of stage n comes back to the one below it.
-        back = applied(chain.above[n - 1], inverse, below)
-        A -= applied_from_right(back, chain.forced[n], below)
+        back = above[n - 1] @ inverse
+        A -= back @ forced[n - 1]
         if paired and n < top:
             A += back @ two_below
         if paired and n > 1:
-            two_below = applied_from_right(back, chain.paired[n], chain.size(n - 2))
+            two_below = back @ pairs[n - 2]
         inverses.insert(0, inverse)
         step(work[top - n] / work[-1])
     scale = 0.0
     if not shift:
         A, scale = with_mass(A, one.astype(kind, copy=False))
     inverses.insert(0, np.asarray(np.linalg.inv(A), dtype=A.dtype))
-    matrix = chain.matrix.astype(A.dtype, copy=False)
-    above, forced = (chain.blocks(matrix, away) for away in (1, -1))
-    pairs = chain.blocks(matrix, -2) if paired else []
     return Factors(chain, inverses, above, forced, pairs), scale
 
 

@@ -19,18 +19,17 @@ Damping terms (``damping``) may connect a level with others beyond its neighbour
 then eliminated in stages of several: so many that each stage meets the two below and the one above.
 """
 
-from collections.abc import Iterable, Iterator
 from itertools import chain
 
 import numpy as np
 
 from averaging.phase_space.equation.basis import Basis
-from averaging.phase_space.equation.chain import Chain, size_of
+from averaging.phase_space.equation.chain import Chain, ends_of
 from averaging.phase_space.equation.damping import damped, stages_to
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference, linear_part
-from averaging.phase_space.equation.others import Others, Space, combined, others_to
-from averaging.phase_space.equation.terms import SAME, Between, Group, Sum, Term, Terms, terms_of
+from averaging.phase_space.equation.others import Matrix, Others, Space, combined, others_to
+from averaging.phase_space.equation.terms import SAME, Between, Group, block, blocks_of
 from fpk.arrays import Array
 
 
@@ -61,10 +60,10 @@ def chain_of(
         A @ (combined(down, f) + combined(up, g)) for A, f, g in zip(up, drift, pair, strict=True)
     ]
     blocks = [
-        terms_of(combined(constant, np.ones(len(up))), SAME, space, groups),
-        terms_of(down[0], adjoint, space, groups),
+        blocks_of(combined(constant, np.ones(len(up))), SAME, space, groups),
+        blocks_of(down[0], adjoint, space, groups),
         *(
-            terms_of(A, F, space, groups)
+            blocks_of(A, F, space, groups)
             for A, F in zip(up, forces, strict=True)
             if np.any(F[0][1])
         ),
@@ -80,9 +79,14 @@ def chain_of(
             E = np.asarray(adjoint[n % 2][1 - n % 2])[: group.functions, present:wanted]
             if E.size and (closed or not present):
                 U, s, _ = np.linalg.svd(E, full_matrices=False)
-                root = -np.sqrt(n - m + 1.0) * np.eye(group.count)
-                closing.append((n, n, Term(group, group, root, (U * s) @ U.T)))
-    return Chain(C, others, stages, groups, *_by_stages(stages, groups, chain(*blocks, closing)))
+                k = np.arange(group.count)
+                root = k, k, np.full(k.size, -np.sqrt(n - m + 1.0))
+                closing.append(block(group, group, root, (U * s) @ U.T))
+    parts = zip(*chain(*blocks, closing), strict=True)
+    row, column, values = (np.concatenate(part) for part in parts)
+    size = int(ends_of(stages, groups)[-1])
+    matrix = Matrix((values, (row, column)), shape=(size, size))
+    return Chain(C, others, stages, groups, matrix)
 
 
 def sizes(functions: Basis, degrees: Degrees) -> Array:
@@ -90,7 +94,7 @@ def sizes(functions: Basis, degrees: Degrees) -> Array:
     stages = stages_to(functions.frame, degrees.total)
     others = others_to(degrees.others, 2 * functions.frame.n - 1)
     groups = _placed(functions, degrees, others, stages)
-    return np.array([float(size_of(stage, groups)) for stage in stages])
+    return np.diff(ends_of(stages, groups), prepend=0).astype(float)
 
 
 def _factor(F: Array, reference: Reference) -> Array:
@@ -108,30 +112,6 @@ def _factor(F: Array, reference: Reference) -> Array:
     return C
 
 
-def _by_stages(
-    stages: tuple[range, ...],
-    groups: tuple[tuple[Group, ...], ...],
-    terms: Iterable[tuple[int, int, Term]],
-) -> Iterator[tuple[Terms, ...]]:
-    """Yield ``own``, ``above``, ``forced`` and ``paired`` of stages.
-
-    ``terms`` are those to a level of a level. Terms between the same groups follow each other.
-    """
-    stage_of = {level: n for n, levels in enumerate(stages) for level in levels}
-    blocks: dict[tuple[int, int], list[Term]] = {}
-    for to, of, term in terms:
-        blocks.setdefault((stage_of[to], stage_of[of]), []).append(term)
-    whole = [Group(0, 1, size_of(stage, groups)) for stage in stages]
-    many = any(len(stage) > 1 for stage in stages)
-
-    def block(n: int, m: int) -> Terms:
-        own = sorted(blocks.get((n, m), []), key=lambda term: (term.to.start, term.of.start))
-        return [Sum(whole[n], whole[m], own)] if own and many else own
-
-    for away in (0, 1, -1, -2):
-        yield tuple(block(n, n + away) for n in range(len(stages)))
-
-
 def _functions(functions: Basis, degrees: Degrees, n: int, m: int) -> int:
     """Number of functions of y of level n and degree m in the others."""
     return functions.counts[n % 2][degrees.beyond(n, m)]
@@ -142,8 +122,9 @@ def _placed(
 ) -> tuple[tuple[Group, ...], ...]:
     """Return the groups of all levels, each placed in its stage behind those of higher levels."""
     levels: list[tuple[Group, ...]] = []
+    start = 0
     for stage in stages:
-        start, placed = 0, []
+        placed = []
         for n in stage[::-1]:
             groups = []
             for m, o in enumerate(others[: degrees.others_at(n) + 1]):

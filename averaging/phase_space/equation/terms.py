@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from averaging.phase_space.equation.others import Matrix, Space
 from fpk.arrays import Array
 
-Entries = tuple[NDArray[np.int32], NDArray[np.int32], Array]
+Entries = tuple[NDArray[np.integer], NDArray[np.integer], Array]
 """Rows, columns and values of entries of a matrix."""
 
 
@@ -18,7 +17,7 @@ Entries = tuple[NDArray[np.int32], NDArray[np.int32], Array]
 class Group:
     """Unknowns of a level with one degree in the others: ``count`` of k times ``functions`` of y.
 
-    ``start`` is the first of them among those of the stage of the elimination (``Chain``).
+    ``start`` is the first of them among all unknowns (``Chain``).
     """
 
     start: int
@@ -26,80 +25,28 @@ class Group:
     functions: int
 
     @property
-    def size(self) -> int:
-        """How many they are."""
-        return self.count * self.functions
-
-    @property
     def span(self) -> slice:
-        """Where they stand among the unknowns of the stage."""
-        return slice(self.start, self.start + self.size)
+        """Where they stand among all unknowns."""
+        return slice(self.start, self.start + self.count * self.functions)
 
 
-@dataclass(frozen=True, eq=False)
-class Term:
-    """A block of the matrix of the equations, from unknowns of one group to equations of another.
+def block(to: Group, of: Group, degrees: Entries, functions: Array | None) -> Entries:
+    """Return the entries of a block of the matrix, from unknowns of ``of`` to equations of ``to``.
 
-    The groups are ``of`` and ``to``; the block is a Kronecker product. ``degrees`` (count, count)
-    acts on k, ``functions`` on functions of y, (functions, functions) or None for those that both
-    groups have, unchanged.
+    It is a Kronecker product: ``degrees`` (count, count) acts on k, ``functions`` on functions of
+    y, (functions, functions) or None for those that both groups have, unchanged.
     """
-
-    to: Group
-    of: Group
-    degrees: Array
-    functions: Array | None = None
-
-    def entries(self) -> Iterator[Entries]:
-        """Yield rows, columns and values of entries of the term that are not 0."""
-        to, of, degrees = self.to, self.of, self.degrees
-        if self.functions is None:
-            first = second = np.arange(min(to.functions, of.functions))[:, None]
-            block = np.ones((len(first), 1))
-        else:
-            first, second = np.ix_(*map(np.arange, self.functions.shape))
-            block = self.functions
-        i, j = np.nonzero(degrees)
-        shape = (i.size, *block.shape)
-        row, column = (np.empty(shape, dtype=np.int32) for _ in range(2))
-        row[:] = (to.start + to.functions * i)[:, None, None] + first
-        column[:] = (of.start + of.functions * j)[:, None, None] + second
-        values = degrees[i, j][:, None, None] * block
-        yield row.ravel(), column.ravel(), values.ravel()
-
-    def add_block_to(self, D: Array) -> None:
-        """Add the block itself to a matrix (equations, unknowns) of the two groups."""
-        to, of, degrees = self.to, self.of, self.degrees
-        whole = D.reshape(to.count, to.functions, of.count, of.functions)
-        if self.functions is None:
-            each = np.arange(min(to.functions, of.functions))
-            whole[:, each, :, each] += degrees
-        else:
-            whole += degrees[:, None, :, None] * self.functions[:, None]
-
-
-@dataclass(frozen=True, eq=False)
-class Sum:
-    """A block of many terms between all unknowns of two stages.
-
-    Its matrix is made to use it and not kept, as those of all blocks would fill the memory.
-    """
-
-    to: Group
-    of: Group
-    terms: Sequence[Term]
-
-    def entries(self) -> Iterator[Entries]:
-        """Yield rows, columns and values of entries of the terms."""
-        for term in self.terms:
-            yield from term.entries()
-
-    def add_block_to(self, D: Array) -> None:
-        """Add the sum itself to a matrix (equations, unknowns)."""
-        add_matrix(D, self.terms)
-
-
-Terms = Sequence[Term | Sum]
+    if functions is None:
+        first = second = np.arange(min(to.functions, of.functions))[:, None]
+        functions = np.ones((len(first), 1))
+    else:
+        first, second = np.ix_(*map(np.arange, functions.shape))
+    i, j, factor = (x[:, None, None] for x in degrees)
+    values = factor * functions
+    row, column = (np.empty(values.shape, dtype=np.int32) for _ in range(2))
+    row[:] = to.start + to.functions * i + first
+    column[:] = of.start + of.functions * j + second
+    return row.ravel(), column.ravel(), values.ravel()
 
 
 Between = Sequence[Sequence[Array | None]]
@@ -109,10 +56,10 @@ None where functions that both levels have stay as they are."""
 SAME: Between = ((None, None), (None, None))
 
 
-def terms_of(
+def blocks_of(
     A: Matrix, functions: Between, space: Space, groups: Sequence[Sequence[Group]]
-) -> Iterator[tuple[int, int, Term]]:
-    """Yield a matrix on the degrees of ``space`` as terms: to which level, of which, and what.
+) -> Iterator[Entries]:
+    """Yield the entries of a matrix on the degrees of ``space``, of one pair of groups at a time.
 
     ``groups`` are those of each level; degrees of the space that are in none are left out.
     """
@@ -131,42 +78,6 @@ def terms_of(
     for at in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1) if order.size else ():
         first, second = to[at[0]], of[at[0]]
         t, o = groups[level[first]][others[first]], groups[level[second]][others[second]]
-        D = np.zeros((t.count, o.count))
-        D[row[to[at]], row[of[at]]] = entry[at]
         F = functions[level[first] % 2][level[second] % 2]
         F = F if F is None else F[: t.functions, : o.functions]
-        yield int(level[first]), int(level[second]), Term(t, o, D, F)
-
-
-def applied(terms: Terms, X: Array, size: int) -> Array:
-    """Return the matrix (``size``, unknowns) of terms times X (unknowns, columns)."""
-    out = np.zeros((size, X.shape[1]), X.dtype)
-    for to, of, D in _dense(terms, X.dtype):
-        out[to.span] += D @ X[of.span]
-    return out
-
-
-def applied_from_right(X: Array, terms: Terms, size: int) -> Array:
-    """Return X (rows, equations) times the matrix (equations, ``size``) of terms."""
-    out = np.zeros((X.shape[0], size), X.dtype)
-    for to, of, D in _dense(terms, X.dtype):
-        out[:, of.span] += X[:, to.span] @ D
-    return out
-
-
-def _dense(terms: Terms, kind: np.dtype) -> Iterator[tuple[Group, Group, Array]]:
-    """Yield groups and the sum of all terms between them that follow each other, as a matrix.
-
-    Dense linear algebra is faster than small products, and the matrix of one pair of groups small.
-    """
-    for (to, of), same in groupby(terms, lambda term: (term.to, term.of)):
-        D = np.zeros((to.size, of.size), kind)
-        for term in same:
-            term.add_block_to(D)
-        yield to, of, D
-
-
-def add_matrix(A: Array, terms: Terms) -> None:
-    """Add terms to a matrix (equations, unknowns)."""
-    for term in terms:
-        term.add_block_to(A[term.to.span, term.of.span])
+        yield block(t, o, (row[to[at]], row[of[at]], entry[at]), F)
