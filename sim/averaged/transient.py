@@ -79,25 +79,16 @@ def _simulated(
     modulation: Modulation | None, over: Callable[[], bool], number: int,
 ) -> list[States]:  # fmt: skip
     """The states at all times of round ``number``; none where it is ``over()`` before its end."""
-    stream = stream_of(seed, number)
-    X = from_energies(form, starts(paths, stream))
-    fine = _followed(form, X, times, 0.5 * dt, stream, modulation, over)
-    if over():
-        return []
-    if form.damping is None:
-        return [(H, None) for H in fine]
-    coarse = _followed(form, X, times, dt, stream, modulation, over)
-    return [] if over() else list(zip(fine, coarse, strict=True))
-
-
-def _followed(
-    form: SquareRootForm, X: Array, times: Array, dt: float, stream: np.random.Generator,
-    modulation: Modulation | None, over: Callable[[], bool],
-) -> list[Array]:  # fmt: skip
-    """The energies (paths, d) at the times, in steps of ``dt`` at most, wrong where ``over()``."""
-    rows, gaps = [], np.diff(times, prepend=0.0).tolist()
-    for time, gap in zip(times.tolist(), gaps, strict=True):
-        steps = 0 if gap == 0.0 else 1 if form.damping is None else ceil(gap / dt * (1.0 - 1e-12))
-        X = advanced(form, X, gap / max(1, steps), steps, stream, modulation, time - gap, over)
-        rows.append(form.energies(X))
-    return rows
+    stream, exact = stream_of(seed, number), form.damping is None
+    start, gaps, rows = from_energies(form, starts(paths, stream)), np.diff(times, prepend=0.0), []
+    for longest in (0.5 * dt,) if exact else (0.5 * dt, dt):
+        X, at_times = start, list[Array]()
+        for time, gap in zip(times.tolist(), gaps.tolist(), strict=True):
+            steps = 0 if gap == 0.0 else 1 if exact else ceil(gap / longest * (1.0 - 1e-12))
+            h = gap / max(1, steps)
+            X = advanced(form, X, h, steps, stream, modulation, time - gap, over)
+            at_times.append(form.energies(X))
+        if over():
+            return []
+        rows.append(at_times)
+    return [(fine, None) for fine in rows[0]] if exact else list(zip(*rows, strict=True))

@@ -96,7 +96,14 @@ def tail_begin(time: Array, until: Array, memory: float) -> float:
 
 def errors_of(sampled: Times, times: Array, begin: float, best: Array) -> tuple[Array, Array]:
     """Errors of the ``estimates`` ``best``, inf where there is none, and the part by the step."""
-    error = _jackknife(sampled.fine, sampled.until, times, begin)
+    # By the jackknife: √((G − 1)/G Σ (left out − mean)²), G of ``GROUPS``.
+    group: Integers = np.arange(sampled.fine.size) % GROUPS
+    rows = []
+    for g in range(GROUPS):
+        others: Flags = group != g
+        rows.append(estimates(sampled.fine[others], sampled.until[others], times, begin))
+    with np.errstate(invalid="ignore"):
+        error = np.sqrt(np.var(rows, axis=0) * (GROUPS - 1))
     survival, paths = best[3:], sampled.fine.size
     at_least = np.sqrt(np.maximum(survival * (1.0 - survival), 0.0) / paths)
     error[3:] = np.maximum(error[3:], np.maximum(at_least, 1.0 / paths))
@@ -106,15 +113,3 @@ def errors_of(sampled: Times, times: Array, begin: float, best: Array) -> tuple[
             bias = np.abs(estimates(sampled.coarse, sampled.until, times, begin) - best)
     error = np.hypot(error, bias)
     return np.where(np.isnan(error), inf, error), bias
-
-
-def _jackknife(time: Array, until: Array, times: Array, begin: float) -> Array:
-    """Standard errors of ``estimates``: √((G − 1)/G Σ (left out − mean)²), G of ``GROUPS``."""
-    group: Integers = np.arange(time.size) % GROUPS
-    rows = []
-    for g in range(GROUPS):
-        others: Flags = group != g
-        rows.append(estimates(time[others], until[others], times, begin))
-    with np.errstate(invalid="ignore"):
-        spread = np.var(rows, axis=0) * (GROUPS - 1)
-    return np.asarray(np.sqrt(spread))

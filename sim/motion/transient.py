@@ -167,7 +167,16 @@ class Counted:
         for which, states in enumerate((fine,) if coarse is None else (fine, coarse)):
             columns = self.read(states)
             if k == len(self.histograms):
-                self.histograms.append(self._covering(columns, time))
+                reached = np.array([(x.min(), x.max()) for x in columns])
+                for c, (low, high) in zip(self.observable, reached.tolist(), strict=True):
+                    if not high - low > 1e-9 * max(abs(low), abs(high)):
+                        words = f"{c} is one value at t = {time:g}, and has no density"
+                        raise InvalidInput("times", time, f"{words}; ask for later times")
+                energies = [
+                    x for c, x in zip(self.observable, columns, strict=True) if c.kind == "H"
+                ]
+                axis = partial(self.axis, rises=any(map(rises, energies)))
+                self.histograms += covering([self.observable], reached, axis)
                 self.counts.append(np.zeros((2, GROUPS, self.histograms[k].size + 1), np.int64))
                 self.paths.append(0)
             self.counts[k][which] += self.histograms[k].counted(columns, GROUPS)
@@ -188,17 +197,6 @@ class Counted:
     def error(self) -> float:
         """Largest expected L1 error of the densities at all times, of the finer simulation."""
         return max(density.l1_error for density in self.densities())
-
-    def _covering(self, columns: Sequence[Array], time: float) -> Histogram:
-        reached = np.zeros((len(columns), 2))
-        for c, x, ends in zip(self.observable, columns, reached, strict=True):
-            ends[:] = x.min(), x.max()
-            if not ends[1] - ends[0] > 1e-9 * np.max(np.abs(ends)):
-                words = f"{c} is one value at t = {time:g}, and has no density; ask for later times"
-                raise InvalidInput("times", time, words)
-        low = [x for c, x in zip(self.observable, columns, strict=True) if c.kind == "H"]
-        axis = partial(self.axis, rises=any(map(rises, low)))
-        return covering([self.observable], reached, axis)[0]
 
 
 def answer_of(
