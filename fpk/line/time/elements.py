@@ -239,7 +239,7 @@ def _batch(
         steps = (h * log_density_slope_error(c)) @ r.integral.sum(axis=0)
     # All kinds of elements have as many points and terms as the kind that has the most.
     more = rule(degree, bool(process.nonsmooth), 0).t.size - r.t.size
-    behind = ((0, 0), (0, max(more, 0)))
+    behind = np.zeros((left.size, max(more, 0)))
     return Elements(
         left=left,
         right=right,
@@ -248,10 +248,10 @@ def _batch(
         mass=np.swapaxes(f, 1, 2) @ (weight[:, :, None] * f),
         drift=slopes @ ((weight * c.dissipation)[:, :, None] * f),
         conductance=np.zeros(left.size) if first else R[:, own, own] ** 2,
-        x=np.pad(x, behind, mode="edge"),
-        weight=np.pad(h * r.weight, behind),
+        x=np.hstack([x, behind + x[:, -1:]]),
+        weight=np.hstack([h * r.weight, behind]),
         log_local=log_local,
-        log_rise=np.pad(log_rise, behind),
+        log_rise=np.hstack([log_rise, behind]),
         relative_error=c.relative_error.max(axis=1),
         slope_error=steps,
     )
