@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import count
 from math import ceil, inf
 from typing import Any
 
@@ -61,16 +60,15 @@ class Watch:
         Return whether it was, and not time to stop before, nor ``answer`` called ``most`` times.
         None is returned by an ``answer`` that was cut short.
         """
-        for number in count(1):
-            error = answer(number - 1)
-            if error is None:
-                return False
+        number = 0
+        while (error := answer(number)) is not None:
+            number += 1
             more = error > self.tol if self.tol is not None else self.seconds < inf
             if number >= least and not more:
                 return True
             if number >= most or self.ends():
                 return False
-        raise AssertionError
+        return False
 
     def require(self, what: str, share: float) -> None:
         """Raise ``InvalidInput`` where it is time to stop and only a ``share`` of ``what`` is done.
