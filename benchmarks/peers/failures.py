@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 Line = dict
 NEGATIVE = -1e-14
-"""Smallest p / max p that counts as round-off, as for this program's own answers."""
+"""Smallest p / max p that counts as round-off: below it any answer is listed as negative."""
 LOST = 1e-3
 """Defect of the mass from which it counts as lost or made."""
 WRONG = 0.1
