@@ -18,6 +18,7 @@ from fpk.contact import Contact
 from fpk.density import Density
 from fpk.observable import parse_observable
 from fpk.system import System
+from fpk.upcrossings import upcrossings
 from sim.montecarlo import MonteCarlo
 from sim.setup import default_step
 from sim.step_size import JOINT_BIAS, chosen_step, expected_error, samples_in, step_for
@@ -103,6 +104,31 @@ def test_the_step_of_a_joint_density_is_shorter_at_a_stop(name: str, joint: bool
     dt = step_for(system, error, observables=[parse_observable(name, 2)])
     assert dt == (pytest.approx(sqrt(error / (3.0 * JOINT_BIAS * 3.0))) if joint else alone)
     assert dt <= alone
+
+
+def test_the_step_follows_from_the_densities_that_rates_are_read_from() -> None:
+    system = random_stops(36)[1]
+    q, both = (parse_observable(name, 1) for name in ("q1", "q1,p1"))
+    method = MonteCarlo(paths=4096, tol=1e-3, longest=0.2)
+    steps = [
+        method.solve(system, [q], beside=beside).report.steps.dt  # type: ignore[union-attr]
+        for beside in ([], [both])
+    ]
+    assert steps[1] < 0.9 * steps[0]
+
+
+@pytest.mark.slow
+def test_rates_at_a_soft_stop() -> None:
+    """At the step that p(q) alone allows they were four of their errors off in the mean."""
+    exact, system = random_stops(36)
+    at, z = np.array([exact.stops[0][1]]), []
+    q, both = (parse_observable(name, 1) for name in ("q1", "q1,p1"))
+    for seed in range(8):
+        result = MonteCarlo(seconds=5.0, seed=seed).solve(system, [q], beside=[both])
+        (density,) = result.beside
+        value, error = upcrossings(density, exact.mass[0], at)  # type: ignore[arg-type]
+        z.append(float((value - exact.upcrossings(at[0]))[0] / error[0]))
+    assert np.max(np.abs(z)) < 5.0 and abs(np.mean(z)) < 5.0 / sqrt(8.0), z
 
 
 @pytest.mark.slow
