@@ -1,8 +1,11 @@
 """Systems that the tests of the simulation share."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
+
+import numpy as np
 
 from fpk.contact import Contact
 from fpk.system import System
@@ -65,8 +68,10 @@ def report_of(method: MonteCarlo, system: System, observables: Sequence[Any] = (
 
 
 def place(ensemble: Ensemble, states: Any) -> None:
-    """Go on from other ``states`` (blocks, 2n, LANES)."""
+    """Go on from other ``states`` (blocks, 2n, LANES), whose energy it may reach from then on."""
     ensemble.restore({**ensemble.saved(), "states": states})
+    energy = float(np.max(ensemble.system.hamiltonian(*ensemble.phase_points())))
+    ensemble.reachable = replace(ensemble.reachable, energy=energy)
 
 
 def ranged(system: System, observables: Sequence[Any], q: Any, p: Any) -> tuple[Histogram, ...]:
