@@ -55,22 +55,23 @@ class Linear(StationaryMotionMethod, Theory):
         if np.max(modes.variance) <= 0.0:
             raise NotApplicable("no noise reaches a mass, so its density is concentrated at rest")
 
+        variance = np.maximum(modes.variance, 0.0)
+        # H = ½ |x|² of x = (ω Q, P).
+        to_state = block_diag(modes.shapes / modes.omega, system.mass[:, None] * modes.shapes)
+        gaussian = Gaussian(
+            factor=to_state @ modes.axes * np.sqrt(variance),
+            relative_error=modes.relative_error,
+            scales=variance,
+            shape=0.5,
+            scale_errors=modes.variance_error,
+            residual=modes.residual,
+        )
+
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            variance = np.maximum(modes.variance, 0.0)
-            # H = ½ |x|² of x = (ω Q, P).
-            to_state = block_diag(modes.shapes / modes.omega, system.mass[:, None] * modes.shapes)
-            gaussian = Gaussian(
-                factor=to_state @ modes.axes * np.sqrt(variance),
-                relative_error=modes.relative_error,
-                scales=variance,
-                shape=0.5,
-                scale_errors=modes.variance_error,
-                residual=modes.residual,
-            )
             densities = tuple(gaussian.density(o, tol=self.wanted(system)) for o in observables)
             return Result(self, densities, settings={"equation": "Lyapunov"})
 
-        return Plan(lambda observable: energy_only_refusal(system, observable), solve)
+        return Plan(lambda o: energy_only_refusal(system, o) or gaussian.refusal(o), solve)
 
     def _crossings(self, asked: Question) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula for a Gaussian."""

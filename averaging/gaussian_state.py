@@ -12,7 +12,8 @@ from scipy.linalg import qr, solve_triangular
 from fpk.arrays import EPS, Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
-from fpk.observable import Observable
+from fpk.errors import NotApplicable
+from fpk.observable import Observable, observable_name
 
 REACH = 8.5
 """Half-width of the support in standard deviations."""
@@ -53,15 +54,34 @@ class Gaussian:
     scale_errors: Array
     residual: float
 
-    def density(self, observable: Observable, *, tol: float) -> Density:
-        """Return the density of the energy H, or of one or two of (q, p)."""
-        if observable[0].kind == "H":
-            return self._energy_density(observable, tol)
-        count = len(observable)
+    def refusal(self, observable: Observable) -> str | None:
+        """Return why there is no density: two of (q, p) are in one proportion at all times."""
+        if len(observable) < 2:
+            return None
+        rows, _, L = self._standardised(observable)
+        if np.min(np.abs(np.diag(L))) > 8.0 * EPS * rows.shape[1]:
+            return None
+        name = observable_name(observable)
+        return f"{name}: one is a multiple of the other at all times: there is no joint density"
+
+    def _standardised(self, observable: Observable) -> tuple[Array, Array, Array]:
+        """Rows of F, their scales, and L with x/scale = L y and independent standard y."""
         rows = self.factor[state_rows(observable, self.factor.shape[0] // 2)]
         scale = np.linalg.norm(rows, axis=1)
-        # x/scale = L y with independent standard y: L of the rows' QR.
-        L = np.asarray(qr((rows / scale[:, None]).T, mode="r")[0][:count].T)
+        L = qr((rows / scale[:, None]).T, mode="r")[0][: len(observable)].T
+        return rows, scale, np.asarray(L)
+
+    def density(self, observable: Observable, *, tol: float) -> Density:
+        """Return the density of the energy H, or of one or two of (q, p).
+
+        Raises ``NotApplicable`` where there is none, see ``refusal``.
+        """
+        if observable[0].kind == "H":
+            return self._energy_density(observable, tol)
+        if reason := self.refusal(observable):
+            raise NotApplicable(reason)
+        count = len(observable)
+        rows, scale, L = self._standardised(observable)
         # Round-off of the rows counts by the condition of L.
         relative = self.relative_error + 8.0 * EPS * rows.shape[1] * float(np.linalg.cond(L))
         height = (2.0 * np.pi) ** (-0.5 * count) / abs(float(np.prod(np.diag(L)) * np.prod(scale)))

@@ -19,6 +19,7 @@ from averaging.exact import Exact, compatibility
 from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
 from averaging.weyl import WeylIntegrals, continued, weyl_table
+from cases.scene.scene import load_scene
 from fpk.contact import Contact
 from fpk.density import l1_distance
 from fpk.errors import InvalidInput, NotApplicable
@@ -191,6 +192,14 @@ def test_gaussian_density_of_the_energy(system):
     assert density.moment(1).value == pytest.approx(mean, rel=1e-11)
     assert density.moment(2).value == pytest.approx(variance + mean**2, rel=1e-11)
     assert eigvalsh(system.stiffness_matrix)[0] > 0
+
+
+def test_a_pair_in_one_proportion_has_no_joint_density():
+    """Noise on one mode alone: q1 = 0.618 q2 at all times."""
+    system = load_scene("silent-mode").system
+    with pytest.raises(NotApplicable, match="no joint density"):
+        Linear().solve(system, [parse_observable("q1,q2", 2)])
+    assert Linear().refusal(system, parse_observable("q1,p1", 2)) is None
 
 
 def test_gaussian_moments_are_those_of_the_covariance():
