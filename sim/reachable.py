@@ -48,7 +48,8 @@ def hottest(system: System) -> float:
     if np.any(np.diag(noise)[~damped] > 0.0):
         return inf
     roots = np.sqrt(rates[damped])
-    return float(np.linalg.eigvalsh(noise[damped][:, damped] / np.outer(roots, roots))[-1])
+    ratios = np.linalg.eigvalsh(noise[damped][:, damped] / np.outer(roots, roots))
+    return float(np.max(ratios, initial=0.0))  # of none where nothing is damped and no noise acts
 
 
 @dataclass(frozen=True, eq=False)

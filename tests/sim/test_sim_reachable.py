@@ -122,3 +122,10 @@ def test_energies_that_grow_beyond_all_bounds_end_in_one_line() -> None:
     with np.errstate(over="ignore"), pytest.raises(NotCertified, match="use a smaller step"):
         for _ in range(40):
             X = square_root_step(form, X, 1.0, stream)
+
+
+def test_without_damping_and_noise_the_energy_of_the_start_is_all() -> None:
+    system = System([1.0, 2.0], [1.0, 1.0], [0.0, 0.0], [0.0, 0.0])
+    assert hottest(system) == 0.0
+    largest = Reachable(system, SCHEMES["exact_flow"], 0.1, 1.0).largest(1e6)
+    assert np.all(np.isfinite(largest)) and np.all(largest > 0.0)
