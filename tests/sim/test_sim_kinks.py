@@ -133,6 +133,6 @@ def test_eighty_random_systems_with_stops() -> None:
     assert z.size > 3000
     assert np.max(np.abs(z)) < Z and 0.8 < np.sqrt(np.mean(z**2)) < 1.2
     assert np.max(ratios) < 3.0
-    # A machine that is busy with other things reaches no stationary state of the stiffest.
+    # In these seconds a machine that is busy with other things samples too little of the stiffest.
     late = {words.rpartition("; ")[2] for row in every for words in row[2]}
-    assert late <= {"give it more time"}
+    assert late <= {"give it more time", "sample for longer"}
