@@ -18,7 +18,14 @@ from fpk.density import Density
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve
 from fpk.errors import NotApplicable
 from fpk.escape import require_held
-from fpk.evolution import InTime, Passage, PassageAsked, Transient, TransientAsked
+from fpk.evolution import (
+    Passage,
+    PassageAsked,
+    Passages,
+    Transient,
+    TransientAsked,
+    Transients,
+)
 from fpk.method import Plan, Progress, Result, silent
 from fpk.modulation import require_constant_noise
 from fpk.observable import Coordinate, Observable, observable_name
@@ -27,7 +34,7 @@ from fpk.upcrossings import upcrossings
 
 
 @dataclass(frozen=True)
-class Integrable(CrossingsMethod, InTime, Theory):
+class Integrable(CrossingsMethod, Transients, Passages, Theory):
     """Averaged modal energies, Eqs. (17), (33), their stationary density, Eqs. (34)-(36).
 
     Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3

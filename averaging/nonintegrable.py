@@ -16,7 +16,14 @@ from fpk.certificate import tolerance
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates
 from fpk.errors import NotApplicable
 from fpk.escape import require_held
-from fpk.evolution import InTime, Passage, PassageAsked, Transient, TransientAsked
+from fpk.evolution import (
+    Passage,
+    PassageAsked,
+    Passages,
+    Transient,
+    TransientAsked,
+    Transients,
+)
 from fpk.line.stationary import solve_stationary
 from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Coordinate, Observable
@@ -32,7 +39,7 @@ MODULATED_TOL = 1e-6
 
 
 @dataclass(frozen=True)
-class NonIntegrable(CrossingsMethod, InTime, Theory):
+class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
     """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements; "quadrature"

@@ -7,8 +7,8 @@ commands of the ``console`` blocks are run there in order. Each block gets what 
 of a run the lines that matter, and the seconds that it took. What stands between
 ``<!-- NAME -->`` and ``<!-- end -->`` is written anew: the line of the machine and the table of
 trust, whose figures are those of the pages in docs/. ``--pages`` writes that table alone.
-``--check`` writes nothing: it runs the commands in the folder that it is called from, where the
-first command of Set-up has been run, and fails where a line differs by more than durations.
+``--check`` changes no document: it runs the commands in the folder that it is called from, where
+the first command of Set-up has been run, and fails where a line differs by more than durations.
 
 All run with the linear algebra of one kind of processor, which any x86-64 one with AVX2 has: the
 last bits of the matrices of a step are those of its kernels, and another sample of the same law

@@ -58,7 +58,12 @@ class CheckedFiles(IndexDataCacheFile):
             warnings.warn(f"{self._index_path}: cannot be written: {error}", stacklevel=2)
 
     def _load_index(self) -> Any:
-        return super()._load_index() if _is_whole(Path(self._index_path)) else {}
+        if not _is_whole(Path(self._index_path)):
+            return {}
+        try:
+            return super()._load_index()
+        except (ImportError, AttributeError):  # it names a type that another version had elsewhere
+            return {}
 
     def _load_data(self, name: str) -> Any:
         return super()._load_data(name) if _is_whole(Path(self._data_path(name))) else None

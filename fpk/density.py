@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 from fpk.arrays import SMALLEST, Array
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.function_quantities import FunctionQuantities
+from fpk.number import ErrorKind
 from fpk.observable import Observable, observable_name
 from fpk.piecewise import PiecewiseTensor, interpolated_tensor
 from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral
 from fpk.quantities import with_points
-from fpk.sampled_density import ErrorKind, SampledDensity, described
+from fpk.sampled_density import SampledDensity, described
 
 CHECKED, SAFETY = 7, 3.0
 """Gauss points per panel and axis at which the table of a joint density is compared with it, none

@@ -20,8 +20,8 @@ from fpk.arrays import SMALLEST, Array, Complexes
 from fpk.certificate import Certificate, Measured, certify, tolerance, with_values, worst
 from fpk.density import Density
 from fpk.errors import InvalidInput
-from fpk.evolution import ErrorKind
 from fpk.method import Method, Progress, silent
+from fpk.number import ErrorKind
 from fpk.observable import Observable, displacement_row
 from fpk.system import System
 

@@ -8,10 +8,9 @@ answer for this system, observable, limit or start, and ``InvalidInput`` for a s
 the limit or times that do not ascend from 0 or later.
 """
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -20,12 +19,10 @@ from fpk.certificate import Certificate, Measured, certify, with_values
 from fpk.errors import InvalidInput
 from fpk.limit import Limit
 from fpk.method import Progress, silent
-from fpk.number import Number
+from fpk.number import ErrorKind, Number
 from fpk.observable import Observable
 from fpk.start import Start
 from fpk.system import System
-
-ErrorKind = Literal["numerical", "sampling"]
 
 STARTS = 101
 """Starts at which moments are given as a curve, from rest to the limit."""
@@ -206,9 +203,8 @@ class PassageAsked(AfterStart):
     limit: Limit
 
 
-@runtime_checkable
-class Transients(Protocol):
-    """A method that gives densities at times after a start."""
+class Transients(ABC):
+    """Base class of methods that give densities at times after a start, by ``_transient``."""
 
     def transient(
         self,
@@ -225,15 +221,15 @@ class Transients(Protocol):
 
         ``at`` is one array (points,) for each coordinate of the observable.
         """
-        own: Any = self
-        asked = TransientAsked(system, start, times, tol, progress, observable, at)
-        answer: Transient = own._transient(asked)
-        return answer
+        return self._transient(TransientAsked(system, start, times, tol, progress, observable, at))
+
+    @abstractmethod
+    def _transient(self, asked: TransientAsked) -> Transient:
+        """Return the densities that are asked for."""
 
 
-@runtime_checkable
-class Passages(Protocol):
-    """A method that gives the first passage of a limit."""
+class Passages(ABC):
+    """Base class of methods that give the first passage of a limit, by ``_passage``."""
 
     def passage(
         self,
@@ -246,18 +242,7 @@ class Passages(Protocol):
         progress: Progress = silent,
     ) -> Passage:
         """Return the first passage of ``limit`` from ``start``, the reliability at ``times``."""
-        own: Any = self
-        asked = PassageAsked(system, start, times, tol, progress, limit)
-        answer: Passage = own._passage(asked)
-        return answer
-
-
-class InTime(Transients, Passages):
-    """Base class of methods that give both."""
-
-    @abstractmethod
-    def _transient(self, asked: TransientAsked) -> Transient:
-        """Return the densities that are asked for."""
+        return self._passage(PassageAsked(system, start, times, tol, progress, limit))
 
     @abstractmethod
     def _passage(self, asked: PassageAsked) -> Passage:

@@ -1,6 +1,10 @@
 """A number that carries its error."""
 
 from dataclasses import dataclass
+from typing import Literal
+
+ErrorKind = Literal["numerical", "sampling"]
+"""Estimate of a numerical error, or one standard error of sampling."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from math import nan
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,12 +15,10 @@ from fpk.bin_fit import Counts
 from fpk.bins import NODES, BinAxis
 from fpk.certificate import Certificate, outside
 from fpk.fits import Fits, standard_error
-from fpk.number import Number
+from fpk.number import ErrorKind, Number
 from fpk.observable import Observable, observable_name
 from fpk.quadrature import panel_rule
 from fpk.quantities import Function, Quantities, beyond
-
-ErrorKind = Literal["numerical", "sampling"]
 
 EPSILON = float(np.finfo(float).eps)
 """Share of the samples that stands for one where a histogram does not know how many there are."""

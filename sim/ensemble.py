@@ -15,17 +15,16 @@ from fpk.modulation import Modulation
 from fpk.observable import Coordinate
 from fpk.system import System
 from sim.arrays import LANES, StepArrays, WatchArrays, in_blocks, in_rows
-from sim.flow import factored
 from sim.histogram import Histogram, starts
 from sim.kernel import KernelKey, compiled_kernel
 from sim.parts.observed import FOLDED
 from sim.plan import step_arrays, watched
-from sim.random import START, mixed_seed, normals
+from sim.random import mixed_seed
 from sim.reachable import Reachable, loudest
 from sim.schemes import Scheme
 from sim.schemes.exact_flow import EXACT_FLOW
+from sim.start_states import PIECE, start_states
 from sim.statistics import Product
-from sim.step_size import temperature
 from sim.workers import TASKS_PER_THREAD, Workers
 
 Reader = Callable[..., None]
@@ -38,9 +37,6 @@ CHANGING = ("states", "sums", "folded", "counts")
 
 BATCHES = 64
 """Independent batches at most; a batch is made of whole blocks of lanes."""
-
-PIECE = 64
-"""Blocks whose starts are drawn together, beginning at its multiples."""
 
 LEAST_WORK = 100_000
 """Steps of single trajectories, a millisecond, below which a task costs more than it saves."""
@@ -55,41 +51,6 @@ GROUP, TRACED = 4, 32
 
 INVERSIONS, INVERTED = 100, 1e-13
 """Iterations in which the observed state becomes the start, and what may be left of its size."""
-
-
-def start_states(system: System, seed: int, piece: int) -> Array:
-    """Return the states (PIECE, 2n, LANES) in which the blocks from ``piece`` on start.
-
-    They are q = 0 and momenta of the temperature (covariance kT M). With damping terms the
-    displacements are drawn, too: on a limit cycle the noise alone mixes phases slowly.
-    """
-    n, kT = system.n, temperature(system)
-    # A trajectory owns 2**40 words; so many lie before those of the piece's first one.
-    words = START + ((piece * LANES) << 40)
-    L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))
-    # Of whole pieces: matrix products may round by the shape they come in.
-    p = L @ normals(seed, PIECE * LANES, words, n)[: L.shape[1]]
-    q = np.zeros_like(p)
-    if system.damping_terms:
-        q = start_displacements(system, kT, normals(seed, PIECE * LANES, words + n, n))
-    return np.vstack([q, p]).reshape(2 * n, -1, LANES).transpose(1, 0, 2)
-
-
-def start_displacements(system: System, kT: float, z: Array) -> Array:
-    """Return displacements (n, paths) from standard normals ``z``: Gaussian by the springs at kT.
-
-    Where a contact is reached they are shortened, by bisection, to the potential energy of the
-    springs alone: no start is deeper in a stop than its energy allows.
-    """
-    # An inverse, not ``system.compliance``: its rounding is part of what a seed stands for.
-    q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
-    level = 0.5 * np.sum(q * (system.stiffness_matrix @ q), axis=0)
-    low, high = np.zeros(q.shape[1]), np.ones(q.shape[1])
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        above = system.potential((middle * q).T) > level
-        low, high = np.where(above, low, middle), np.where(above, middle, high)
-    return np.asarray(low * q)
 
 
 def advanced(
@@ -350,11 +311,6 @@ class Ensemble:
         self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
         for name in CHANGING:
             getattr(self, name)[...] = saved[name]
-
-
-def motion(system: System, q: Array, p: Array, dt: float, seed: int, **settings: Any) -> Ensemble:
-    """Return the ensemble that begins in the observed states q, p (paths, n), by exact_flow."""
-    return Ensemble(system, EXACT_FLOW, dt, len(q), seed, start=(q, p), **settings)
 
 
 def ensemble_from(

@@ -12,7 +12,15 @@ import numpy as np
 
 from fpk.dynamics import Curve, Question, StationaryMotionMethod
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import InTime, Passage, PassageAsked, Transient, TransientAsked
+from fpk.evolution import (
+    AfterStart,
+    Passage,
+    PassageAsked,
+    Passages,
+    Transient,
+    TransientAsked,
+    Transients,
+)
 from fpk.method import Plan, Progress, Result
 from fpk.observable import Observable
 from fpk.recognition import REGISTRY
@@ -69,7 +77,7 @@ def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, i
 
 
 @dataclass(frozen=True)
-class MonteCarlo(StationaryMotionMethod, InTime):
+class MonteCarlo(StationaryMotionMethod, Transients, Passages):
     """Simulation of Eq. (6) with sampling errors from independent batches.
 
     Times are in the unit of time of the system, but for ``seconds`` and ``longest`` (wall time).
@@ -160,35 +168,31 @@ class MonteCarlo(StationaryMotionMethod, InTime):
 
     def _passage(self, asked: PassageAsked) -> Passage:
         """Return first passage: Brownian bridges or cubics between steps; see ``sim.motion``."""
-        answer: Passage = import_module("sim.motion.passage").passage(
-            self, asked.system, asked.limit, asked.start, asked.times,
-            tol=asked.tol, progress=asked.progress,
-        )  # fmt: skip
+        answer: Passage = self._sampled("passage", asked)
         return answer
 
     def _transient(self, asked: TransientAsked) -> Transient:
         """Return densities at ``times`` from histograms of an ensemble; see ``sim.motion``."""
-        answer: Transient = import_module("sim.motion.transient").transient(
-            self, asked.system, asked.observable, asked.start, asked.times, asked.at,
-            tol=asked.tol, progress=asked.progress,
-        )  # fmt: skip
+        answer: Transient = self._sampled("transient", asked)
         return answer
 
     def _crossings(self, asked: Question) -> Curve:
         """Return upcrossing rates, counted between steps too; see ``sim.motion``."""
-        return self._sampled("crossings", asked)
+        answer: Curve = self._sampled("crossings", asked)
+        return answer
 
     def _spectrum(self, asked: Question) -> Curve:
         """Return power spectral densities by Welch's method; see ``sim.motion``."""
-        return self._sampled("spectrum", asked)
+        answer: Curve = self._sampled("spectrum", asked)
+        return answer
 
     def _correlation(self, asked: Question) -> Curve:
         """Return autocovariances from products at a distance in time; see ``sim.motion``."""
-        return self._sampled("correlation", asked)
-
-    def _sampled(self, what: str, asked: Question) -> Curve:
-        answer: Curve = getattr(import_module(f"sim.motion.{what}"), what)(self, asked)
+        answer: Curve = self._sampled("correlation", asked)
         return answer
+
+    def _sampled(self, what: str, asked: Question | AfterStart) -> Any:
+        return getattr(import_module(f"sim.motion.{what}"), what)(self, asked)
 
     def refined(self) -> "MonteCarlo":
         """Return the method with four times the sample: half the sampling error.

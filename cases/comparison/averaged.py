@@ -17,7 +17,14 @@ from fpk.arrays import Array
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.escape import require_held
-from fpk.evolution import InTime, Passage, PassageAsked, Transient, TransientAsked
+from fpk.evolution import (
+    Passage,
+    PassageAsked,
+    Passages,
+    Transient,
+    TransientAsked,
+    Transients,
+)
 from fpk.limit import Limit
 from fpk.linear import modal_energies
 from fpk.method import Method, Plan, Progress, Result
@@ -44,7 +51,7 @@ sets the paths for a wanted relative error; and most paths."""
 
 
 @dataclass(frozen=True)
-class AveragedSimulation(InTime, Method):
+class AveragedSimulation(Transients, Passages, Method):
     """Averaged energies (17) or energy (9) of a theory by simulation: its ``solver`` "simulation".
 
     Times come from the process: an energy relaxes in about the time in which noise fills its scale,

@@ -9,12 +9,10 @@ from fpk.arrays import Array
 from fpk.certificate import tolerance
 from fpk.clock import left_out
 from fpk.errors import InvalidInput
-from fpk.evolution import Passage
+from fpk.evolution import Passage, PassageAsked
 from fpk.limit import Limit
 from fpk.method import Progress
 from fpk.modulation import Modulation
-from fpk.start import Start
-from fpk.system import System
 from sim.arrays import LANES, MAX_TRAJECTORIES, in_blocks, in_rows
 from sim.montecarlo import MonteCarlo
 from sim.motion.failure_times import Times
@@ -43,24 +41,16 @@ PROGRESS = 1000
 """Steps of the bar of progress."""
 
 
-def passage(
-    method: MonteCarlo,
-    system: System,
-    limit: Limit,
-    start: Start,
-    times: Array,
-    *,
-    tol: float | None,
-    progress: Progress,
-) -> Passage:
-    """Return the first passage of ``limit`` from ``start`` by simulation at dt/2 and at dt.
+def passage(method: MonteCarlo, asked: PassageAsked) -> Passage:
+    """Return the first passage that is asked for by simulation at dt/2 and at dt.
 
     ``paths`` trajectories are followed until all have failed, or for ``time``, or the cost of
-    ``most_steps`` steps each. ``tol``, the relative error wanted of the mean, or ``seconds``: as
-    many more as they take. ``longest`` bounds the first.
+    ``most_steps`` steps each. ``asked.tol``, the relative error wanted of the mean, or ``seconds``:
+    as many more as they take. ``longest`` bounds the first.
     """
+    system, limit, start, times = asked.system, asked.limit, asked.start, asked.times
     require_times(times)
-    wanted = tolerance(tol, method.tol)
+    wanted = tolerance(asked.tol, method.tol)
     modulation, loud = system.modulation, loudest(system)
     reach = reach_of(loud, limit, start, method.time or inf)
     dt, failures = motion_step(method, loud, reach, error=wanted)
@@ -75,7 +65,7 @@ def passage(
     def failed(number: int) -> float:
         steps = stages(first, dt, longest, most=CHUNK)
         rows.append(
-            followed(origin, limit, paths, number, first, steps, longest, hopeless, progress)
+            followed(origin, limit, paths, number, first, steps, longest, hopeless, asked.progress)
         )
         # About the relative standard error of the mean: times are nearly exponential.
         return 1.1 / sqrt(max(1, Times(*np.hstack(rows)).failed))

@@ -13,11 +13,12 @@ from fpk.linear import natural_modes
 from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES, in_rows
-from sim.ensemble import ensemble_from, start_displacements
+from sim.ensemble import ensemble_from
 from sim.flow import factored
 from sim.motion.steps import needs_steps
 from sim.random import OTHER_SEED, stream_of
 from sim.relaxation import relaxation_time
+from sim.start_states import start_displacements
 from sim.step_size import chosen_step, temperature
 
 ACCEPTED = 1e-4

@@ -13,12 +13,9 @@ from fpk.certificate import Measured, certify, outside, tolerance, worst
 from fpk.clock import left_out
 from fpk.effects import effects_of
 from fpk.errors import InvalidInput
-from fpk.evolution import Transient
-from fpk.method import Progress
+from fpk.evolution import Transient, TransientAsked
 from fpk.observable import Observable
 from fpk.sampled_density import SampledDensity
-from fpk.start import Start
-from fpk.system import System
 from sim.arrays import LANES, MAX_TRAJECTORIES, in_rows
 from sim.ensemble import ensemble_from
 from sim.histogram import (
@@ -49,24 +46,15 @@ CHUNK = 512
 """Steps at most from one sample to the next, so that Ctrl-C comes through."""
 
 
-def transient(
-    method: MonteCarlo,
-    system: System,
-    observable: Observable,
-    start: Start,
-    times: Array,
-    at: tuple[Array, ...],
-    *,
-    tol: float | None,
-    progress: Progress,
-) -> Transient:
-    """Return the densities of ``observable`` at ``times`` with one standard error.
+def transient(method: MonteCarlo, asked: TransientAsked) -> Transient:
+    """Return the densities that are asked for with one standard error.
 
     In the error is, in quadrature, what changes at the step dt instead of dt/2, by the same random
-    numbers. ``tol`` is the expected L1 error wanted at every time.
+    numbers. ``asked.tol`` is the expected L1 error wanted at every time.
     """
+    system, observable, start, times = asked.system, asked.observable, asked.start, asked.times
     require_times(times)
-    wanted = tolerance(tol, method.tol)
+    wanted = tolerance(asked.tol, method.tol)
     loud = loudest(system)
     kT = temperature_reached(loud, start, float(np.max(times)))
     reach = Reach(kT, largest_energy(system, start) + REACHED * kT)
@@ -86,7 +74,7 @@ def transient(
         for k, (fine, coarse) in enumerate(rows):
             histograms.add(k, times[k], fine, coarse)
             done = ROUNDS * len(times)
-            progress(min(done, number * len(times) + k + 1), done, "transient")
+            asked.progress(min(done, number * len(times) + k + 1), done, "transient")
         return inf if wanted is None else histograms.error
 
     with working(method, system, wanted, start) as (_, watch, origin):
@@ -96,7 +84,7 @@ def transient(
     return answer_of(
         histograms,
         times,
-        at,
+        asked.at,
         dt,
         settings={"seed": method.seed, "scheme": method.scheme},
         failures=failures,

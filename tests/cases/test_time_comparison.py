@@ -23,7 +23,7 @@ from cases.output.vtk import write_time_pvd
 from cases.scene.scene import load_scene
 from fpk.certificate import Measured, certify
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passage, Transient
+from fpk.evolution import Passage, Passages, Transient
 from fpk.limit import parse_limit
 from fpk.method import Method, silent
 from fpk.number import Number
@@ -177,7 +177,7 @@ def test_densities_that_nobody_compares_are_a_problem():
 
 
 @dataclass(frozen=True)
-class Stub(Method):
+class Stub(Passages, Method):
     """A method that answers as it is told."""
 
     name_of: tuple[str, str]
@@ -195,7 +195,7 @@ class Stub(Method):
     def refined(self):
         return self
 
-    def passage(self, *asked, tol, progress):
+    def _passage(self, asked):
         if isinstance(self.says, BaseException):
             raise self.says
         return self.says
@@ -236,9 +236,9 @@ def test_an_answer_that_fails_is_a_problem_and_one_that_does_not_apply_is_not():
 class Inexact(Stub):
     """A method with a default tolerance of 1e-5 and an error of 3e-5."""
 
-    def passage(self, *asked, tol, progress):
+    def _passage(self, asked):
         measured = Measured(3e-5, 0.0, 0.0, 0.0, 0.0)
-        return replace(self.says, certificate=certify(measured, tol=tol or 1e-5))
+        return replace(self.says, certificate=certify(measured, tol=asked.tol or 1e-5))
 
 
 def test_a_default_that_is_missed_in_time_is_a_note_where_nobody_asked_for_it():

@@ -1,13 +1,16 @@
 """Damaged files of the disk cache: compiled again, with a warning that names the file."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import threading
+from hashlib import sha256
 from itertools import product
 from pathlib import Path
 
+import numba
 import pytest
 
 from fpk.compiling import COMPILER, abandon, interruptible_compile, is_compiling
@@ -76,6 +79,16 @@ def test_a_damaged_file_is_compiled_again_with_a_warning(ending, damage, made, t
     assert len(warned) == 1 and str(path) in str(warned[0].message)
     last = made(2.0)  # the cache is whole again
     assert last(3.0) == 6.0 and sum(last.stats.cache_hits.values()) == 1
+
+
+def test_an_index_with_types_of_another_version_is_of_no_use(made, tmp_path):
+    """It names a class of a module that is no longer there."""
+    made(2.0)(3.0)
+    (path,) = tmp_path.rglob("*.nbi")
+    content = pickle.dumps(numba.__version__) + b"cno_such_module\nDiffusion\n."
+    path.write_bytes(content + sha256(content).digest())
+    again = made(2.0)
+    assert again(3.0) == 6.0 and not again.stats.cache_hits
 
 
 def test_data_of_another_function_under_the_same_name_are_not_used(made, tmp_path):

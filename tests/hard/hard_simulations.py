@@ -173,7 +173,7 @@ def many_trajectories() -> HardCase:
     ensemble = Ensemble(system, SCHEMES["exact_flow"], chosen_step(system), paths, 1, 2)
     ensemble.advance(20)
     _, p = ensemble.phase_points()
-    square = float(np.mean(p[:, 0] ** 2))
+    square, finite = float(np.mean(p[:, 0] ** 2)), float(np.isfinite(ensemble.states).mean())
     gigabytes = sum(array.nbytes for array in ensemble.saved().values()) / 1e9
     # From the momenta's own law, kT = 1/8, twenty short steps do not lead far away.
     return HardCase(
@@ -184,7 +184,7 @@ def many_trajectories() -> HardCase:
         certificate="none: no density",
         checks=(
             Check("below 2 GB", gigabytes < 2.0, f"{gigabytes:.2f} GB"),
-            Check("finite, none lost", bool(np.isfinite(ensemble.states).all()), "all finite"),
+            Check("finite, none lost", finite == 1.0, f"{finite:.0%} finite"),
         ),
     )
 

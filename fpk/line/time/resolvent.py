@@ -17,7 +17,7 @@ from fpk.line.time.elements import Elements
 Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 """Real numbers, or complex ones where the Laplace variables are."""
 UNDERFLOW = SMALLEST / EPS
-"""Below it numbers lose digits."""
+"""Smallest number whose products with EPS are normal doubles; those below it lose precision."""
 
 
 class Admittances(NamedTuple):
