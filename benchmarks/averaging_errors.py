@@ -21,7 +21,8 @@ from report import machine, markdown_table
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.method import PhaseSpace
-from cases.comparison.compare import distance_between, rms_ratios
+from cases.comparison.compare import distance_between
+from cases.comparison.doubt import rms_ratios
 from cases.scene.scene import load_scene
 from fpk.contact import Contact
 from fpk.errors import NotApplicable

@@ -16,7 +16,7 @@ from averaging.phase_space.passage import first_passage, mesh
 from averaging.time import start
 from cases.commands import studies
 from cases.commands.app import app
-from cases.comparison import answering, claims, compare, quantity
+from cases.comparison import answering, claims, doubt, quantity
 from cases.comparison.answers import Answers
 from cases.comparison.routes import listed_routes
 from cases.output import facts, presented, text, vtk
@@ -139,7 +139,7 @@ CONSTANTS = {
     ),
     "command-line.md": (
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)} an observable",
-        f"Where that is off by more than {compare.ACCEPTABLE_L1}, a stop",
+        f"Where that is off by more than {doubt.ACCEPTABLE_L1}, a stop",
         "quantiles of {0:.0%} and {2:.0%}".format(*quantity.QUANTILES.values()).replace("%", " %"),
         f"{short(phase_space.UNASKED_TOL)} or better where that is met",
         f"Where less than {short(phase_space.UNASKED_ACCEPTED)} is out of reach",
@@ -163,7 +163,7 @@ CONSTANTS = {
     "cluster.md": (f"Every {checkpoint.INTERVAL:g} seconds of a simulation",),
     "faq.md": (f"gives it to {short(phase_space.UNASKED_TOL)} or better",),
     "scene.md": (
-        f"within {compare.ACCEPTABLE_L1} in L1 of the full system",
+        f"within {doubt.ACCEPTABLE_L1} in L1 of the full system",
         f"(a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}, over all times)",
         f"up to {schema.MOST_QUESTIONS} of each",
         f"up to {schema.MOST_LEVELS} levels a coordinate",
@@ -265,7 +265,7 @@ def test_messages_and_help_state_the_limits_of_the_code():
     assert f"within {WORDS[orders.ABOVE_FLOOR]} times the floor" in converge_page.ORDER_WORDS
     assert "the median of {} to {} runs".format(*levels.REPEATS) in cost_page.MEANING
     assert lines.TAIL == 1e-6  # "to a millionth of the top"
-    assert f"within {compare.ACCEPTABLE_L1} in L1" in str(schema.EXPECT["acceptable"]["metadata"])
+    assert f"within {doubt.ACCEPTABLE_L1} in L1" in str(schema.EXPECT["acceptable"]["metadata"])
     system = {key: [1.0] for key in schema.SYSTEM["fields"]} | {"noise_gain": [[1.0]]}
     keys = schema.UNITS["fields"]
     with pytest.raises(InvalidInput) as refusal:

@@ -7,13 +7,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from cases.comparison.attempts import Refusal
-from cases.comparison.compare import (
-    Comparison,
-    averaging_notes,
-    compared,
-    discrepancies,
-    incompatibility,
-)
+from cases.comparison.compare import Comparison, compared, discrepancies
+from cases.comparison.doubt import averaging_notes, incompatibility
 from cases.comparison.in_time import Replies
 from cases.comparison.quantities import (
     Quantity,

@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from cases.scene.questions import Theory
+from cases.scene.expect import Theory
 from fpk.arrays import Array
 from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable

@@ -10,8 +10,10 @@ import numpy as np
 from scipy.special import ndtr
 
 from cases.comparison.answers import Answers
-from cases.comparison.compare import ACCEPTABLE_L1, distance_between
-from cases.scene.questions import RELATIONS, Expect, PassageQuestion
+from cases.comparison.compare import distance_between
+from cases.comparison.doubt import ACCEPTABLE_L1
+from cases.scene.expect import RELATIONS, Expect
+from cases.scene.questions import PassageQuestion
 from cases.written import with_error
 from fpk.clearance import stop_clearances
 from fpk.density import AnyDensity

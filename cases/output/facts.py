@@ -6,7 +6,7 @@ import numpy as np
 
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
-from cases.comparison.compare import averaging_notes, incompatibility
+from cases.comparison.doubt import averaging_notes, incompatibility
 from cases.comparison.routes import listed_routes, method_for
 from cases.output.records import Record, plain
 from cases.scene.numbers import Place

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic_core import to_jsonable_python
 
-from cases.comparison.compare import averaging_notes
+from cases.comparison.doubt import averaging_notes
 from cases.output.variables import CURVES, NUMBERS
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed

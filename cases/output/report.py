@@ -9,7 +9,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from cases.comparison.claims import ALMOST_KURTOSIS, ALMOST_L1
-from cases.comparison.compare import ACCEPTABLE_L1
+from cases.comparison.doubt import ACCEPTABLE_L1
 from cases.comparison.stationary import Outcome
 from cases.output.digest import curves_of
 from cases.output.facts import theories, units_record

@@ -9,15 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from cases.scene.errors import BadInput, misspelt, readable_errors, refused_as, toml_value
+from cases.scene.expect import Expect, expect_of
 from cases.scene.numbers import Curve, curves_of
-from cases.scene.questions import (
-    Expect,
-    PassageQuestion,
-    TransientQuestion,
-    expect_of,
-    passages_of,
-    transients_of,
-)
+from cases.scene.questions import PassageQuestion, TransientQuestion, passages_of, transients_of
 from cases.scene.schema import validated
 from cases.scene.units import NO_UNITS, Units
 from fpk.errors import InvalidInput

@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError, SchemaValidator, Va
 from pydantic_core import core_schema as core
 
 from cases.scene.errors import misspelt
-from cases.scene.questions import RELATIONS
+from cases.scene.expect import RELATIONS
 from cases.scene.units import Units
 from fpk.contact import Contact, Side
 from fpk.contact_law import LAWS

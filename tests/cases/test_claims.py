@@ -9,9 +9,9 @@ from scipy.special import ndtr
 
 import fpk
 from cases.comparison.claims import findings, shape_of
-from cases.comparison.compare import ACCEPTABLE_L1
+from cases.comparison.doubt import ACCEPTABLE_L1
 from cases.comparison.routes import listed_routes
-from cases.scene.questions import Expect, Range
+from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.bins import BinAxis
 from fpk.certificate import Certificate

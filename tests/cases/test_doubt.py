@@ -5,7 +5,7 @@ import json
 import pytest
 
 import fpk as face
-from cases.comparison.compare import averaging_notes
+from cases.comparison.doubt import averaging_notes
 from cases.comparison.routes import method_for
 from cases.scene.scene import load_scene
 

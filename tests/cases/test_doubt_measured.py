@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from averaging import Linear, NonIntegrable
-from cases.comparison.compare import rms_ratios
+from cases.comparison.doubt import rms_ratios
 from fpk.contact import Contact
 from fpk.errors import NotApplicable
 from fpk.linear import natural_modes, stationary_covariance

@@ -10,7 +10,7 @@ from time import perf_counter
 
 import numpy as np
 
-from cases.comparison.compare import averaging_notes
+from cases.comparison.doubt import averaging_notes
 from cases.comparison.quantity import AVERAGING, RELAXATION, parse_definition
 from cases.comparison.routes import method_for, methods_of
 from cases.output.claim import claimed

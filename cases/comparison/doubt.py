@@ -1,0 +1,86 @@
+"""When the averaging error of an answer is not known, and when to doubt the answer."""
+
+from collections.abc import Iterable
+from contextlib import suppress
+
+import numpy as np
+
+from averaging.exact import compatibility
+from fpk.arrays import Array
+from fpk.clearance import stop_clearances
+from fpk.errors import NotApplicable
+from fpk.linear import linear_covariance
+from fpk.route import Route
+from fpk.system import System
+
+ACCEPTABLE_L1 = 0.1
+"""L1 distance to the full system up to which a theory is called acceptable: no probability is
+wrong by more than 5 %."""
+
+
+def incompatibility(system: System) -> str | None:
+    """Return why the exact theory (7), (8) does not apply, None where it does."""
+    try:
+        compatibility(system)
+    except NotApplicable as reason:
+        return str(reason)
+    return None
+
+
+def rms_ratios(system: System) -> tuple[Array, float, float]:
+    """Return the rms of every q and v (2n,) by energy averaging without contacts, over the exact.
+
+    It gives all modes one temperature, Σ D_ii/m_i / Σ c_ii/m_i. With the largest E P_m² of a mode
+    over the least, and the largest damping ratio c*_mm/(2 ω_m). Raises ``NotApplicable`` where the
+    motion without contacts has no Gaussian law.
+    """
+    exact, n = system.fact(linear_covariance), system.n
+    states = np.kron(np.eye(2), exact.shapes) / np.append(exact.omega, np.ones(n))
+    variances, energies = np.diag(states @ exact.covariance @ states.T), np.diag(exact.covariance)
+    if not min(*variances, *energies) > 0.0:
+        raise NotApplicable("some motion without contacts gets no energy")
+    c = np.diag(exact.shapes.T @ system.damping @ exact.shapes)
+    one = np.sum(np.diag(system.noise_matrix) / system.mass) / np.sum(c)
+    ratios = np.sqrt(one * np.sum(states**2, axis=1) / variances)
+    spread = float(np.max(energies[n:]) / np.min(energies[n:]))
+    return ratios, spread, float(np.max(0.5 * c / exact.omega))
+
+
+def averaging_notes(
+    system: System, answers: Iterable[tuple[str, Iterable[Route], bool]]
+) -> tuple[str, ...]:
+    """Return notes on ``answers``: what of, by which routes, whether in time; one for each kind.
+
+    There is none with an answer of the full system, or where averaging is exact: under condition
+    (8), if the motion is stationary and no stop is left out. A note says to doubt an answer where
+    the theory errs by more than ``ACCEPTABLE_L1`` in an rms without contacts, leaves out a stop
+    within the rule of section 6.3, or, in time, where an energy swings by more of itself within a
+    period, which it does by the damping ratio.
+    """
+    exact, notes = incompatibility(system) is None, dict[str, list[str]]()
+    for of, routes, in_time in answers:
+        by = {route.method: route for route in routes}
+        alone = [t for t in by if in_time or not exact or (t == "integrable" and system.stops)]
+        if alone and all(route.solves == "averaged" for route in by.values()):
+            notes.setdefault(_note(system, alone, in_time), []).append(of)
+    return tuple(f"{', '.join(own)}: {note}" for note, own in notes.items())
+
+
+def _note(system: System, theories: list[str], in_time: bool) -> str:
+    words, doubt = ["averaging error not known here"], False
+    with suppress(NotApplicable):  # without a Gaussian law nothing measures it
+        ratios, spread, damping_ratio = rms_ratios(system)
+        low, high = float(np.min(ratios)), float(np.max(ratios))
+        doubt = in_time and damping_ratio > ACCEPTABLE_L1
+        if "nonintegrable" in theories:
+            doubt |= max(1.0 - low, high - 1.0) > ACCEPTABLE_L1
+            gives = (
+                f"nonintegrable gives {low:.3g} to {high:.3g} times the exact rms of each q and v"
+            )
+            words.append(f"without contacts {gives}")
+        words.append(f"modal temperatures differ by a factor of {spread:.2g}")
+        words.append(f"damping ratios are up to {damping_ratio:.2g}")
+    near = [s.ratio for s in system.fact(stop_clearances) if s.beyond_rule is False and s.ratio]
+    if "integrable" in theories and near:
+        words, doubt = [*words, f"a stop at {min(near):.2g} rms is left out"], True
+    return "; ".join(words) + ": doubt it" * doubt

@@ -1,0 +1,79 @@
+"""Claims of a scene's source about its figure, read from the table ``[expect]``."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from operator import ge, gt, le, lt
+from typing import Any, Literal, NamedTuple
+
+from fpk.errors import InvalidInput
+from fpk.observable import Observable, observable_name
+
+Theory = Literal["nonintegrable", "integrable"]
+
+RELATIONS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
+    "above": (">", gt),
+    "below": ("<", lt),
+    "at_least": ("≥", ge),
+    "at_most": ("≤", le),
+}
+"""How a claim gives a range of the varied number, with the sign of each."""
+
+
+class Range(NamedTuple):
+    """Values of the varied number in a ``relation`` of ``RELATIONS`` to ``limit``."""
+
+    relation: str
+    limit: float
+
+
+def range_of(key: str, given: Mapping[str, float]) -> Range:
+    """Return the range that a claim gives; raise ``InvalidInput`` for none or several."""
+    if len(given) != 1:
+        raise InvalidInput(key, given, f"must have exactly one of {', '.join(RELATIONS)}")
+    return Range(*next(iter(given.items())))
+
+
+@dataclass(frozen=True)
+class Expect:
+    """The claims of one figure; a claim that is not made is None.
+
+    ``of`` is the density that they are about. ``better``: the first theory is nearer to the full
+    system than the second. ``acceptable``: theories whose L1 distance to the full system is small.
+    ``clearance_rule``: the integrable theory is acceptable where every clearance exceeds this many
+    rms displacements; elsewhere the converse is asked, that it is not.
+    """
+
+    of: Observable
+    non_gaussian: Range | None = None
+    almost_gaussian: Range | None = None
+    nonintegrable_better_with: Literal["larger", "smaller"] | None = None
+    better: tuple[Theory, Theory] | None = None
+    acceptable: tuple[Theory, ...] = ()
+    clearance_rule: float | None = None
+
+
+def expect_of(
+    table: Mapping[str, Any] | None, observables: Sequence[Observable], *, curves: int
+) -> Expect | None:
+    """Return the claims of the table about a figure of so many ``curves``.
+
+    Raises ``InvalidInput`` for a claim that the scene cannot test.
+    """
+    if table is None:
+        return None
+    by_name = {observable_name(o): o for o in observables}
+    given = table.get("of", next(iter(by_name)))
+    name = ",".join(part.strip() for part in given.split(","))
+    if name not in by_name:
+        remedy = f"is not observed here; use {', '.join(by_name)}"
+        raise InvalidInput("expect.of", given, remedy)
+    claims = {**table, "of": by_name[name]}
+    for key in table.keys() & {"non_gaussian", "almost_gaussian"}:
+        claims[key] = range_of(f"expect.{key}", table[key])
+        if len(by_name[name]) > 1:
+            raise InvalidInput(f"expect.{key}", table[key], "is for one coordinate, not a pair")
+    for key in table.keys() & {"non_gaussian", "almost_gaussian", "nonintegrable_better_with"}:
+        if curves < 2:
+            remedy = "is about the curves of [vary]; add it"
+            raise InvalidInput(f"expect.{key}", table[key], remedy)
+    return Expect(**claims)
