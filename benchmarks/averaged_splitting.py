@@ -16,15 +16,22 @@ from fpk.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import silent
 from fpk.process import Process
-from sim.averaged.passage import from_energies
-from sim.averaged.square_root import SquareRootForm, line_form
+from sim.averaged.square_root import SquareRootForm, from_energies, line_form
 from sim.random import GOLDEN, mixed_seed
-from sim.splitting.algorithm import CompiledReplicas
-from sim.splitting.arrays import LEVELS, Paths, Score, new_paths
-from sim.splitting.parts import begin, draw_normals, level_of, place, record, uniform
-from sim.splitting.run import failure_of
-from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
-from sim.splitting.settings import RareFailure, Splitting
+from sim.splitting.kernel import (
+    LEVELS,
+    Paths,
+    Score,
+    begin,
+    draw_normals,
+    level_of,
+    new_paths,
+    place,
+    record,
+    uniform,
+)
+from sim.splitting.problem import SHARES, ScoreFunction, cost_score, score_table
+from sim.splitting.run import CompiledReplicas, RareFailure, Splitting, failure_of
 
 NAMES = (
     "sim/random.py", "sim/splitting/arrays.py", "sim/splitting/parts.py",

@@ -104,8 +104,8 @@ class AveragedSimulation(Transients, Passages, Method):
         ``tol``, the relative error wanted of the mean, makes more of the ``paths`` where needed.
         A state begins at its energies, H of the integrable theory anywhere on H1 + H2 + … = H.
         """
-        from sim.averaged.passage import energy_passage
-        from sim.motion.steps import require_times
+        from sim.averaged.paths import energy_passage
+        from sim.motion.limits import require_times
 
         require_times(asked.times)
         system, wanted = asked.system, self.tol if asked.tol is None else asked.tol
@@ -132,8 +132,8 @@ class AveragedSimulation(Transients, Passages, Method):
         ``tol``, the expected L1 error wanted at every time, makes more paths. Starts as of
         ``passage``.
         """
-        from sim.averaged.transient import energy_transient
-        from sim.motion.steps import require_times
+        from sim.averaged.paths import energy_transient
+        from sim.motion.limits import require_times
 
         system = asked.system
         require_held(system)
@@ -174,7 +174,7 @@ class AveragedSimulation(Transients, Passages, Method):
 
     def limits(self, form: Any, limit: Limit) -> Any:
         """Return the limit as one of X; raise ``NotApplicable`` where the theory knows it not."""
-        from sim.averaged.passage import EnergyLimits, from_energies
+        from sim.averaged.square_root import EnergyLimits, from_energies
 
         line, d = self.theory == "nonintegrable", form.scales.size
         if limit.kind == "q" or (limit.kind == "modal" and line):

@@ -20,11 +20,10 @@ from fpk.system import System
 from sim.arrays import LANES, in_blocks, in_rows
 from sim.ensemble import ensemble_from
 from sim.montecarlo import MonteCarlo
-from sim.motion.failure_times import Times, estimates, tail_begin
+from sim.motion.failure_times import Times, estimates, passage_of, tail_begin
 from sim.motion.limits import energies_of
 from sim.motion.passing import reader_of
 from sim.motion.starts import on_shell
-from sim.motion.survival import passage_of
 
 CIR_RATE = 0.13742123052434
 """Failure rate of dH = (kT − H) dt + √(2 kT H) dB at 3 kT: 1F1(−λ; 1; 3) = 0, per decay time."""
