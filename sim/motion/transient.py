@@ -19,9 +19,9 @@ from fpk.observable import Observable
 from fpk.sampled_density import SampledDensity
 from sim import histogram
 from sim.arrays import GROUPS, LANES, MAX_TRAJECTORIES, in_rows
-from sim.ensemble import ensemble_from
+from sim.ensemble import Ensemble, ensemble_from
 from sim.motion import limits
-from sim.motion.rounds import Watch, seed_of, working
+from sim.motion.rounds import Watch, both_steps, seed_of, working
 from sim.motion.starts import Origin
 from sim.reachable import loudest
 from sim.settings import Settings
@@ -70,33 +70,38 @@ def ensembles(
     The second is None where the step has no error: it is then as long as the time. Where the watch
     of the origin ends it there are no more; in the first round it raises ``InvalidInput``.
     """
-    system, seed = origin.system, seed_of(origin.seed, number)
+    system, seed, now, running = origin.system, seed_of(origin.seed, number), 0.0, list[Ensemble]()
     stepped = limits.needs_steps(system) or system.modulation is not None
-    states, words, now = [np.hstack(origin.drawn(paths, number))] * 2, [0, 0], 0.0
+    q, p, many = *origin.drawn(paths, number), (2, 1) if stepped else (1,)
     for time in times.tolist():
         if time > now:
             steps = ceil((time - now) / dt) if stepped else 1
             parts = ceil(steps / CHUNK)
             stride = ceil(steps / parts)
             long = (time - now) / (parts * stride)
-            for k, many in enumerate((2, 1) if stepped else (1,)):
-                q, p = np.split(states[k], 2, axis=1)
-                with left_out():
-                    ensemble = ensemble_from(
-                        system, q, p, long / many, seed, halved=k == 1, word=words[k],
-                        workers=origin.workers, modulation=system.modulation, begin=now,
+            with left_out():
+                if running:
+                    pairs = zip(running, many, strict=True)
+                    running = [ensemble.onward(long / each) for ensemble, each in pairs]
+                elif stepped:
+                    running = both_steps(
+                        system, q, p, long, seed, workers=origin.workers,
+                        modulation=system.modulation,
                     )  # fmt: skip
+                else:
+                    running = [ensemble_from(system, q, p, long, seed, workers=origin.workers)]
+            for ensemble, each in zip(running, many, strict=True):
                 for done in range(parts):
-                    ensemble.advance(stride * many, stride=stride * many)
+                    ensemble.advance(stride * each, stride=stride * each)
                     if origin.watch and origin.watch.ends():
                         if number:  # what there is will do
                             return
                         share = (now + (time - now) * (done + 1) / parts) / times[-1]
                         origin.watch.require("the first round", share)
-                states[k] = in_rows(ensemble.last)[:, : 2 * system.n]
-                words[k] = ensemble.next_word
         now = time
-        yield states[0], states[1] if stepped else None
+        states = [in_rows(ensemble.last)[:, : 2 * system.n] for ensemble in running]
+        states = states or [np.hstack([q, p])]
+        yield states[0], states[-1] if stepped else None
 
 
 @dataclass(eq=False)
