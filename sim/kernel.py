@@ -169,16 +169,11 @@ def compiled_kernel(key: KernelKey) -> Any:
                     linear.gather(groups, s, chosen, near, 2 * n, group)
                     linear.places(places_of, chosen, near, pairs)
                 word = counter + np.uint64(t * step.words)
-                for pair in range(pairs):
-                    to = z[2 * pair * W : 2 * (pair + 1) * W]
-                    fill_normals(to, words, trajectory, word + np.uint64(pair), offset)
-                if modulated:
-                    scale_all(z, step.strength[t])
-                linear.map_state(s, z, matrix, pairs)
-                if halved:  # the second half of the time between two kicks
+                for half in range(1 + halved):  # of the time between two kicks
                     for pair in range(pairs):
                         to = z[2 * pair * W : 2 * (pair + 1) * W]
-                        fill_normals(to, words, trajectory, word + np.uint64(pairs + pair), offset)
+                        own = word + np.uint64(half * pairs + pair)
+                        fill_normals(to, words, trajectory, own, offset)
                     if modulated:
                         scale_all(z, step.strength[t])
                     linear.map_state(s, z, matrix, pairs)

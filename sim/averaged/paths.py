@@ -28,7 +28,7 @@ from sim.motion.transient import Counted, counted_in_rounds
 from sim.random import stream_of
 from sim.workers import workers_of
 
-GROUP = 8
+GROUP = 4
 """Blocks of paths that have one stream of random numbers, and are one task of a thread."""
 
 STARTS = 1 << 63
@@ -156,13 +156,14 @@ def simulate_energies(
 
 def burnt_in(
     form: SquareRootForm, paths: int, stream: np.random.Generator, *, interval: float, steps: int,
-    time: float,
+    time: float, threads: int = 1,
 ) -> Array:  # fmt: skip
     """Return X (paths, d) after ``time``, in intervals of ``steps`` each, from exponential ones."""
-    X = stream.exponential(form.scales, (paths, form.scales.size))
-    for _ in range(ceil(time / interval) * steps):
-        X = square_root_step(form, X, interval / steps, stream)
-    return X
+    start, seed = stream.exponential(form.scales, (paths, form.scales.size)), stream.integers(2**63)
+    with workers_of(None, threads) as workers:
+        ensemble = EnergyEnsemble(form, start, interval / steps, int(seed), 0, workers)
+        ensemble.advance(ceil(time / interval) * steps)
+    return ensemble.X
 
 
 def energy_axis(

@@ -110,6 +110,14 @@ def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
 
 
 @inlined
+def record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) -> None:
+    """Write a state as the record number ``records`` of replica i."""
+    for r in range(paths.state.shape[2]):
+        paths.state[i, records, r] = x[r]
+    paths.level[i, records], paths.step[i, records] = level, step
+
+
+@inlined
 def level_of(score: Score, coordinate: int, x: float, step: int) -> int:
     """Return the level of the share x of the limit after ``step`` steps, by bilinear tables."""
     if not x < 1.0:
@@ -250,9 +258,7 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
                         reached = max(reached, level_of(score, m, share, done))
                 if reached > top:
                     top = reached
-                    for r in range(2 * n):
-                        paths.state[i, records, r] = x[r]
-                    paths.level[i, records], paths.step[i, records] = top, done
+                    record(paths, i, records, x, top, done)
                     records += 1
                 if done >= score.steps or top >= LEVELS:
                     break
