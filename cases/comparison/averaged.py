@@ -204,8 +204,10 @@ class AveragedSimulation(Transients, Passages, Method):
             form = self._form(self._process(louder))
             slowest, steps = self._steps(form)
             interval, time = 0.5 * slowest, BURN_IN * slowest
-            own = {"interval": interval, "steps": steps, "time": time}
-            begun = partial(burnt_in, form, **own, threads=self.threads or usable_cores())
+            threads = self.threads or usable_cores()
+            begun = partial(
+                burnt_in, form, interval=interval, steps=steps, time=time, threads=threads
+            )
             return lambda paths, stream: form.energies(begun(paths, stream))
         if start.kind == "energy" and not line:
 

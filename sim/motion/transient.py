@@ -173,7 +173,7 @@ def counted_in_rounds(
         for k, (fine, coarse) in enumerate(states(number)):
             counted.add(k, times[k], fine, coarse)
             progress(min(done, number * len(times) + k + 1), done, what)
-        return inf if watch.tol is None else max(d.l1_error for d in counted.densities())
+        return inf if watch.tol in (None, inf) else max(d.l1_error for d in counted.densities())
 
     watch.until(error_after, least=least, most=most)
     fine = counted.densities()
