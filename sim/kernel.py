@@ -12,21 +12,12 @@ import numpy as np
 from fpk.arrays import Array, Integers
 from fpk.compiled_laws import compiled_laws, law_files
 from fpk.compiling import ROOT, cached_njit, checksum
-from sim.arrays import (
-    StepArrays,
-    W,
-    WatchArrays,
-    add,
-    add_matrix,
-    aligned_rows,
-    copy,
-    row,
-    scale_all,
-)
+from sim.arrays import StepArrays, W, WatchArrays
+from sim.lanes import add, add_matrix, aligned_rows, copy, row, scale_all
 from sim.parts import forces, linear, observed
 from sim.random import GOLDEN, fill_normals
 
-NAMES = ("arrays", "kernel", "random", "parts/forces", "parts/linear", "parts/observed")
+NAMES = ("arrays", "kernel", "lanes", "random", "parts/forces", "parts/linear", "parts/observed")
 KERNEL = tuple(f"sim/{name}.py" for name in NAMES)
 """Files of this room that a kernel is compiled from."""
 

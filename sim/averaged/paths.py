@@ -38,9 +38,6 @@ MOST_DRAWS = 3e7
 """Random numbers at most where no wall time is given, some 20 s of one core: paths are followed for
 no longer than that allows."""
 
-CHUNK = 16
-"""Steps after which the wall time is looked at, and paths that have failed make room."""
-
 Starts = Callable[[int, np.random.Generator], Array]
 """Energies (paths, d) at time 0, drawn from a stream."""
 
@@ -234,7 +231,7 @@ def energy_passage(
             )
             make = partial(lambda read, h, begin: partial(read, dt=h, begin=begin), read)
             runs.append((paths, many, make, which))
-        steps = stages(first, dt, horizon, most=CHUNK)
+        steps = stages(first, dt, horizon, most=1)
         rows.append(followed(runs, past, chance, steps, horizon, horizon, watch.ends, progress))
         return 0.0
 

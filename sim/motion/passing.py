@@ -15,9 +15,10 @@ from fpk.limit import Limit
 from fpk.linear import natural_modes
 from fpk.modulation import Modulation
 from fpk.system import System
-from sim.arrays import W, add_product, fill, row
+from sim.arrays import W
 from sim.ensemble import Reader
 from sim.kernel import once
+from sim.lanes import add_product, fill, row
 from sim.motion.limits import energies_at, energies_of
 
 Cubic = tuple[float, float, float, float]
@@ -103,7 +104,7 @@ def first_passage(c: Cubic, limit: float) -> float:
     return 2.0
 
 
-SOURCES = ("sim/arrays.py", "sim/motion/passing.py")
+SOURCES = ("sim/arrays.py", "sim/lanes.py", "sim/motion/passing.py")
 """Files that the readers are compiled from."""
 
 NATS = 40.0

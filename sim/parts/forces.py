@@ -14,20 +14,8 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.compiled_laws import of_law
 from fpk.compiling import inlined
-from sim.arrays import (
-    Rows,
-    StepArrays,
-    TermArrays,
-    W,
-    add,
-    add_matrix,
-    add_product,
-    copy,
-    fill,
-    kick,
-    multiply,
-    row,
-)
+from sim.arrays import Rows, StepArrays, TermArrays, W
+from sim.lanes import add, add_matrix, add_product, copy, fill, kick, multiply, row
 
 Stop = tuple[float, float, float, float, Any]
 """Sign, clearance, stiffness, exponent and law of a stop."""

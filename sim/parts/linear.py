@@ -17,7 +17,8 @@ from numba import njit
 
 from fpk.arrays import Array, Integers
 from fpk.compiling import inlined
-from sim.arrays import COLUMNS, StepArrays, W, copy, fill, row
+from sim.arrays import COLUMNS, StepArrays, W
+from sim.lanes import copy, fill, row
 from sim.parts.forces import contact_forces, kick_by_contact
 from sim.random import GOLDEN, LANE, Halves, Singles, Words, box_muller, mixed_word
 

@@ -7,18 +7,8 @@ from numba import njit
 
 from fpk.arrays import Array, Integers
 from fpk.compiling import inlined
-from sim.arrays import (
-    StepArrays,
-    W,
-    WatchArrays,
-    add,
-    add_matrix,
-    add_product,
-    copy,
-    fill,
-    kick,
-    row,
-)
+from sim.arrays import StepArrays, W, WatchArrays
+from sim.lanes import add, add_matrix, add_product, copy, fill, kick, row
 from sim.parts.forces import add_contact, damping_forces, processed_by_terms, whole_energy
 
 FOLDED = 16

@@ -11,8 +11,9 @@ import numpy as np
 from fpk.arrays import Array, Integers
 from fpk.compiled_laws import compiled_laws, law_files, of_law
 from fpk.compiling import ROOT, cached_njit, checksum, inlined
-from sim.arrays import StepArrays, WatchArrays, kick, row
+from sim.arrays import StepArrays, WatchArrays
 from sim.kernel import KERNEL, KernelKey, once
+from sim.lanes import kick, row
 from sim.motion.passing import NATS, cubic_of, distance_to, form_of, largest_of
 from sim.parts import forces
 from sim.parts.linear import map_state

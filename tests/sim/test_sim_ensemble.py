@@ -102,8 +102,8 @@ def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> 
 
     assert checksums(tmp_path) == checksums(ROOT)
     for name, compiled in (
-        ("sim/parts/contact.py", True),
-        ("sim/arrays.py", True),
+        ("sim/parts/forces.py", True),
+        ("sim/lanes.py", True),
         ("fpk/laws/hertz.py", True),
         ("fpk/laws/power.py", False),
         ("sim/diagnostics.py", False),
