@@ -50,7 +50,7 @@ class TermArrays(NamedTuple):
 
 
 class SubstepArrays(NamedTuple):
-    """Numbers of a long step of ``small`` small ones, see ``sim.substeps``; stops as in a step."""
+    """Numbers of a long step of ``small`` small ones, see ``sim.plan``; stops as in a step."""
 
     small: int
     matrix: Array  # (2n, columns), the map over the long step

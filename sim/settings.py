@@ -24,7 +24,7 @@ RELAXATIONS = 153.2
 
 MOST_STEPS = 400_000
 """Steps at most where no time is given: of weakly damped systems fewer relaxation times fit in.
-Where only some trajectories make small steps it counts what they cost (``substeps.cost``)."""
+Where only some trajectories make small steps it counts what they cost (``plan.cost``)."""
 
 ANYWHERE = {
     "MonteCarlo.threads": "the random numbers belong to a path, whatever thread makes its steps",

@@ -100,7 +100,7 @@ def expected_seconds(method: Settings, system: System) -> float:
     """Return about how long a simulation takes, in seconds of wall time, to a factor of three.
 
     Without compiling, and without what long steps save far from stiff stops. Raises as
-    ``MonteCarlo.planned`` does.
+    ``require_stationary`` does.
     """
     require_stationary(system)
     dt, relaxation = default_step(method, system), relaxation_time(system)

@@ -265,9 +265,9 @@ def energy_transient(
     """Return the densities of energies at ``times`` at the points ``at``, with standard errors.
 
     Where ``form.damping`` is None one exact step leads from time to time, and no error is that of a
-    step; else it is in the error, ``answer_of``, and both steps have paths of their own. Two rounds
-    of ``paths`` are made; with ``tol`` more until the expected L1 error is below it at all times,
-    or ``seconds`` of wall time have passed.
+    step; else it is in the error, ``counted_in_rounds``, and both steps have paths of their own.
+    Two rounds of ``paths`` are made; with ``tol`` more until the expected L1 error is below it at
+    all times, or ``seconds`` of wall time have passed.
     """
     exact = form.damping is None
     axis, gaps = partial(energy_axis, form), np.diff(times, prepend=0.0)

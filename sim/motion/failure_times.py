@@ -36,11 +36,11 @@ class Times:
     """When trajectories failed, inf where not, and until when each was followed, both (paths,).
 
     ``fine`` were found at half the step of ``coarse``, by the same random numbers where the two
-    can be coupled; ``coarse`` None where the times have no error of a step.
+    can be coupled.
     """
 
     fine: Array
-    coarse: Array | None
+    coarse: Array
     until: Array
 
     @property
@@ -139,13 +139,11 @@ def passage_of(
     for g in range(GROUPS):
         others = group != g
         rows.append(estimates(fine[others], until[others], times, begin))
-    bias = np.zeros(best.size)  # the part by the step
     with np.errstate(invalid="ignore"):
         error = np.sqrt(np.var(rows, axis=0) * (GROUPS - 1))
         at_least = np.sqrt(np.maximum(best[3:] * (1.0 - best[3:]), 0.0) / paths)
         error[3:] = np.maximum(error[3:], np.maximum(at_least, 1.0 / paths))
-        if sampled.coarse is not None:
-            bias = np.abs(estimates(sampled.coarse, until, times, begin) - best)
+        bias = np.abs(estimates(sampled.coarse, until, times, begin) - best)  # of the step
         error = np.hypot(error, bias)
         error = np.where(np.isnan(error), inf, error)
         size = np.append(np.abs(best[:3]), np.minimum(best[3:], 1.0 - best[3:]))
@@ -200,7 +198,7 @@ def passage_of(
         settings["failure rate from"] = begin
     if 0 < events < paths and best[0] < inf:
         settings["continued"] = "the moments, at the failure rate, where trajectories end first"
-    if sampled.coarse is not None and events:
+    if events:
         settings |= {
             "step bias of the mean": float(bias[0]),
             "step bias of the rate": float(bias[2]),

@@ -50,7 +50,7 @@ class LimitArrays(NamedTuple):
     """The limit of a first passage: of c modal energies or, with c = 1, of one displacement q_i.
 
     E_f is the energy of failure. The score of a displacement depends on E_i/E_f, E_i the energy
-    that its motion has; ``reach`` gives it from the modal energies H_m (``full.limit_arrays``).
+    that its motion has; ``reach`` gives it from the modal energies H_m (``problem.limit_arrays``).
     """
 
     values: Array  # (c,)
