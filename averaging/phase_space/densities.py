@@ -1,13 +1,10 @@
 """Densities of displacements and momenta by the last solution of a ladder, with their errors."""
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy.ndimage import map_coordinates, maximum_filter
 
 from averaging.phase_space.identities import heat_into_masses
-from averaging.phase_space.marginals import marginal
-from averaging.phase_space.moments import moments
+from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.refinement import ROUND_OFF, Ladder
 from fpk.arrays import Array
 from fpk.certificate import Measured
@@ -29,77 +26,59 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     The error is the distance to the coarser solution about a point, as much larger as all of the
     L1 error is than all of that, and what fewer points of integration change.
     """
-    frame, factor = ladder.frame, ladder.factors[observable]
-    panels, pdf = marginal(frame, ladder.finest, observable)
-    _, coarser = marginal(frame, ladder.coarser, observable)
-    local, largest = _local_distance(panels, pdf, coarser)
-    floor, tail = ROUND_OFF * largest, _tail(panels, pdf)
+    factor, error = ladder.factors[observable], ladder.errors[observable]
+    panels, pdf = marginal(ladder.finest, observable)
+    _, coarser = marginal(ladder.coarser, observable)
+    _, fewer = marginal(ladder.finest, observable, share=FEWER)
+    count, window = GRID[len(panels)], WINDOW[len(panels)]
+    axes = [np.linspace(nodes[0], nodes[-1], count) for nodes in panels]
+    mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
+    values = np.asarray(pdf(*mesh))
+    distance = np.abs(values - np.asarray(coarser(*mesh)))
+    local, floor = maximum_filter(distance, window, mode="nearest"), ROUND_OFF * values.max()
+    # Mass beyond the panels: the density at their ends times the length of the last ones, over
+    # which it falls by more than e at the end of the support.
+    tail = 0.0
+    for axis, nodes in enumerate(panels):
+        step = float(np.prod([x[1] - x[0] for k, x in enumerate(axes) if k != axis]))
+        for end, length in ((nodes[0], nodes[1] - nodes[0]), (nodes[-1], nodes[-1] - nodes[-2])):
+            at = [*axes[:axis], np.array([end]), *axes[axis + 1 :]]
+            tail += float(np.abs(pdf(*at)).sum()) * step * float(length)
     measured = Measured(
-        l1_error=ladder.errors[observable] + tail,
+        l1_error=error + tail,
         mass_defect=np.nan,
         minimum=np.inf,
         residual=ladder.finest.residual,
         tail_mass=tail,
+        failures=(ladder.limit,) if ladder.limit and error > tol else (),
     )
-    if ladder.limit and ladder.errors[observable] > tol:
-        measured = measured.with_failures(ladder.limit)
-    ends = np.array([[nodes[0], nodes[-1]] for nodes in panels])
-
-    def pointwise(*x: Array) -> Array:
-        arrays = np.broadcast_arrays(*x)
-        place = [
-            (a - low) / (high - low) * (GRID[len(panels)] - 1)
-            for a, (low, high) in zip(arrays, ends, strict=True)
-        ]
-        distance = map_coordinates(local, np.array(place), order=1, mode="nearest")
-        return np.asarray(factor * distance + floor)
-
-    _, fewer = marginal(frame, ladder.finest, observable, share=FEWER)
 
     def integration_error(p: Array, *x: Array) -> Array:
         return np.abs(p - np.asarray(fewer(*x)))
+
+    def pointwise(*x: Array) -> Array:
+        place = [
+            (a - nodes[0]) / (nodes[-1] - nodes[0]) * (count - 1)
+            for a, nodes in zip(np.broadcast_arrays(*x), panels, strict=True)
+        ]
+        about = map_coordinates(local, np.array(place), order=1, mode="nearest")
+        return np.asarray(factor * about + floor + integration_error(pdf(*x), *x))
 
     return certified_density(
         observable,
         panels,
         pdf,
-        lambda *x: pointwise(*x) + integration_error(pdf(*x), *x),
+        pointwise,
         measured=measured,
         tol=tol,
         added_error=integration_error,
     )
 
 
-def _local_distance(
-    panels: tuple[Array, ...], pdf: Callable[..., Array], coarser: Callable[..., Array]
-) -> tuple[Array, float]:
-    """Largest distance to the coarser solution around the points of a grid, and largest density."""
-    count, window = GRID[len(panels)], WINDOW[len(panels)]
-    axes = [np.linspace(nodes[0], nodes[-1], count) for nodes in panels]
-    mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
-    values = np.asarray(pdf(*mesh))
-    distance = np.abs(values - np.asarray(coarser(*mesh)))
-    return maximum_filter(distance, size=window, mode="nearest"), float(values.max())
-
-
-def _tail(panels: tuple[Array, ...], pdf: Callable[..., Array]) -> float:
-    """Mass beyond the panels: the density at their ends times the length of the last ones.
-
-    The density falls by more than e over a panel at the end of the support.
-    """
-    total = 0.0
-    for axis, nodes in enumerate(panels):
-        others = [np.linspace(x[0], x[-1], GRID[2]) for k, x in enumerate(panels) if k != axis]
-        weight = float(np.prod([x[1] - x[0] for x in others])) if others else 1.0
-        for end, length in ((nodes[0], nodes[1] - nodes[0]), (nodes[-1], nodes[-1] - nodes[-2])):
-            at = [np.array([end]), *others] if axis == 0 else [*others, np.array([end])]
-            total += float(np.abs(pdf(*at)).sum()) * weight * float(length)
-    return total
-
-
 def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
     """Return degrees, what ended the ladder, second moments and the power into each mass."""
-    d, n = ladder.finest.degrees, ladder.frame.n
+    e = ladder.finest
+    frame, d, m = e.basis.frame, e.basis.degrees, moments(e)
     settings: dict[str, str | float | int] = {
         "equation": "(6)",
         "highest degree": d.total,
@@ -108,13 +87,11 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
     }
     if ladder.limit:
         settings["ended by"] = ladder.limit
-    m = moments(ladder.frame, ladder.finest)
-    order, mass = ladder.frame.order, ladder.frame.system.mass
-    for place, i in enumerate(order):
-        square = m.covariance[place, place] + m.mean[place] ** 2
-        settings[f"E q{i + 1}²"] = float(square / mass[i])
-        velocity = m.covariance[n + place, n + place] + m.mean[n + place] ** 2
-        settings[f"E p{i + 1}²"] = float(velocity * mass[i])
-    for i, heat in zip(order, heat_into_masses(ladder.frame, ladder.finest), strict=True):
+    squares = np.diag(m.covariance) + m.mean**2
+    for place, i in enumerate(frame.order):
+        mass = frame.system.mass[i]
+        settings[f"E q{i + 1}²"] = float(squares[place] / mass)
+        settings[f"E p{i + 1}²"] = float(squares[frame.n + place] * mass)
+    for i, heat in zip(frame.order, heat_into_masses(e, m), strict=True):
         settings[f"net power of damping and noise on mass {i + 1}"] = heat
     return settings

@@ -1,20 +1,11 @@
 """Equations that hold in any stationary state, on a solution: a judge where nothing is exact."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from averaging.phase_space.equation.damping import (
-    Polynomial,
-    by_y,
-    product,
-    reach,
-    state,
-)
+from averaging.phase_space.equation.damping import Polynomial, by_y, product, reach, state
 from averaging.phase_space.equation.elimination import Expansion
-from averaging.phase_space.equation.frame import Frame
-from averaging.phase_space.equation.others import Matrix, Space, first_and_second
-from averaging.phase_space.moments import moments
+from averaging.phase_space.equation.space import Matrix, space_to
+from averaging.phase_space.marginals import Moments, moments
 from averaging.phase_space.refinement import SAFETY, Ladder
 from fpk.arrays import Array
 from fpk.method import Identity
@@ -24,31 +15,23 @@ MARGIN = 4.0
 densities, in units of the identity's own sides, is added."""
 
 
-@dataclass(frozen=True, eq=False)
-class Means:
-    """Means of the forces f in an expansion, in the order of the frame.
+def force_means(e: Expansion) -> tuple[Array, Array, Array]:
+    """Return the means of the forces f of damping terms, in the order of the frame.
 
-    ``power`` E v_i f_i and ``virial`` E r_i f_i (n,); ``given`` (n, points) is that of f given y,
-    times the density of y, in the weights of the points.
+    E v_i f_i and E r_i f_i (n,), and the means (n, points) of f given y, times the density of y,
+    in the weights of the points. All are 0 without damping terms.
     """
-
-    power: Array
-    virial: Array
-    given: Array
-
-
-def force_means(frame: Frame, e: Expansion) -> Means:
-    """Return the means of the forces of damping terms; 0 without any."""
-    n, top, b = frame.n, 2 + reach(frame), e.basis
-    if not frame.system.damping_terms:
-        return Means(np.zeros(n), np.zeros(n), np.zeros((n, b.points.size)))
-    space = Space.to(top, top, 2 * n - 1)
-    s = state(frame, b.reference, e.factor, space)
+    b = e.basis
+    n, top = b.frame.n, 2 + reach(b.frame)
+    if not b.frame.system.damping_terms:
+        return np.zeros(n), np.zeros(n), np.zeros((n, b.points.size))
+    space = space_to(top, top, 2 * n - 1)
+    r, v, forces = state(b, e.factor, space)
     inside = [
-        np.flatnonzero((space.level == level) & (space.counted <= e.degrees.others))
-        for level in range(top + 1)
+        np.flatnonzero((space.level == n) & (space.counted <= b.degrees.others))
+        for n in range(top + 1)
     ]
-    levels = [e.functions(level, b.points) for level in range(top + 1)]
+    levels = [e.functions(n, b.points) for n in range(top + 1)]
     first: Polynomial = {(0, 0): Matrix(([1.0], ([0], [0])), shape=(1, len(space.level)))}
 
     def given(*factors: Polynomial) -> Array:
@@ -58,28 +41,25 @@ def force_means(frame: Frame, e: Expansion) -> Means:
             row = product(row, factor)
         for powers, X in row.items():
             x = X.toarray()[0]
-            by_z = sum(x[at] @ u for at, u in zip(inside, levels, strict=True))
-            total += by_y(frame, b, powers) * by_z
+            total += by_y(b, powers) * sum(x[at] @ u for at, u in zip(inside, levels, strict=True))
         return total
 
-    pairs = tuple(zip(s.v, s.r, s.forces, strict=True))
-    return Means(
-        np.array([np.sum(given(v, f)) for v, _, f in pairs]),
-        np.array([np.sum(given(r, f)) for _, r, f in pairs]),
-        np.array([given(f) for f in s.forces]),
+    power, virial = (
+        np.array([np.sum(given(x, f)) for x, f in zip(of, forces, strict=True)]) for of in (v, r)
     )
+    return power, virial, np.array([given(f) for f in forces])
 
 
-def heat_into_masses(frame: Frame, e: Expansion) -> list[float]:
+def heat_into_masses(e: Expansion, m: Moments) -> list[float]:
     """Return D_ii/m_i − Σ_j E c_ij v_i v_j of each mass, in the order of the frame.
 
     What a mass takes from its noise and loses to its damping in the mean; the springs carry it to
     the others, and the sum of all vanishes.
     """
-    n, m = frame.n, moments(frame, e)
+    frame, n = e.basis.frame, e.basis.frame.n
     second = m.covariance[n:, n:] + np.outer(m.mean[n:], m.mean[n:])
     heat = np.diag(frame.noise) - np.sum(frame.damping * second, axis=1)
-    return [float(value) for value in heat - force_means(frame, e).power]
+    return [float(value) for value in heat - force_means(e)[0]]
 
 
 def identities(ladder: Ladder) -> tuple[Identity, ...]:
@@ -88,11 +68,9 @@ def identities(ladder: Ladder) -> tuple[Identity, ...]:
     For any f, E[v f(y)] = 0 and E[v₁² f'(y)] = E[f(y) ((K (y, r) + c v)₁ + g(y))]; f is the sine of
     y in standard deviations. The error is that of the coarser solution, by its distance.
     """
-    finest, coarser = (_sides(ladder.frame, e) for e in (ladder.finest, ladder.coarser))
-    scale = float(np.trace(ladder.frame.noise))
-    out = []
-    for name, (value, expected) in finest.items():
-        before = coarser[name]
+    finest, coarser = _sides(ladder.finest), _sides(ladder.coarser)
+    scale, out = float(np.trace(ladder.finest.basis.frame.noise)), []
+    for (name, value, expected), (_, *before) in zip(finest, coarser, strict=True):
         distance = abs((value - expected) - (before[0] - before[1]))
         size = max(abs(value), abs(expected), scale)
         error = MARGIN * SAFETY * distance + max(ladder.errors.values()) * size
@@ -100,42 +78,25 @@ def identities(ladder: Ladder) -> tuple[Identity, ...]:
     return tuple(out)
 
 
-def _sides(frame: Frame, e: Expansion) -> dict[str, tuple[float, float]]:
-    m, n, b = moments(frame, e), frame.n, e.basis
-    y, w = b.points, b.weights
+def _sides(e: Expansion) -> list[tuple[str, float, float]]:
+    """Names of the identities, and both sides of each."""
+    m, b, frame = moments(e), e.basis, e.basis.frame
+    n, y, w = frame.n, b.points, b.weights
+    K, c = frame.stiffness, frame.damping
     second = m.covariance + np.outer(m.mean, m.mean)
-    u0 = e.functions(0, y)[0]
-    force = frame.contact_force(y)
-    first = int(frame.order[0]) + 1
-    terms = force_means(frame, e)
-    sides = {
-        "Σ c_ij E v_i v_j": (
-            float(np.sum(frame.damping * second[n:, n:]) + np.sum(terms.power)),
-            float(np.trace(frame.noise)),
-        )
-    }
+    power, virial, force = force_means(e)
+    # Of the contact and of the damping terms on the contact mass, given y, in the weights.
+    contact = w * e.functions(0, y)[0] * frame.contact_force(y)
+    left, right = float(np.sum(c * second[n:, n:]) + np.sum(power)), float(np.trace(frame.noise))
+    sides = [("Σ c_ij E v_i v_j", left, right)]
+    virial[0] += contact @ y
     for i in range(n):
-        contact = float(w @ (u0 * y * force)) if i == 0 else 0.0
-        right = frame.stiffness[i] @ second[:n, i] + frame.damping[i] @ second[n:, i] + contact
-        right = right + terms.virial[i]
-        sides[f"E p{frame.order[i] + 1}²/m"] = (float(second[n + i, n + i]), float(right))
-    s = float(np.sqrt(m.covariance[0, 0]))
+        right = float(K[i] @ second[:n, i] + c[i] @ second[n:, i] + virial[i])
+        sides.append((f"E p{frame.order[i] + 1}²/m", float(second[n + i, n + i]), right))
+    s, first = float(np.sqrt(m.covariance[0, 0])), frame.contact + 1
     sine, cosine = np.sin(y / s), np.cos(y / s) / s
-    given, square = _given(frame, e)
-    left = float(w @ (square * cosine))
-    mean_force = frame.stiffness[0] @ given[:n] + frame.damping[0] @ given[n:]
-    right = float(w @ (sine * mean_force) + sine @ terms.given[0])
-    sides[f"E v{first}² cos(q{first}/s)/s"] = (left, right + float(w @ (u0 * sine * force)))
-    sides[f"E v{first} sin(q{first}/s)"] = (float(m.flow @ sine), 0.0)
+    mean_force = w * (K[0] @ m.given[:n] + c[0] @ m.given[n:]) + force[0] + contact
+    left, right = float(w @ (m.square * cosine)), float(sine @ mean_force)
+    sides.append((f"E v{first}² cos(q{first}/s)/s", left, right))
+    sides.append((f"E v{first} sin(q{first}/s)", float(w @ (m.given[n] * sine)), 0.0))
     return sides
-
-
-def _given(frame: Frame, e: Expansion) -> tuple[Array, Array]:
-    """Means of (y, r, v) and of v₁² given y, times the density of y over w, at the points."""
-    n, b, C, y = frame.n, e.basis, e.factor, e.basis.points
-    one, two = first_and_second(e.others, 2 * n - 1)
-    u0, u1, u2 = e.functions(0, y)[0], e.functions(1, y), e.functions(2, y)
-    z = C @ one @ u1
-    r = z[n:] + (b.reference.slope[:, None] * y + b.reference.offset[:, None]) * u0
-    square = C[0, 0] ** 2 * (u0 + two[0, 0] @ u2)
-    return np.vstack([y * u0, r, z[:n]]), square
