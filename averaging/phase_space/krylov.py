@@ -6,6 +6,9 @@ import numpy as np
 
 from fpk.arrays import Array
 
+VECTORS, EVERY = 160, 10
+"""Most vectors of a space that solves equations: with more, making them orthogonal takes as long as
+an elimination at another shift. After so many it is looked at."""
 INVARIANT = 1e-13
 """Part of a vector outside a space, relative to it, that is round-off."""
 
@@ -15,7 +18,7 @@ def krylov(
     first: Array,
     most: int,
     *,
-    metric: Callable[[Array], Array] = np.asarray,
+    metric: Callable[[Array], Array] | None = None,
 ) -> Iterator[tuple[Array, Array, bool]]:
     """Yield orthonormal V (m, size) and H (rows, m) of Arnoldi's method, up to m = ``most``.
 
@@ -23,30 +26,33 @@ def krylov(
     those of B ``first``, …, with B = ``apply`` of columns, b more in each step. H[:m] is B in V,
     and the rows behind are what leads out of V. The last item is whether nothing does, after which
     there are no more. Each vector is made orthogonal twice, in the inner product x·M y with
-    ``metric`` M.
+    ``metric`` M, None: 1.
     """
     b, rows, m = first.shape[1], 0, 0
     V = np.zeros((most + b, len(first)), dtype=first.dtype)
+    MV = V if metric is None else np.zeros_like(V)
     H = np.zeros((most + b, most), dtype=first.dtype)
 
-    def outside(new: Array) -> tuple[Array, Array, float]:
-        along = np.zeros(rows, dtype=first.dtype)
+    def added(new: Array) -> Array:
+        """Add a vector unless it is in the space, and return its parts along all before and it."""
+        nonlocal rows
+        along = np.zeros(rows + 1, dtype=first.dtype)
         for _ in range(2):
-            part = V[:rows].conj() @ metric(new)
+            part = MV[:rows].conj() @ new
             new = new - part @ V[:rows]
-            along += part
-        return new, along, float(np.sqrt(np.vdot(new, metric(new)).real))
+            along[:rows] += part
+        image = new if metric is None else metric(new)
+        length = float(np.sqrt(np.vdot(new, image).real))
+        if length > INVARIANT * float(np.linalg.norm(along)):
+            along[rows], V[rows], MV[rows] = length, new / length, image / length
+            rows += 1
+        return along[:rows]
 
     for new in first.T:
-        new, _, length = outside(new)
-        V[rows] = new / length
-        rows += 1
+        added(new)
     while m < min(rows, most):
         for new in apply(V[m : min(rows, most)].T).T:
-            new, along, length = outside(new)
-            H[:rows, m] = along
-            if length > INVARIANT * float(np.linalg.norm(along)):
-                H[rows, m], V[rows] = length, new / length
-                rows += 1
+            along = added(new)
+            H[: along.size, m] = along
             m += 1
         yield V[:m], H[:rows, :m], m == rows

@@ -14,16 +14,11 @@ import numpy as np
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.chain import Chain, chain_of
 from averaging.phase_space.equation.elimination import Expansion, factored
-from averaging.phase_space.krylov import krylov
+from averaging.phase_space.krylov import EVERY, VECTORS, krylov
 from averaging.phase_space.marginals import form_of, moments
 from fpk.arrays import EPS, Array, Complexes
 from fpk.observable import Coordinate
 
-VECTORS = 160
-"""Most vectors of a Krylov space: with more, making them orthogonal takes as long as an elimination
-at another shift."""
-CHECKED = 10
-"""Vectors after which the residuals of all frequencies are looked at."""
 RESIDUAL = 1e-13
 """Residual, relative to the solution, at which a frequency is solved."""
 CONVERGED = 1e-8
@@ -132,7 +127,7 @@ def _near(
     found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)
     for V, H, closed in krylov(solve, first[:, None], VECTORS):
         m = len(V)
-        if m % CHECKED in (0, 1) or closed:
+        if m % EVERY in (0, 1) or closed:
             for k in np.flatnonzero(residuals > RESIDUAL):
                 y = np.linalg.solve(np.eye(m) + away[k] * H[:m], size * np.eye(m)[0])
                 residuals[k] = abs(away[k]) * np.linalg.norm(H[m:] @ y) / np.linalg.norm(y)
@@ -149,14 +144,14 @@ def decays(
 
     Beside them the error of C that is left of its calculation. One elimination in real numbers, at
     s = ``rate``, which is to be that of a motion, serves all lags: e^(At) b is taken from the
-    Krylov space of b and (s − A)⁻¹, in which A is s − H⁻¹. The space grows until ``CHECKED`` more
+    Krylov space of b and (s − A)⁻¹, in which A is s − H⁻¹. The space grows until ``EVERY`` more
     vectors change nothing by more than ``tol`` C(0), or it has ``VECTORS``; the error is the
     larger one of the last two changes. Raises ``LinAlgError`` where it grows without bound.
     """
     values, changes = np.zeros((2, at.size)), [np.inf, np.inf]
     for V, H, closed in krylov(resolvent(A, rate, step), b[:, None], VECTORS):
         m = len(V)
-        if not (m % CHECKED == 0 or closed):
+        if not (m % EVERY == 0 or closed):
             continue
         theta, W = np.linalg.eig(H[:m])
         parts = (V @ c) @ W * np.linalg.solve(W, np.eye(m)[0]) * np.linalg.norm(b)
