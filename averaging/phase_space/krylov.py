@@ -9,8 +9,8 @@ from fpk.arrays import Array
 VECTORS, EVERY = 160, 10
 """Most vectors of a space that solves equations: with more, making them orthogonal takes as long as
 an elimination at another shift. After so many it is looked at."""
-INVARIANT = 1e-13
-"""Part of a vector outside a space, relative to it, that is round-off."""
+RESIDUAL = 1e-13
+"""Residual of equations, or part of a vector outside a space, relative to it, that is round-off."""
 
 
 def krylov(
@@ -43,7 +43,7 @@ def krylov(
             along[:rows] += part
         image = new if metric is None else metric(new)
         length = float(np.sqrt(np.vdot(new, image).real))
-        if length > INVARIANT * float(np.linalg.norm(along)):
+        if length > RESIDUAL * float(np.linalg.norm(along)):
             along[rows], V[rows], MV[rows] = length, new / length, image / length
             rows += 1
         return along[:rows]

@@ -10,6 +10,7 @@ import numpy as np
 from averaging.phase_space.equation.elimination import Expansion
 from fpk.arrays import Array
 from fpk.observable import Coordinate, Observable
+from fpk.quadrature import GAUSS_POINTS
 
 REACH = 9.0
 """Half-width of the support of a density in its standard deviations: 2e-19 of a Gaussian is out."""
@@ -17,8 +18,6 @@ PANELS = {1: 16, 2: 10}
 """Panels of an axis that no stop divides, by the number of axes."""
 STOP_PANELS = 8
 """Panels between two stops and beyond one, in which the density is integrated."""
-LEAST_POINTS = 20
-"""Least number of points of a panel at which the contact displacement is integrated out."""
 POINTS_PER_WIDTH = 4.0
 """Gauss points for each standard deviation of what the contact displacement is integrated out of,
 beside one for each degree: a Gaussian on 34 of its widths is exact to round-off with 137."""
@@ -158,7 +157,7 @@ def _density(e: Expansion, forms: list[Form], share: float) -> Callable[..., Arr
     widths = [L[a, a] / abs(f.slope) for a, f in enumerate(linear) if f.slope]
     width = min([b.reference.weight[1] ** -0.5, *widths])
     longest = float(np.max(np.diff(b.nodes)))
-    count = POINTS_PER_WIDTH * longest / width + len(e.levels) + LEAST_POINTS
+    count = POINTS_PER_WIDTH * longest / width + len(e.levels) + GAUSS_POINTS[1]
     y, w = b.rule(ceil(share * min(count, MOST_POINTS)))
     c = given(y) * w
     if not any(f.slope for f in linear):

@@ -10,7 +10,7 @@ import numpy as np
 
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from averaging.phase_space.densities import density_of, settings_of
+from averaging.phase_space.densities import density_of, identities, settings_of
 from averaging.phase_space.dynamics.questions import (
     Answer,
     correlation,
@@ -22,7 +22,6 @@ from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import finer, lowest
 from averaging.phase_space.equation.elimination import cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
-from averaging.phase_space.identities import identities
 from averaging.phase_space.passage.first_passage import first_passage
 from averaging.phase_space.refinement import (
     MEMORY,
@@ -139,7 +138,7 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
             if self.accepted and worst > self.accepted:
                 raise NotCertified(f"an L1 error of {worst:.1g} was reached: {ladder.limit}")
             tol, limit = self.accepted or self.tol, ladder.limit
-            others = ladder_of(ladder.finest, ladder.coarser, beside)
+            others = ladder_of(ladder.finest, ladder.coarser, beside) if beside else ladder
             return Result(
                 self,
                 tuple(density_of(replace(best[o], limit=limit), o, tol) for o in observables),

@@ -166,7 +166,7 @@ def ladders(frame: Frame, observables: Sequence[Observable], options: Options) -
                 unsolved = f"the equations of degree {degrees.total} are not solved"
                 if ladder is None:
                     raise np.linalg.LinAlgError(unsolved)
-                if cost(finest.basis, number=8)[0] > memory:
+                if cost(finest.basis, numbers=float)[0] > memory:
                     unsolved += ": double precision needs more memory"
                 yield replace(ladder, limit=unsolved)
                 return

@@ -165,7 +165,7 @@ def test_a_solution_takes_no_more_memory_than_stated(n, side, degrees, kind, mon
     frame, degrees = contact_frame(system), Degrees(*degrees)
     about = gibbs_reference(frame)
     functions = basis(frame, about, degrees)
-    stated, _ = elimination.cost(functions, number=np.dtype(kind).itemsize)
+    stated, _ = elimination.cost(functions, numbers=kind)
     monkeypatch.setattr(elimination, "ELIMINATED_IN", kind)
     tracemalloc.start()
     try:

@@ -10,13 +10,13 @@ from test_averaging_phase_space_errors import solutions, understated
 import fpk
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
+from averaging.phase_space.densities import force_means
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.chain import chain_of
 from averaging.phase_space.equation.damping import levels_per_stage, reach
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
-from averaging.phase_space.identities import force_means
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.compare import compared
 from fpk.density import l1_distance

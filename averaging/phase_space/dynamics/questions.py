@@ -29,12 +29,6 @@ from fpk.quadrature import gauss_grid
 
 Value = TypeVar("Value")
 
-REAL, COMPLEX = 8, 16
-"""Bytes of a number in double precision: the resolvent is eliminated in one or the other."""
-AT_ONCE = 16
-"""Levels that are treated at once: arrays are as large as this times all points of p and y."""
-POINTS = 20
-"""Gauss points of a panel of p, which is a standard deviation and more."""
 SPACE = 1e-3
 """Share of the tolerance at which the space that a correlation is taken from is large enough."""
 
@@ -74,13 +68,13 @@ def adapted(
     *,
     tol: float,
     what: str,
-    number: int = COMPLEX,
+    numbers: type = complex,
 ) -> Answer:
     """Return the first answer with a relative error of at most ``tol``, else the best one.
 
     ``measure`` is called once for each solution, ``compare`` with a ladder and the values of its
-    finest and coarser one. ``number`` is how many bytes a number of the resolvent's elimination
-    has, ``what`` the words that progress is reported by.
+    finest and coarser one. ``numbers`` are those of the resolvent's elimination, real or complex,
+    ``what`` the words that progress is reported by.
 
     The error follows from the largest relative distance as that of densities does, which meet the
     tolerance, too, unless there is no finer solution.
@@ -93,9 +87,7 @@ def adapted(
     believed: float | None = None
     values: list[Value] = []
     for ladder in ladders(frame, observables, options):
-        size, work = cost(ladder.finest.basis, number=number)
-        # A product of complex numbers takes four of real ones.
-        limit = ladder.limit or options.refusal(size, (number / REAL) ** 2 * work)
+        limit = ladder.limit or options.refusal(*cost(ladder.finest.basis, numbers=numbers))
         if answer is not None and limit:
             # A ladder with a limit is yielded again, as there is no finer one.
             return replace(answer, limit="" if answer.relative <= tol else limit)
@@ -168,11 +160,11 @@ def crossing_rates(e: Expansion, row: int, at: Array) -> tuple[Array, Array]:
     level, vanishes in a stationary state, and is an error of the first.
     """
     axes, pdf = marginal(e, (Coordinate("q", row), Coordinate("p", row)))
-    _, [(p, w)] = gauss_grid([np.union1d(axes[1], 0.0)], points=POINTS)
+    _, [(p, w)] = gauss_grid([np.union1d(axes[1], 0.0)])
     flux = w * p / e.basis.frame.system.mass[row]
     up, net = np.zeros(at.size), np.zeros(at.size)
-    for start in range(0, at.size, AT_ONCE):
-        part = slice(start, start + AT_ONCE)
+    # Arrays are as large as the levels of a part times all points of p and y.
+    for part in np.array_split(np.arange(at.size), 1 + at.size // 16):
         density = pdf(at[part, None], p)
         up[part], net[part] = density @ np.maximum(flux, 0.0), density @ flux
     return up, net
@@ -233,7 +225,7 @@ def correlation(frame: Frame, row: int, at: Array, options: Options, *, tol: flo
         return Answer(ladder, values[0], distance, scale, added=error)
 
     return adapted(
-        frame, [q, p], measure, compare, options, tol=tol, what="correlation", number=REAL
+        frame, [q, p], measure, compare, options, tol=tol, what="correlation", numbers=float
     )
 
 
@@ -247,8 +239,7 @@ def relaxation(frame: Frame, count: int, options: Options, *, tol: float) -> Ans
     def measure(e: Expansion, step: Step) -> tuple[Complexes, str]:
         parities = (True, False) if e.basis.mirrored else (False,)
         parts = [generator(e, odd=odd, closed=True) for odd in parities]
-        # A product of complex numbers takes four of real ones.
-        work = len(parts) * (COMPLEX / REAL) ** 2 * cost(e.basis, number=COMPLEX)[1]
+        work = len(parts) * cost(e.basis, numbers=complex)[1]
         # The largest natural frequency of the linear system with the covariances of the solution.
         q, v = np.split(moments(e).covariance, 2)
         squares = np.linalg.eigvals(np.linalg.solve(q[:, : frame.n], v[:, frame.n :]))

@@ -14,13 +14,11 @@ import numpy as np
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.chain import Chain, chain_of
 from averaging.phase_space.equation.elimination import Expansion, factored
-from averaging.phase_space.krylov import EVERY, VECTORS, krylov
+from averaging.phase_space.krylov import EVERY, RESIDUAL, VECTORS, krylov
 from averaging.phase_space.marginals import form_of, moments
 from fpk.arrays import EPS, Array, Complexes
 from fpk.observable import Coordinate
 
-RESIDUAL = 1e-13
-"""Residual, relative to the solution, at which a frequency is solved."""
 CONVERGED = 1e-8
 """Relative residual of an eigenvalue that counts as one of A."""
 BLOCK = 4
@@ -101,7 +99,8 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
     while groups:
         group = groups.pop()
         away = np.asarray(1j * (at[group] - shift))
-        found, residuals = _near(resolvent(A, 1j * shift, step), c, b, away)
+        solve = resolvent(A, 1j * shift if shift else 0.0, step)
+        found, residuals = _near(solve, c, b, away)
         if not np.all(np.isfinite(residuals)):
             raise np.linalg.LinAlgError(f"no resolvent at the frequency {shift:.3g}")
         solved = residuals <= RESIDUAL
@@ -118,10 +117,7 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
 def _near(
     solve: Callable[[Array], Array], c: Array, b: Array, away: Complexes
 ) -> tuple[Complexes, Array]:
-    """Return c·u of (1 + a B) u = B b for all a of ``away``, and the residuals of each.
-
-    ``solve`` is B. The space grows until all residuals are small or it has ``VECTORS`` vectors.
-    """
+    """Return c·u of (1 + a B) u = B b, B = ``solve``, for all a of ``away``, and residuals."""
     first = solve(b)
     size = float(np.linalg.norm(first))
     found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)

@@ -16,6 +16,7 @@ from averaging.phase_space.equation.chain import Chain, chain_of, sizes
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.equation.space import Matrix, Space
+from averaging.phase_space.krylov import RESIDUAL
 from fpk.arrays import Array, Integers
 
 ELIMINATED_IN: type = np.float32
@@ -24,10 +25,6 @@ SMALL = 1e8
 """Sum of the cubes of the levels' sizes up to which double precision takes no longer at once."""
 CONVERGED = 1e-12
 """Residual, relative to the terms that cancel, of a solution in double precision: it has 1e-15."""
-MOST_REFINEMENTS = 20
-"""Corrections by the residual; each takes the error down by the error of the elimination."""
-REFINED = 1e-13
-"""Residual, in the same units, at which there is no other correction."""
 CORRECTED, VECTORS = 1e-4, 30
 """Residual, relative to the one before, that a correction by a Krylov space leaves, in which single
 precision has not yet its say, and the vectors of the space at the most."""
@@ -85,17 +82,19 @@ class Expansion:
         return sum(bool(square**0.5 > share * self.top) for share in (LARGE, NEGLIGIBLE))
 
 
-def cost(functions: Basis, *, number: int = 4) -> tuple[float, float]:
+def cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]:
     """Return the bytes and the operations, on real numbers, that a solution in a basis takes.
 
-    ``number`` is how many bytes a number of the elimination has. The inverse of one block a level
-    is kept, and while one is made there are some more matrices of its size. In more than single
-    precision and with damping terms pairs of levels are eliminated, too, which takes as much again.
+    ``numbers`` are those of the elimination; a product of complex ones takes four of real ones. The
+    inverse of one block a level is kept, and while one is made there are some more matrices of its
+    size. In more than single precision and with damping terms pairs of levels are eliminated, too,
+    which takes as much again.
     """
     size = sizes(functions)
     blocks = float(np.sum(size**2) + WHILE_INVERTED * np.max(size) ** 2)
+    number = np.dtype(numbers).itemsize
     paired = number > 4 or bool(functions.frame.system.damping_terms)
-    operations = (6.0 if paired else 3.0) * float(np.sum(size**3))
+    operations = (6.0 if paired else 3.0) * float(np.sum(size**3)) * (4.0 if number > 8 else 1.0)
     return number * blocks + OF_EQUATIONS * float(np.sum(size)), operations
 
 
@@ -121,7 +120,7 @@ def expanded(
     for kind in (np.float64,) if small else (ELIMINATED_IN, np.float64):
         paired = kind is np.float64 or bool(frame.system.damping_terms)
         u, residual = _refined(factored(chain, kind=kind, paired=paired, step=step))
-        if residual < CONVERGED or cost(functions, number=8)[0] > memory:
+        if residual < CONVERGED or cost(functions, numbers=float)[0] > memory:
             break
     return Expansion(functions, chain.factor, chain.space, tuple(chain.shaped(u)), residual)
 
@@ -180,8 +179,8 @@ def _refined(factors: Factors) -> tuple[Array, float]:
     right = np.zeros(chain.ends[-1])
     right[: one.size] = given
     A, M = (LinearOperator(2 * right.shape, f, dtype=float) for f in (times, factors.solve))
-    u, rest, before, magnitude = np.zeros(right.size), right, 2.0, abs(matrix)
-    for _ in range(MOST_REFINEMENTS):
+    u, rest, before, magnitude = np.zeros(right.size), right, np.inf, abs(matrix)
+    while True:
         # Where single precision is too coarse the corrections grow out of its range.
         with np.errstate(over="ignore", invalid="ignore"):
             if factors.paired:
@@ -194,10 +193,10 @@ def _refined(factors: Factors) -> tuple[Array, float]:
         # The terms of the function 1 are those in the equation of the mass.
         size = max(np.max(magnitude @ np.abs(u)), np.max(np.abs(given)))
         residual = float(np.max(np.abs(rest)) / size)
-        if not changed < before or residual <= REFINED:
-            break
+        # A correction takes the error down by that of the elimination.
+        if not changed < 0.5 * before or residual <= RESIDUAL:
+            return u, residual
         before = changed
-    return u, residual
 
 
 def factored(

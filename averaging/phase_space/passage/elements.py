@@ -1,6 +1,5 @@
 """Finite elements of −L u = f on a mesh of states, u = 0 where the limit is passed, and answers."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import pi
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.polynomial.legendre import Legendre, legder, legval, legvander
 from numpy.typing import NDArray
 from scipy.linalg import expm
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import coo_array, csc_array, csr_array, eye_array, kron
 from scipy.sparse.linalg import LinearOperator, eigs, splu
 
 from averaging.phase_space.krylov import EVERY, VECTORS, krylov
@@ -247,48 +246,48 @@ def elements(mesh: Mesh) -> Elements:
     size = across * mesh.degree + 1
     total = panels * n * size
     # Functions of x, panel by panel, times functions of s, of which neighbours share one.
-    of_x = np.arange(panels * n, dtype=np.int32).reshape(panels, n)
+    of_x = np.arange(panels * n, dtype=np.int32).reshape(panels, 1, n, 1, 1, 1) * size
     of_s = np.add.outer(
         np.arange(across, dtype=np.int32) * mesh.degree, np.arange(n, dtype=np.int32)
     )
-
-    def places(x: Indices, s: Indices, shape: Sequence[int]) -> Indices:
-        return np.broadcast_to(x * size + s, shape).ravel()
-
+    places = of_x + of_s[None, :, None, None, :, None], of_x + of_s[None, :, None, None, None]
     shape = panels, across, n, n, n, n
-    row = places(of_x[:, None, :, None, None, None], of_s[None, :, None, None, :, None], shape)
-    column = places(of_x[:, None, None, :, None, None], of_s[None, :, None, None, None], shape)
+    row = np.broadcast_to(places[0], shape).ravel()
+    column = np.broadcast_to(places[1].swapaxes(2, 3), shape).ravel()
     # Both matrices at once, M as the imaginary part: the sorting is half of the work.
     pair = coo_array(((local + 1j * mass).ravel(), (row, column)), shape=(total, total)).tocsc()
-    # |v| (u − u of where motion goes) at the ends of panels; what is beyond the last has failed.
+    # Traces at the left and right ends of panels, and ∫ |v| … of functions of s at all ends.
+    left, right = (
+        kron(eye_array(panels), kron(np.eye(1, n, k), eye_array(size)), format="csr")
+        for k in (0, n - 1)
+    )
     ends, _ = mesh.q(mesh.x)
     w = mesh.w(ends)[:, None, None]
     density = np.exp(-o.inverse_temperature * o.energy(ends[:, None, None], s * w))
-    block = (np.abs(s) * w * w * density * weight * hs[:, None]) @ BB  # (ends, across, n n)
-    half, left, right = across // 2, of_x[:, 0], of_x[:, -1]
-    faces = [
-        (block[1:, half:], right, right, of_s[half:]),
-        (-block[1:-1, half:], right[:-1], left[1:], of_s[half:]),
-        (block[:-1, :half], left, left, of_s[:half]),
-        (-block[1:-1, :half], left[1:], right[:-1], of_s[:half]),
+    block = ((np.abs(s) * w * w * density * weight * hs[:, None]) @ BB).reshape(-1, across, n, n)
+    first = np.arange(panels + 1, dtype=np.int32)[:, None, None, None] * size
+    index = [
+        np.broadcast_to(first + at, block.shape).ravel()
+        for at in (of_s[:, :, None], of_s[:, None, :])
     ]
+    forwards = (np.arange(across) >= across // 2)[:, None, None]
+    fluxes = [csr_array((np.ravel(block * way), index)) for way in (forwards, ~forwards)]
+    for flux in fluxes:
+        flux.eliminate_zeros()
+    # u − u of where motion goes: the next panel, the one before, or the limit, where u is 0.
+    beyond = eye_array(panels * size, k=size, format="csr")
+    before = beyond.T @ right
     if mesh.folded:
-        faces.append((-block[:1, :half], left[:1], left[:1], of_s[:half]))
-    parts = []
-    for number, (values, to, of, rows) in enumerate(faces):
-        columns = size - 1 - rows if number == 4 else rows
-        face = to.size, len(rows), n, n
-        row_of = places(to[:, None, None, None], rows[None, :, :, None], face)
-        column_of = places(of[:, None, None, None], columns[None, :, None], face)
-        parts.append((values.ravel(), row_of, column_of))
-    values, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))
-    K = pair.real + coo_array((values, (row, column)), shape=(total, total)).tocsc()
-    M = pair.imag.copy()
-    lost, inner = np.zeros(total), np.ones((panels * n, size), dtype=bool)
-    through = block.reshape(*block.shape[:2], n, n).sum(axis=-1)
-    np.add.at(lost, right[-1] * size + of_s[half:], through[-1, half:])
-    if not mesh.folded:
-        np.add.at(lost, of_s[:half], through[0, :half])
+        mirror = csr_array(np.eye(size)[::-1])
+        before = before + kron(np.eye(panels, 1), mirror, format="csr") @ left[:size]
+    faces = (
+        (right.T @ fluxes[0][size:, size:], right - beyond @ left),
+        (left.T @ fluxes[1][:-size, :-size], left - before),
+    )
+    K, M = pair.real + sum(flux @ jump for flux, jump in faces), pair.imag.copy()
+    # Without the terms of the panels, which vanish, and between them, which cancel exactly.
+    lost = sum(flux @ (jump @ np.ones(total)) for flux, jump in faces)
+    inner = np.ones((panels * n, size), dtype=bool)
     if mesh.energy is not None:
         inner[:, [0, -1]] = False
         lost = -np.asarray(K @ (~inner.ravel()).astype(float))
