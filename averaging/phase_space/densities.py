@@ -15,7 +15,7 @@ from fpk.arrays import Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.method import Identity
-from fpk.observable import Observable
+from fpk.observable import Coordinate, Observable, observable_name
 
 GRID = {1: 721, 2: 181}
 """Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
@@ -98,10 +98,10 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
     if ladder.limit:
         settings["ended by"] = ladder.limit
     squares = np.diag(m.covariance) + m.mean**2
-    for place, i in enumerate(frame.order):
-        mass = frame.system.mass[i]
-        settings[f"E q{i + 1}²"] = float(squares[place] / mass)
-        settings[f"E p{i + 1}²"] = float(squares[frame.n + place] * mass)
+    for i in frame.order:
+        for c in (Coordinate("q", i), Coordinate("p", i)):
+            at, unit = frame.place(c)
+            settings[f"E {observable_name((c,))}²"] = float(squares[at] * unit**2)
     for i, heat in zip(frame.order, heat_into_masses(e, m), strict=True):
         settings[f"net power of damping and noise on mass {i + 1}"] = heat
     return settings

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import NamedTuple
 
 import numpy as np
 
@@ -44,45 +43,28 @@ class Moments:
 def moments(e: Expansion) -> Moments:
     """Return the moments of a solution, from its three lowest levels."""
     b, C = e.basis, e.factor
-    n, y, w, a = b.frame.n, b.points, b.weights, b.reference.slope
+    n, y, w = b.frame.n, b.points, b.weights
     u0, u1, u2 = (e.functions(level, y) for level in range(3))
     one, two = e.space.first_and_second
     linear = C @ one @ u1
-    # Means of (y, v, x) and of their products; then of (y, r, v), r = x + a y + x₀.
+    # Means of (y, v, x) and of their products; then of (y, r, v).
     mean = np.concatenate([[w @ (u0[0] * y)], linear @ w])
     second = np.zeros((2 * n, 2 * n))
     second[0, 0], second[0, 1:] = w @ (u0[0] * y**2), linear @ (w * y)
     second[1:, 0] = second[0, 1:]
     second[1:, 1:] = C @ (np.eye(2 * n - 1) + two @ (u2 @ w)) @ C.T
-    to = np.zeros((2 * n, 2 * n))
-    to[0, 0] = 1.0
-    to[1:n, 0], to[1:n, n + 1 :] = a, np.eye(n - 1)
-    to[n:, 1 : n + 1] = np.eye(n)
+    to, shift = b.reference.to_state
     covariance = to @ (second - np.outer(mean, mean)) @ to.T
-    shift = np.concatenate([[0.0], b.reference.offset, np.zeros(n)])
     given = to @ np.vstack([y * u0, linear]) + shift[:, None] * u0
     square = C[0, 0] ** 2 * (u0[0] + two[0, 0] @ u2)
     return Moments(to @ mean + shift, 0.5 * (covariance + covariance.T), given, square)
 
 
-class Form(NamedTuple):
-    """A coordinate as ``offset + slope y + direction·ζ``, ζ = C⁻¹ z, in its own unit."""
-
-    offset: float
-    slope: float
-    direction: Array
-
-
-def form_of(e: Expansion, c: Coordinate) -> Form:
-    """Return a displacement or momentum in terms of y and ζ."""
-    frame, reference, C = e.basis.frame, e.basis.reference, e.factor
-    j, root = frame.order.index(c.row), float(np.sqrt(frame.system.mass[c.row]))
-    if c.kind == "p":
-        return Form(0.0, 0.0, root * C[j])
-    if j == 0:
-        return Form(0.0, 1.0 / root, np.zeros(C.shape[0]))
-    offset, slope = reference.offset[j - 1] / root, reference.slope[j - 1] / root
-    return Form(float(offset), float(slope), C[frame.n + j - 1] / root)
+def form_of(e: Expansion, c: Coordinate) -> tuple[float, float, Array]:
+    """Return a displacement or momentum as offset + slope y + direction·ζ, ζ = C⁻¹ z."""
+    at, unit = e.basis.frame.place(c)
+    to, shift = e.basis.reference.to_state
+    return unit * shift[at], unit * to[at, 0], unit * (to[at, 1:] @ e.factor)
 
 
 def marginal(
@@ -93,15 +75,14 @@ def marginal(
     ``share`` is that of the points at which the contact displacement is integrated out, where it is
     not observed: with fewer than all, the difference shows their error.
     """
-    frame, m, panels = e.basis.frame, moments(e), []
+    m, panels = moments(e), []
     forms = [form_of(e, c) for c in observable]
-    contact = [not np.any(f.direction) for f in forms]
-    for f, c, alone in zip(forms, observable, contact, strict=True):
+    contact = [not np.any(direction) for _, _, direction in forms]
+    for (_, slope, _), c, alone in zip(forms, observable, contact, strict=True):
         if alone:
-            panels.append(f.slope * e.basis.fine_nodes(STOP_PANELS))
+            panels.append(slope * e.basis.fine_nodes(STOP_PANELS))
             continue
-        at, root = frame.order.index(c.row), np.sqrt(frame.system.mass[c.row])
-        at, unit = (at + frame.n, root) if c.kind == "p" else (at, 1.0 / root)
+        at, unit = e.basis.frame.place(c)
         reach = REACH * np.sqrt(m.covariance[at, at])
         panels.append(unit * (m.mean[at] + np.linspace(-reach, reach, PANELS[len(forms)] + 1)))
     if contact[-1] and len(forms) == 2:
@@ -110,13 +91,17 @@ def marginal(
     return tuple(panels), _density(e, forms, share)
 
 
-def _density(e: Expansion, forms: list[Form], share: float) -> Callable[..., Array]:
+def _density(
+    e: Expansion, forms: list[tuple[float, float, Array]], share: float
+) -> Callable[..., Array]:
     """Return the density of forms; the contact displacement, if among them, comes first."""
     b = e.basis
-    known = not np.any(forms[0].direction)
+    known = not np.any(forms[0][2])
     linear = forms[1:] if known else forms
     # Orthonormal directions: x_a = o_a + s_a y + Σ_b L_ab t_b, t_b = e_b·ζ.
-    Q, R = np.linalg.qr(np.array([f.direction for f in linear]).reshape(-1, len(e.factor)).T)
+    Q, R = np.linalg.qr(
+        np.array([direction for _, _, direction in linear]).reshape(-1, len(e.factor)).T
+    )
     signs = np.sign(np.diag(R))
     directions, L = (Q * signs).T, (R * signs[:, None]).T
     coefficients, scale = _projected(e, directions), float(np.prod(np.diag(L)))
@@ -129,8 +114,8 @@ def _density(e: Expansion, forms: list[Form], share: float) -> Callable[..., Arr
     def summed(c: Array, y: Array, x: Sequence[Array]) -> Array:
         """Σ c_nm He_n(t₁)/√n! He_m(t₂)/√m! N(t), L t = x − o − s y."""
         t: list[Array] = []
-        for a, (f, value) in enumerate(zip(linear, x, strict=True)):
-            rest = value - f.offset - f.slope * y - sum(L[a, k] * t[k] for k in range(a))
+        for a, ((offset, slope, _), value) in enumerate(zip(linear, x, strict=True)):
+            rest = value - offset - slope * y - sum(L[a, k] * t[k] for k in range(a))
             t.append(rest / L[a, a])
         # The sum over n is taken where t₁ is, before it meets the axes of t₂.
         for s in t:
@@ -143,24 +128,24 @@ def _density(e: Expansion, forms: list[Form], share: float) -> Callable[..., Arr
         return c / scale
 
     if known:
-        slope = forms[0].slope
+        scale *= forms[0][1]
 
         def joint(x: Array, *others: Array) -> Array:
-            y = np.asarray(x, dtype=float) / slope
+            y = np.asarray(x, dtype=float) / forms[0][1]
             inside = (y >= b.nodes[0]) & (y <= b.nodes[-1])
             flat = given(np.clip(y, b.nodes[0], b.nodes[-1]).ravel())
             c = flat.reshape((*coefficients.shape[:-1], *y.shape)) * np.where(inside, 1.0, 0.0)
-            return np.asarray(summed(c, y, others) / slope)
+            return np.asarray(summed(c, y, others))
 
         return joint
 
-    widths = [L[a, a] / abs(f.slope) for a, f in enumerate(linear) if f.slope]
+    widths = [L[a, a] / abs(slope) for a, (_, slope, _) in enumerate(linear) if slope]
     width = min([b.reference.weight[1] ** -0.5, *widths])
     longest = float(np.max(np.diff(b.nodes)))
     count = POINTS_PER_WIDTH * longest / width + len(e.levels) + GAUSS_POINTS[1]
     y, w = b.rule(ceil(share * min(count, MOST_POINTS)))
     c = given(y) * w
-    if not any(f.slope for f in linear):
+    if not any(slope for _, slope, _ in linear):
         y, c = np.zeros(1), c.sum(axis=-1, keepdims=True)
 
     def integrated(*x: Array) -> Array:

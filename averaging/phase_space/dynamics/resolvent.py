@@ -68,10 +68,10 @@ def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
     ``offset + slope y + direction·ζ``, ζ_j He_k = √k_j He_(k−e_j) + √(k_j + 1) He_(k+e_j). What the
     products have beyond the functions of A is orthogonal to them and left out.
     """
-    b, frame, space = e.basis, e.basis.frame, e.space
-    offset, slope, direction = form_of(e, Coordinate("q", row))
-    root = np.sqrt(frame.system.mass[row])
-    offset -= float(moments(e).mean[frame.order.index(row)] / root)
+    b, space = e.basis, e.space
+    q = Coordinate("q", row)
+    (offset, slope, direction), (at, unit) = form_of(e, q), b.frame.place(q)
+    offset -= unit * moments(e).mean[at]
     values, up = b.at_points[0], space.raising(direction)
     by_y = values.T @ ((b.weights * (offset + slope * b.points))[:, None] * values)
     density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])

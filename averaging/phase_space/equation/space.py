@@ -25,22 +25,22 @@ Matrix = sparse.csr_array
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Degrees up to a level, and in the ``d`` − 1 variables of the others up to a count.
+    """Degrees up to a level, and in the variables of the others up to a count; of ``space_to``.
 
     In ascending order of, for each degree (degrees,), its ``level`` |k|, the sum ``others`` of its
     degrees in the others, and the sum ``counted`` over all oscillators of the larger one of the
-    degrees in b and in its conjugate. Made by ``space_to``.
+    degrees in b and in its conjugate. ``raising_others`` is a_i⁺ of each variable of the
+    others on their products alone, of which a level has the first ones.
     """
 
-    d: int
-    most: int
     level: Indices
     others: Indices
     counted: Indices
+    raising_others: tuple[sparse.coo_array, ...]
 
     def span(self, n: int) -> slice:
         """Where the degrees of level n stand."""
-        return slice(*np.searchsorted(self.level, [n, n + 1]))
+        return slice(*map(int, np.searchsorted(self.level, [n, n + 1])))
 
     @cached_property
     def up(self) -> tuple[Matrix, ...]:
@@ -48,20 +48,19 @@ class Space:
 
         What leads out of the degrees is left out; the transposed matrix is a_j.
         """
-        sets, size = _products(self.most, self.d), self.level.size
-        starts = np.flatnonzero(np.diff(self.level * len(sets) + self.others, prepend=-1))
-        firsts = {(self.level[at], self.others[at]): at for at in starts}
-        up = []
-        for j in range(self.d):
+        size, up = self.level.size, []
+        spans = [self.span(n) for n in range(int(self.level[-1]) + 1)]
+        for A in (None, *self.raising_others):
             parts = [(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))]
-            for (n, m), first in firsts.items():
-                above = firsts.get((n + 1, m + (j > 0)))
-                if above is not None and j == 0:
-                    k = np.arange(sets[m][0].size)
-                    parts.append((above + k, first + k, np.full(k.size, np.sqrt(n - m + 1.0))))
-                elif above is not None:
-                    A = sets[m][1][j - 1]
-                    parts.append((above + A.row, first + A.col, A.data))
+            for n, (of, to) in enumerate(pairwise(spans)):
+                count = of.stop - of.start
+                if A is None:
+                    k = np.arange(count)
+                    parts.append((to.start + k, of.start + k, np.sqrt(n - self.others[of] + 1.0)))
+                    continue
+                inside = A.col < count
+                row, column = to.start + A.row[inside], of.start + A.col[inside]
+                parts.append((row, column, A.data[inside]))
             row, column, values = (np.concatenate(x) for x in zip(*parts, strict=True))
             up.append(Matrix((values, (row, column)), shape=(size, size)))
         return tuple(up)
@@ -83,64 +82,55 @@ class Space:
         return np.array(first)[:, self.span(1), 0], np.array(second)
 
 
-@lru_cache(maxsize=8)
-def space_to(total: int, most: int, d: int) -> Space:
-    """Return the degrees up to level ``total``, in the others up to the count ``most``."""
-    sets = _products(most, d)
-    groups = [(n, m) for n in range(total + 1) for m in range(min(n + 1, len(sets)))]
-    sizes = [sets[m][0].size for _, m in groups]
-    level, others = np.repeat(np.array(groups, dtype=np.intp), sizes, axis=0).T
-    return Space(d, most, level, others, np.concatenate([sets[m][0] for _, m in groups]))
-
-
 def combined(matrices: Sequence[Matrix], factors: Array) -> Matrix:
     """Return the sum of ``matrices`` times ``factors``."""
     terms = (c * A for c, A in zip(factors, matrices, strict=True) if c)
     return sum(terms, Matrix(matrices[0].shape))
 
 
-@lru_cache(maxsize=4)
-def _products(most: int, d: int) -> list[tuple[Indices, list[sparse.coo_array]]]:
-    """Products of degrees (j₁, k₁, j₂, k₂, …) in amplitudes and conjugates, by their sum.
+@lru_cache(maxsize=8)
+def space_to(total: int, most: int, d: int) -> Space:
+    """Return the degrees of ``d`` variables up to level ``total``.
 
-    Of each sum: what its products count, ascending, up to ``most``, and a_i⁺ of each variable to
-    those of the next sum. The variables of an oscillator follow each other.
+    Products of degrees (j₁, k₁, j₂, k₂, …) in the amplitudes of the others and their conjugates
+    count up to ``most``. The variables of an oscillator follow each other.
     """
-    modes = d // 2
-    highest = 2 * most if modes else 0
+    Product = tuple[int, ...]
 
-    def counted(k: tuple[int, ...]) -> int:
+    def counted(k: Product) -> int:
         return sum(map(max, zip(k[::2], k[1::2], strict=True)))
 
-    def conjugate(k: tuple[int, ...]) -> tuple[int, ...]:
+    def conjugate(k: Product) -> Product:
         return tuple(x for pair in zip(k[1::2], k[::2], strict=True) for x in pair)
 
-    every = [k for k in product(range(most + 1), repeat=2 * modes) if counted(k) <= most]
-    sets: list[list[tuple[int, ...]]] = [[] for _ in range(highest + 1)]
-    for k in sorted(every, key=counted):
-        if k >= conjugate(k):
-            sets[sum(k)] += dict.fromkeys((k, conjugate(k)))
-    # Real and imaginary parts, times √2, of a product and its conjugate, which follows it.
-    real = [np.eye(len(products), dtype=complex) for products in sets]
-    for R, products in zip(real, sets, strict=True):
-        for row, (k, following) in enumerate(pairwise(products)):
-            if k > following == conjugate(k):
-                pair = slice(row, row + 2)
-                R[pair, pair] = np.sqrt(0.5) * np.array([[1.0, -1j], [1.0, 1j]])
-    out = []
-    for total, products in enumerate(sets):
-        raised = []
-        for a in range(2 * modes if total < highest else 0):
-            # √(k + 1) from each product to that of a degree k more in one amplitude.
-            place = {k: row for row, k in enumerate(sets[total + 1])}
-            A = np.zeros((len(place), len(products)), dtype=complex)
-            for column, k in enumerate(products):
-                if (above := (*k[:a], k[a] + 1, *k[a + 1 :])) in place:
-                    A[place[above], column] = np.sqrt(k[a] + 1.0)
-            raised.append(real[total + 1].conj().T @ A @ real[total])
-        raising = []
-        for plus, minus in zip(raised[::2], raised[1::2], strict=True):
-            raising.append(sparse.coo_array((plus + minus).real / np.sqrt(2.0)))
-            raising.append(sparse.coo_array((plus - minus).imag / np.sqrt(2.0)))
-        out.append((np.array([counted(k) for k in products], dtype=np.intp), raising))
-    return out
+    def order(k: Product) -> tuple[int, int, Product, bool]:
+        """By the sum, then by what counts; the conjugate of a product follows it."""
+        return sum(k), counted(k), max(k, conjugate(k)), k < conjugate(k)
+
+    every = product(range(most + 1), repeat=d - 1)
+    products = sorted((k for k in every if counted(k) <= most), key=order)
+    place, size = {k: row for row, k in enumerate(products)}, len(products)
+    # Real and imaginary parts, times √2, of a product and its conjugate.
+    to_real = sparse.eye_array(size, dtype=complex, format="lil")
+    for row, (k, following) in enumerate(pairwise(products)):
+        if k > following == conjugate(k):
+            to_real[row : row + 2, row : row + 2] = np.sqrt(0.5) * np.array([[1.0, -1j], [1.0, 1j]])
+    U, raised, raising = sparse.csr_array(to_real), [], []
+    for a in range(d - 1):
+        # √(k + 1) from each product to that of a degree k more in one amplitude.
+        A = sparse.dok_array((size, size), dtype=complex)
+        for column, k in enumerate(products):
+            if (above := (*k[:a], k[a] + 1, *k[a + 1 :])) in place:
+                A[place[above], column] = np.sqrt(k[a] + 1.0)
+        raised.append(U.conj().T @ A.tocsr() @ U)
+    for plus, minus in zip(raised[::2], raised[1::2], strict=True):
+        for part in ((plus + minus).real, (plus - minus).imag):
+            part.eliminate_zeros()
+            raising.append((part / np.sqrt(2.0)).tocoo())
+    sums, counts = np.array([[sum(k), counted(k)] for k in products], dtype=np.intp).T
+    sizes = np.searchsorted(sums, np.arange(total + 1), side="right")
+    level, at = (
+        np.repeat(np.arange(total + 1), sizes),
+        np.concatenate([np.arange(n) for n in sizes]),
+    )
+    return Space(level, sums[at], counts[at], tuple(raising))
