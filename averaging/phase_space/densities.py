@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates, maximum_filter
 from averaging.phase_space.equation.damping import Polynomial, by_y, product, reach, state
 from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.equation.space import Matrix, space_to
-from averaging.phase_space.marginals import Moments, marginal, moments
+from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.refinement import ROUND_OFF, SAFETY, Ladder
 from fpk.arrays import Array
 from fpk.certificate import Measured
@@ -102,8 +102,12 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
         for c in (Coordinate("q", i), Coordinate("p", i)):
             at, unit = frame.place(c)
             settings[f"E {observable_name((c,))}²"] = float(squares[at] * unit**2)
-    for i, heat in zip(frame.order, heat_into_masses(e, m), strict=True):
-        settings[f"net power of damping and noise on mass {i + 1}"] = heat
+    # D_ii/m_i − Σ_j E c_ij v_i v_j: power from its noise less power into its damping. The springs carry it to the others, and the sum of all vanishes.
+    n = frame.n
+    second = m.covariance[n:, n:] + np.outer(m.mean[n:], m.mean[n:])
+    heat = np.diag(frame.noise) - np.sum(frame.damping * second, axis=1) - force_means(e)[0]
+    for i, power in zip(frame.order, heat, strict=True):
+        settings[f"net power of damping and noise on mass {i + 1}"] = float(power)
     return settings
 
 
@@ -140,18 +144,6 @@ def force_means(e: Expansion) -> tuple[Array, Array, Array]:
         np.array([np.sum(given(x, f)) for x, f in zip(of, forces, strict=True)]) for of in (v, r)
     )
     return power, virial, np.array([given(f) for f in forces])
-
-
-def heat_into_masses(e: Expansion, m: Moments) -> list[float]:
-    """Return D_ii/m_i − Σ_j E c_ij v_i v_j of each mass, in the order of the frame.
-
-    What a mass takes from its noise and loses to its damping in the mean; the springs carry it to
-    the others, and the sum of all vanishes.
-    """
-    frame, n = e.basis.frame, e.basis.frame.n
-    second = m.covariance[n:, n:] + np.outer(m.mean[n:], m.mean[n:])
-    heat = np.diag(frame.noise) - np.sum(frame.damping * second, axis=1)
-    return [float(value) for value in heat - force_means(e)[0]]
 
 
 def identities(ladder: Ladder) -> tuple[Identity, ...]:
