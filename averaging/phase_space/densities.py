@@ -102,7 +102,8 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
         for c in (Coordinate("q", i), Coordinate("p", i)):
             at, unit = frame.place(c)
             settings[f"E {observable_name((c,))}²"] = float(squares[at] * unit**2)
-    # D_ii/m_i − Σ_j E c_ij v_i v_j: power from its noise less power into its damping. The springs carry it to the others, and the sum of all vanishes.
+    # D_ii/m_i − Σ_j E c_ij v_i v_j: what the noise gives a mass less what its damping takes. The
+    # springs carry it to the others, and the sum of all vanishes.
     n = frame.n
     second = m.covariance[n:, n:] + np.outer(m.mean[n:], m.mean[n:])
     heat = np.diag(frame.noise) - np.sum(frame.damping * second, axis=1) - force_means(e)[0]
