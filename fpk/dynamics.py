@@ -65,6 +65,20 @@ class Rates:
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
 
 
+def certified_rates(
+    values: Array | Complexes,
+    errors: Array,
+    *,
+    tol: float,
+    residual: float | None = None,
+    settings: Mapping[str, str | float | int] | None = None,
+) -> Rates:
+    """Return rates with their certificate by ``tol``, relative to each."""
+    relative = float(np.max(errors / np.abs(values)))
+    certificate = certify(Measured(relative, None, None, residual, None), tol=tol)
+    return Rates(np.asarray(values, dtype=complex), errors, certificate, settings or {})
+
+
 @runtime_checkable
 class Relaxation(Protocol):
     """A method that gives the slowest rates at which the system forgets its past."""

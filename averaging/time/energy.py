@@ -16,11 +16,9 @@ from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
 from fpk.line.time.modulated import modulated_transient, modulated_transition
-from fpk.line.time.modulated_passage import modulated_passage
-from fpk.line.time.passage import fem_passage
-from fpk.line.time.propagation import Source
+from fpk.line.time.passage import fem_passage, modulated_passage
 from fpk.line.time.spectrum import spectrum
-from fpk.line.time.transition import transition
+from fpk.line.time.transition import Source, Transition, transition
 from fpk.modulation import ROUND_OFF, Modulation, require_constant_noise
 from fpk.process import Process
 from fpk.square_root import SquareRoot

@@ -17,12 +17,13 @@ from averaging.conditional import Conditional, conditionals
 from averaging.shell.averages import log_linear_states
 from averaging.time.start import DensityQuestion
 from averaging.weyl import weyl_integral
-from fpk.arrays import CHUNK, EPS, SMALLEST, Array
+from fpk.arrays import CHUNK, EPS, ROUND_OFF, SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient
 from fpk.line.mesh import with_layers
-from fpk.line.time.transition import ROUND_OFF, SAFETY, Transition, common_error
+from fpk.line.time.elements import SAFETY
+from fpk.line.time.transition import Transition
 from fpk.observable import observable_name
 from fpk.piecewise import Piecewise, interpolated
 from fpk.quadrature import gauss_legendre, panel_rule
@@ -54,7 +55,7 @@ class WeylInTime:
         """Ends of halves of the enriched solution's elements, with layers at contact energies."""
         nodes = self.solved.enriched.elements.nodes
         halves = np.sort(np.append(nodes, 0.5 * (nodes[1:] + nodes[:-1])))
-        return with_layers(halves, self.solved.enriched.process.nonsmooth)
+        return with_layers(halves, self.solved.elements.process.nonsmooth)
 
     def __call__(self, energy: Array) -> Array:
         """Return Ψ at ``energy``, (*shape, times)."""
@@ -98,10 +99,10 @@ class WeylInTime:
         better, other = self.solved.enriched.state_density(x.ravel())
         error = SAFETY * (np.abs(u - better.T) + np.abs(u - self._u(x.ravel())))
         within = np.minimum(x.ravel(), self.solved.elements.right[-1])
-        question = self.solved.question
-        error += common_error(question, self.solved.elements, u.T, size.T + other, within).T
+        question, e = self.solved.question, self.solved.elements
+        error += question.common_error(e, u.T, size.T + other, within).T
         # What is left of larger numbers far from the peak, of u and of p = T u.
-        c = question.process.coefficients(x.ravel())
+        c = e.process.coefficients(x.ravel())
         with np.errstate(over="ignore"):
             of_p = np.multiply.outer(np.exp(-c.log_density_of_states), self.solved.top)
         error += ROUND_OFF * EPS * np.minimum(of_p, np.abs(u).max(axis=0))
@@ -161,7 +162,7 @@ def state_transient(system: System, solved: Transition, asked: DensityQuestion) 
     else:
         values, errors, rule_error = psi(energy), psi.error(energy), np.zeros(1)
     # u is in the unit of T of the process.
-    unit = solved.question.process.energy_scale
+    unit = solved.elements.process.energy_scale
     factor = float(np.exp(log_factor - log_linear_states(system, unit)))
     highest = max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
     # The largest error of the rule over hidden masses, everywhere that the last energy allows.

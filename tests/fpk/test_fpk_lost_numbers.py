@@ -13,7 +13,7 @@ from averaging.energy_process import energy_process
 from fpk.line.elements import _residual
 from fpk.line.time import resolvent
 from fpk.line.time.elements import degree_for, meshed
-from fpk.line.time.propagation import Source
+from fpk.line.time.transition import Source
 from fpk.plane.solution import graded
 from fpk.plane.time import exponential, passage
 from fpk.plane.time.domain import Rectangle

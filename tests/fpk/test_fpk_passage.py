@@ -10,7 +10,7 @@ from averaging.energy_process import energy_process
 from fpk.contact import Contact
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.line.time.passage import fem_passage, first_passage
-from fpk.line.time.propagation import Source
+from fpk.line.time.transition import Source
 from fpk.quadrature import panel_rule
 from fpk.square_root import SquareRoot
 

@@ -12,9 +12,8 @@ from fpk.contour import contours
 from fpk.errors import InvalidInput
 from fpk.line.stationary import solve_stationary
 from fpk.line.time.passage import fem_passage
-from fpk.line.time.propagation import Source
 from fpk.line.time.spectrum import eigenvalues_below, spectrum
-from fpk.line.time.transition import transition
+from fpk.line.time.transition import Source, transition
 from fpk.operator import Operator
 from fpk.square_root import SquareRoot
 
