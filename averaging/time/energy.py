@@ -18,7 +18,7 @@ from fpk.evolution import Passage, Transient, checked_times
 from fpk.line.time.modulated import modulated_transient, modulated_transition
 from fpk.line.time.passage import fem_passage, modulated_passage
 from fpk.line.time.spectrum import spectrum
-from fpk.line.time.transition import Source, Transition, transition
+from fpk.line.time.transition import Source, transition
 from fpk.modulation import ROUND_OFF, Modulation, require_constant_noise
 from fpk.process import Process
 from fpk.square_root import SquareRoot

@@ -21,11 +21,10 @@ from fpk.evolution import UNRESOLVED, Passage, Transient, checked_times
 from fpk.limit import Limit
 from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
-from fpk.plane.time.levels import Frame
+from fpk.plane.time.levels import Frame, PlaneStart
 from fpk.plane.time.passage import PlaneLimit, first_passage
 from fpk.plane.time.relaxation import relaxation_rates
-from fpk.plane.time.transient import ROUNDING, Level, transient_densities
-from fpk.plane.time.view import DensityStart, PointStart, Start, View
+from fpk.plane.time.transient import ROUNDING, Level, Seen, seen_on, transient_densities
 from fpk.process import Coefficients, Process
 
 STATIONARY_TOL = (1e-2, 1e-11)
@@ -48,8 +47,8 @@ def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
     pair = _pair(modes, rows or range(modes.n))
     if rows == pair[::-1]:
         at = at[::-1]
-    one = AXES[pair.index(rows[0])] if rows else "sum"
-    view = View("pair" if len(rows) == 2 else one)
+    one: Seen = AXES[pair.index(rows[0])] if rows else "sum"
+    seen_as: Seen = "pair" if len(rows) == 2 else one
     theta, decay = modes.temperature[pair], 2.0 * modes.half_bandwidth[pair]
     seen = [pair.index(r) for r in sorted(rows)]
 
@@ -62,7 +61,7 @@ def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
 
     frame, first = _posed(modes, pair, start, tol)
     answer, _ = transient_densities(
-        frame, first, view, times, at, tol=tol, coefficients_error=by_modes
+        frame, first, seen_as, times, at, tol=tol, coefficients_error=by_modes
     )
     return answer
 
@@ -104,12 +103,12 @@ def _pair(modes: ModalAnalysis, rows: Sequence[int]) -> list[int]:
 
 def _posed(
     modes: ModalAnalysis, pair: list[int], start: EnergyStart, tol: float
-) -> tuple[Frame, Start]:
+) -> tuple[Frame, PlaneStart]:
     """The operator's frame, and what the density begins with."""
     process = modes.process(pair)
     frame = _frame(process, tol)
     if start.noise is None:
-        return frame, PointStart(start.energies[pair])
+        return frame, PlaneStart(start.energies[pair])
     factor, quiet = start.noise, modes.noise[pair]
 
     def louder(energies: Array) -> Coefficients:
@@ -120,7 +119,7 @@ def _posed(
         )
 
     other = Process(louder, tuple(factor * s for s in process.energy_scales))
-    return frame, DensityStart(_frame(other, tol).stationary, factor)
+    return frame, PlaneStart(None, _frame(other, tol).stationary, factor)
 
 
 def _frame(process: Process, tol: float) -> Frame:
@@ -129,7 +128,7 @@ def _frame(process: Process, tol: float) -> Frame:
 
 
 def state_transient(
-    modes: ModalAnalysis, frame: Frame, start: Start, asked: DensityQuestion
+    modes: ModalAnalysis, frame: Frame, start: PlaneStart, asked: DensityQuestion
 ) -> Transient:
     """Return the densities of one or two of (q, p) of two modes.
 
@@ -138,7 +137,7 @@ def state_transient(
     """
     times, at, tol = asked.times, asked.at, asked.tol
     none = np.zeros(0), np.zeros(0)
-    answer, levels = transient_densities(frame, start, View("pair"), times, none, tol=SHARE * tol)
+    answer, levels = transient_densities(frame, start, "pair", times, none, tol=SHARE * tol)
     tail = outside(answer.certificate)
     values, errors = np.empty((2, times.size, at[0].size))
     densities = []
@@ -172,13 +171,13 @@ def _energies(
 
     def of(level: Level, g: Array, H1: Array, H2: Array) -> Array:
         """The density with the coefficients ``g``, (energies, energies): H1 a column, H2 a row."""
-        grid = View("pair").on_grid(level.op, g[k : k + 1], (H1.ravel(), H2.ravel()))
+        grid = seen_on(level.op, "pair", g[k : k + 1], (H1.ravel(), H2.ravel()))
         return np.asarray(grid[0])
 
     def pdf(H1: Array, H2: Array) -> Array:
         return of(fine, fine.g, H1, H2)
 
-    mass = float(fine.evolved.values[k] @ fine.op.matrices.shares)
+    mass = float(fine.evolved.values[k] @ fine.op.matrices[2])
     rounding = float(np.max(ROUNDING * fine.evolved.rounding)) + 2.0 * abs(mass - 1.0)
 
     def pointwise(H1: Array, H2: Array) -> Array:

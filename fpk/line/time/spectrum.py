@@ -67,7 +67,7 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
     temperature = scale / process.degrees_of_freedom
     wave = WAVES / count * temperature
-    # ln π φ² is linear in ln H between the energies of the probe, and rises from the temperature on.
+    # ln π φ² is linear in ln H between energies of the probe; φ rises from the temperature on.
     probe = probed(process)
     log_energy = np.sort(np.append(np.log(probe.energy), math.log(temperature)))
     log_mass = np.interp(log_energy, np.log(probe.energy), probe.log_mass)

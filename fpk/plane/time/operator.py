@@ -158,13 +158,14 @@ class PlaneOperator:
         b = vertices * self._held
         rows, columns = -np.asarray(A.T @ b)[self.free], (flux - A @ b)[self.free]
         both = float(b @ (A @ b) - b @ flux)
-        Me, mass = M @ (vertices - b), shares[self.free]
-        mass[self._pinned] = sum_of_all = float((vertices - b) @ Me)
-        Me = np.asarray(Me)[self.free]
+        e = vertices - b
+        Me, of_e = np.asarray(M @ e), float(e @ shares)
+        shares = shares[self.free]
+        shares[self._pinned] = of_e
         return (
             self._with_sum(A, rows, columns, both),
-            self._with_sum(M, Me, Me, sum_of_all),
-            mass,
+            self._with_sum(M, Me[self.free], Me[self.free], float(e @ Me)),
+            shares,
         )
 
     def _with_sum(self, matrix: csc_array, row: Array, column: Array, both: float) -> csc_array:
