@@ -11,7 +11,7 @@ from averaging.modal.observables import gaussian_modes, modal_densities
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
-from averaging.time.start import TOL, DensityQuestion, modal_start
+from averaging.time.start import TOL, DensityQuestion, energy_start
 from fpk.certificate import tolerance
 from fpk.clearance import CLEARANCE_RULE
 from fpk.density import Density
@@ -111,7 +111,7 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         system, wanted = asked.system, tolerance(asked.tol, TOL)
         require_held(system)
         modes = self._in_time(system)
-        begins = modal_start(system, modes, asked.start)
+        begins = energy_start(system, asked.start, modes)
         of_modes = DensityQuestion(asked.observable, begins, asked.times, asked.at, wanted)
         if self.solver == "closed-form":
             answer = closed_form.transient(modes, of_modes, system.modulation)
@@ -125,7 +125,7 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         system = asked.system
         require_constant_noise(system.modulation)
         modes = self._in_time(system)
-        begins = modal_start(system, modes, asked.start)
+        begins = energy_start(system, asked.start, modes)
         solved = closed_form.passage if self.solver == "closed-form" else elements.passage
         answer = solved(modes, asked.limit, begins, asked.times, tol=tolerance(asked.tol, TOL))
         return replace(answer, settings=_time_settings(answer.settings, system, modes))

@@ -5,11 +5,12 @@ from math import pi, sqrt
 import numpy as np
 from scipy.special import gammaln, ive, xlogy
 
-from fpk.arrays import EPS, SMALLEST, Array, Complexes
+from fpk.arrays import EPS, ROUND_OFF, SMALLEST, Array, Complexes
 from fpk.quadrature import panel_rule
 
 MOST_TERMS = 20_000
-"""Terms of a series of 1F1, beyond which it is left to the finite elements."""
+"""Terms of a series of 1F1, or of a continued fraction, beyond which it is left to the finite
+elements."""
 BESSEL = 50.0
 """Error of scipy's ``ive`` in roundings, and of the power series beside it."""
 FEW, MOST_POWERS = 60.0, 40
@@ -17,14 +18,10 @@ FEW, MOST_POWERS = 60.0, 40
 1e-26, beside a sum of 1 or more."""
 LARGE = 1e4
 """Argument of a Bessel function, over the square of its order, beyond which it is asymptotic."""
-MOST_FRACTIONS = 12_000
-"""Terms of a continued fraction: enough for a x = 1.5e7."""
 LEAST = 4.0
 """Least |a|: about the relaxation rates, small negative a, 1F1 has zeros near the real x."""
 RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14
 """Largest ratio and difference of the ends of a panel of x, and its Gauss points."""
-RATIO_ROUNDING = 16.0
-"""Round-off of the integral in roundings of its size."""
 
 
 def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
@@ -37,27 +34,23 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
     product, series = np.where(few, x * y, 0.0), np.ones(x.shape)
     for k in range(MOST_POWERS if y > 0.0 else 0, 0, -1):
         series = 1.0 + product / (k * (n + k - 1.0)) * series
+    # e^(−z) I_(n−1)(z): scipy's has no value at very large z, where Abramowitz and Stegun (9.7.1)
+    # has a next term below 1/LARGE^4.
+    z, mu = 2.0 * np.sqrt(x) * np.sqrt(y), 4.0 * (n - 1) ** 2
+    large = z > LARGE * n**2
+    near, w = ive(n - 1, np.where(large, 1.0, z)), np.where(large, 8.0 * z, 1.0)
+    tail = 1.0 - (mu - 1.0) / w * (1.0 - (mu - 9.0) / (2.0 * w) * (1.0 - (mu - 25.0) / (3.0 * w)))
+    far = np.log(np.where(large, tail, 1.0)) - 0.5 * np.log(np.where(large, 2.0 * pi * z, 1.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         by_series = xlogy(n - 1, x) - x - y + np.log(series) - gammaln(n)
         root, other = np.sqrt(x), np.sqrt(y)
         ratio = 0.0 if n == 1 else (n - 1) * np.log(root / other)
-        by_bessel = _log_ive(n - 1, 2.0 * root * other) + ratio - (root - other) ** 2
+        by_bessel = np.where(large, far, np.log(near)) + ratio - (root - other) ** 2
     value = np.where(few, by_series, by_bessel)
     # Of an exponent, relative errors of its parts are errors of ln p.
     parts = np.where(few, x + y, np.abs(root - other) * (root + other))
     steep = np.where(x > 0.0, (n - 1) * np.abs(np.log(np.maximum(x, SMALLEST))), 0.0)
     return value, EPS * (BESSEL + 4.0 * parts + 2.0 * (gammaln(n + 1.0) + steep))
-
-
-def _log_ive(order: int, z: Array) -> Array:
-    """Return ln of e^(−z) I_order(z); scipy's has no value at very large z."""
-    large = z > LARGE * (order + 1.0) ** 2
-    near = ive(order, np.where(large, 1.0, z))
-    mu, w = 4.0 * order**2, np.where(large, 8.0 * z, 1.0)
-    # Abramowitz and Stegun (9.7.1); the next term is below 1/LARGE^4.
-    series = 1.0 - (mu - 1.0) / w * (1.0 - (mu - 9.0) / (2.0 * w) * (1.0 - (mu - 25.0) / (3.0 * w)))
-    far = np.log(np.where(large, series, 1.0)) - 0.5 * np.log(np.where(large, 2.0 * pi * z, 1.0))
-    return np.where(large, far, np.log(near))
 
 
 def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
@@ -84,14 +77,14 @@ def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Com
 
     It is −∫ 1F1'/1F1 dx, in which nothing cancels however large a is, away from the negative axis.
     The slope is Gauss's continued fraction, DLMF (13.5.1). The error is infinite for |a| below
-    ``LEAST``, and where that would need more than ``MOST_FRACTIONS`` terms.
+    ``LEAST``, and where that would need more than ``MOST_TERMS`` terms.
     """
     nodes = [low]
     while nodes[-1] < high:  # zeros of 1F1 are of angles beyond a radian, or an imaginary part of π
         nodes.append(min(high, RATIO_PANELS[0] * nodes[-1], nodes[-1] + RATIO_PANELS[1]))
     x, w = (part.reshape(-1, 1) for part in panel_rule(np.array(nodes), RATIO_POINTS))
     terms = 3.0 * np.sqrt(np.abs(a) * high) + high + 60.0
-    near = (terms <= MOST_FRACTIONS) & (np.abs(a) >= LEAST)
+    near = (terms <= MOST_TERMS) & (np.abs(a) >= LEAST)
     inside, fraction = a[near], np.ones((x.size, int(near.sum())), dtype=complex)
     for k in range(int(np.max(terms[near], initial=0.0)), 0, -1):
         top = inside + k // 2 if k % 2 == 0 else inside - (n + k // 2)
@@ -99,7 +92,7 @@ def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Com
     slopes = w * inside / n / fraction
     value, error = np.zeros_like(a), np.full(a.size, np.inf)
     value[near] = -slopes.sum(axis=0)
-    error[near] = RATIO_ROUNDING * EPS * (1.0 + np.abs(slopes).sum(axis=0))
+    error[near] = 2.0 * ROUND_OFF * EPS * (1.0 + np.abs(slopes).sum(axis=0))
     return value, error
 
 

@@ -8,11 +8,11 @@ from math import exp, expm1, sqrt
 
 import numpy as np
 
-from fpk.arrays import EPS, SMALLEST, Array, Complexes
+from fpk.arrays import EPS, ROUND_OFF, SMALLEST, Array, Complexes
 from fpk.certificate import Measured, certify
 from fpk.confluent import kummer, log_kummer_ratio, noncentral, series_terms
 from fpk.contour import contours
-from fpk.dynamics import Rates
+from fpk.dynamics import Rates, certified_rates
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import (
     BEYOND_RANGE,
@@ -60,9 +60,7 @@ class SquareRoot:
     def rates(self, count: int, *, tol: float) -> Rates:
         """Return k c, the eigenvalues of −L; the eigenfunctions are Laguerre polynomials."""
         values = self.c * np.arange(1.0, count + 1.0)
-        relative = 4.0 * EPS + self.relative_error
-        certificate = certify(Measured(relative, None, None, None, None), tol=tol)
-        return Rates(values.astype(complex), relative * values, certificate)
+        return certified_rates(values, (4.0 * EPS + self.relative_error) * values, tol=tol)
 
     def transient(
         self, start: float, noise: float | None, times: Array, at: Array, *, tol: float
@@ -125,10 +123,27 @@ class SquareRoot:
         require_constant_noise(self.modulation)
         rate, xf = self.rate(limit), limit * self.c / self.d
         starts = np.linspace(0.0, limit, STARTS)
-        curves = self._moments(np.append(starts, start) * self.c / self.d, xf)
-        mean, mean_error, variance, variance_error = (float(curve[-1]) for curve in curves)
+        x, k = np.append(starts, start) * self.c / self.d, np.arange(1.0, series_terms(xf) + 1.0)
+        # Of 1F1(a; n; x_f) the terms x_f^k/(k (n)_k), and 1 − (x/x_f)^k, without a difference of
+        # large numbers. The coefficient of a is A_1 = Σ x^k/(k (n)_k), that of a² is
+        # A_2 = Σ x^k (1 + … + 1/(k−1))/(k (n)_k).
+        terms = np.cumprod(xf / (self.n + k - 1.0)) / k
+        with np.errstate(divide="ignore"):
+            less = -np.expm1(k * np.log(x / xf)[:, None])
+        harmonic = np.cumsum(1.0 / k) - 1.0 / k
+        unit, lost = terms.sum(), self._lost(xf)
+        first, second = less @ terms, less @ (terms * harmonic)
+        relative = 4.0 * EPS * (k.size + 2.0)
+        # Per unit²: A_1(x_f)² − A_1(x)² = first (2 A_1 − first).
+        a, b, c = first / unit, 2.0 - first / unit, 2.0 * second / unit / unit
+        with np.errstate(over="ignore"):
+            variance = (a * b - c) * unit * unit / self.c**2
+            variance_error = (relative + 2.0 * lost) * (a * b + c) * unit * unit / self.c**2
+        mean = first / self.c
+        curves = mean, (relative + lost) * mean, variance, variance_error
+        own = [float(curve[-1]) for curve in curves]
         return certified_passage(
-            (Number(mean, mean_error), Number(variance, variance_error), rate),
+            (Number(*own[:2]), Number(*own[2:]), rate),
             times,
             *self.failure(limit, start, times, tol=tol),
             tol=tol,
@@ -138,13 +153,28 @@ class SquareRoot:
     def rate(self, limit: float) -> Number:
         """Return the failure rate, c times the least a with 1F1(−a; n; x_f) = 0.
 
-        Raises ``InvalidInput`` where the mean time to the limit is beyond double precision.
+        By Newton's method, which rises to the root of a convex curve. Raises ``InvalidInput`` where
+        the mean time to the limit is beyond double precision.
         """
         xf = limit * self.c / self.d
         if not xf <= FARTHEST:
             raise InvalidInput("limit", limit, BEYOND_RANGE)
-        rate, error = self._rate(xf)
-        return Number(rate, error + self._lost(xf) * rate)
+        k = np.arange(1.0, series_terms(xf) + 1.0)
+        a, relative = 0.0, 4.0 * EPS * (k.size + 2.0)
+        for _ in range(100):
+            # Terms of 1F1(−a; n; x) − 1 and of its derivative in a, of which the first has a left
+            # out: it may be as small as 1e-290.
+            factors = k[:-1] - a
+            factors[factors == 0.0] = EPS  # a rounding beside an integer a, where 0/0 follows
+            rest = np.cumprod(np.append(1.0, factors) * xf / ((self.n + k - 1.0) * k))
+            slopes = np.cumsum(np.append(0.0, 1.0 / factors))
+            f, slope = 1.0 - a * rest.sum(), -rest.sum() + a * (rest * slopes).sum()
+            step = f / slope
+            a -= step
+            if abs(step) <= EPS * a:
+                break
+        error = relative * (1.0 + a * np.abs(rest).sum()) / abs(slope) + 2.0 * EPS * a
+        return Number(self.c * a, self.c * error + self._lost(xf) * (self.c * a))
 
     def failure(
         self, limit: float, start: float, times: Array, *, tol: float
@@ -175,7 +205,7 @@ class SquareRoot:
                 with np.errstate(invalid="ignore", over="ignore"):
                     values.append((c.factors @ (ratio / c.z)).imag)
                     sizes = np.abs(c.factors) * np.abs(ratio / c.z)
-                    error[at] = sizes @ relative + 8.0 * EPS * sizes.sum(axis=1)
+                    error[at] = sizes @ relative + ROUND_OFF * EPS * sizes.sum(axis=1)
             p[at] = values[1]
             error[at] += np.abs(values[1] - values[0])
         bounded = (times > 0.0) & ((bound <= NEGLIGIBLE) | ~(error <= bound))
@@ -205,45 +235,3 @@ class SquareRoot:
     def _lost(self, xf: float) -> float:
         """Relative error of mean times and rates, which rise by e^(x_f) at most, by c and d."""
         return (3.0 + 2.0 * xf) * self.relative_error
-
-    def _moments(self, x: Array, xf: float) -> tuple[Array, Array, Array, Array]:
-        """Mean and variance from the starts x, and errors: A_1 and A_1² − 2 A_2, less those of x.
-
-        A_1 = Σ x^k/(k (n)_k) and A_2 = Σ x^k (1 + … + 1/(k−1))/(k (n)_k) are the coefficients of
-        a and a² in 1F1(a; n; x).
-        """
-        k = np.arange(1.0, series_terms(xf) + 1.0)
-        # x_f^k/(k (n)_k), and 1 − (x/x_f)^k, without a difference of large numbers.
-        terms = np.cumprod(xf / (self.n + k - 1.0)) / k
-        with np.errstate(divide="ignore"):
-            less = -np.expm1(k * np.log(x / xf)[:, None])
-        harmonic = np.cumsum(1.0 / k) - 1.0 / k
-        A1, lost = terms.sum(), self._lost(xf)
-        first, second = less @ terms, less @ (terms * harmonic)
-        unit, relative = A1, 4.0 * EPS * (k.size + 2.0)
-        # Per unit²: A_1(x_f)² − A_1(x)² = first (2 A_1 − first).
-        a, b, c = first / unit, 2.0 - first / unit, 2.0 * second / unit / unit
-        with np.errstate(over="ignore"):
-            variance = (a * b - c) * unit * unit / self.c**2
-            variance_error = (relative + 2.0 * lost) * (a * b + c) * unit * unit / self.c**2
-        mean = first / self.c
-        return mean, (relative + lost) * mean, variance, variance_error
-
-    def _rate(self, xf: float) -> tuple[float, float]:
-        """Return the failure rate by Newton's method, which rises to the root of a convex curve."""
-        k = np.arange(1.0, series_terms(xf) + 1.0)
-        a, relative = 0.0, 4.0 * EPS * (k.size + 2.0)
-        for _ in range(100):
-            # Terms of 1F1(−a; n; x) − 1 and of its derivative in a, of which the first has a left
-            # out: it may be as small as 1e-290.
-            factors = k[:-1] - a
-            factors[factors == 0.0] = EPS  # a rounding beside an integer a, where 0/0 follows
-            rest = np.cumprod(np.append(1.0, factors) * xf / ((self.n + k - 1.0) * k))
-            slopes = np.cumsum(np.append(0.0, 1.0 / factors))
-            f, slope = 1.0 - a * rest.sum(), -rest.sum() + a * (rest * slopes).sum()
-            step = f / slope
-            a -= step
-            if abs(step) <= EPS * a:
-                break
-        error = relative * (1.0 + a * np.abs(rest).sum()) / abs(slope) + 2.0 * EPS * a
-        return self.c * a, self.c * error

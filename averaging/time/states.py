@@ -7,7 +7,7 @@ by then: all integrals have panels that end where the elements of p(H, t) end.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import gamma
 
 import numpy as np
@@ -53,13 +53,13 @@ class WeylInTime:
     @cached_property
     def nodes(self) -> Array:
         """Ends of halves of the enriched solution's elements, with layers at contact energies."""
-        nodes = self.solved.enriched.elements.nodes
-        halves = np.sort(np.append(nodes, 0.5 * (nodes[1:] + nodes[:-1])))
-        return with_layers(halves, self.solved.elements.process.nonsmooth)
+        e = self.solved.enriched.elements
+        halves = np.sort(np.append(e.nodes, 0.5 * (e.nodes[1:] + e.nodes[:-1])))
+        return with_layers(halves, e.process.nonsmooth)
 
     def __call__(self, energy: Array) -> Array:
         """Return Ψ at ``energy``, (*shape, times)."""
-        return self._table(energy)
+        return self._tables[-1](energy)
 
     def error(self, energy: Array) -> Array:
         """Return the error of Ψ; beyond the last element Ψ is less than its error before."""
@@ -78,12 +78,8 @@ class WeylInTime:
     @property
     def added(self) -> float:
         """The error of the table relative to the largest Ψ."""
-        return float(np.max(self._moved / np.max(np.abs(self._table.coefficients[:, 0]), axis=0)))
-
-    @cached_property
-    def _u(self) -> Piecewise:
-        """u at all times."""
-        return self._of_energy(lambda x: self._answer(x)[0], POINTS[1])
+        table = self._tables[-1]
+        return float(np.max(self._moved / np.max(np.abs(table.coefficients[:, 0]), axis=0)))
 
     def _answer(self, x: Array) -> tuple[Array, Array]:
         """u and the size of its terms (points, times); 0 beyond the last element of the answer."""
@@ -91,44 +87,45 @@ class WeylInTime:
         inside = x <= self.solved.elements.right[-1]
         return (u * inside).T, (size * inside).T
 
+    def _table(self, f: Callable[[Array], Array], points: int) -> Piecewise:
+        left, right = self.nodes[:-1], self.nodes[1:]
+        return Piecewise(self.nodes, interpolated(f, left, right, points - 1))
+
+    @cached_property
+    def _tables(self) -> tuple[Piecewise, Piecewise, Piecewise]:
+        """u at all times; Ψ by a coarser table, and the answer."""
+        u = self._table(lambda x: self._answer(x)[0], POINTS[1])
+        if self.order == 0.0:
+            return u, self._table(u, POINTS[0]), u
+        integral = partial(weyl_integral, self.order, self.nodes, u)
+        coarse, fine = (self._table(partial(integral, points=k), k) for k in POINTS)
+        return u, coarse, fine
+
     @cached_property
     def _of_u(self) -> Array:
         """The largest error of u in each element (elements, times)."""
-        x = panel_rule(self.nodes, CHECKED)[0]
-        u, size = self._answer(x.ravel())
-        better, other = self.solved.enriched.state_density(x.ravel())
-        error = SAFETY * (np.abs(u - better.T) + np.abs(u - self._u(x.ravel())))
-        within = np.minimum(x.ravel(), self.solved.elements.right[-1])
-        question, e = self.solved.question, self.solved.elements
-        error += question.common_error(e, u.T, size.T + other, within).T
-        # What is left of larger numbers far from the peak, of u and of p = T u.
-        c = e.process.coefficients(x.ravel())
+        solved, e = self.solved, self.solved.elements
+        points = panel_rule(self.nodes, CHECKED)[0]
+        x = points.ravel()
+        u, size = self._answer(x)
+        better, other = solved.enriched.state_density(x)
+        error = SAFETY * (np.abs(u - better.T) + np.abs(u - self._tables[0](x)))
+        within = np.minimum(x, e.right[-1])
+        error += solved.question.common_error(e, u.T, size.T + other, within).T
+        # Far from the peak u and p = T u are differences of larger numbers.
+        c = e.process.coefficients(x)
         with np.errstate(over="ignore"):
-            of_p = np.multiply.outer(np.exp(-c.log_density_of_states), self.solved.top)
+            of_p = np.multiply.outer(np.exp(-c.log_density_of_states), solved.top)
         error += ROUND_OFF * EPS * np.minimum(of_p, np.abs(u).max(axis=0))
-        return np.asarray(error.reshape(*x.shape, -1).max(axis=1))
-
-    @cached_property
-    def _table(self) -> Piecewise:
-        if self.order == 0.0:
-            return self._u
-        return self._of_energy(lambda E: self._integral(E, POINTS[1]), POINTS[1])
+        return np.asarray(error.reshape(*points.shape, -1).max(axis=1))
 
     @cached_property
     def _moved(self) -> Array:
         """Largest distance of two tables in each element (elements, times)."""
-        f = self._u if self.order == 0.0 else lambda E: self._integral(E, POINTS[0])
-        coarse = self._of_energy(f, POINTS[0])
         x = panel_rule(self.nodes, sum(POINTS))[0]
-        distance = np.abs(coarse(x) - self._table(x)).max(axis=1)
-        return np.asarray(distance + ROUND_OFF * EPS * np.abs(self._table(x)).max(axis=1))
-
-    def _of_energy(self, f: Callable[[Array], Array], points: int) -> Piecewise:
-        left, right = self.nodes[:-1], self.nodes[1:]
-        return Piecewise(self.nodes, interpolated(f, left, right, points - 1))
-
-    def _integral(self, energy: Array, points: int) -> Array:
-        return weyl_integral(self.order, self.nodes, self._u, energy, points=points)
+        _, coarse, fine = (table(x) for table in self._tables)
+        distance = np.abs(coarse - fine).max(axis=1)
+        return np.asarray(distance + ROUND_OFF * EPS * np.abs(fine).max(axis=1))
 
 
 def state_transient(system: System, solved: Transition, asked: DensityQuestion) -> Transient:
@@ -190,32 +187,26 @@ def _over_hidden(
     psi: WeylInTime, law: Conditional, energy: Array, given: Array
 ) -> tuple[Array, Array, Array]:
     """∫Ψ(E + V(hidden | observed)), its error, and that of the rule: (points, times) each."""
-    parts = []
     mean = law.weights @ given if given.size else np.zeros(energy.size)
+    # Beyond the panels V is above the last energy, where Ψ is less than this error and falls.
+    beyond = np.sqrt(2.0 * psi.nodes[-1] / law.precision) * psi.error(psi.nodes[-1:])
     size = max(1, CHUNK // (2 * psi.nodes.size**2 * ERROR_POINTS))
+    parts = []
     for start in range(0, energy.size, size):
-        part = slice(start, start + size)
-        nodes = _panels(psi.nodes, law, energy[part], mean[part])
-        parts.append(_integrals(psi, law, nodes, energy[part], mean[part]))
+        E, m = energy[start : start + size], mean[start : start + size]
+        nodes = _panels(psi.nodes, law, E, m)
+        half = 0.5 * np.diff(nodes, axis=1)[..., None]
+        answers = []
+        for points in (*RULES, ERROR_POINTS):
+            t, w = gauss_legendre(points)
+            q = nodes[:, :-1, None] + half * (1.0 + t)
+            total = E[:, None, None] + law.energy(q, m[:, None, None])
+            f = psi.error if points == ERROR_POINTS else psi
+            answers.append(np.einsum("xkg,xkgt->xt", half * w, f(total)))
+        coarse, fine, error = answers
+        parts.append((fine, error + beyond, np.abs(fine - coarse)))
     values, errors, rule = (np.concatenate(column) for column in zip(*parts, strict=True))
     return values, errors + rule, rule
-
-
-def _integrals(
-    psi: WeylInTime, law: Conditional, nodes: Array, energy: Array, mean: Array
-) -> tuple[Array, Array, Array]:
-    answers = []
-    for points in (*RULES, ERROR_POINTS):
-        t, w = gauss_legendre(points)
-        half = 0.5 * np.diff(nodes, axis=1)[..., None]
-        q = nodes[:, :-1, None] + half * (1.0 + t)
-        E = energy[:, None, None] + law.energy(q, mean[:, None, None])
-        f = psi.error if points == ERROR_POINTS else psi
-        answers.append(np.einsum("xkg,xkgt->xt", half * w, f(E)))
-    coarse, fine, error = answers
-    # Beyond the panels V is above the last energy, where Ψ is less than this error and falls.
-    reach = np.sqrt(2.0 * psi.nodes[-1] / law.precision)
-    return fine, error + reach * psi.error(psi.nodes[-1:]), np.abs(fine - coarse)
 
 
 def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Array:

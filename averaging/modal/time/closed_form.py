@@ -22,7 +22,7 @@ from averaging.time.start import (
 )
 from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured, certify
-from fpk.dynamics import Rates
+from fpk.dynamics import Rates, certified_rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, certified_passage, checked_times
 from fpk.limit import Limit
@@ -31,8 +31,6 @@ from fpk.number import Number
 from fpk.quadrature import panel_rule
 from fpk.square_root import SquareRoot
 
-EQUAL = 1e-12
-"""Relative difference of decay or temperature, beyond round-off, up to which modes are alike."""
 SUM_PANELS, SUM_POINTS = 16, (20, 24)
 """Panels and Gauss points of each along H1 + H2 = H: answer and error."""
 DECAY_PANELS, DECAY_POINTS = 80, (14, 18)
@@ -52,7 +50,13 @@ def transient(
     """
     observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
     if {c.kind for c in observable} <= {"q", "p"}:
-        return orbit_transient(_orbits(modes, asked, modulation), asked)
+        # The shares of the modes in displacements and momenta: (q, p) = S (ω Q, P).
+        shapes = modes.state_shapes[state_rows(observable, modes.n)]
+        orbits = []
+        for m, H in enumerate(start.energies.tolist()):
+            S = shapes[:, [m, m + modes.n]]
+            orbits.append(OrbitPart(_mode(modes, m, modulation), H, S @ S.T))
+        return orbit_transient(orbits, asked)
     checked_times(times, positive=start.noise is None)
     rows = observed_modes(observable)
     parts = [
@@ -115,9 +119,8 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
     for m in range(modes.n):
         multiples = np.append(0.0, _mode(modes, m).rates(count, tol=1.0).values.real)
         rates = np.sort(np.add.outer(rates, multiples).ravel())[: count + 1]
-    relative = modes.relative_error + 4.0 * EPS
-    certificate = certify(Measured(relative, None, None, None, None), tol=tol)
-    return Rates(rates[1:].astype(complex), relative * rates[1:], certificate)
+    errors = (modes.relative_error + 4.0 * EPS) * rates[1:]
+    return certified_rates(rates[1:], errors, tol=tol)
 
 
 def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) -> SquareRoot:
@@ -129,23 +132,14 @@ def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) ->
     return SquareRoot(1, c, d, error, modulation)
 
 
-def _orbits(
-    modes: ModalAnalysis, asked: DensityQuestion, modulation: Modulation | None
-) -> list[OrbitPart]:
-    """The shares of the modes in displacements and momenta, by (q, p) = S (ω Q, P)."""
-    rows = modes.state_shapes[state_rows(asked.observable, modes.n)]
-    both = [rows[:, [m, m + modes.n]] for m in range(modes.n)]
-    return [
-        OrbitPart(_mode(modes, m, modulation), float(asked.start.energies[m]), S @ S.T)
-        for m, S in enumerate(both)
-    ]
-
-
 def _alike(modes: ModalAnalysis, modulation: Modulation | None = None) -> SquareRoot | None:
-    """The sum of modes of equal decay and temperature, with what they differ by as an error."""
+    """The sum of modes of equal decay and temperature, with what they differ by as an error.
+
+    That is up to 1e-12 of these, beyond their round-off.
+    """
     one, c, d = _mode(modes, 0, modulation), np.diag(modes.modal_damping), modes.noise
     unlike = float(max(np.ptp(c) / c[0], np.ptp(d) / d[0]))
-    if unlike > EQUAL + 4.0 * modes.relative_error:
+    if unlike > 1e-12 + 4.0 * modes.relative_error:
         return None
     return replace(one, n=modes.n, relative_error=one.relative_error + unlike)
 

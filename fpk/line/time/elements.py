@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legint, legvander
@@ -255,7 +255,8 @@ def elements(
 
 def _mapped(e: Elements, f: Callable[[str], Array]) -> Elements:
     """The elements with every array replaced by ``f`` of its name."""
-    return replace(e, **{x.name: f(x.name) for x in fields(e) if x.name != "process"})
+    changes: dict[str, Any] = {x.name: f(x.name) for x in fields(e) if x.name != "process"}
+    return replace(e, **changes)
 
 
 def _joined(parts: Sequence[Elements]) -> Elements:

@@ -21,7 +21,7 @@ from scipy.special import roots_jacobi
 from fpk.arrays import SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import NO_NOISE_YET, UNRESOLVED, Transient
+from fpk.evolution import LARGEST_ERROR, NO_NOISE_YET, Transient
 from fpk.line.time.elements import SAFETY, Elements, Evolved, Settings
 from fpk.line.time.transition import Source, Transition, adapted, judged, posed
 from fpk.modulation import Modulation
@@ -242,7 +242,7 @@ def modulated_transient(
     """Return the densities at energies ``at``; all else as of ``modulated_transition``.
 
     Where the modulation ends with 0, those at later times are carried along from its end by
-    ``free_decay``. Where the estimated error exceeds ``UNRESOLVED`` errors are infinite. Raises
+    ``free_decay``. Where the estimated error exceeds ``LARGEST_ERROR`` errors are infinite. Raises
     ``NotApplicable`` as ``free_decay`` does.
     """
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
@@ -256,7 +256,7 @@ def modulated_transient(
         values[k], errors[k], l1 = free_decay(process, solved, float(times[k] - end), at)
         largest = np.max([measured.l1_error, solved.measured.l1_error + l1])
         measured = replace(measured, l1_error=float(largest))
-    if not measured.l1_error <= UNRESOLVED:
+    if not measured.l1_error <= LARGEST_ERROR:
         errors[:] = np.inf
     certificate = certify(measured, tol=tol)
     return Transient(times, values, errors, "numerical", certificate, solved.settings)

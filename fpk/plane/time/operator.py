@@ -163,14 +163,16 @@ class PlaneOperator:
         shares = shares[self.free]
         shares[self._pinned] = of_e
         return (
-            self._with_sum(A, rows, columns, both),
-            self._with_sum(M, Me[self.free], Me[self.free], float(e @ Me)),
+            self._with_sum(self._pinned, A, rows, columns, both),
+            self._with_sum(self._pinned, M, Me[self.free], Me[self.free], float(e @ Me)),
             shares,
         )
 
-    def _with_sum(self, matrix: csc_array, row: Array, column: Array, both: float) -> csc_array:
-        """The free part of a matrix with row and column of the pinned unknown replaced."""
-        k, free = self._pinned, matrix[:, self.free][self.free]
+    def _with_sum(
+        self, k: int, matrix: csc_array, row: Array, column: Array, both: float
+    ) -> csc_array:
+        """The free part of a matrix with row and column of the pinned unknown ``k`` replaced."""
+        free = matrix[:, self.free][self.free]
         free.data[free.indices == k] = 0.0
         free.data[slice(*free.indptr[[k, k + 1]])] = 0.0
         row, column = row.copy(), column.copy()

@@ -8,7 +8,7 @@ import numpy as np
 
 from fpk.arrays import SMALLEST, Array
 from fpk.certificate import Measured, certify
-from fpk.evolution import UNRESOLVED, Transient
+from fpk.evolution import LARGEST_ERROR, Transient
 from fpk.plane.solution import Nodes, gauss_grid, graded
 from fpk.plane.time.exponential import KRYLOV, Evolved, evolved
 from fpk.plane.time.levels import MORE, Frame, PlaneStart
@@ -168,7 +168,7 @@ def _compared(
     errors += np.abs(values) * np.array([coefficients_error(t, *at) for t in times])
     model = (np.abs(p) * np.array([coefficients_error(t, *points) for t in times])) @ area
     distance = lost @ area
-    unresolved = ~(distance <= UNRESOLVED)
+    unresolved = ~(distance <= LARGEST_ERROR)
     errors = np.where(unresolved[:, None], np.inf, errors)
     errors = np.where(np.min(np.broadcast_arrays(*at), axis=0) < 0.0, 0.0, errors) + SMALLEST
     l1 = distance + model + rounding + start.l1_error
