@@ -199,7 +199,7 @@ class SquareRoot:
         for contour, other in zip(
             *(contours(times[later], more=k) for k in (MORE, 0)), strict=True
         ):
-            at, values = later[contour.index], []
+            at, values = later[contour.places], []
             for c in (other, contour):
                 ratio, relative = self._transform(c.z / self.c, x0, xf)
                 with np.errstate(invalid="ignore", over="ignore"):

@@ -108,8 +108,8 @@ def evolved(
     for c in contours(times, more=more):
         end = None if held is None else held / c.z
         f, residual = resolvent(e, c.z, load, end, density=density)
-        values[c.index] = np.einsum("tz,eiz->tei", c.factors, f).imag
-        size[c.index] = np.einsum("tz,eiz->tei", np.abs(c.factors), np.abs(f))
+        values[c.places] = np.einsum("tz,eiz->tei", c.factors, f).imag
+        size[c.places] = np.einsum("tz,eiz->tei", np.abs(c.factors), np.abs(f))
         residuals.append(residual)
     return Evolved(e, values, size, float(np.max(residuals)))
 
