@@ -22,8 +22,8 @@ class Contour(NamedTuple):
 
     The trapezoidal rule on the hyperbola z(θ) = μ (1 + sin(iθ − φ)) around the negative real axis,
     of which the half with Im z > 0 is enough: f is real. For errors of the rule and of where it
-    ends see J. A. C. Weideman and L. N. Trefethen, Math. Comp. 76 (2007) 1341, section 4. ``places``
-    are the places of the times among those asked for.
+    ends see J. A. C. Weideman and L. N. Trefethen, Math. Comp. 76 (2007) 1341, section 4.
+    ``places`` are the places of the times among those asked for.
     """
 
     places: Integers

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.gaussian_state import state_rows
-from averaging.time.orbits import OrbitPart, orbit_transient
+from averaging.time.orbits import orbit_transient
 from averaging.time.start import FROM_NOISE, DensityQuestion, EnergyStart
 from averaging.time.states import state_transient
 from fpk.arrays import Array
@@ -44,7 +44,7 @@ def transient(system: System, solver: str, asked: DensityQuestion) -> Transient:
         rows = state_rows(asked.observable, system.n)
         # At temperature 1; K and M are not coupled.
         shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]
-        return orbit_transient([OrbitPart(closed, energy, shape)], asked)
+        return orbit_transient([(closed, energy, shape)], asked)
 
     def under(factor: float) -> Process:
         return _process(system, factor)

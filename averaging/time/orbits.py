@@ -8,7 +8,6 @@ x = V z have E e^(i s·x) = Π exp(−½ θ_t s·C s) Λ_n(a √(s·C s)), C = V
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import exp, pi, prod
 
 import numpy as np
@@ -32,20 +31,13 @@ ROUNDINGS = 4.0
 """Roundings of each radian of the phase of a wave, and of the arguments of its factors."""
 
 
-@dataclass(frozen=True, eq=False)
-class OrbitPart:
-    """One of the independent energies whose orbits add up to the coordinates.
-
-    It begins at ``start`` >= 0 and is a square-root ``process``. ``shape`` C, (count, count), is
-    the covariance of its share of the coordinates in the stationary state of temperature 1.
-    """
-
-    process: SquareRoot
-    start: float
-    shape: Array
+Orbit = tuple[SquareRoot, float, Array]
+"""One of the independent energies whose orbits add up to the coordinates: its process, where it
+begins, and the covariance C (count, count) of its share of the coordinates in the stationary state
+of temperature 1."""
 
 
-def orbit_transient(parts: Sequence[OrbitPart], asked: DensityQuestion) -> Transient:
+def orbit_transient(parts: Sequence[Orbit], asked: DensityQuestion) -> Transient:
     """Return the densities at times > 0 of one or two coordinates, the sum of ``parts``.
 
     From the start of each part, or the stationary state under the noise of the start. Raises
@@ -69,7 +61,7 @@ def orbit_transient(parts: Sequence[OrbitPart], asked: DensityQuestion) -> Trans
 
 
 def _density(
-    parts: Sequence[OrbitPart], noise: float | None, t: float, at: tuple[Array, ...]
+    parts: Sequence[Orbit], noise: float | None, t: float, at: tuple[Array, ...]
 ) -> tuple[Array, Array, float]:
     """p at the points, its error, and the height of the Gaussian of the same covariance.
 
@@ -77,14 +69,14 @@ def _density(
     copies, and from waves beyond ``REACH``, come ``BEYOND`` each.
     """
     count = len(at)
-    scales = [part.process.scales(part.start, noise, t) for part in parts]
-    spread = sum(theta * part.shape for (theta, _), part in zip(scales, parts, strict=True))
+    scales = [process.scales(start, noise, t) for process, start, _ in parts]
+    spread = sum(theta * C for (theta, _), (*_, C) in zip(scales, parts, strict=True))
     sizes = np.sqrt(np.diag(spread))
     factor = np.linalg.cholesky(spread / np.multiply.outer(sizes, sizes))
     whitened = np.linalg.inv(factor) / sizes
     orbits = [
-        (part.process.n, 2.0 * left * (whitened @ part.shape @ whitened.T))
-        for (_, left), part in zip(scales, parts, strict=True)
+        (process.n, 2.0 * left * (whitened @ C @ whitened.T))
+        for (_, left), (process, _, C) in zip(scales, parts, strict=True)
     ]
     radii = np.sqrt([np.diag(orbit) for _, orbit in orbits])
     box = radii.sum(axis=0) + REACH
@@ -102,13 +94,17 @@ def _density(
         np.sqrt(np.maximum(np.einsum("ikm,ij,jkm->km", s, orbit, s), 0.0)) for _, orbit in orbits
     ]
     gauss = np.exp(-0.5 * square) * np.where(grid[0] == 0, 1.0, 2.0) / np.prod(2.0 * box)
-    wave = gauss * prod(_sphere(n, z) for (n, _), z in zip(orbits, arguments, strict=True))
+    # Λ_n(z) = E exp(i z e_1), e uniform on the unit sphere in 2n dimensions, is 0F1(n; −z²/4).
+    wave = gauss * prod(
+        j0(z) if n == 1 else hyp0f1(n, -0.25 * z * z)
+        for (n, _), z in zip(orbits, arguments, strict=True)
+    )
     # Errors: phases count by |φ|, arguments z by |z Λ_n'| <= min(z, 1 + √z), as DLMF (10.14.1) and
     # (10.17.3) have it; whitening by the square of its condition.
     turns = sum(np.abs(part) * b for part, b in zip(s, box, strict=True))
     argued = sum(np.minimum(z, 1.0 + np.sqrt(z)) for z in arguments)
-    relative = max(part.process.relative_error for part in parts)
-    elapsed = max(part.process.c for part in parts) * t
+    relative = max(process.relative_error for process, *_ in parts)
+    elapsed = max(process.c for process, *_ in parts) * t
     rounded = np.abs(wave) * ROUNDINGS * turns + gauss * ROUNDINGS * (2.0 + argued + square)
     model = 4.0 * relative * gauss * (1.0 + square + (1.0 + elapsed) * argued)
     condition = float(np.linalg.cond(factor)) ** 2
@@ -121,8 +117,3 @@ def _density(
     total = np.eye(count) + sum(orbit / (2.0 * n) for n, orbit in orbits)
     height = (2.0 * pi) ** (-0.5 * count) * jacobian / np.sqrt(float(np.linalg.det(total)))
     return p * jacobian, np.full(p.shape, floor * jacobian), height
-
-
-def _sphere(n: int, z: Array) -> Array:
-    """Λ_n(z) = E exp(i z e_1), e uniform on the unit sphere in 2n dimensions: 0F1(n; −z²/4)."""
-    return np.asarray(j0(z) if n == 1 else hyp0f1(n, -0.25 * z * z))

@@ -83,7 +83,7 @@ class WeylInTime:
 
     def _answer(self, x: Array) -> tuple[Array, Array]:
         """u and the size of its terms (points, times); 0 beyond the last element of the answer."""
-        u, size = self.solved.solution.state_density(x)
+        u, size = self.solved.solution.density(x, of_states=True)
         inside = x <= self.solved.elements.right[-1]
         return (u * inside).T, (size * inside).T
 
@@ -108,7 +108,7 @@ class WeylInTime:
         points = panel_rule(self.nodes, CHECKED)[0]
         x = points.ravel()
         u, size = self._answer(x)
-        better, other = solved.enriched.state_density(x)
+        better, other = solved.enriched.density(x, of_states=True)
         error = SAFETY * (np.abs(u - better.T) + np.abs(u - self._tables[0](x)))
         within = np.minimum(x, e.right[-1])
         error += solved.question.common_error(e, u.T, size.T + other, within).T

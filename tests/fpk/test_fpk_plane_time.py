@@ -15,8 +15,7 @@ from fpk.plane.stationary import solve_plane
 from fpk.plane.time.exponential import evolved
 from fpk.plane.time.levels import Frame, PlaneStart
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.passage import PlaneLimit, _hopeless, first_passage
-from fpk.plane.time.relaxation import relaxation_rates
+from fpk.plane.time.passage import PlaneLimit, _hopeless, first_passage, relaxation_rates
 from fpk.plane.time.transient import transient_densities
 from fpk.quadrature import panel_rule
 

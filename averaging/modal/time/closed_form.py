@@ -12,7 +12,7 @@ import numpy as np
 
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.time.orbits import OrbitPart, orbit_transient
+from averaging.time.orbits import orbit_transient
 from averaging.time.start import (
     FROM_NOISE,
     DensityQuestion,
@@ -55,7 +55,7 @@ def transient(
         orbits = []
         for m, H in enumerate(start.energies.tolist()):
             S = shapes[:, [m, m + modes.n]]
-            orbits.append(OrbitPart(_mode(modes, m, modulation), H, S @ S.T))
+            orbits.append((_mode(modes, m, modulation), H, S @ S.T))
         return orbit_transient(orbits, asked)
     checked_times(times, positive=start.noise is None)
     rows = observed_modes(observable)

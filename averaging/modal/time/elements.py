@@ -21,8 +21,7 @@ from fpk.limit import Limit
 from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
 from fpk.plane.time.levels import Frame, PlaneStart
-from fpk.plane.time.passage import PlaneLimit, first_passage
-from fpk.plane.time.relaxation import relaxation_rates
+from fpk.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
 from fpk.plane.time.transient import ROUNDING, Level, Seen, seen_on, transient_densities
 from fpk.process import Coefficients, Process
 

@@ -192,16 +192,13 @@ class Evolved(NamedTuple):
     size: Array
     residual: float
 
-    def density(self, x: Array) -> tuple[Array, Array]:
-        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms."""
-        return self._times(self.elements.log_density(x), x)
+    def density(self, x: Array, *, of_states: bool = False) -> tuple[Array, Array]:
+        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms.
 
-    def state_density(self, x: Array) -> tuple[Array, Array]:
-        """Return u = p/T likewise, by its own: T vanishes at H = 0."""
-        return self._times(self.elements.log_phase_density(x), x)
-
-    def _times(self, log_factor: Array, x: Array) -> tuple[Array, Array]:
+        Or u = p/T ``of_states``, by its own: T vanishes at H = 0.
+        """
         e = self.elements
+        log_factor = e.log_phase_density(x) if of_states else e.log_density(x)
         p, size = e.at(x, self.values, self.size)
         factor = np.exp(log_factor - e.log_scale[e.element_of(x)])
         return p * factor, size * factor

@@ -7,7 +7,7 @@ forward equation, whose mass is P(T > t).
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -146,29 +146,24 @@ class FirstPassage:
         """Mean time from H = 0."""
         return self.answer.longest
 
-    def mean(self, x: Array) -> tuple[Array, Array]:
-        """Return the mean time from the starts x and its error."""
-        a, b = self.answer, self.enriched
-        (T, size), (better, _) = a.elements.at(x, a.mean), b.elements.at(x, b.mean)
-        rounding = self._rounding(x) * T + self.round_off * size
-        by_coefficients = self._coefficients[a.elements.element_of(x)]
-        return T, SAFETY * np.abs(T - better) + rounding + by_coefficients
+    def moments(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """Return mean and variance of the time from the starts x, each with its error after it.
 
-    def variance(self, x: Array) -> tuple[Array, Array]:
-        """Return the variance of the time from the starts x in ``longest``², and its error."""
-        a, b, unit = self.answer, self.enriched, self.longest
-        (T, of_T), (U, of_U) = a.elements.at(x, a.mean / unit), a.elements.at(x, a.second)
-        (better, _), (half, _) = b.elements.at(x, b.mean / unit), b.elements.at(x, b.second)
-        value = 2.0 * U - T**2
-        distance = np.abs(value - 2.0 * half * (b.longest / unit) ** 2 + better**2)
+        In units of the ``longest`` mean time and of its square.
+        """
+        (T, of_T, U, of_U), (better, _, half, _) = (
+            (*a.elements.at(x, a.mean / self.longest), *a.elements.at(x, a.second))
+            for a in (self.answer, self.enriched)
+        )
+        # T is about linear in H_f − x, and has the round-off of energies.
+        rounding = ROUND_OFF * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
+        error = SAFETY * np.abs(T - better) + rounding * T + self.round_off * of_T
+        error += self._coefficients[self.answer.elements.element_of(x)] / self.longest
+        V = 2.0 * U - T**2
+        distance = np.abs(V - 2.0 * half * (self.enriched.longest / self.longest) ** 2 + better**2)
         # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
-        error = SAFETY * distance + (3.0 * self.relative + self._rounding(x)) * value
-        error += self.round_off * 2.0 * (value + of_U + T * of_T)
-        return value, error
-
-    def _rounding(self, x: Array) -> Array:
-        """Relative round-off by that of the energies: T is about linear in H_f − x."""
-        return ROUND_OFF * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
+        V_error = SAFETY * distance + (3.0 * self.relative + rounding) * V
+        return T, error, V, V_error + self.round_off * 2.0 * (V + of_U + T * of_T)
 
     def rate(self) -> tuple[float, float]:
         """Return the failure rate and its error."""
@@ -247,31 +242,28 @@ def fem_passage(
     y, better = source.samples(solved.enriched.elements)
     unit, beyond = solved.longest, float(1.0 - weights.sum())
     off = 0.0 if source.process is None else solved.round_off
+    starts, both = np.linspace(0.0, limit, STARTS), x.size + y.size
 
-    def over(f: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
-        values, errors = f(np.append(x, y))
-        mean, finer = values[..., : x.size] @ weights, values[..., x.size :] @ better
+    def over(values: Array, errors: Array) -> tuple[Array, Array]:
+        mean, finer = values[..., : x.size] @ weights, values[..., x.size : both] @ better
         distance = SAFETY * np.abs(mean - finer) + off * np.abs(mean)
         return mean, errors[..., : x.size] @ weights + distance
 
-    mean, mean_error = map(float, over(solved.mean))
-    share = mean / unit
-
-    def spread(x: Array) -> tuple[Array, Array]:
-        """(E T − mean)² − mean² of a start in units of the square of the longest mean time."""
-        T, T_error = (a / unit for a in solved.mean(x))
-        return T * (T - 2.0 * share), 2.0 * np.abs(T - share) * T_error
-
-    (V, V_error), (W, W_error) = over(solved.variance), over(spread)
-    starts = np.linspace(0.0, limit, STARTS)
+    T, T_error, V, V_error = solved.moments(np.concatenate([x, y, starts]))
+    share, share_error = map(float, over(T, T_error))
+    mean = share * unit
+    # The variance is that of each start, and of their means: (E T − mean)² − mean² + mean².
+    own, own_error = over(V, V_error)
+    spread, spread_error = over(T * (T - 2.0 * share), 2.0 * np.abs(T - share) * T_error)
     with np.errstate(over="ignore"):
-        variance, variance_error, *variances = (
-            a * unit * unit
-            for a in (V + (W + share**2), V_error + W_error, *solved.variance(starts))
+        variance, variance_error = (
+            float(a * unit * unit) for a in (own + (spread + share**2), own_error + spread_error)
         )
+        curves = T * unit, T_error * unit, V * unit * unit, V_error * unit * unit
+    numbers = Number(mean, share_error * unit), Number(variance, variance_error)
     # Forward and backward equation are compared at the mean time where no other is asked for.
     compared = times if times.size else np.array([mean])
-    failure, failure_error = over(partial(solved.failure, compared))
+    failure, failure_error = over(*solved.failure(compared, np.append(x, y)))
     failure = failure + beyond
     failure_error = failure_error + SAFETY * np.abs(weights.sum() - better.sum()) + off
     # ∫p where the limit absorbs, by the forward equation.
@@ -282,7 +274,6 @@ def fem_passage(
     settings: Settings = {"degree": e.degree, "elements": e.count, "tol": tol}
     if source.process is not None:
         settings["beyond the limit at the start"] = float(beyond)
-    numbers = Number(mean, mean_error), Number(float(variance), float(variance_error))
     return certified_passage(
         (*numbers, Number(*solved.rate())),
         times,
@@ -291,7 +282,7 @@ def fem_passage(
         tol=tol,
         mass_defect=float(np.abs(kept + failure - 1.0).max()),
         residual=g.residual,
-        starts=StartCurve(starts, *solved.mean(starts), *variances),
+        starts=StartCurve(starts, *(a[both:] for a in curves)),
         settings=settings,
     )
 
@@ -350,8 +341,7 @@ def modulated_passage(
         if later is not None:
             x, longest = e.x.ravel(), later.longest
             p = g.density(x)[0][np.searchsorted(stops[1:], end)] * e.weight.ravel()
-            T, T_error = (a / longest for a in later.mean(x))
-            V, V_error = later.variance(x)
+            T, T_error, V, V_error = later.moments(x)
             of_square = 2.0 * T * T_error + V_error
             with np.errstate(over="ignore"):
                 one = np.array([p @ T, np.abs(p) @ T_error]) * longest
