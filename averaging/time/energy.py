@@ -4,6 +4,7 @@ No other energy acts on it. By finite elements, or, without contact, as a square
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,7 +18,7 @@ from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
-from fpk.line.time.modulated import modulated_transient, modulated_transition
+from fpk.line.time.modulated import Modulated, modulated_transient, modulated_transition
 from fpk.line.time.passage import fem_passage, modulated_passage
 from fpk.line.time.spectrum import spectrum
 from fpk.line.time.transition import Source, transition
@@ -46,20 +47,19 @@ def transient(system: System, solver: str, asked: DensityQuestion) -> Transient:
         shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]
         return orbit_transient([(closed, energy, shape)], asked)
 
-    def under(factor: float) -> Process:
-        return _process(system, factor)
-
     source = _source(system, start)
     if modulation is None:
-        solved = transition(under(1.0), source, times, tol=tol)
+        solved = transition(energy_process(system), source, times, tol=tol)
     elif of_energy:
-        return modulated_transient(under, modulation, source, times, asked.at[0], tol=tol)
+        motion = Modulated(partial(_process, system), modulation, source)
+        return modulated_transient(motion, times, asked.at[0], tol=tol)
     elif not modulation.last and times[-1] > modulation.times[-1]:
         raise NotApplicable(
             "after the end of the noise fem gives densities of the energy only, not of q, p"
         )
     else:
-        solved = modulated_transition(under, modulation, source, times, tol=tol)
+        motion = Modulated(partial(_process, system), modulation, source)
+        solved = modulated_transition(motion, times, tol=tol)
     if not of_energy:
         return state_transient(system, solved, asked)
     numbers = solved.density(asked.at[0])
@@ -73,9 +73,8 @@ def passage(
     checked_times(times)
     source, modulation = _source(system, start), system.modulation
     if solver == "fem" and modulation is not None:
-        return modulated_passage(
-            lambda factor: _process(system, factor), modulation, limit, source, times, tol=tol
-        )
+        motion = Modulated(partial(_process, system), modulation, source)
+        return modulated_passage(motion, limit, times, tol=tol)
     if solver == "fem":
         return fem_passage(energy_process(system), limit, source, times, tol=tol)
     closed = square_root(system, solver)

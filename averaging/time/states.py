@@ -214,29 +214,23 @@ def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Ar
 
     V is convex. Panels that would be beyond the last energy have no length.
     """
-
-    def V(q: Array) -> Array:
-        return law.energy(q, np.reshape(mean, (-1,) + (1,) * (q.ndim - 1)))
-
     reach = np.sqrt(2.0 * np.maximum(energies[-1] - energy, 0.0) / law.precision)
     low, high = mean - reach, mean + reach
     for _ in range(2 * BISECTIONS):
         third = (high - low) / 3.0
-        falls = V(low + third) > V(high - third)
+        falls = law.energy(low + third, mean) > law.energy(high - third, mean)
         low, high = np.where(falls, low + third, low), np.where(falls, high, high - third)
-    rest = 0.5 * (low + high)
-    ends = {}
-    for sign in (-1.0, 1.0):
-        inside = np.repeat(rest[:, None], energies.size, axis=1)
-        outside = np.repeat((mean + sign * reach)[:, None], energies.size, axis=1)
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (inside + outside)
-            below = energy[:, None] + V(middle) < energies
-            inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
-        ends[sign] = outside
-    low, high = (side[:, -1:] for side in ends.values())
+    # To the left of the least V and to its right: (sides, points, energies).
+    outside = np.stack([mean - reach, mean + reach])[..., None] + np.zeros(energies.size)
+    inside = 0.5 * (low + high)[:, None] + np.zeros(outside.shape)
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (inside + outside)
+        below = energy[:, None] + law.energy(middle, mean[:, None]) < energies
+        inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
+    ends = outside[..., -1:]
     layers = [np.empty((energy.size, 0))]
     for stop in law.stops:
         at = stop.sign * stop.clearance
-        layers.append(np.clip(at + (ends[stop.sign][:, -1:] - at) * LAYERS, low, high))
-    return np.sort(np.hstack([*ends.values(), *layers]), axis=1)
+        beyond = at + (ends[int(stop.sign > 0.0)] - at) * LAYERS
+        layers.append(np.clip(beyond, *ends))
+    return np.sort(np.hstack([*outside, *layers]), axis=1)

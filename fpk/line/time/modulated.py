@@ -7,7 +7,7 @@ M ∂g/∂t = (−e² K + (1 − e²) C) g.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 
@@ -36,6 +36,34 @@ RATIO = 3.0
 """Ratio of the ends of a step at the level 0, as long as steps grow with the time."""
 LEVELS = (1, 4)
 """Halvings of all steps: those with which the mesh is adapted, and the most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Modulated:
+    """An energy under modulated noise, which begins with ``source``.
+
+    ``under(F)`` is its process under F times the noise intensity.
+    """
+
+    under: Callable[[float], Process]
+    modulation: Modulation
+    source: Source
+
+    @property
+    def quiet(self) -> float:
+        """Return the time at which the density begins to change.
+
+        Raises ``InvalidInput`` for an energy > 0 that decays before there is any noise.
+        """
+        quiet, energy = self.modulation.quiet, self.source.energy
+        if self.source.process is not None:
+            return 0.0
+        if quiet > 0.0 and energy > 0.0:
+            remedy = f"decays without noise until t = {quiet:g}; begin there"
+            raise InvalidInput(
+                "start", f"H={number_text(energy)}", f"{remedy}, at rest or from noise=F"
+            )
+        return quiet
 
 
 def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
@@ -133,29 +161,22 @@ def stepped(
     )
 
 
-def modulated_transition(
-    under: Callable[[float], Process],
-    modulation: Modulation,
-    source: Source,
-    times: Array,
-    *,
-    tol: float,
-) -> Transition:
-    """Return the density at ``times`` > 0 after ``source``; ``under(F)`` has F times the noise.
+def modulated_transition(motion: Modulated, times: Array, *, tol: float) -> Transition:
+    """Return the density of the energy at ``times`` > 0.
 
     By steps of Radau IIA of the order 9 on elements that adapt; the error is the distance to
     elements of a higher degree and to steps twice as long, and settings have the order that the
     last three levels of steps show. Without noise it is the equation of the decay alone, of first
     order. Raises ``InvalidInput`` for times at which the density is still one energy, and as
-    ``begins`` and ``posed`` do.
+    ``Modulated.quiet`` and ``posed`` do.
     """
-    quiet = begins(modulation, source)
+    quiet, source = motion.quiet, motion.source
     if times[0] <= quiet:
         raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
-    modulation, times = modulation.after(quiet), times - quiet
+    modulation, times = motion.modulation.after(quiet), times - quiet
     unit = modulation.largest or 1.0
     first = float(modulation.energy(times[0])) / unit
-    question, pair = posed(under(unit), source, first, tol)
+    question, pair = posed(motion.under(unit), source, first, tol)
 
     @lru_cache(maxsize=len(pair))
     def carried(e: Elements, level: int) -> Evolved:
@@ -216,42 +237,21 @@ def halved(
     return level, finer, moved, settings
 
 
-def begins(modulation: Modulation, source: Source) -> float:
-    """Return the time at which the density of ``source`` begins to change.
-
-    Raises ``InvalidInput`` for an energy > 0 that decays before there is any noise.
-    """
-    if source.process is not None:
-        return 0.0
-    quiet = modulation.quiet
-    if quiet > 0.0 and source.energy > 0.0:
-        remedy = f"decays without noise until t = {quiet:g}; begin there, at rest or from noise=F"
-        raise InvalidInput("start", f"H={number_text(source.energy)}", remedy)
-    return quiet
-
-
-def modulated_transient(
-    under: Callable[[float], Process],
-    modulation: Modulation,
-    source: Source,
-    times: Array,
-    at: Array,
-    *,
-    tol: float,
-) -> Transient:
+def modulated_transient(motion: Modulated, times: Array, at: Array, *, tol: float) -> Transient:
     """Return the densities at energies ``at``; all else as of ``modulated_transition``.
 
     Where the modulation ends with 0, those at later times are carried along from its end by
     ``free_decay``. Where the estimated error exceeds ``LARGEST_ERROR`` errors are infinite. Raises
     ``NotApplicable`` as ``free_decay`` does.
     """
+    modulation = motion.modulation
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
     later = times > end
     stops = np.unique(np.minimum(times, end))
-    solved = modulated_transition(under, modulation, source, stops, tol=tol)
+    solved = modulated_transition(motion, stops, tol=tol)
     values, errors = np.zeros((2, times.size, at.size))
     values[~later], errors[~later] = (a[: int((~later).sum())] for a in solved.density(at))
-    measured, process = solved.measured, under(1.0)
+    measured, process = solved.measured, motion.under(1.0)
     for k in np.flatnonzero(later):
         values[k], errors[k], l1 = free_decay(process, solved, float(times[k] - end), at)
         largest = np.max([measured.l1_error, solved.measured.l1_error + l1])

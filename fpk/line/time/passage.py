@@ -5,7 +5,6 @@ forward equation, whose mass is P(T > t).
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -26,10 +25,9 @@ from fpk.line.time.elements import (
     meshed,
 )
 from fpk.line.time.mesh import HIGHEST, NONE, layer_at, time_nodes
-from fpk.line.time.modulated import LEVELS, begins, halved, stepped
+from fpk.line.time.modulated import LEVELS, Modulated, halved, stepped
 from fpk.line.time.resolvent import evolved, moment
 from fpk.line.time.transition import Source, adapted, posed
-from fpk.modulation import Modulation
 from fpk.number import Number
 from fpk.probe import probed
 from fpk.process import Process
@@ -287,16 +285,8 @@ def fem_passage(
     )
 
 
-def modulated_passage(
-    under: Callable[[float], Process],
-    modulation: Modulation,
-    limit: float,
-    source: Source,
-    times: Array,
-    *,
-    tol: float,
-) -> Passage:
-    """Return the first passage of ``limit``; ``under(F)`` is the process under F times the noise.
+def modulated_passage(motion: Modulated, limit: float, times: Array, *, tol: float) -> Passage:
+    """Return the first passage of ``limit`` under modulated noise.
 
     P(T > t) is the mass that the forward equation with p = 0 at the limit keeps; mean, variance
     and failure rate are those of the noise that the modulation ends with. Where it ends with 0 who
@@ -304,7 +294,8 @@ def modulated_passage(
     ``modulated_transition``, in probabilities and in the moments. Raises ``NotApplicable`` where
     damping feeds energy in at the limit while there is no noise, and as ``first_passage`` does.
     """
-    unit, last, quiet = modulation.largest, modulation.last, begins(modulation, source)
+    under, modulation, source = motion.under, motion.modulation, motion.source
+    unit, last, quiet = modulation.largest, modulation.last, motion.quiet
     if unit == 0.0:
         raise NotApplicable("there is no noise at any time: nothing passes a limit")
     if modulation.times.size == 1:

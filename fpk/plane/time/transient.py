@@ -81,6 +81,20 @@ def seen_on(op: PlaneOperator, seen: Seen, g: Array, axes: tuple[Array, ...]) ->
     return np.asarray((first @ g @ second.T) * op.weight_at(axes[0][:, None], axes[1]))
 
 
+def seen_grid(op: PlaneOperator, seen: Seen) -> tuple[tuple[Array, ...], Array, list[float]]:
+    """Return axes of energies, weights of an integral on their grid, and the last energies."""
+    ends = [float(x[-1]) for x in op.nodes]
+    if seen == "sum":
+        # Panels equidistant in √H.
+        x, w = panel_rule(graded((sum(ends), 1.0), 12)[0], 8)
+        return (x.ravel(),), w.ravel(), [sum(ends)]
+    axes, weights = gauss_grid(op.nodes, op.degree + 2)
+    if seen == "pair":
+        return axes, np.multiply.outer(*weights).ravel(), ends
+    k = int(seen == "second")
+    return (axes[k],), weights[k], [ends[k]]
+
+
 def transient_densities(
     frame: Frame,
     start: PlaneStart,
@@ -94,15 +108,59 @@ def transient_densities(
     """Return the densities seen at ``times`` > 0, ascending, at points ``at`` (points,) each.
 
     Levels rise until two of them agree to ``tol`` in L1 and in units of the largest density; the
-    answer is that of the finer one. A time too short for the last level is not certified.
-    ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients. With the
-    answer come the last two levels, the finer one last.
+    answer is that of the finer one, its error the distance to the coarser one. A time too short for
+    the last level is not certified. ``coefficients_error(t, *at)`` is the relative error of p by
+    that of the coefficients. With the answer come the last two levels, the finer one last.
     """
     for coarse, fine in pairwise(_levels(frame, start, times, tol)):
-        answer, distance = _compared(coarse, fine, start, seen, times, at, tol, coefficients_error)
-        hopeless = fine.op.degree >= GIVEN_UP[0] and distance > GIVEN_UP[1]
-        if answer.certificate.certified or hopeless:
+        axes, area, ends = seen_grid(fine.op, seen)
+        points = [x.ravel() for x in np.meshgrid(*axes, indexing="ij")]
+        solutions = (fine.op, fine.g), (coarse.op, coarse.g), (fine.op, fine.change)
+        p, other, change = (
+            seen_on(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions
+        )
+        lost = np.abs(p - other) + np.abs(change)
+        largest, distance = np.max(np.abs(p), axis=1), lost @ area
+        mass = fine.evolved.values @ fine.op.matrices[2]
+        rounding = ROUNDING * fine.evolved.rounding + 2.0 * np.abs(mass - 1.0)
+        highest = np.max(lost, axis=1) + rounding * largest
+        values, coarser, change = (seen_at(op, seen, g, at) for op, g in solutions)
+        # What lies beyond the mesh is less than what there is at its end.
+        within = tuple(np.clip(x, 0.0, end) for x, end in zip(at, ends, strict=True))
+        outside = np.any([x != y for x, y in zip(at, within, strict=True)], axis=0)
+        beyond = np.abs(seen_at(fine.op, seen, fine.g, within)) * outside
+        errors = np.abs(values - coarser) + np.abs(change) + beyond + SHARE * highest[:, None]
+        errors = np.maximum(errors, (rounding * largest)[:, None])
+        errors += np.abs(values) * np.array([coefficients_error(t, *at) for t in times])
+        model = (np.abs(p) * np.array([coefficients_error(t, *points) for t in times])) @ area
+        unresolved = ~(distance <= LARGEST_ERROR)
+        errors = np.where(unresolved[:, None], np.inf, errors)
+        errors = np.where(np.min(np.broadcast_arrays(*at), axis=0) < 0.0, 0.0, errors) + SMALLEST
+        l1 = distance + model + rounding + start.l1_error
+        farther = zip(points, seen_grid(coarse.op, seen)[2], strict=True)
+        tail = np.abs(p * np.any([x > end for x, end in farther], axis=0)) @ area
+        absolute = float(np.max(highest / largest))
+        short = (f"the time {t:.4g} is too short for the mesh" for t in times[unresolved])
+        measured = Measured(
+            l1_error=float(np.max([*l1, absolute])),
+            mass_defect=float(np.max(np.abs(mass - 1.0))),
+            minimum=float(np.min(p.min(axis=1) / largest)),
+            residual=float(np.max([fine.evolved.residual, coarse.evolved.residual])),
+            tail_mass=float(np.max(tail)),
+            absolute_error=absolute,
+            failures=tuple(short),
+        )
+        certificate = certify(measured, tol=tol)
+        degree, least = GIVEN_UP
+        if certificate.certified or (fine.op.degree >= degree and np.max(distance) > least):
             break
+    settings = {
+        "unknowns": fine.g[0].size,
+        "degree": fine.op.degree,
+        "L1 error at the first time": float(l1[0]),
+        "L1 error at the last time": float(l1[-1]),
+    }
+    answer = Transient(times, values, errors, "numerical", certificate, settings)
     return answer, (coarse, fine)
 
 
@@ -121,75 +179,3 @@ def _levels(frame: Frame, start: PlaneStart, times: Array, tol: float) -> Iterat
         A, M, _ = op.matrices
         parts = evolved(A, M, start.dual(op), times, tol=KRYLOV * tol)
         yield Level(op, parts, op.spread(parts.values), op.spread(parts.change))
-
-
-def _compared(
-    coarse: Level,
-    fine: Level,
-    start: PlaneStart,
-    seen: Seen,
-    times: Array,
-    at: tuple[Array, ...],
-    tol: float,
-    coefficients_error: Callable[..., Array],
-) -> tuple[Transient, float]:
-    """The finer answer, its error by the distance to the coarser one, the largest distance."""
-
-    def last(op: PlaneOperator) -> list[float]:
-        """Last energies of the axes seen."""
-        first, second = (float(x[-1]) for x in op.nodes)
-        each = {"pair": [first, second], "sum": [first + second]}
-        return each.get(seen, [first if seen == "first" else second])
-
-    if seen == "sum":
-        # Panels equidistant in √H.
-        nodes = graded((*last(fine.op), 1.0), 12)[0]
-        axes, weights = zip(*[[a.ravel() for a in panel_rule(nodes, 8)]], strict=True)
-    else:
-        axes, weights = gauss_grid(fine.op.nodes, fine.op.degree + 2)
-        if seen != "pair":
-            axes, weights = ((a[int(seen == "second")],) for a in (axes, weights))
-    points = [x.ravel() for x in np.meshgrid(*axes, indexing="ij")]
-    area = np.multiply.outer(*weights).ravel() if seen == "pair" else weights[0]
-    solutions = (fine.op, fine.g), (coarse.op, coarse.g), (fine.op, fine.change)
-    p, other, change = (seen_on(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions)
-    lost = np.abs(p - other) + np.abs(change)
-    largest = np.max(np.abs(p), axis=1)
-    mass = fine.evolved.values @ fine.op.matrices[2]
-    rounding = ROUNDING * fine.evolved.rounding + 2.0 * np.abs(mass - 1.0)
-    highest = np.max(lost, axis=1) + rounding * largest
-    values, coarser, change = (seen_at(op, seen, g, at) for op, g in solutions)
-    # What lies beyond the mesh is less than what there is at its end.
-    within = tuple(np.clip(x, 0.0, end) for x, end in zip(at, last(fine.op), strict=True))
-    outside = np.any([x != y for x, y in zip(at, within, strict=True)], axis=0)
-    beyond = np.abs(seen_at(fine.op, seen, fine.g, within)) * outside
-    errors = np.abs(values - coarser) + np.abs(change) + beyond + SHARE * highest[:, None]
-    errors = np.maximum(errors, (rounding * largest)[:, None])
-    errors += np.abs(values) * np.array([coefficients_error(t, *at) for t in times])
-    model = (np.abs(p) * np.array([coefficients_error(t, *points) for t in times])) @ area
-    distance = lost @ area
-    unresolved = ~(distance <= LARGEST_ERROR)
-    errors = np.where(unresolved[:, None], np.inf, errors)
-    errors = np.where(np.min(np.broadcast_arrays(*at), axis=0) < 0.0, 0.0, errors) + SMALLEST
-    l1 = distance + model + rounding + start.l1_error
-    ends = zip(points, last(coarse.op), strict=True)
-    tail = np.abs(p * np.any([x > end for x, end in ends], axis=0)) @ area
-    absolute = float(np.max(highest / largest))
-    measured = Measured(
-        l1_error=float(np.max([*l1, absolute])),
-        mass_defect=float(np.max(np.abs(mass - 1.0))),
-        minimum=float(np.min(p.min(axis=1) / largest)),
-        residual=float(np.max([fine.evolved.residual, coarse.evolved.residual])),
-        tail_mass=float(np.max(tail)),
-        absolute_error=absolute,
-        failures=tuple(f"the time {t:.4g} is too short for the mesh" for t in times[unresolved]),
-    )
-    settings = {
-        "unknowns": fine.g[0].size,
-        "degree": fine.op.degree,
-        "L1 error at the first time": float(l1[0]),
-        "L1 error at the last time": float(l1[-1]),
-    }
-    certificate = certify(measured, tol=tol)
-    answer = Transient(times, values, errors, "numerical", certificate, settings)
-    return answer, float(np.max(distance))
