@@ -15,7 +15,7 @@ from averaging.time.start import TOL, DensityQuestion, energy_start
 from fpk.certificate import tolerance
 from fpk.clearance import CLEARANCE_RULE
 from fpk.density import Density
-from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve
+from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve, upcrossings
 from fpk.errors import NotApplicable
 from fpk.escape import require_held
 from fpk.evolution import (
@@ -30,7 +30,6 @@ from fpk.method import Plan, Progress, Result, silent
 from fpk.modulation import require_constant_noise
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.system import System
-from fpk.upcrossings import upcrossings
 
 
 @dataclass(frozen=True)

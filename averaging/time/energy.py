@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.gaussian_state import state_rows
-from averaging.time.orbits import orbit_transient
+from averaging.modal.time.closed_form import orbit_transient
 from averaging.time.start import FROM_NOISE, DensityQuestion, EnergyStart
 from averaging.time.states import state_transient
 from fpk.arrays import Array

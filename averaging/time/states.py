@@ -5,10 +5,10 @@ Given the energy the state is distributed over its shell as in the stationary st
 by then: all integrals have panels that end where the elements of p(H, t) end.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from math import gamma
 
 import numpy as np
 
@@ -33,14 +33,10 @@ RULES = (10, 14)
 """Gauss points a panel over a hidden contact mass; the distance of the two is the error."""
 ERROR_POINTS = 4
 """Gauss points a panel of the integral of the error of Ψ, an estimate."""
-BISECTIONS = 50
-"""Halvings by which ends of panels are found: 1e-15 of the range."""
 LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
 """Ends of panels beyond a stop, as shares of the way to the end: (H − V) ~ overlap^2.5 there."""
 POINTS = (20, 24)
 """Gauss points an element of the coarser table of Ψ, and of the answer."""
-CHECKED = 21
-"""Points an element at which errors of u are measured, none of which is one of its table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +68,7 @@ class WeylInTime:
         else:
             with np.errstate(invalid="ignore"):
                 powers = np.maximum(self.nodes - E[:, None], 0.0) ** self.order
-            total = total + np.diff(powers, axis=1) @ self._of_u / gamma(self.order + 1.0)
+            total = total + np.diff(powers, axis=1) @ self._of_u / math.gamma(self.order + 1.0)
         return np.asarray(total.reshape(*np.shape(energy), -1))
 
     @property
@@ -105,7 +101,8 @@ class WeylInTime:
     def _of_u(self) -> Array:
         """The largest error of u in each element (elements, times)."""
         solved, e = self.solved, self.solved.elements
-        points = panel_rule(self.nodes, CHECKED)[0]
+        # None of the points is one of the table of u.
+        points = panel_rule(self.nodes, POINTS[0] + 1)[0]
         x = points.ravel()
         u, size = self._answer(x)
         better, other = solved.enriched.density(x, of_states=True)
@@ -214,16 +211,17 @@ def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Ar
 
     V is convex. Panels that would be beyond the last energy have no length.
     """
+    halvings = math.ceil(-math.log2(EPS))
     reach = np.sqrt(2.0 * np.maximum(energies[-1] - energy, 0.0) / law.precision)
     low, high = mean - reach, mean + reach
-    for _ in range(2 * BISECTIONS):
+    for _ in range(2 * halvings):
         third = (high - low) / 3.0
         falls = law.energy(low + third, mean) > law.energy(high - third, mean)
         low, high = np.where(falls, low + third, low), np.where(falls, high, high - third)
     # To the left of the least V and to its right: (sides, points, energies).
     outside = np.stack([mean - reach, mean + reach])[..., None] + np.zeros(energies.size)
     inside = 0.5 * (low + high)[:, None] + np.zeros(outside.shape)
-    for _ in range(BISECTIONS):
+    for _ in range(halvings):
         middle = 0.5 * (inside + outside)
         below = energy[:, None] + law.energy(middle, mean[:, None]) < energies
         inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)

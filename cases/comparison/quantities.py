@@ -20,7 +20,7 @@ from cases.comparison.quantity import (
     shown_of,
 )
 from fpk.density import AnyDensity, Density
-from fpk.dynamics import CrossingsMethod
+from fpk.dynamics import CrossingsMethod, upcrossings
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Result, silent
 from fpk.number import ErrorKind, Number
@@ -28,7 +28,6 @@ from fpk.observable import Coordinate, Level, observable_name
 from fpk.route import Route
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
-from fpk.upcrossings import upcrossings
 from sim.diagnostics import FALSE_ALARMS
 
 

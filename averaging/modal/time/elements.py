@@ -4,6 +4,7 @@ Displacements and momenta follow from their joint density, Eqs. (35), (36).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from averaging.modal.groups import unsolved
 from averaging.time.start import DensityQuestion, EnergyStart, limited_modes, observed_modes
-from fpk.arrays import SMALLEST, Array
+from fpk.arrays import ROUND_OFF, SMALLEST, Array
 from fpk.certificate import Measured, outside
 from fpk.density import Density, certified_density
 from fpk.dynamics import Rates
@@ -22,11 +23,7 @@ from fpk.observable import Coordinate
 from fpk.plane.stationary import solve_plane
 from fpk.plane.time.levels import Frame, PlaneStart
 from fpk.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
-from fpk.plane.time.transient import ROUNDING, Level, Seen, seen_on, transient_densities
-from fpk.process import Coefficients, Process
-
-STATIONARY_TOL = (1e-2, 1e-11)
-"""Share of the tolerance to which the stationary density is computed, and the least such."""
+from fpk.plane.time.transient import Level, Seen, seen_on, transient_densities
 
 
 def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
@@ -74,7 +71,7 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
     """Return the ``count`` slowest rates but 0 of two modal energies."""
     if modes.n != 2:
         raise NotApplicable("relaxation rates by fem are those of two modal energies")
-    frame = _frame(modes.process(_pair(modes, range(2))), tol)
+    frame = _frame(modes, _pair(modes, range(2)), tol)
     return relaxation_rates(frame, count, tol=tol, relative=modes.relative_error)
 
 
@@ -100,26 +97,17 @@ def _posed(
     modes: ModalAnalysis, pair: list[int], start: EnergyStart, tol: float
 ) -> tuple[Frame, PlaneStart]:
     """The operator's frame, and what the density begins with."""
-    process = modes.process(pair)
-    frame = _frame(process, tol)
+    frame = _frame(modes, pair, tol)
     if start.noise is None:
         return frame, PlaneStart(start.energies[pair])
-    factor, quiet = start.noise, modes.noise[pair]
-
-    def louder(energies: Array) -> Coefficients:
-        c = process.coefficients(energies)
-        more = (factor - 1.0) * quiet
-        return c._replace(
-            drift=c.drift + more, diffusion=factor * c.diffusion, divergence=factor * c.divergence
-        )
-
-    other = Process(louder, tuple(factor * s for s in process.energy_scales))
-    return frame, PlaneStart(None, _frame(other, tol).stationary, factor)
+    louder = replace(modes, modal_noise=start.noise * modes.modal_noise)
+    return frame, PlaneStart(None, _frame(louder, pair, tol).stationary, start.noise)
 
 
-def _frame(process: Process, tol: float) -> Frame:
-    share, least = STATIONARY_TOL
-    return Frame(process, solve_plane(process, tol=max(share * tol, least)))
+def _frame(modes: ModalAnalysis, pair: list[int], tol: float) -> Frame:
+    """The stationary density is computed to a hundredth of the tolerance, or to 1e-11."""
+    process = modes.process(pair)
+    return Frame(process, solve_plane(process, tol=max(1e-2 * tol, 1e-11)))
 
 
 def _state_transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
@@ -172,7 +160,7 @@ def _energies(
         return of(fine, fine.g, H1, H2)
 
     mass = float(fine.evolved.values[k] @ fine.op.matrices[2])
-    rounding = float(np.max(ROUNDING * fine.evolved.rounding)) + 2.0 * abs(mass - 1.0)
+    rounding = float(np.max(ROUND_OFF * fine.evolved.rounding)) + 2.0 * abs(mass - 1.0)
 
     def pointwise(H1: Array, H2: Array) -> Array:
         p = pdf(H1, H2)

@@ -10,10 +10,10 @@ They come in pairs: the elements of the answer, and those of the enriched soluti
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.polynomial.legendre import legint, legvander
@@ -30,8 +30,8 @@ ENRICHMENT = 2
 """Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
 SAFETY = 3.0
 """Factor on the distance to the enriched solution, of densities, first passage and rates."""
-MOST_ROUNDS = 12
-"""Most rounds of cutting elements in two."""
+MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
+"""Most rounds of cutting elements in two, and elements beyond which none is cut."""
 Settings = dict[str, str | float | int]
 
 
@@ -175,6 +175,7 @@ class Elements:
         return k, np.clip((x - self.left[k]) / (self.right[k] - self.left[k]), 0.0, 1.0)
 
 
+Answer = TypeVar("Answer")
 Pair = tuple[Elements, Elements]
 """The elements of the answer and of the enriched solution."""
 
@@ -247,20 +248,21 @@ def elements(
         k = np.flatnonzero((first == kind[0]) & (contact == kind[1]))
         if k.size:
             parts.append(_alike(process, left[k], right[k], degree, *kind, enriched))
-    return _joined(parts)
+    return _joined(*parts)
 
 
-def _mapped(e: Elements, f: Callable[[str], Array]) -> Elements:
-    """The elements with every array replaced by ``f`` of its name."""
-    changes: dict[str, Any] = {x.name: f(x.name) for x in fields(e) if x.name != "process"}
-    return replace(e, **changes)
+def _joined(*parts: Elements, chosen: Flags | slice = slice(None)) -> Elements:
+    """The elements of all parts in one record, ascending; of the first part the ``chosen`` ones."""
 
+    def every(name: str) -> Array:
+        first, *others = (getattr(part, name) for part in parts)
+        return np.concatenate([first[chosen], *others])
 
-def _joined(parts: Sequence[Elements]) -> Elements:
-    order = np.argsort(np.concatenate([part.left for part in parts]))
-    return _mapped(
-        parts[0], lambda name: np.concatenate([getattr(part, name) for part in parts])[order]
-    )
+    order = np.argsort(every("left"))
+    arrays: dict[str, Any] = {
+        x.name: every(x.name)[order] for x in fields(Elements) if x.name != "process"
+    }
+    return replace(parts[0], **arrays)
 
 
 def _alike(
@@ -337,18 +339,23 @@ def meshed(process: Process, nodes: Array, degree: int, *, beyond: Array = NONE)
     )
 
 
-def cut(pair: Pair, marked: Flags) -> Pair:
-    """Return a pair with the elements of the answer that are ``marked`` cut in two in both.
+def refined(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
+    """Return the answer of ``solve`` on a pair whose elements are cut until it marks none.
 
-    Elements are cut towards a point that is singular.
+    Elements of the answer that it marks are cut in two in both, towards a singular point if they
+    begin there.
     """
-    process, left, right = pair[0].process, pair[0].left[marked], pair[0].right[marked]
-    at = split_points(left, right, np.array([0.0, *process.nonsmooth]))
-    ends = np.append(left, at), np.append(at, right)
-
-    def halved(e: Elements, enriched: bool) -> Elements:
-        kept = np.append(~marked, np.ones(e.count - marked.size, dtype=bool))
-        rest = _mapped(e, lambda name: getattr(e, name)[kept])
-        return _joined([rest, elements(process, *ends, e.degree, enriched=enriched)])
-
-    return halved(pair[0], False), halved(pair[1], True)
+    for _ in range(MOST_ROUNDS):
+        answer, marked = solve(pair)
+        if not marked.any() or marked.size > MOST_ELEMENTS:
+            break
+        process, left, right = pair[0].process, pair[0].left[marked], pair[0].right[marked]
+        at = split_points(left, right, np.array([0.0, *process.nonsmooth]))
+        ends = np.append(left, at), np.append(at, right)
+        kept = [np.append(~marked, np.ones(e.count - marked.size, dtype=bool)) for e in pair]
+        halves = [elements(process, *ends, e.degree, enriched=e is pair[1]) for e in pair]
+        own, enriched = (
+            _joined(*parts, chosen=k) for *parts, k in zip(pair, halves, kept, strict=True)
+        )
+        pair = own, enriched
+    return answer

@@ -10,19 +10,19 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from fpk.arrays import EPS, ROUND_OFF, SMALLEST, Array
+from fpk.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import BEYOND_RANGE, STARTS, Passage, StartCurve, certified_passage
 from fpk.line.time.elements import (
     ENRICHMENT,
-    MOST_ROUNDS,
     SAFETY,
     Elements,
     Evolved,
+    Pair,
     Settings,
-    cut,
     degree_for,
     meshed,
+    refined,
 )
 from fpk.line.time.mesh import HIGHEST, NONE, layer_at, time_nodes
 from fpk.line.time.modulated import LEVELS, Modulated, halved, stepped
@@ -32,8 +32,6 @@ from fpk.number import Number
 from fpk.probe import probed
 from fpk.process import Process
 
-MOST_ELEMENTS = 3_000
-"""Elements beyond which none is cut any more."""
 FARTHEST = 900.0
 """Fall of ln(π H) from its maximum to the limit beyond which none is solved for: e^900 times."""
 LARGEST_MEAN = 1e300
@@ -200,12 +198,12 @@ def first_passage(
     if not probe.log_mass.max() - log_mass < FARTHEST:
         raise beyond
     nodes = time_nodes(process, limit, degree, fine=fine, more=nodes)
-    pair = meshed(process, nodes, degree)
-    for _ in range(MOST_ROUNDS):
+
+    def solved(pair: Pair) -> tuple[FirstPassage, Flags]:
         # Sums to beyond the range are judged below.
         with np.errstate(over="ignore", invalid="ignore"):
-            solved = FirstPassage(limit, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT))
-            longest = solved.longest
+            answer = FirstPassage(limit, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT))
+            longest = answer.longest
         if not longest < LARGEST_MEAN:
             raise beyond
         a, b = pair
@@ -215,13 +213,12 @@ def first_passage(
             marked |= np.abs(own * unit - better) > wanted * better
         if times.size:
             x = (a.left[:, None] + (a.right - a.left)[:, None] * SAMPLES).ravel()
-            p, better = (each.failure(times, x)[0] for each in (solved.answer, solved.enriched))
+            p, better = (each.failure(times, x)[0] for each in (answer.answer, answer.enriched))
             distance = np.abs(p - better)
             marked |= (distance.max(axis=0) > wanted).reshape(a.count, -1).any(axis=1)
-        if not marked.any() or marked.size > MOST_ELEMENTS:
-            break
-        pair = cut(pair, marked)
-    return solved
+        return answer, marked
+
+    return refined(meshed(process, nodes, degree), solved)
 
 
 def fem_passage(

@@ -8,10 +8,10 @@ from fpk.arrays import EPS, ROUND_OFF, Array, Integers
 from fpk.dynamics import Rates, certified_rates
 from fpk.errors import NotCertified
 from fpk.line.mesh import split_points
-from fpk.line.time.elements import SAFETY, Elements, degree_for, meshed
+from fpk.line.time.elements import MOST_ELEMENTS, SAFETY, Elements, degree_for, meshed
 from fpk.line.time.mesh import time_nodes
 from fpk.line.time.resolvent import eliminated
-from fpk.line.time.transition import MOST_ELEMENTS, TAIL
+from fpk.line.time.transition import TAIL
 from fpk.probe import probed
 from fpk.process import Process
 

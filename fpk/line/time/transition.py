@@ -7,21 +7,20 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from fpk.arrays import EPS, ROUND_OFF, SMALLEST, Array
+from fpk.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import InvalidInput
 from fpk.line.time.elements import (
     ENRICHMENT,
-    MOST_ROUNDS,
     SAFETY,
     Elements,
     Evolved,
     Pair,
     Settings,
-    cut,
     degree_for,
     elements,
     meshed,
+    refined,
 )
 from fpk.line.time.mesh import GROWTH, HIGHEST, LAYER, NONE, layer_at, time_nodes
 from fpk.line.time.resolvent import evolved
@@ -34,8 +33,6 @@ TAIL = (1e-3, 1e-8)
 FARTHEST = -600.0
 """ln of the least stationary probability beyond a start that double precision can relate to one;
 four times as much where the start is a density and not one energy (at −5000 errors exceed it)."""
-MOST_ELEMENTS = 1_000
-"""Elements beyond which none is cut."""
 STALLED = 0.9
 """Ratio of the error to that of the round before that shows that finer elements do not help."""
 
@@ -230,16 +227,17 @@ def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Tr
     For the enriched solution ``more`` is ``ENRICHMENT``.
     """
     before, tol = math.inf, question.tol
-    for _ in range(MOST_ROUNDS):
+
+    def solved(pair: Pair) -> tuple[Transition, Flags]:
+        nonlocal before
         solutions = solve(e=pair[0], more=0), solve(e=pair[1], more=ENRICHMENT)
-        solved, own, rounding = judged(question, *solutions)
+        answer, own, rounding = judged(question, *solutions)
         marked = own > np.maximum(0.1 * tol / own.size, rounding)
         small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < STALLED * before
-        if small or not marked.any() or marked.size > MOST_ELEMENTS:
-            break
         before = own.sum()
-        pair = cut(pair, marked)
-    return solved
+        return answer, marked & (not small)
+
+    return refined(pair, solved)
 
 
 def judged(

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from fpk.arrays import SMALLEST, Array
+from fpk.arrays import ROUND_OFF, SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.evolution import LARGEST_ERROR, Transient
 from fpk.plane.solution import Nodes, gauss_grid, graded
@@ -17,8 +17,6 @@ from fpk.quadrature import panel_rule
 
 Seen = Literal["pair", "first", "second", "sum"]
 """The coordinates in which a density of two energies is seen."""
-ROUNDING = 8.0
-"""Multiple of the estimated relative round-off that is stated: up to 3 times it was measured."""
 HEIGHT = 12.0
 """Largest rise of −ln w up to a start: errors of p grow by the root of its exponential, here 400.
 A start higher up gets a flatter weight."""
@@ -122,7 +120,8 @@ def transient_densities(
         lost = np.abs(p - other) + np.abs(change)
         largest, distance = np.max(np.abs(p), axis=1), lost @ area
         mass = fine.evolved.values @ fine.op.matrices[2]
-        rounding = ROUNDING * fine.evolved.rounding + 2.0 * np.abs(mass - 1.0)
+        # Up to 3 times the estimated round-off was measured.
+        rounding = ROUND_OFF * fine.evolved.rounding + 2.0 * np.abs(mass - 1.0)
         highest = np.max(lost, axis=1) + rounding * largest
         values, coarser, change = (seen_at(op, seen, g, at) for op, g in solutions)
         # What lies beyond the mesh is less than what there is at its end.
