@@ -107,14 +107,9 @@ class Elements:
         return np.asarray(np.einsum("eii->ei", self.mass)[:, 2:])
 
     @cached_property
-    def local_mass(self) -> Array:
-        """∫π over each element in its unit."""
-        return np.asarray(self.load[:, :2].sum(axis=1))
-
-    @cached_property
     def log_mass(self) -> Array:
         """ln ∫π over each element."""
-        return np.asarray(self.log_scale + np.log(self.local_mass))
+        return np.asarray(self.log_scale + np.log(self.load[:, :2].sum(axis=1)))
 
     @property
     def log_range(self) -> float:

@@ -240,9 +240,10 @@ def halved(
 def modulated_transient(motion: Modulated, times: Array, at: Array, *, tol: float) -> Transient:
     """Return the densities at energies ``at``; all else as of ``modulated_transition``.
 
-    Where the modulation ends with 0, those at later times are carried along from its end by
-    ``free_decay``. Where the estimated error exceeds ``LARGEST_ERROR`` errors are infinite. Raises
-    ``NotApplicable`` as ``free_decay`` does.
+    Where the modulation ends with 0, dH/dt = F(H) leads from H_0 at its end to H at a later time,
+    so that p(H, t) dH = p(H_0, 0) dH_0, where dH_0/dH = F(H_0)/F(H). Where the estimated error
+    exceeds ``LARGEST_ERROR`` errors are infinite. Raises ``NotApplicable`` where damping feeds
+    energy in after the end of the noise.
     """
     modulation = motion.modulation
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
@@ -251,58 +252,43 @@ def modulated_transient(motion: Modulated, times: Array, at: Array, *, tol: floa
     solved = modulated_transition(motion, stops, tol=tol)
     values, errors = np.zeros((2, times.size, at.size))
     values[~later], errors[~later] = (a[: int((~later).sum())] for a in solved.density(at))
-    measured, process = solved.measured, motion.under(1.0)
-    for k in np.flatnonzero(later):
-        values[k], errors[k], l1 = free_decay(process, solved, float(times[k] - end), at)
-        largest = np.max([measured.l1_error, solved.measured.l1_error + l1])
-        measured = replace(measured, l1_error=float(largest))
-    if not measured.l1_error <= LARGEST_ERROR:
-        errors[:] = np.inf
-    certificate = certify(measured, tol=tol)
-    return Transient(times, values, errors, "numerical", certificate, solved.settings)
-
-
-def free_decay(
-    process: Process, solved: Transition, time: float, at: Array
-) -> tuple[Array, Array, float]:
-    """Return p at energies ``at``, its error, and the L1 error that the ``time`` of decay adds.
-
-    Without noise dH/dt = F(H) leads from H_0 to H, so that p(H, t) dH = p(H_0, 0) dH_0, where
-    dH_0/dH = F(H_0)/F(H). Raises ``NotApplicable`` where damping feeds energy in.
-    """
-    e = solved.elements
+    process, e, l1_error = motion.under(1.0), solved.elements, solved.measured.l1_error
     inner, last = e.x.ravel(), e.right[-1]
-    if np.any(process.coefficients(inner).dissipation >= 0.0):
-        raise NotApplicable("damping feeds energy in: after the end of the noise fem has no answer")
     H, positive = process.on_mesh(at, float(np.max(at, initial=last)))
-    z = np.log(H)
 
     def rate(_: float, z: Array) -> Array:
-        # Beyond the last element there is nothing.
+        # Of z = ln H; beyond the last element there is nothing.
         energy = np.exp(np.minimum(z, np.log(last)))
         return np.asarray(-process.coefficients(energy).dissipation / energy)
 
-    # The answer, and another one whose distance is its error.
-    ends = [
-        solve_ivp(rate, (0.0, time), z, method="DOP853", rtol=rtol, atol=rtol).y[:, -1]
-        for rtol in (1e-12, 1e-10)
-    ]
-    began = np.exp(ends[0])
-    jacobian = began * rate(0.0, ends[0]) / (H * rate(0.0, z))
-    inside = np.minimum(began, last)
-    # An error of F by ε shifts ln H_0 by ε F/H t.
-    relative = float(e.relative_error.max())
-    fastest = float(np.max(rate(0.0, np.log(inner))))
-    moved = float(np.max(np.abs(ends[0] - ends[1]), initial=0.0)) + relative * fastest * time
-    p, error = (a[-1] for a in solved.density(began))
-    shifted = solved.density(np.minimum(inside * np.exp(moved), last))[0][-1]
-    changed = np.abs(shifted - p) * (began <= last) + (moved + 2.0 * relative) * np.abs(p)
-    # The variation of the density of ln H, of one or two maxima.
-    height = float(np.max(np.abs(solved.solution.density(inner)[0][-1]) * inner))
-    # Beyond the last element p falls faster than 1/H.
-    errors = jacobian * (error * inside / began + SAFETY * changed)
-    return (
-        np.where(positive, jacobian * p, 0.0),
-        np.where(at >= 0.0, errors + SMALLEST, 0.0),
-        (4.0 * SAFETY * moved * height + 2.0 * relative),
-    )
+    if np.any(later) and np.any(process.coefficients(inner).dissipation >= 0.0):
+        raise NotApplicable("damping feeds energy in: after the end of the noise fem has no answer")
+    for k in np.flatnonzero(later):
+        time, z = float(times[k] - end), np.log(H)
+        # The answer, and another one whose distance is its error.
+        ends = [
+            solve_ivp(rate, (0.0, time), z, method="DOP853", rtol=rtol, atol=rtol).y[:, -1]
+            for rtol in (1e-12, 1e-10)
+        ]
+        began = np.exp(ends[0])
+        jacobian = began * rate(0.0, ends[0]) / (H * rate(0.0, z))
+        inside = np.minimum(began, last)
+        # An error of F by ε shifts ln H_0 by ε F/H t.
+        relative = float(e.relative_error.max())
+        fastest = float(np.max(rate(0.0, np.log(inner))))
+        moved = float(np.max(np.abs(ends[0] - ends[1]), initial=0.0)) + relative * fastest * time
+        p, error = (a[-1] for a in solved.density(began))
+        shifted = solved.density(np.minimum(inside * np.exp(moved), last))[0][-1]
+        changed = np.abs(shifted - p) * (began <= last) + (moved + 2.0 * relative) * np.abs(p)
+        # Beyond the last element p falls faster than 1/H.
+        lost = jacobian * (error * inside / began + SAFETY * changed)
+        values[k] = np.where(positive, jacobian * p, 0.0)
+        errors[k] = np.where(at >= 0.0, lost + SMALLEST, 0.0)
+        # The variation of the density of ln H, of one or two maxima.
+        height = float(np.max(np.abs(solved.solution.density(inner)[0][-1]) * inner))
+        own = solved.measured.l1_error + 4.0 * SAFETY * moved * height + 2.0 * relative
+        l1_error = float(np.max([l1_error, own]))
+    if not l1_error <= LARGEST_ERROR:
+        errors[:] = np.inf
+    certificate = certify(replace(solved.measured, l1_error=l1_error), tol=tol)
+    return Transient(times, values, errors, "numerical", certificate, solved.settings)

@@ -209,7 +209,8 @@ def first_passage(
         a, b = pair
         unit = np.exp(a.log_local - b.log_local)
         marked = np.zeros(a.count, dtype=bool)
-        for own, better in ((a.conductance, b.conductance), (a.local_mass, b.local_mass)):
+        masses = (e.load[:, :2].sum(axis=1) for e in pair)
+        for own, better in ((a.conductance, b.conductance), masses):
             marked |= np.abs(own * unit - better) > wanted * better
         if times.size:
             x = (a.left[:, None] + (a.right - a.left)[:, None] * SAMPLES).ravel()

@@ -105,33 +105,27 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
         Mv = M @ v
         H[k, k - 1] = size = float(np.sqrt(v @ Mv))
         if size <= 1e-12 * before:  # round-off: the space is complete
-            more, rounding = _reduced(H[:k, :k], times, gamma, symmetric)
+            more, rounding, norms = _reduced(H[:k, :k], times, gamma, symmetric)
             change = np.zeros_like(more)
             break
         V[k], MV[k] = v / size, Mv / size
         if k + 1 >= 3 * GROWN and (k + 1) % GROWN == 0:
-            more, rounding = _reduced(H[:k, :k], times, gamma, symmetric)
-            less, _ = _reduced(H[: k - GROWN, : k - GROWN], times, gamma, symmetric)
+            more, rounding, norms = _reduced(H[:k, :k], times, gamma, symmetric)
+            less, *_ = _reduced(H[: k - GROWN, : k - GROWN], times, gamma, symmetric)
             change = more.copy()
             change[:, : k - GROWN] -= less
-            relative = np.linalg.norm(change, axis=1) / _norms(more)
-            if float(np.max(relative)) <= tol or k + GROWN >= MOST:
+            if float(np.max(np.linalg.norm(change, axis=1) / norms)) <= tol or k + GROWN >= MOST:
                 break
     return Evolved(
         norm * more @ V[: more.shape[1]],
         norm * change @ V[: more.shape[1]],
-        rounding / _norms(more),
+        rounding / norms,
         float(np.max(residuals)),
     )
 
 
-def _norms(values: Array) -> Array:
-    """Norms of rows, relative to the start; what has decayed has no error of its own."""
-    return np.asarray(np.maximum(np.linalg.norm(values, axis=1), 1e-200))
-
-
-def _reduced(H: Array, times: Array, gamma: float, symmetric: bool) -> tuple[Array, Array]:
-    """e^(tA) of the first basis vector (times, m) with A = (1 − S⁻¹)/γ, and how round-off grows."""
+def _reduced(H: Array, times: Array, gamma: float, symmetric: bool) -> tuple[Array, Array, Array]:
+    """e^(tA) of the first basis vector (times, m), A = (1 − S⁻¹)/γ, its round-off and norms."""
     condition = 1.0
     if symmetric:
         s, X = np.linalg.eigh(0.5 * (H + H.T))
@@ -144,7 +138,10 @@ def _reduced(H: Array, times: Array, gamma: float, symmetric: bool) -> tuple[Arr
     live = np.abs(s) > 1e-3
     rate = (1.0 - 1.0 / s[live]) / gamma
     if np.any(rate.real * times[-1] > LARGEST):
-        return np.full((times.size, len(H)), np.nan), np.full(times.size, np.nan)
-    values = (np.exp(np.outer(times, rate)) * first[live]) @ X[:, live].T
+        nan = np.full(times.size, np.nan)
+        return np.full((times.size, len(H)), np.nan), nan, nan
+    values = ((np.exp(np.outer(times, rate)) * first[live]) @ X[:, live].T).real
+    # What has decayed has no error of its own.
+    norms = np.maximum(np.linalg.norm(values, axis=1), 1e-200)
     # Eigenvectors are known to ε over the gaps of s, those of slow modes γ/t.
-    return np.asarray(values.real), EPS * condition * (1.0 + times / gamma)
+    return values, EPS * condition * (1.0 + times / gamma), norms
