@@ -12,7 +12,7 @@ EPS = float(np.finfo(float).eps)
 """Distance of 1 to the next number, 2.2e-16: twice the largest relative round-off."""
 SMALLEST = float(np.finfo(float).tiny)
 """Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
-ROUND_OFF = 8.0
+ROUNDINGS = 8.0
 """Roundings that are stated of a sum, for each of its terms that cancel."""
 CHUNK = 4_000_000
 """Numbers of intermediate results that are held at once: 32 MB."""

@@ -9,7 +9,7 @@ from math import exp, expm1, pi, sqrt
 import numpy as np
 from scipy.special import gammaln, ive, xlogy
 
-from fpk.arrays import EPS, ROUND_OFF, SMALLEST, Array, Complexes
+from fpk.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes
 from fpk.certificate import Measured, certify
 from fpk.contour import contours
 from fpk.dynamics import Rates, certified_rates
@@ -219,7 +219,7 @@ class SquareRoot:
                 with np.errstate(invalid="ignore", over="ignore"):
                     values.append((c.factors @ (ratio / c.z)).imag)
                     sizes = np.abs(c.factors) * np.abs(ratio / c.z)
-                    error[at] = sizes @ relative + ROUND_OFF * EPS * sizes.sum(axis=1)
+                    error[at] = sizes @ relative + ROUNDINGS * EPS * sizes.sum(axis=1)
             p[at] = values[1]
             error[at] += np.abs(values[1] - values[0])
         bounded = (times > 0.0) & ((bound <= NEGLIGIBLE) | ~(error <= bound))
@@ -319,7 +319,7 @@ def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Com
     slopes = w * inside / n / fraction
     value, error = np.zeros_like(a), np.full(a.size, np.inf)
     value[near] = -slopes.sum(axis=0)
-    error[near] = 2.0 * ROUND_OFF * EPS * (1.0 + np.abs(slopes).sum(axis=0))
+    error[near] = 2.0 * ROUNDINGS * EPS * (1.0 + np.abs(slopes).sum(axis=0))
     return value, error
 
 

@@ -17,7 +17,7 @@ from averaging.conditional import Conditional, conditionals
 from averaging.shell.averages import log_linear_states
 from averaging.time.start import DensityQuestion
 from averaging.weyl import weyl_integral
-from fpk.arrays import CHUNK, EPS, ROUND_OFF, SMALLEST, Array
+from fpk.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient
@@ -113,7 +113,7 @@ class WeylInTime:
         c = e.process.coefficients(x)
         with np.errstate(over="ignore"):
             of_p = np.multiply.outer(np.exp(-c.log_density_of_states), solved.top)
-        error += ROUND_OFF * EPS * np.minimum(of_p, np.abs(u).max(axis=0))
+        error += ROUNDINGS * EPS * np.minimum(of_p, np.abs(u).max(axis=0))
         return np.asarray(error.reshape(*points.shape, -1).max(axis=1))
 
     @cached_property
@@ -122,7 +122,7 @@ class WeylInTime:
         x = panel_rule(self.nodes, sum(POINTS))[0]
         _, coarse, fine = (table(x) for table in self._tables)
         distance = np.abs(coarse - fine).max(axis=1)
-        return np.asarray(distance + ROUND_OFF * EPS * np.abs(fine).max(axis=1))
+        return np.asarray(distance + ROUNDINGS * EPS * np.abs(fine).max(axis=1))
 
 
 def state_transient(system: System, solved: Transition, asked: DensityQuestion) -> Transient:

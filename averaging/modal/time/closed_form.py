@@ -26,14 +26,13 @@ from averaging.time.start import (
     limited_modes,
     observed_modes,
 )
-from fpk.arrays import CHUNK, EPS, ROUND_OFF, SMALLEST, Array
+from fpk.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.dynamics import Rates, certified_rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, certified_passage, checked_times
 from fpk.limit import Limit
-from fpk.modulation import ROUND_OFF as MODULATION_ROUND_OFF
-from fpk.modulation import Modulation
+from fpk.modulation import ROUND_OFF, Modulation
 from fpk.number import Number
 from fpk.quadrature import panel_rule
 from fpk.square_root import SquareRoot
@@ -145,7 +144,7 @@ def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) ->
     if not modes.constant:
         raise NotApplicable("damping that depends on the state has no closed form in time; use fem")
     c, d = float(modes.modal_damping[m, m]), float(modes.noise[m])
-    error = modes.relative_error + (MODULATION_ROUND_OFF if modulation else 0.0)
+    error = modes.relative_error + (ROUND_OFF if modulation else 0.0)
     return SquareRoot(1, c, d, error, modulation)
 
 
@@ -277,7 +276,7 @@ def _density(
     argued = sum(np.minimum(z, 1.0 + np.sqrt(z)) for z in arguments)
     relative = max(process.relative_error for process, *_ in parts)
     elapsed = max(process.c for process, *_ in parts) * t
-    rounded = np.abs(wave) * ROUND_OFF * turns + gauss * ROUND_OFF * (2.0 + argued + square)
+    rounded = np.abs(wave) * ROUNDINGS * turns + gauss * ROUNDINGS * (2.0 + argued + square)
     model = 4.0 * relative * gauss * (1.0 + square + (1.0 + elapsed) * argued)
     condition = float(np.linalg.cond(factor)) ** 2
     floor = float(np.sum(EPS * condition * rounded + model)) + 4.0 * count * BEYOND

@@ -12,7 +12,7 @@ from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from averaging.modal.groups import unsolved
 from averaging.time.start import DensityQuestion, EnergyStart, limited_modes, observed_modes
-from fpk.arrays import ROUND_OFF, SMALLEST, Array
+from fpk.arrays import ROUNDINGS, SMALLEST, Array
 from fpk.certificate import Measured, outside
 from fpk.density import Density, certified_density
 from fpk.dynamics import Rates
@@ -160,7 +160,7 @@ def _energies(
         return of(fine, fine.g, H1, H2)
 
     mass = float(fine.evolved.values[k] @ fine.op.matrices[2])
-    rounding = float(np.max(ROUND_OFF * fine.evolved.rounding)) + 2.0 * abs(mass - 1.0)
+    rounding = float(np.max(ROUNDINGS * fine.evolved.rounding)) + 2.0 * abs(mass - 1.0)
 
     def pointwise(H1: Array, H2: Array) -> Array:
         p = pdf(H1, H2)

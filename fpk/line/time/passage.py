@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from fpk.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
+from fpk.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import BEYOND_RANGE, STARTS, Passage, StartCurve, certified_passage
 from fpk.line.time.elements import (
@@ -116,7 +116,7 @@ class FirstPassage:
     def round_off(self) -> float:
         """Relative round-off of sums along the chain."""
         e = self.answer.elements
-        return ROUND_OFF * EPS * (e.count + e.log_range + e.degree)
+        return ROUNDINGS * EPS * (e.count + e.log_range + e.degree)
 
     @cached_property
     def _coefficients(self) -> Array:
@@ -152,7 +152,7 @@ class FirstPassage:
             for a in (self.answer, self.enriched)
         )
         # T is about linear in H_f − x, and has the round-off of energies.
-        rounding = ROUND_OFF * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
+        rounding = ROUNDINGS * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
         error = SAFETY * np.abs(T - better) + rounding * T + self.round_off * of_T
         error += self._coefficients[self.answer.elements.element_of(x)] / self.longest
         V = 2.0 * U - T**2
@@ -171,7 +171,7 @@ class FirstPassage:
         """Return P(T <= t), (times, points), from the starts x and its error."""
         (p, own), (better, other) = (a.failure(times, x) for a in (self.answer, self.enriched))
         error = SAFETY * np.abs(p - better) + _by_coefficients(2.0 * self.relative, p)
-        return p, error + ROUND_OFF * (own + other) + EPS**2
+        return p, error + ROUNDINGS * (own + other) + EPS**2
 
 
 def _by_coefficients(relative: float, failure: Array) -> Array:
@@ -350,8 +350,8 @@ def modulated_passage(motion: Modulated, limit: float, times: Array, *, tol: flo
     g, _, lost = solve(e, level)
     error, failure, at = SAFETY * (off + moved), 1.0 - numbers[:-2], np.searchsorted(stops, asked)
     relative = 2.0 * e.coefficient_error(source.energy)
-    relative += ROUND_OFF * EPS * (e.count + e.log_range)
-    failure_error = error[:-2] + _by_coefficients(relative, failure) + ROUND_OFF * EPS
+    relative += ROUNDINGS * EPS * (e.count + e.log_range)
+    failure_error = error[:-2] + _by_coefficients(relative, failure) + ROUNDINGS * EPS
     never = Number(np.inf, np.inf)
     moments: tuple[Number, Number, Number | None] = (never, never, None)
     if later is not None:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from fpk.arrays import EPS, ROUND_OFF, Array, Integers
+from fpk.arrays import EPS, ROUNDINGS, Array, Integers
 from fpk.dynamics import Rates, certified_rates
 from fpk.errors import NotCertified
 from fpk.line.mesh import split_points
@@ -88,7 +88,7 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
         pair = meshed(process, nodes, degree, beyond=np.array([last]))
         answer, (rates, better) = pair[0], (eigenvalues(e, count, order) for e in pair)
         common = 2.0 * answer.coefficient_error()
-        common += ROUND_OFF * EPS * (answer.count + answer.log_range)
+        common += ROUNDINGS * EPS * (answer.count + answer.log_range)
         errors = SAFETY * np.abs(rates - better) + common * rates
         if (errors <= tol * rates).all() or 2 * answer.count > MOST_ELEMENTS:
             break

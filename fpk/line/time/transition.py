@@ -7,7 +7,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from fpk.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
+from fpk.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import InvalidInput
 from fpk.line.time.elements import (
@@ -104,12 +104,12 @@ class Question:
         the smaller p is. By the rounding of energies: p changes over the width of the density at
         the first time. By what cancels in p, of which ``size`` is that of the terms.
         """
-        rounding = ROUND_OFF * EPS * (1.0 + x / self.width + e.log_range)
+        rounding = ROUNDINGS * EPS * (1.0 + x / self.width + e.log_range)
         top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
         steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
         coefficients = 2.0 * e.coefficient_error(self.source.energy) * steep
         coefficients += e.relative_error[e.element_of(x)]
-        return np.asarray((coefficients + rounding) * np.abs(p) + ROUND_OFF * EPS * size)
+        return np.asarray((coefficients + rounding) * np.abs(p) + ROUNDINGS * EPS * size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +150,7 @@ class Transition:
         error = SAFETY * self.distance.max(axis=2)[:, e.element_of(inside)]
         error = error + self.question.common_error(e, p, size, inside)
         # Far from the peak p is a difference of larger numbers.
-        error += ROUND_OFF * EPS * self.top[:, None]
+        error += ROUNDINGS * EPS * self.top[:, None]
         error = np.where(x > end, error + np.abs(p), error)
         return np.where(positive, p, 0.0), np.where(x >= 0.0, error + SMALLEST, 0.0)
 

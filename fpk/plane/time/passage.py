@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigs
 
-from fpk.arrays import EPS, ROUND_OFF, Array, Complexes
+from fpk.arrays import EPS, ROUNDINGS, Array, Complexes
 from fpk.dynamics import Rates, certified_rates
 from fpk.errors import InvalidInput, NotCertified
 from fpk.evolution import BEYOND_RANGE, Passage, certified_passage
@@ -194,7 +194,7 @@ def _answer(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> _
         remedy = "the elements do not see so narrow a density; start from rest or louder noise"
         raise InvalidInput("start", "stationary", remedy)
     # A multiple of the change by a step of iterative refinement, and 1e-14 always.
-    relative = ROUND_OFF * abs(float(dual @ change)) / mean + 1e-14
+    relative = ROUNDINGS * abs(float(dual @ change)) / mean + 1e-14
     # The least λ of K u = λ M u is real and simple; 1/λ is of the order of the longest mean time.
     # Of a rare failure, far below all other rates, two Arnoldi vectors would do.
     longest = np.max(np.abs(T))
@@ -218,7 +218,7 @@ def _answer(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> _
     if np.any(late):
         u = evolved(-transposed, M, shares, times[late], tol=KRYLOV * tol)
         survival[late] = u.values @ dual
-        lost[late] = np.abs(u.change @ dual) + ROUND_OFF * u.rounding * op.largest(u.values)
+        lost[late] = np.abs(u.change @ dual) + ROUNDINGS * u.rounding * op.largest(u.values)
         residual = float(np.max([residual, u.residual]))
     return _Answer(op, numbers, rounding, survival, lost, residual)
 

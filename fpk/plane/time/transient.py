@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from fpk.arrays import ROUND_OFF, SMALLEST, Array
+from fpk.arrays import ROUNDINGS, SMALLEST, Array
 from fpk.certificate import Measured, certify
 from fpk.evolution import LARGEST_ERROR, Transient
 from fpk.plane.solution import Nodes, gauss_grid, graded
@@ -121,7 +121,7 @@ def transient_densities(
         largest, distance = np.max(np.abs(p), axis=1), lost @ area
         mass = fine.evolved.values @ fine.op.matrices[2]
         # Up to 3 times the estimated round-off was measured.
-        rounding = ROUND_OFF * fine.evolved.rounding + 2.0 * np.abs(mass - 1.0)
+        rounding = ROUNDINGS * fine.evolved.rounding + 2.0 * np.abs(mass - 1.0)
         highest = np.max(lost, axis=1) + rounding * largest
         values, coarser, change = (seen_at(op, seen, g, at) for op, g in solutions)
         # What lies beyond the mesh is less than what there is at its end.
