@@ -170,14 +170,9 @@ def state_transient(system: System, solved: Transition, asked: DensityQuestion) 
         minimum=float(values.min(initial=0.0)) / highest,
         absolute_error=float(errors.max(initial=0.0)) / highest,
     )
-    return Transient(
-        asked.times,
-        factor * values.T,
-        factor * errors.T + SMALLEST,
-        "numerical",
-        certify(measured, tol=asked.tol),
-        solved.settings,
-    )
+    numbers = factor * values.T, factor * errors.T + SMALLEST
+    certificate = certify(measured, tol=asked.tol)
+    return Transient(asked.times, *numbers, "numerical", certificate, solved.settings)
 
 
 def _over_hidden(

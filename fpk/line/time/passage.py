@@ -362,12 +362,7 @@ def modulated_passage(motion: Modulated, limit: float, times: Array, *, tol: flo
             Number(square - mean**2, square_error + 2.0 * mean * mean_error),
             Number(*later.rate()),
         )
+    answer = failure[at], failure_error[at]
     return certified_passage(
-        moments,
-        times,
-        failure[at],
-        failure_error[at],
-        tol=tol,
-        residual=g.residual,
-        settings=settings,
+        moments, times, *answer, tol=tol, residual=g.residual, settings=settings
     )
