@@ -149,17 +149,18 @@ def transient_densities(
             absolute_error=absolute,
             failures=tuple(short),
         )
+        settings = {
+            "unknowns": fine.g[0].size,
+            "degree": fine.op.degree,
+            "L1 error at the first time": float(l1[0]),
+            "L1 error at the last time": float(l1[-1]),
+        }
         certificate = certify(measured, tol=tol)
+        answer = Transient(times, values, errors, "numerical", certificate, settings)
         degree, least = GIVEN_UP
-        if certificate.certified or (fine.op.degree >= degree and np.max(distance) > least):
+        hopeless = fine.op.degree >= degree and float(np.max(distance)) > least
+        if answer.certificate.certified or hopeless:
             break
-    settings = {
-        "unknowns": fine.g[0].size,
-        "degree": fine.op.degree,
-        "L1 error at the first time": float(l1[0]),
-        "L1 error at the last time": float(l1[-1]),
-    }
-    answer = Transient(times, values, errors, "numerical", certificate, settings)
     return answer, (coarse, fine)
 
 
