@@ -124,19 +124,14 @@ def modal_analysis(system: System) -> ModalAnalysis:
         constant=constant,
         relative_error=round_off * float(cancelling),
     )
-    if not constant:
-        _require_confined(modes)
-    return modes
-
-
-def _require_confined(modes: ModalAnalysis) -> None:
-    """Raise ``NotApplicable`` where one or two energies grow for ever; more are not judged."""
-    for group in modes.averaged.groups:
-        names = " and ".join(f"H{m + 1}" for m in group)
+    # Energies that the damping couples grow for ever or not; of more than two that is not judged.
+    for group in () if constant else averaged.groups:
         try:
             if len(group) == 1:
                 probed(modes.process(group))
             elif len(group) == 2:
                 require_confined(modes.process(group))
         except NotCertified as reason:
-            raise NotApplicable(f"{names}: {reason}, so the energy grows for ever") from reason
+            grow = " and ".join(f"H{m + 1}" for m in group)
+            raise NotApplicable(f"{grow}: {reason}, so the energy grows for ever") from reason
+    return modes

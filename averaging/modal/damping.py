@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import product
 from math import comb, factorial, prod
@@ -99,26 +99,23 @@ def averaged_damping(system: System, shapes: Array, omega: Array) -> AveragedDam
             f"damping terms of degree {2 * degree} and {n} modes make averages of {count} "
             f"coefficients, more than {MAX_COEFFICIENTS}"
         )
-    positive = [replace(term, coefficient=abs(term.coefficient)) for term in terms]
-    polynomial = _averaged(terms, system.damping, shapes, omega)
-    bound = _averaged(positive, np.abs(system.damping), np.abs(shapes), omega)
+
+    def total(T: Array, damping: Array, sign: Callable[[float], float]) -> Polynomial:
+        """Γ_mk (n, n): c*_mk of the constant damping and what each damping term adds."""
+        polynomial: Polynomial = defaultdict(lambda: np.zeros((n, n)))
+        polynomial[()] = T.T @ damping @ T
+        for term in terms:
+            for modes, value in _velocity_average(term, T, omega).items():
+                polynomial[modes] += sign(term.coefficient) * np.outer(T[term.row], value)
+        return polynomial
+
+    polynomial = total(shapes, system.damping, float)
+    bound = total(np.abs(shapes), np.abs(system.damping), abs)
     factors = np.zeros((len(polynomial), degree), dtype=np.int64)
     for row, modes in enumerate(polynomial):
         factors[row, : len(modes)] = np.array(modes, dtype=np.int64) + 1
     values, sizes = (np.array([p[modes] for modes in polynomial]) for p in (polynomial, bound))
     return AveragedDamping(factors, np.where(np.abs(values) > NEGLIGIBLE * sizes, values, 0), sizes)
-
-
-def _averaged(
-    terms: Sequence[DampingTerm], damping: Array, shapes: Array, omega: Array
-) -> Polynomial:
-    """Γ_mk (n, n): c*_mk of the constant damping and what each damping term adds."""
-    total: Polynomial = defaultdict(lambda: np.zeros_like(damping))
-    total[()] = shapes.T @ damping @ shapes
-    for term in terms:
-        for modes, value in _velocity_average(term, shapes, omega).items():
-            total[modes] = total[modes] + term.coefficient * np.outer(shapes[term.row], value)
-    return total
 
 
 def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Polynomial:

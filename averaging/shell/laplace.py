@@ -20,8 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import erfc, gammaln
 
-from averaging.conditional import conditionals
-from averaging.hidden import DEPTH, stop_panels
+from averaging.conditional import DEPTH, conditionals, stop_panels
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.parts import parts_of
 from averaging.shell.passes import passed
