@@ -6,8 +6,8 @@ from math import ceil, pi
 import numpy as np
 
 from averaging.conditional import (
+    DEPTH,
     Conditional,
-    beyond_grids,
     conditionals,
     contact_levels,
     gibbs_integral,
@@ -112,24 +112,25 @@ def marginal_of(
         order, log_factor = order + 0.5, log_factor - 0.5 * np.log(2.0 * pi * flux_of)
     coarse, fine = rules_of(len(hidden))
     laws_hidden, weyl = laws[len(q) :], source.weyl(order)
+    widths = np.prod([np.sqrt(2.0 * pi * T / law.precision) for law in laws_hidden])
 
     def marginal(*x: Array, part: Part = "value", points: int = fine) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
         Q, energy = observed_energy(system, observable, laws, [a.ravel() for a in arrays])
         if source.gibbs:
             factor, error = gibbs_integral(system, q, Q, temperature=T, points=points)
-            scale = np.prod([np.sqrt(2.0 * pi * T / law.precision) for law in laws_hidden])
             own = error * weyl(energy) if part == "table" else factor * weyl(energy, part)
-            result = scale * own
+            result = widths * own
         else:
             result = hidden_integral(
                 lambda E: weyl(E, part), energy, Q, laws_hidden, temperature=T, end=source.end,
                 points=points,
             )  # fmt: skip
-            if part == "table" and hidden:
-                result = result + beyond_grids(
-                    weyl, energy, laws_hidden, temperature=T, end=source.end
-                )
+            if part == "table":
+                # The grids leave out V above the end, and ``DEPTH`` above E. Contact only adds to
+                # V: the rest is below Ψ at that energy times a width for each mass.
+                top = np.maximum(source.end, energy + DEPTH * T)
+                result = result + len(hidden) * widths * weyl(top)
         return np.asarray(np.exp(log_factor) * result).reshape(arrays[0].shape)
 
     def added(values: Array, *x: Array) -> Array:

@@ -12,7 +12,6 @@ from itertools import pairwise
 from math import ceil, exp, log2
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpk.arrays import CHUNK, Array
 from fpk.contact import Contact
@@ -122,44 +121,35 @@ def hidden_integral(
         return f(energy)
     # Opposite momenta have the same energy: each distinct point is integrated once.
     distinct, index = np.unique(np.vstack([energy, given]), axis=1, return_inverse=True)
+    count = ceil(np.sqrt(2.0 * max(end / temperature, DEPTH)) / WIDTHS_PER_PANEL)
+    shares, (t, w) = np.linspace(-1.0, 1.0, 2 * count + 1), gauss_legendre(points)
+    levels = contact_levels(temperature, end)
     # About 30 panels of each hidden mass are not empty.
-    count = distinct.shape[1] * (30 * points) ** len(laws) // CHUNK + 1
+    chunks = distinct.shape[1] * (30 * points) ** len(laws) // CHUNK + 1
     parts = []
-    for E, *Q in np.array_split(distinct, min(count, distinct.shape[1]), axis=1):
-        row, weight, q = (
-            np.arange(E.size, dtype=np.intp),
-            np.ones(E.size),
-            np.reshape(Q, (-1, E.size)),
-        )
+    for E, *Q in np.array_split(distinct, min(chunks, distinct.shape[1]), axis=1):
         size = E.size
+        row, weight, q = np.arange(size), np.ones(size), np.reshape(Q, (-1, size))
         for k, law in enumerate(laws):
             mean, height = law.weights @ q, np.maximum(end - E, DEPTH * temperature)
-            layers = [] if beyond is None else [np.tile(beyond.nodes, (E.size, 1))]
-            layers += [_first_touch(law, other, q, height, temperature) for other in laws[k + 1 :]]
-            at, new, w = _points_of(law, mean, height, layers, temperature, end, points)
+            layers = [_first_touch(law, other, q, height, temperature) for other in laws[k + 1 :]]
+            layers += [] if beyond is None else [beyond.nodes[None]]
+            # Panels are uniform as far as the springs alone let the mass go from its mean.
+            reach = np.sqrt(2.0 * height / law.precision)[:, None]
+            uniform = mean[:, None] + reach * shares
+            layers += [beyond_stop(stop, levels)[None] for stop in law.stops]
+            ends = [np.clip(x, uniform[:, :1], uniform[:, -1:]) for x in layers]
+            nodes = np.sort(np.hstack([uniform, *ends]), axis=1)
+            half = 0.5 * np.diff(nodes, axis=1)
+            at, panel = np.nonzero(half > 0.0)
+            half = half[at, panel, None]
+            new = (nodes[at, panel, None] + half * (1.0 + t)).ravel()
+            at = np.repeat(at, points)
             E, q = E[at] + law.energy(new, mean[at]), np.vstack([q[:, at], new])
-            row, weight = row[at], weight[at] * w
+            row, weight = row[at], weight[at] * (half * w).ravel()
         weight = weight * f(E) if beyond is None else weight * f(E) * beyond(q[-1])
         parts.append(np.bincount(row, weight, minlength=size))
     return np.asarray(np.concatenate(parts)[index.ravel()])
-
-
-def beyond_grids(
-    f: Callable[[Array], Array],
-    energy: Array,
-    laws: Sequence[Conditional],
-    *,
-    temperature: float,
-    end: float,
-) -> Array:
-    """Return a bound of what the grids of ``hidden_integral`` leave out, (N,).
-
-    There V is above ``end``, and ``DEPTH`` above E. As contact only adds to V, it is less than f at
-    that energy times a width for each mass.
-    """
-    top = np.maximum(end, energy + DEPTH * temperature)
-    widths = [np.sqrt(2.0 * np.pi * temperature / law.precision) for law in laws]
-    return np.asarray(len(laws) * np.prod(widths) * f(top))
 
 
 def gibbs_integral(
@@ -233,35 +223,6 @@ def _first_touch(
     touch = [stop.sign * stop.clearance for stop in other.stops]
     means = np.add.outer(touch, [*-steps, 0.0, *steps]).ravel()
     return np.asarray((means - (other.weights[:-1] @ given)[:, None]) / share)
-
-
-def _points_of(
-    law: Conditional,
-    mean: Array,
-    height: Array,
-    layers: Sequence[Array],
-    temperature: float,
-    end: float,
-    points: int,
-) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return the row, displacement and weight of Gauss points, all (points of all rows,).
-
-    Panels are uniform as far as the springs alone let the mass go from its ``mean`` (N,) with the
-    energy ``height`` (N,), with layers beyond its stops and those given (N, layers).
-    """
-    reach = np.sqrt(2.0 * height / law.precision)[:, None]
-    count = ceil(np.sqrt(2.0 * max(end / temperature, DEPTH)) / WIDTHS_PER_PANEL)
-    levels = contact_levels(temperature, end)
-    low, high = mean[:, None] - reach, mean[:, None] + reach
-    ends = [*layers, *(beyond_stop(stop, levels) for stop in law.stops)]
-    uniform = mean[:, None] + reach * np.linspace(-1.0, 1.0, 2 * count + 1)
-    nodes = np.sort(np.hstack([uniform, *(np.clip(x, low, high) for x in ends)]), axis=1)
-    half = 0.5 * np.diff(nodes, axis=1)
-    row, panel = np.nonzero(half > 0.0)
-    half = half[row, panel, None]
-    t, w = gauss_legendre(points)
-    q = (nodes[row, panel, None] + half * (1.0 + t)).ravel()
-    return np.repeat(row, points), q, (half * w).ravel()
 
 
 def stop_panels(

@@ -20,8 +20,6 @@ from fpk.piecewise import Piecewise, fit
 from fpk.quadrature import panel_rule
 from fpk.system import System
 
-ROUNDED = 4.0 * EPS
-"""Bound of H − V at a stop by a few roundings of H and of V, relative to H."""
 TARGETS = (8e-13, 3e-14)
 """Disagreement of two rules, for n = 1 and more, that ends the refinement of the power over one
 contact mass, near round-off: the power cancels against the noise, and its error adds up in ln p."""
@@ -88,7 +86,7 @@ def shell_columns(system: System, energy: Array) -> Array:
     columns[:, 0, :3] = 1.0, 1.0, system.n - 1.0
     columns[:, 0, 3:] = parts.free
     first = shell.contact_energies[0] if shell.contact_energies else np.inf
-    slack = ROUNDED if system.n == 1 else 0.0
+    slack = 4.0 * EPS if system.n == 1 else 0.0  # a few roundings of H and of V at a stop
     touching = (energy > first * (1.0 - slack)).nonzero()[0]
     if touching.size:
         above = energy[touching]
@@ -122,7 +120,7 @@ def _along_rays(system: System, energy: Array) -> Array:
     if n == 1:
         rises = energy[:, None] - shell.potential(shell.stops.touch[:, None] / shell.stops.reach)
         # The part of T_lin beyond a stop is up to √(1 − V/H)/π, V at the stop.
-        rises = rises / energy[:, None] + np.array([-ROUNDED, ROUNDED])[:, None, None]
+        rises = rises / energy[:, None] + 4.0 * EPS * np.array([-1.0, 1.0])[:, None, None]
         beyond = np.diff(np.sqrt(np.maximum(rises, 0.0)), axis=0)[0].sum(axis=1) / pi
         columns[:, 1, :2] += beyond[:, None] * flat / states
     if system.damping_terms:

@@ -37,7 +37,6 @@ ROUND_OFF = 2e-15
 ROOT_ROUND_OFF = 4e-13
 """Relative error of a sum of a system of one mass, ε points²: its integrand is 1/√v, v = 1 − V/H,
 where v ~ 1/points² at the Gauss point next to the turning point."""
-NO_ORDERS: Integers = np.empty((0, 2), dtype=np.int64)
 
 Combine = Callable[[Array, Array], Array]
 """Quantities (..., rays, quantities) from directions (rays, c) and integrals (..., rays, ·)."""
@@ -135,7 +134,7 @@ class EnergyShell:
         self,
         energy: Array,
         *,
-        orders: Integers = NO_ORDERS,
+        orders: Integers | None = None,
         combine: Combine | None = None,
         target: float = TARGET,
     ) -> tuple[Array, Array]:
@@ -148,6 +147,7 @@ class EnergyShell:
         ``target``.
         """
         n, mirror = self.system.n, self.system.fact(looks_the_same_mirrored)
+        orders = np.empty((0, 2), dtype=np.int64) if orders is None else orders
         laws = tuple(sorted({stop.law for stop in self.system.stops}))
         add_rays = ray_integrals(laws, 2 * n - self.count - 2 <= 0)
         cuts = self._cut_angles(energy) if self.count == 2 else np.empty((energy.size, 0))

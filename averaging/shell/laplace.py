@@ -83,17 +83,16 @@ class PartitionLines:
         loss = self.n * (shares - 1.0 - np.log(shares))
         self.first, last = np.interp(NATS, loss, shares).tolist()
         self.factor = last / self.first
-        terms, parts = system.damping_terms, system.fact(parts_of)
-        self.groups = sorted({(term.degree, term.factors) for term in terms})
-        degree, order = np.array(self.groups, dtype=float).reshape(-1, 2).T
-        most = self.n + 0.5 * max(order, default=0.0)
+        parts = system.fact(parts_of)
+        degree, self.order = parts.groups.T
+        most = self.n + 0.5 * max(self.order, default=0)
         alias = self.n * shares - most * np.log1p(shares / self.first)
         self.step = 2.0 * np.pi / float(shares[np.argmax(alias > -log(MISSING))])
         self.free, self.size = (
-            np.bincount(self._rows(system), [1.0, *x], 1 + len(self.groups))
+            np.bincount(np.append(0, 1 + parts.group), [1.0, *x], 1 + self.order.size)
             for x in (parts.mean, parts.spread)
         )
-        rest = np.exp(gammaln(self.n) - gammaln(self.n + 0.5 * order))
+        rest = np.exp(gammaln(self.n) - gammaln(self.n + 0.5 * self.order))
         self.of_degree = (degree == parts.degrees[:, None]) * rest
         self.alone: list[System] = []
         if self._end(1.0) > LONG:
@@ -109,7 +108,7 @@ class PartitionLines:
         """
         # Rows of the lines and their orders m: T/T_lin, the same of the phase volume and of T', the
         # power times T/T_lin; an inverse is relative to H^(n − 1 + m/2)/Γ(n + m/2).
-        rows = [(0, 0), (0, 2), (0, -2), *((1 + k, m) for k, (_, m) in enumerate(self.groups))]
+        rows = [(0, 0), (0, 2), (0, -2), *enumerate(self.order.tolist(), start=1)]
         both = np.empty((energy.size, 2, len(rows)))  # values and errors
         index = np.floor(np.log(energy / self.unit) / np.log(self.factor)).astype(int)
         for k in np.unique(index).tolist():
@@ -148,12 +147,6 @@ class PartitionLines:
         values[:, 2] *= self.n - 1.0
         errors[:, 3:] = errors[:, 3:] / states + np.abs(values[:, 3:]) * errors[:, :1]
         return both
-
-    def _rows(self, system: System) -> list[int]:
-        """The row of R and of each part of the damping terms."""
-        parts = system.fact(parts_of)
-        keys = zip(parts.degree.tolist(), parts.order.tolist(), strict=True)
-        return [0, *(1 + self.groups.index(key) for key in keys)]
 
     def _end(self, ratio: float) -> float:
         """End of a line over its real part, where R is ``ratio`` at its beginning."""
@@ -217,10 +210,9 @@ class PartitionLines:
                 f[:, rows] = transfer(height, beta[0].real, step, part).swapaxes(1, 2)
             f *= np.sqrt(beta * stiffness / (2.0 * np.pi))[:, None, None]
         moments = f[:, 0] * beta[:, None] ** (0.5 * powers.sum(axis=1))
-        rows = np.zeros((1 + len(self.groups), beta.size), dtype=complex)
-        np.add.at(
-            rows, self._rows(system), (moments[:, column.ravel()] * [1.0, *parts.coefficient]).T
-        )
+        moments = moments[:, column.ravel()] * [1.0, *parts.coefficient]
+        rows = np.zeros((1 + self.order.size, beta.size), dtype=complex)
+        np.add.at(rows, np.append(0, 1 + parts.group), moments.T)
         return rows
 
     def _grids(self, real: float, end: float) -> list[list[tuple[Array, Array]]]:

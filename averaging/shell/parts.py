@@ -22,13 +22,13 @@ class Parts(NamedTuple):
     """Σ c_ij v_i v_j of the damping terms, averaged given the contact displacements q_c.
 
     With momenta and the other displacements Gaussian at the temperature 1/β, a part is
-    H^energy · coefficient · β^(−j) · Π q_c^powers. The ``order`` is Σ powers + 2 j, the same for
-    all parts of a term, whose ``degree`` is order − 2 + 2 energy. Without contact the power is
+    H^energy · coefficient · β^(−j) · Π q_c^powers. The order is Σ powers + 2 j, the same for all
+    parts of a term, whose degree is order − 2 + 2 energy. Without contact the power is
     Σ_d g_d H^(1 + d/2), d one of ``degrees``.
     """
 
-    degree: Integers  # (parts,)
-    order: Integers  # (parts,)
+    groups: Integers  # (groups, 2), degrees and orders of the terms
+    group: Integers  # (parts,), which of them
     powers: Integers  # (parts, c)
     coefficient: Array  # (parts,)
     size: Array  # (parts,), the sum of the absolute values that the coefficient is a sum of
@@ -49,7 +49,7 @@ class Parts(NamedTuple):
         moment of degree 2j is (H − V_red)^j Γ(N/2)/Γ(N/2 + j) times that of Gaussian ones.
         """
         total = self.powers.sum(axis=1)
-        both = np.stack([total, (self.order - total) // 2], axis=1)
+        both = np.stack([total, (self.groups[self.group, 1] - total) // 2], axis=1)
         orders, column = np.unique(both, axis=0, return_inverse=True)
         half_n = shell.system.n - 0.5 * shell.count
         rest = np.exp(gammaln(half_n) - gammaln(half_n + both[:, 1]))
@@ -93,6 +93,7 @@ def parts_of(system: System) -> Parts:
                 powers_of = map(masses_of.count, range(len(masses)))
                 sums[term.degree, term.factors, *powers_of] += value, abs(value)
     keys = np.array(list(sums), dtype=np.int64).reshape(len(sums), 2 + len(masses))
+    groups, group = np.unique(keys[:, :2], axis=0, return_inverse=True)
     (degree, order), powers = keys[:, :2].T, keys[:, 2:]
     coefficient, size = np.array(list(sums.values())).reshape(-1, 2).T
     # What is left where terms cancel is their round-off, which ``size`` still states.
@@ -109,5 +110,6 @@ def parts_of(system: System) -> Parts:
     free, free_size = mean @ rest, spread @ rest
     free = np.where(np.abs(free) > ROUND_OFF * free_size, free, 0.0)
     return Parts(
-        degree, order, powers, coefficient, size, mean, spread, degrees, of_degree, free, free_size
-    )
+        groups, group.ravel(), powers, coefficient, size, mean, spread, degrees, of_degree, free,
+        free_size,
+    )  # fmt: skip
