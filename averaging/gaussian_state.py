@@ -116,13 +116,17 @@ class Gaussian:
         while nodes[-1] < end:
             nodes.append(nodes[-1] + min(max(2.0 * least, nodes[-1] / 3.0), 2.0 * largest))
 
+        def pdf(energy: Array) -> Array:  # a third of the cost of its error
+            terms, *_ = _contour(self.scales, self.shape, energy, NODES[1])
+            return np.asarray(terms.real.sum(axis=-1))
+
         def error(energy: Array) -> Array:
             return gamma_sum(self.scales, self.shape, self.scale_errors, energy)[1]
 
         return certified_density(
             observable,
             (np.array([*nodes[:-1], end]),),
-            lambda energy: gamma_density(self.scales, self.shape, energy),
+            pdf,
             error,
             measured=Measured(tail, np.nan, np.inf, self.residual, tail),
             tol=tol,
@@ -150,18 +154,13 @@ def gamma_sum(scales: Array, shape: float, errors: Array, x: Array) -> tuple[Arr
     """
     terms, exponent, z = _contour(scales, shape, x, NODES[1])
     density: Array = terms.real.sum(axis=-1)
-    error = np.abs(density - gamma_density(scales, shape, x, nodes=NODES[0]))
+    error = np.abs(density - _contour(scales, shape, x, NODES[0])[0].real.sum(axis=-1))
     largest = np.max(scales)
     for r, of_scale in zip(scales / largest, errors, strict=True):
         slope = np.sum(terms * (z - 1.0) / (1.0 - r + r * z), axis=-1).real
         error += np.abs(slope) * (shape / largest * of_scale)
     error += EPS * np.sum(np.abs(terms) * (4.0 + np.abs(exponent)), axis=-1)
     return density, error
-
-
-def gamma_density(scales: Array, shape: float, x: Array, *, nodes: int = NODES[1]) -> Array:
-    """Return the density that ``gamma_sum`` returns, at a third of the cost of its error."""
-    return np.asarray(_contour(scales, shape, x, nodes)[0].real.sum(axis=-1))
 
 
 def _contour(scales: Array, shape: float, x: Array, nodes: int) -> tuple[Array, Array, Array]:

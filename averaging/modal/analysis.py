@@ -3,15 +3,15 @@
 Damping averaged over the phases is a polynomial in the modal energies, section 5.
 """
 
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import product
-from math import comb, factorial, prod
+from math import comb
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.special import factorial
 
 from fpk.arrays import EPS, Array, Integers
 from fpk.damping import DampingTerm
@@ -22,9 +22,6 @@ from fpk.linear import natural_modes
 from fpk.probe import probed
 from fpk.process import Coefficients, Process
 from fpk.system import System
-
-Polynomial = dict[tuple[int, ...], Array]
-"""Σ value · Π H_m over the modes m in each key, counted from 0, ascending, one for each power."""
 
 NEGLIGIBLE = 1e-12
 """Share of the terms added up in a coefficient below which it is their round-off, so zero."""
@@ -60,18 +57,11 @@ class AveragedDamping:
         factors, rate = column[self.factors[rows]], self.values[rows][:, index, index]
         return lambda energies: _monomials(factors, energies) @ rate
 
-    def powers(self, mode: int) -> Array:
-        """Return the coefficients of γ of a mode on which no other acts, ascending powers of H."""
-        alone = np.isin(self.factors, [0, mode + 1]).all(axis=1)
-        degree = np.count_nonzero(self.factors[alone], axis=1)
-        return np.asarray(np.bincount(degree, self.values[alone, mode, mode]), dtype=float)
-
     def mean(self, means: Array) -> tuple[Array, Array]:
         """Return E[F_m Q̇_k]/E H_k for independent exponential energies, and the sum of sizes."""
         counts = (self.factors[:, :, None] == np.arange(1, means.size + 1)).sum(axis=1)
-        highest = 1 + int(counts.max(initial=0))
-        moments = np.array([factorial(k) for k in range(1 + highest)])[counts].prod(axis=1)
-        weights = (_monomials(self.factors, means) * moments)[:, None] * (1.0 + counts)
+        moments = _monomials(self.factors, means) * factorial(counts).prod(axis=1)
+        weights = moments[:, None] * (1.0 + counts)
         value, size = (np.einsum("rmk,rk->mk", x, weights) for x in (self.values, self.sizes))
         return value, size
 
@@ -229,27 +219,27 @@ def averaged_damping(system: System, shapes: Array, omega: Array) -> AveragedDam
             f"coefficients, more than {MAX_COEFFICIENTS}"
         )
 
-    def total(T: Array, damping: Array, sign: Callable[[float], float]) -> Polynomial:
-        """Γ_mk (n, n): c*_mk of the constant damping and what each damping term adds."""
-        polynomial: Polynomial = defaultdict(lambda: np.zeros((n, n)))
-        polynomial[()] = T.T @ damping @ T
+    def total(T: Array, damping: Array, sign: Callable[[float], float]) -> tuple[Integers, Array]:
+        """Rows and Γ_mk (rows, n, n): c*_mk of the constant damping, and each damping term's."""
+        rows, values = [np.zeros((1, degree), dtype=np.int64)], [(T.T @ damping @ T)[None]]
         for term in terms:
-            for modes, value in _velocity_average(term, T, omega).items():
-                polynomial[modes] += sign(term.coefficient) * np.outer(T[term.row], value)
-        return polynomial
+            modes, flow = _velocity_average(term, T, omega)
+            rows.append(np.pad(modes, ((0, 0), (degree - modes.shape[1], 0))))
+            values.append(sign(term.coefficient) * T[term.row][:, None] * flow[:, None, :])
+        factors, row = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
+        total = np.zeros((len(factors), n, n))
+        np.add.at(total, row.ravel(), np.concatenate(values))
+        return factors, total
 
-    polynomial = total(shapes, system.damping, float)
-    bound = total(np.abs(shapes), np.abs(system.damping), abs)
-    factors = np.zeros((len(polynomial), degree), dtype=np.int64)
-    for row, modes in enumerate(polynomial):
-        factors[row, : len(modes)] = np.array(modes, dtype=np.int64) + 1
-    values, sizes = (np.array([p[modes] for modes in polynomial]) for p in (polynomial, bound))
+    factors, values = total(shapes, system.damping, float)
+    _, sizes = total(np.abs(shapes), np.abs(system.damping), abs)
     return AveragedDamping(factors, np.where(np.abs(values) > NEGLIGIBLE * sizes, values, 0), sizes)
 
 
-def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Polynomial:
-    """⟨Π q_a^. Π v_a^. v_j H^energy Q̇_k⟩/H_k as a polynomial in the energies, values (n,).
+def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> tuple[Integers, Array]:
+    """⟨Π q_a^. Π v_a^. v_j H^energy Q̇_k⟩/H_k as a polynomial in the energies.
 
+    Returned are the modes of each monomial, from 1, ascending, and its values (rows, n).
     With Q_m = √(2 H_m)/ω_m cos φ_m and Q̇_m = −√(2 H_m) sin φ_m, exponential energies of means θ_m
     make the modes Gaussian, and E Π H_m^α_m = Π α_m! θ_m^α_m: the phase average has the
     coefficients of the Gaussian moment, a polynomial in θ by Isserlis' theorem, divided by Π α_m!.
@@ -259,39 +249,32 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Polynom
     rms = np.vstack([shapes / omega, shapes])  # of q and v of the masses where θ_m = 1
 
     @cache
-    def moment(factors: tuple[int, ...]) -> Polynomial:
-        """E of a product of q_a (a < n) and v_a (n + a)."""
-        if not factors:
-            return {(): np.array(1.0)}
-        first, rest = factors[0], factors[1:]
-        total: Polynomial = defaultdict(float)  # type: ignore[arg-type]
-        for i, other in enumerate(rest):
-            if (first < n) == (other < n):
-                pair: Polynomial = {(m,): rms[first, m] * rms[other, m] for m in range(n)}
-                _add_product(total, moment(rest[:i] + rest[i + 1 :]), pair)
+    def moment(factors: tuple[int, ...]) -> Array:
+        """E of a product of q_a (a < n) and v_a (n + a), Σ moment_lm.. θ_l θ_m .., 0 if odd."""
+        total = np.zeros((n,) * (len(factors) // 2)) if factors else np.ones(())
+        for i, other in enumerate(factors[1:], start=1):
+            if (factors[0] < n) == (other < n):
+                rest = moment(factors[1:i] + factors[i + 1 :])
+                total = total + np.multiply.outer(rms[factors[0]] * rms[other], rest)
         return total
 
     powers = [*term.powers("q", n), *term.powers("v", n)]
     powers[n + term.column] += 1
     factors = tuple(a for a, power in enumerate(powers) for _ in range(power))
-    flow: Polynomial = defaultdict(lambda: np.zeros(n))
-    for i, a in enumerate(factors):
-        if a >= n:
-            _add_product(flow, moment(factors[:i] + factors[i + 1 :]), {(): shapes[a - n]})
-    for modes in flow:
-        counts = np.bincount(np.array(modes, dtype=np.int64), minlength=n)
-        flow[modes] = flow[modes] / (prod(factorial(c) for c in counts) * (1.0 + counts))
-    for _ in range(term.energy):
-        higher: Polynomial = defaultdict(lambda: np.zeros(n))
-        _add_product(higher, flow, {(m,): np.array(1.0) for m in range(n)})
-        flow = higher
-    return flow
-
-
-def _add_product(total: Polynomial, first: Polynomial, second: Polynomial) -> None:
-    for (f, x), (g, y) in product(first.items(), second.items()):
-        modes = tuple(sorted(f + g))
-        total[modes] = total[modes] + x * y
+    parts = [
+        np.multiply.outer(moment(factors[:i] + factors[i + 1 :]), shapes[a - n])
+        for i, a in enumerate(factors)
+        if a >= n
+    ]
+    count = parts[0].ndim - 1
+    modes = np.array(list(product(range(n), repeat=count + term.energy)), dtype=np.int64)
+    counts = (modes[:, :count, None] == np.arange(n)).sum(axis=1)
+    flow = np.repeat(np.sum(parts, axis=0).reshape(-1, n), n**term.energy, axis=0)
+    flow /= factorial(counts).prod(axis=1, keepdims=True) * (1.0 + counts)
+    modes, row = np.unique(np.sort(modes, axis=1), axis=0, return_inverse=True)
+    total = np.zeros((len(modes), n))
+    np.add.at(total, row.ravel(), flow)
+    return modes + 1, total
 
 
 def balanced_energies(system: System, damping: AveragedDamping, noise: Array) -> Array:

@@ -18,6 +18,8 @@ from fpk.quadrature import panel_rule
 
 POINTS = 24
 """Gauss points per panel where an energy is integrated out: over three e-folds they miss 1e-30."""
+FIRST_BAND = 8.0
+"""Highest wave number of the first attempt, in units of 1/rms: φ of a Gaussian is e^-32 there."""
 WIDER = 2.0**0.5
 """Factor by which the highest wave number grows from one attempt to the next."""
 MAX_WAVES = 40_000
@@ -89,10 +91,8 @@ def state_density(
     box = np.hypot(whitened @ U, whitened @ W) @ largest
     phases = np.pi * whitened / box[:, None]
     scale = float(np.prod(np.diag(whitened) / (2.0 * box)))
-    # Widen the band, in units of 1/rms, until the waves beyond it add less than a tenth of ``tol``:
-    # φ of a Gaussian is as small at the end of the first.
-    band = float(np.sqrt(-2.0 * np.log(0.1 * tol)))
-    while True:
+    band = FIRST_BAND
+    while True:  # until the waves beyond the band add less than a tenth of the tolerance
         K, M = np.pad(np.ceil(band * box / np.pi).astype(int), (0, 2 - count))
         k, m = np.mgrid[0 : K + 1, -M : M + 1]
         waves = np.stack([k.ravel(), m.ravel()][:count], axis=1) @ phases

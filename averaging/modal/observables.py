@@ -97,7 +97,11 @@ def solved_group(
     if len(group) == 2:
         p = solve_plane(process, tol=share)
     elif solver == "closed-form":
-        p = closed_form(process, modes.averaged.powers(*group) / modes.noise[group])
+        factors, (m,) = modes.averaged.factors, group  # γ/d in ascending powers of H_m
+        alone = np.isin(factors, [0, m + 1]).all(axis=1)
+        degree = np.count_nonzero(factors[alone], axis=1)
+        rate = np.bincount(degree, modes.averaged.values[alone, m, m])
+        p = closed_form(process, rate / modes.noise[m])
     else:
         p = (solve_stationary if solver == "fem" else solve_by_quadrature)(process, tol=share)
 
