@@ -13,7 +13,7 @@ from math import ceil, exp, log2
 
 import numpy as np
 
-from fpk.arrays import CHUNK, Array
+from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.piecewise import Piecewise, fit
 from fpk.quadrature import gauss_legendre
@@ -33,6 +33,8 @@ a tenth of it."""
 RULES = ((1, 1), (10, 14), (8, 10), (14, 18))
 """Gauss points per panel over 0, 1, 2 or more hidden contact masses, and of the finer rule of the
 answer: the distance between the two is its error. The errors of passes along a chain add up."""
+CHUNK = 50_000
+"""Points of the innermost integral evaluated at once: their arrays stay in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
