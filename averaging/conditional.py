@@ -126,6 +126,7 @@ def hidden_integral(
     count = ceil(np.sqrt(2.0 * max(end / temperature, DEPTH)) / WIDTHS_PER_PANEL)
     shares, (t, w) = np.linspace(-1.0, 1.0, 2 * count + 1), gauss_legendre(points)
     levels = contact_levels(temperature, end)
+    stops = [[beyond_stop(stop, levels)[None] for stop in law.stops] for law in laws]
     # About 30 panels of each hidden mass are not empty.
     chunks = distinct.shape[1] * (30 * points) ** len(laws) // CHUNK + 1
     parts = []
@@ -139,8 +140,7 @@ def hidden_integral(
             # Panels are uniform as far as the springs alone let the mass go from its mean.
             reach = np.sqrt(2.0 * height / law.precision)[:, None]
             uniform = mean[:, None] + reach * shares
-            layers += [beyond_stop(stop, levels)[None] for stop in law.stops]
-            ends = [np.clip(x, uniform[:, :1], uniform[:, -1:]) for x in layers]
+            ends = [np.clip(x, uniform[:, :1], uniform[:, -1:]) for x in layers + stops[k]]
             nodes = np.sort(np.hstack([uniform, *ends]), axis=1)
             half = 0.5 * np.diff(nodes, axis=1)
             at, panel = np.nonzero(half > 0.0)

@@ -6,7 +6,6 @@ Damping averaged over the phases is a polynomial in the modal energies, section 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from itertools import product
 from math import comb
 
 import numpy as np
@@ -59,11 +58,18 @@ class AveragedDamping:
 
     def mean(self, means: Array) -> tuple[Array, Array]:
         """Return E[F_m Q̇_k]/E H_k for independent exponential energies, and the sum of sizes."""
-        counts = (self.factors[:, :, None] == np.arange(1, means.size + 1)).sum(axis=1)
-        moments = _monomials(self.factors, means) * factorial(counts).prod(axis=1)
+        counts, factorials = self._counts
+        moments = _monomials(self.factors, means) * factorials
         weights = moments[:, None] * (1.0 + counts)
         value, size = (np.einsum("rmk,rk->mk", x, weights) for x in (self.values, self.sizes))
         return value, size
+
+    @cached_property
+    def _counts(self) -> tuple[Integers, Array]:
+        """Powers of the energies in each monomial (rows, n), and products of their factorials."""
+        modes = np.arange(1, self.values.shape[1] + 1)
+        counts = (self.factors[:, :, None] == modes).sum(axis=1)
+        return counts, factorial(counts).prod(axis=1)
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
@@ -267,7 +273,8 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> tuple[I
         if a >= n
     ]
     count = parts[0].ndim - 1
-    modes = np.array(list(product(range(n), repeat=count + term.energy)), dtype=np.int64)
+    degree = count + term.energy
+    modes = np.indices((n,) * degree).reshape(degree, n**degree).T
     counts = (modes[:, :count, None] == np.arange(n)).sum(axis=1)
     flow = np.repeat(np.sum(parts, axis=0).reshape(-1, n), n**term.energy, axis=0)
     flow /= factorial(counts).prod(axis=1, keepdims=True) * (1.0 + counts)
