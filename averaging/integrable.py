@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
-from averaging.modal.groups import unsolved
-from averaging.modal.observables import gaussian_modes, modal_densities
+from averaging.modal.observables import gaussian_modes, modal_densities, unsolved
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory

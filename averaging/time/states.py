@@ -12,9 +12,8 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from averaging.back_transformation import hidden_quadratic
-from averaging.conditional import Conditional, conditionals
-from averaging.shell.averages import log_linear_states
+from averaging.back_transformation import observed_energy, reduced
+from averaging.conditional import Conditional
 from averaging.time.start import DensityQuestion
 from averaging.weyl import weyl_integral
 from fpk.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
@@ -133,31 +132,23 @@ def state_transient(system: System, solved: Transition, asked: DensityQuestion) 
     and what tables and quadrature add. Raises ``NotApplicable`` for more hidden contact masses.
     """
     observable, at = asked.observable, asked.at
-    q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
-    hidden = [i for i in system.contact_masses if i not in q]
+    seen = [c.row for c in observable if c.kind == "q"]
+    hidden = [i for i in system.contact_masses if i not in seen]
     if len(hidden) > 1:
         raise NotApplicable(
             f"{observable_name(observable)}: in time one contact mass at the most is integrated "
             f"out, here {len(hidden)} are not observed"
         )
-    laws = conditionals(system, [*q, *hidden])
-    order, log_factor = hidden_quadratic(system, p, laws)
+    # u is in the unit of T of the process.
+    unit = solved.elements.process.energy_scale
+    order, log_factor, laws = reduced(system, observable, hidden, unit)
     psi = WeylInTime(solved, order)
-    given = dict(zip(observable, at, strict=True))
-    Q = np.array([given[c] for c in observable if c.kind == "q"]).reshape(len(q), at[0].size)
-    energy = np.zeros(at[0].size)
-    for k, law in enumerate(laws[: len(q)]):
-        energy = energy + law.energy(Q[k], law.weights @ Q[:k])
-    for c in observable:
-        if c.kind == "p":
-            energy = energy + given[c] ** 2 / (2.0 * system.mass[c.row])
+    Q, energy = observed_energy(system, observable, laws, list(at))
     if hidden:
         values, errors, rule_error = _over_hidden(psi, laws[-1], energy, Q)
     else:
         values, errors, rule_error = psi(energy), psi.error(energy), np.zeros(1)
-    # u is in the unit of T of the process.
-    unit = solved.elements.process.energy_scale
-    factor = float(np.exp(log_factor - log_linear_states(system, unit)))
+    factor = float(np.exp(log_factor))
     highest = max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
     # The largest error of the rule over hidden masses, everywhere that the last energy allows.
     own = [

@@ -10,7 +10,7 @@ import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
-from averaging.modal.groups import unsolved
+from averaging.modal.observables import unsolved
 from averaging.time.start import DensityQuestion, EnergyStart, limited_modes, observed_modes
 from fpk.arrays import ROUNDINGS, SMALLEST, Array
 from fpk.certificate import Measured, outside
