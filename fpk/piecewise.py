@@ -105,10 +105,10 @@ def interpolated(f: Callable[[Array], Array], left: Array, right: Array, degree:
     x = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * t
     values = np.asarray(f(x.ravel()))
     values = values.reshape(*x.shape, *values.shape[1:])
-    return np.asarray(np.moveaxis(np.tensordot(_projection(degree), values, (1, 1)), 1, 0))
+    return np.asarray(np.moveaxis(np.tensordot(projection(degree), values, (1, 1)), 1, 0))
 
 
-def _projection(degree: int) -> Array:
+def projection(degree: int) -> Array:
     """Matrix from values at ``degree`` + 1 Gauss points to Legendre coefficients."""
     t, w = gauss_legendre(degree + 1)
     return np.asarray(
@@ -171,7 +171,7 @@ def interpolated_tensor(panels: tuple[Array, Array], values: Array, points: int)
     counts = [nodes.size - 1 for nodes in panels]
     blocks = np.broadcast_to(values, [points * n for n in counts])
     blocks = blocks.reshape(counts[0], points, counts[1], points)
-    project = _projection(points - 1)
+    project = projection(points - 1)
     coefficients = np.einsum("ia,jb,kalb->klij", project, project, blocks, optimize=True)
     return PiecewiseTensor(panels, coefficients)
 

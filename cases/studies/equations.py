@@ -22,10 +22,9 @@ from fpk.errors import NotApplicable, NotCertified
 from fpk.escape import require_held
 from fpk.line.stationary import solve_on_mesh, solve_stationary
 from fpk.observable import parse_observable
-from fpk.plane.on_mesh import solve_plane_on_mesh
-from fpk.plane.probe import probed as probed_plane
-from fpk.plane.solution import graded
+from fpk.plane.solution import graded, solve_plane_on_mesh
 from fpk.plane.stationary import solve_plane
+from fpk.plane.weight import probed as probed_plane
 from fpk.probe import probed
 from fpk.process import Process
 from fpk.route import Route

@@ -8,7 +8,7 @@ own, and the solution of the global system is these, scaled to match at the vert
 nothing else to match, the basis is that of Legendre polynomials.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -31,6 +31,10 @@ CONTACT_POINTS = 8
 AT_ONCE = 10_000
 """Elements whose coefficients are evaluated at once: a hundred quadrature points for each of ten
 energies of each are 80 MB."""
+
+
+NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
+"""Solver on nodes, of a degree, by a number of Gauss points: Legendre series of u, residual."""
 
 
 class Rule(NamedTuple):
@@ -126,7 +130,13 @@ class Elements(NamedTuple):
     at_end: Array
 
 
-def solve_elements(process: Process, left: Array, right: Array, degree: int) -> Elements:
+def solve_elements(
+    process: Process,
+    left: Array,
+    right: Array,
+    degree: int,
+    null_vectors: NullVectors | None = None,
+) -> Elements:
     """Solve the elements between ``left`` and ``right`` in ``degree`` and in the enriched one.
 
     u = p/T is the phase-space density, and J = T (F u − ½ b u') with F the part of the drift due to
@@ -134,9 +144,10 @@ def solve_elements(process: Process, left: Array, right: Array, degree: int) -> 
     needed, and u is smooth where T is not. The exact solution has J = 0 at every point, so that any
     points serve the Galerkin equations. Integrals of p are another matter: above an energy where
     contact begins T has half-integer powers, and the element that begins there has points of its
-    own for them.
+    own for them. ``null_vectors(process, nodes, degree, points)`` gives u of all elements and the
+    residual by another solver of the same equations.
     """
-    if left.size > AT_ONCE:
+    if null_vectors is None and left.size > AT_ONCE:
         parts = np.array_split(np.arange(left.size), -(-left.size // AT_ONCE))
         return joined([solve_elements(process, left[k], right[k], degree) for k in parts])
     rule, h = element_rule(degree, process.degrees_of_freedom), (right - left)[:, None]
@@ -160,7 +171,14 @@ def solve_elements(process: Process, left: Array, right: Array, degree: int) -> 
     A = (factors.reshape(left.size, -1) @ rule.tested).reshape(left.size, -1, degree + 3)
     largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), SMALLEST)
     A /= largest
-    u, enriched = (_null_vectors(A, m) for m in (degree, degree + ENRICHMENT))
+    degrees = degree, degree + ENRICHMENT
+    if null_vectors is None:
+        u, enriched = (_null_vectors(A, m) for m in degrees)
+    else:
+        nodes = np.append(left, right[-1])
+        (u, own), (enriched, _) = (
+            null_vectors(process, nodes, m, rule.share.size) for m in degrees
+        )
     if above.size:
         inner_error = flat.relative_error[energy.size : -left.size].reshape(inner.shape)
         error[above] = np.maximum(error[above], inner_error.max(axis=1))
@@ -181,6 +199,8 @@ def solve_elements(process: Process, left: Array, right: Array, degree: int) -> 
         at_end=judged[3],
     )
     _scale_to_mass_one(e, A, largest[:, 0, 0], T, T_end, above, inner_T, rule)
+    if null_vectors is not None:
+        e.residual[:] = own
     return e
 
 

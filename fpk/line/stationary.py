@@ -16,7 +16,7 @@ from numpy.polynomial.legendre import legvander
 from fpk.arrays import SMALLEST, Array, Flags
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify, outside
 from fpk.compiling import cached_njit
-from fpk.line.elements import Elements, element_rule, joined, solve_elements
+from fpk.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
 from fpk.line.mesh import (
     GRADED_LAYERS,
     LOG_GROWTH,
@@ -221,10 +221,17 @@ def solve_stationary(
     return solution
 
 
-def solve_on_mesh(process: Process, nodes: Array, degree: int) -> StationarySolution:
-    """Return the finite element solution on a given mesh, for convergence studies."""
-    elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
-    return _assembled(process, probed(process), elements, degree, np.inf)[0]
+def solve_on_mesh(
+    process: Process,
+    nodes: Array,
+    degree: int,
+    *,
+    tol: float = np.inf,
+    null_vectors: NullVectors | None = None,
+) -> StationarySolution:
+    """Return the finite element solution on a given mesh; ``null_vectors`` as in elements."""
+    elements = solve_elements(process, nodes[:-1], nodes[1:], degree, null_vectors)
+    return _assembled(process, probed(process), elements, degree, tol)[0]
 
 
 def _assembled(
