@@ -38,13 +38,14 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
 
     Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3
     evaluated. ``solver``: "closed-form" is (34), Π e^(−H_i/θ_i)/θ_i with the modal temperatures
-    θ_i = d_i/c*_ii, whose back-transform is Gaussian; "quadrature" evaluates (11) and "fem" solves
-    the FPK equation, for the modal energies alone. The theory needs light damping and is refused
-    where a resonance matters; without contacts it is exact where damping and noise meet (8).
+    θ_i = d_i/c*_ii, whose back-transform is Gaussian; "quadrature" evaluates (11), "fem" and
+    "scikit-fem" (on meshes refined uniformly) solve the FPK equation, for the modal energies alone.
+    The theory needs light damping and is refused where a resonance matters; without contacts it is
+    exact where damping and noise meet (8).
 
     Damping that depends on the state is averaged over the phases; it may couple the energies of
-    two modes, which "fem" solves for together, and no more. Every solver then gives every
-    observable: displacements and momenta by the characteristic function of the energies. ::
+    two modes, which "fem" and "scikit-fem" solve for together, and no more. Every solver then gives
+    every observable: displacements and momenta by the characteristic function of the energies. ::
 
         fpk.solve(system, ["H1,H2"], methods=[Integrable("fem", tol=1e-9)])
 
@@ -63,6 +64,7 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         ("closed-form", "modal averaging, closed form", "(34)"),
         ("fem", "modal averaging, finite elements", "(19)"),
         ("quadrature", "modal averaging, quadrature", "(11)"),
+        ("scikit-fem", "modal averaging, scikit-fem", "(19)"),
     )
     solves = "averaged"
     colour = "#00a688"
@@ -144,8 +146,9 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         """The modes; raises ``NotApplicable`` where the theory or the solver does not hold."""
         modes = system.fact(modal_analysis)
         require_no_resonance(system, modes)
-        if self.solver == "quadrature":
-            raise NotApplicable("quadrature gives stationary densities; use closed-form or fem")
+        if self.solver in ("quadrature", "scikit-fem"):
+            words = "gives stationary densities; use closed-form or fem"
+            raise NotApplicable(f"{self.solver} {words}")
         if reason := unsolved(modes, self.solver):
             raise NotApplicable(reason)
         return modes

@@ -10,10 +10,11 @@ from fpk.arrays import EPS, Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.line.mesh import initial_nodes, split_points
-from fpk.line.stationary import StationarySolution
+from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.observable import Observable
 from fpk.piecewise import Piecewise, fit
 from fpk.plane.solution import PlaneSolution
+from fpk.plane.stationary import solve_plane
 from fpk.probe import probed
 from fpk.process import Coefficients, Process, log_density_slope_error
 from fpk.quadrature import panel_rule
@@ -146,6 +147,22 @@ def density_of_energies(
         tol=tol,
         added_error=of_model if added else None,
     )
+
+
+def solved_energies(
+    process: Process, solver: str, *, tol: float
+) -> StationarySolution | ZeroFluxDensity | PlaneSolution:
+    """Return the stationary density of one or two energies to the L1 tolerance ``tol``.
+
+    ``solver`` is "fem", "scikit-fem", or of one energy "quadrature".
+    """
+    if solver == "scikit-fem":
+        from fpk.operator import solve_by_scikit_fem  # noqa: PLC0415  (scikit-fem takes 0.2 s)
+
+        return solve_by_scikit_fem(process, tol=tol)
+    if solver == "quadrature":
+        return solve_by_quadrature(process, tol=tol)
+    return (solve_stationary if process.dimension == 1 else solve_plane)(process, tol=tol)
 
 
 def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDensity:

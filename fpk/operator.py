@@ -31,8 +31,8 @@ from fpk.quadrature import gauss_legendre
 
 MOST_ENTRIES = 1e5
 """Entries of all element matrices of one energy, beyond which no interval is halved."""
-DEGREES = {1: 6, 2: 6}
-"""Degree of the elements by the number of energies, where none is given."""
+DEGREE = 6
+"""Degree of the elements where none is given."""
 
 
 def flux(u, w):  # type: ignore[no-untyped-def]
@@ -218,23 +218,23 @@ def null_function(
 
 
 def solve_by_scikit_fem(
-    process: Process, *, tol: float = 1e-6, degree: int | None = None
+    process: Process, *, tol: float, degree: int = DEGREE, marked: float = 0.0
 ) -> StationarySolution | PlaneSolution:
     """Return the stationary density to the L1 tolerance ``tol`` by elements of one ``degree``.
 
     Every interval of the mesh is halved until the answer is certified, at the most as often as its
     matrices are affordable; what is returned then is not certified. Its error is estimated from
     elements two degrees higher. Of one energy the first mesh is that of the fast solver; of two
-    energies its intervals are equal in √H.
+    energies its intervals are equal in √H, and those are halved that ``solve_by_elements`` has
+    ``marked``.
 
     Raises ``NotCertified`` where no stationary density exists.
     """
-    degree = degree or DEGREES[process.dimension]
     if process.dimension == 2:
         require_confined(process)
         probe = probed_plane(process)
         return solve_by_elements(
-            process, probe, tol=tol, degree=degree, marked=0.0, solved=null_function
+            process, probe, tol=tol, degree=degree, marked=marked, solved=null_function
         )
     probe, layers = probed(process), GRADED_LAYERS if process.state_damping else 0
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth, layers=layers)

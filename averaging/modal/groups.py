@@ -10,18 +10,20 @@ import numpy as np
 
 from averaging.closed_form import closed_form
 from averaging.modal.analysis import ModalAnalysis
-from averaging.zero_flux import ZeroFluxDensity, density_of_energies, solve_by_quadrature
+from averaging.zero_flux import ZeroFluxDensity, density_of_energies, solved_energies
 from fpk.arrays import Array
 from fpk.certificate import Measured, outside, worst
 from fpk.density import Density, certified_density
-from fpk.line.stationary import StationarySolution, solve_stationary
+from fpk.line.stationary import StationarySolution
 from fpk.observable import Coordinate, Observable
 from fpk.piecewise import fit
 from fpk.plane.solution import PlaneSolution
-from fpk.plane.stationary import solve_plane
 from fpk.quadrature import panel_rule
 
 Group = tuple[int, ...]
+
+BY_ELEMENTS = ("fem", "scikit-fem")
+"""Solvers of two energies at once."""
 
 POINTS = 24
 """Gauss points per panel where an energy is integrated out: over three e-folds they miss 1e-30."""
@@ -39,7 +41,7 @@ def unsolved(modes: ModalAnalysis, solver: str) -> str | None:
     names = " and ".join(f"H{m + 1}" for m in largest)
     if len(largest) > 2:
         return f"the damping couples {names}: more than two energies are not solved for together"
-    if len(largest) == 2 and solver != "fem":
+    if len(largest) == 2 and solver not in BY_ELEMENTS:
         return f"the damping couples {names}, so their density is no product; use fem"
     return None
 
@@ -54,12 +56,10 @@ def solved_group(
     """
     process, theta = modes.process(group), modes.temperature[list(group)]
     p: PlaneSolution | StationarySolution | ZeroFluxDensity
-    if len(group) == 2:
-        p = solve_plane(process, tol=share)
-    elif solver == "closed-form":
+    if solver == "closed-form":
         p = closed_form(process, modes.averaged.powers(*group) / modes.noise[group])
     else:
-        p = (solve_stationary if solver == "fem" else solve_by_quadrature)(process, tol=share)
+        p = solved_energies(process, solver, tol=share)
 
     def of_modes(*energies: Array) -> Array:
         reach = sum(1.0 + H / scale for H, scale in zip(energies, theta, strict=True))

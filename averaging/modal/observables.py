@@ -8,7 +8,7 @@ import numpy as np
 from averaging.gaussian_state import Gaussian
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
-from averaging.modal.groups import POINTS, Group, joined, solved_group, total_energy
+from averaging.modal.groups import BY_ELEMENTS, POINTS, Group, joined, solved_group, total_energy
 from averaging.zero_flux import flux_residual
 from fpk.arrays import Array
 from fpk.density import Density, certified_density
@@ -63,7 +63,7 @@ def _groups_behind(modes: ModalAnalysis, observable: Observable, solver: str) ->
     if not _energies(observable):
         return list(groups)
     index = tuple(c.row for c in observable)
-    if modes.constant and solver == "fem":
+    if modes.constant and solver in BY_ELEMENTS:
         return [index]  # (19) in two energies, though the density factors
     return list(dict.fromkeys(next(group for group in groups if m in group) for m in index))
 

@@ -66,15 +66,12 @@ MAX_ENTRIES = 2e7
 """Entries of all element matrices of the enriched solution: 160 MB, several times over."""
 
 
-def solve_plane(
-    process: Process, *, tol: float = 1e-10, degree: int | None = None
-) -> PlaneSolution:
+def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     """Return the stationary density of two energies to the L1 tolerance ``tol``.
 
     No boundary condition is imposed: at H_i = 0 the diffusion across vanishes, and zero flux is
-    natural there and far out. With a ``degree`` plain elements of that degree, w = 1, are used at
-    once. If no attempt is certified, the one of the least error estimate is returned, not
-    certified.
+    natural there and far out. If no attempt is certified, the one of the least error estimate is
+    returned, not certified.
 
     Raises ``NotCertified`` where the density does not fall off, ``InvalidInput`` for a process
     that has not two energies.
@@ -83,8 +80,6 @@ def solve_plane(
         raise InvalidInput("process", process.dimension, "must have two energies")
     require_confined(process)
     probe = probed(process)
-    if degree is not None:
-        return solve_by_elements(process, probe, tol=tol, degree=degree)
     best: PlaneSolution | None = None
     for solution in _attempts(process, probe, tol):
         if solution.certificate.certified:

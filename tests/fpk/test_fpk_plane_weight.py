@@ -343,7 +343,7 @@ def test_what_is_not_affordable_is_said_so(monkeypatch: pytest.MonkeyPatch) -> N
     process = square_root_process((0.1, 0.1), (0.1, 0.1))
     monkeypatch.setattr(stationary, "MAX_ENTRIES", 0)
     with pytest.raises(NotCertified, match="affordable"):
-        solve_plane(process, tol=1e-6, degree=4)
+        solve_by_elements(process, probed(process), tol=1e-6)
 
 
 def test_a_weight_that_is_not_fitted_serves_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
