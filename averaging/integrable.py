@@ -138,8 +138,8 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         require_held(system)
         require_constant_noise(system.modulation)
         modes = self._in_time(system)
-        solved = closed_form.relaxation if self.solver == "closed-form" else elements.relaxation
-        answer = solved(modes, count, tol=tolerance(tol, TOL))
+        by = closed_form if self.solver == "closed-form" else elements
+        answer = by.relaxation(modes, count, tol=tolerance(tol, TOL))
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def _in_time(self, system: System) -> ModalAnalysis:
@@ -168,7 +168,7 @@ def _time_settings(
     settings: Mapping[str, str | float | int], system: System, modes: ModalAnalysis
 ) -> Mapping[str, str | float | int]:
     neglected = _contacts_left_out(system, modes)
-    return {**settings, **({"contacts left out": neglected} if neglected else {})}
+    return {**settings, "contacts left out": neglected} if neglected else settings
 
 
 def _contacts_left_out(system: System, modes: ModalAnalysis) -> str:

@@ -12,7 +12,7 @@ from fpk.density import Density, certified_density
 from fpk.line.mesh import initial_nodes, split_points
 from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.observable import Observable
-from fpk.piecewise import Piecewise, fit
+from fpk.piecewise import fit
 from fpk.plane.solution import PlaneSolution
 from fpk.plane.stationary import solve_plane
 from fpk.probe import probed
@@ -174,7 +174,35 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     """
     probe = probed(process)
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)
-    rate = _expanded_rate(process, nodes, 0.1 * tol)
+    special = np.array([0.0, *process.nonsmooth])
+
+    def rate_and_error(energy: Array) -> Array:
+        """2s/σ² − n/H and a bound of its error by those of the coefficients."""
+        c = process.coefficients(energy)
+        rate = 2.0 * c.drift / c.diffusion - process.degrees_of_freedom / energy
+        return np.stack([rate, log_density_slope_error(c)], axis=-1)
+
+    def truncation(lengths: Array, coefficients: Array) -> Array:
+        """Error of the integral over each panel by truncating the series, (panels,)."""
+        return np.asarray(lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1))
+
+    def unresolved(lengths: Array, coefficients: Array) -> Array:
+        error = truncation(lengths, coefficients)
+        # What the coefficients do not know, no panel can resolve.
+        return np.where(error > lengths * coefficients[:, 0, 1], error, 0.0)
+
+    def cut(left: Array, right: Array, end: float = float(nodes[-1])) -> Array:
+        return np.where(right - left <= NARROW * end, left, split_points(left, right, special))
+
+    rate = fit(
+        rate_and_error,
+        nodes,
+        0.1 * tol / nodes.size,
+        degree=PANEL_POINTS - 1,
+        cut=cut,
+        estimate=unresolved,
+        rounds=MOST_ROUNDS,
+    )
     nodes, lengths = rate.nodes, np.diff(rate.nodes)
     smooth = replace(rate, coefficients=rate.coefficients[..., 0], error=None).antiderivative()
 
@@ -201,7 +229,7 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     l1_error = (
         float(np.sum(w * p * states)) + defect + 2.0 * tail_mass + PANEL_ROUND_OFF * lengths.size
     )
-    steps = _truncation(lengths, rate.coefficients) + lengths * rate.coefficients[:, 0, 1]
+    steps = truncation(lengths, rate.coefficients) + lengths * rate.coefficients[:, 0, 1]
     if process.state_damping:
         # The exponent is a running sum over all panels, whose round-off is relative to its size.
         l1_error += EPS * float(np.ptp(smooth.coefficients[:, 0]))
@@ -221,37 +249,3 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
 
     log_u = partial(log_p, over_states=True)
     return ZeroFluxDensity(process, nodes, log_u, relative_error, measured)
-
-
-def _truncation(lengths: Array, coefficients: Array) -> Array:
-    """Error of the integral over each panel by truncating the series, (panels,)."""
-    return np.asarray(lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1))
-
-
-def _expanded_rate(process: Process, nodes: Array, tol: float) -> Piecewise:
-    """Return 2s/σ² − n/H on panels, and a bound of its error by those of the coefficients."""
-    special = np.array([0.0, *process.nonsmooth])
-
-    def rate_and_error(energy: Array) -> Array:
-        c = process.coefficients(energy)
-        rate = 2.0 * c.drift / c.diffusion - process.degrees_of_freedom / energy
-        return np.stack([rate, log_density_slope_error(c)], axis=-1)
-
-    def unresolved(lengths: Array, coefficients: Array) -> Array:
-        error = _truncation(lengths, coefficients)
-        # What the coefficients do not know, no panel can resolve.
-        return np.where(error > lengths * coefficients[:, 0, 1], error, 0.0)
-
-    def cut(left: Array, right: Array) -> Array:
-        narrow = right - left <= NARROW * nodes[-1]
-        return np.where(narrow, left, split_points(left, right, special))
-
-    return fit(
-        rate_and_error,
-        nodes,
-        tol / nodes.size,
-        degree=PANEL_POINTS - 1,
-        cut=cut,
-        estimate=unresolved,
-        rounds=MOST_ROUNDS,
-    )

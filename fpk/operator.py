@@ -132,19 +132,17 @@ class Operator:
         every = np.arange(self.basis.N)
         return np.setdiff1d(every, np.concatenate(held)) if held else every
 
-    def _of_free(self, entries: Array) -> csr_array:
-        largest = np.full(self.basis.N, self.local[3].max())
-        return self.assembled(entries, largest)[self.free][:, self.free]
-
     @cached_property
     def A(self) -> csr_array:
         """The matrix of ∫ J · ∇v (test functions first), of the free unknowns."""
-        return self._of_free(self.local[0])
+        largest = np.full(self.basis.N, self.local[3].max())
+        return self.assembled(self.local[0], largest)[self.free][:, self.free]
 
     @cached_property
     def M(self) -> csr_array:
         """The mass matrix ∫ T u v of the free unknowns."""
-        return self._of_free(self.local[1])
+        largest = np.full(self.basis.N, self.local[3].max())
+        return self.assembled(self.local[1], largest)[self.free][:, self.free]
 
     @cached_property
     def shares(self) -> Array:

@@ -50,13 +50,13 @@ class Piecewise:
 
     def antiderivative(self) -> "Piecewise":
         """Return ∫f from the first node, continuous."""
-        scaled, log_scale = self.coefficients, None
+        factor, log_scale = 0.5 * np.diff(self.nodes), None
         if self.log_scale is not None:
             top = float(self.log_scale.max())
-            scaled = scaled * _per_panel(np.exp(self.log_scale - top), scaled)
+            factor = factor * np.exp(self.log_scale - top)
             log_scale = np.full(self.log_scale.size, top)
-        within = np.asarray(legendre.legint(scaled, axis=1, lbnd=-1), float)
-        within *= _per_panel(0.5 * np.diff(self.nodes), within)
+        within = np.asarray(legendre.legint(self.coefficients, axis=1, lbnd=-1), float)
+        within *= factor.reshape(-1, *(1,) * (within.ndim - 1))
         within[1:, 0] += np.cumsum(within.sum(axis=1), axis=0)[:-1]
         return replace(self, coefficients=within, log_scale=log_scale, error=None)
 
@@ -80,7 +80,14 @@ def fit(
     the largest of all values.
     """
     middle = cut if cut is not None else lambda left, right: 0.5 * (left + right)
-    judge = estimate if estimate is not None else _last_two
+
+    def last_two(lengths: Array, coefficients: Array) -> Array:
+        # Σ|c_j| beyond the degree n for c_j ~ j^(−3/2) (a kink) and faster: Σ j^(−r) from n on is
+        # n c_n/(r − 1); two coefficients, as one may vanish by symmetry.
+        tail = (coefficients.shape[1] - 1) * np.abs(coefficients[:, -2:]).sum(axis=1)
+        return np.asarray(tail.reshape(lengths.size, -1).max(axis=1))
+
+    judge = estimate if estimate is not None else last_two
     left, right = nodes[:-1], nodes[1:]
     coefficients = interpolated(f, left, right, degree)
     error = judge(right - left, coefficients)
@@ -181,16 +188,3 @@ def legendre_at(nodes: Array, x: Array, degree: int) -> tuple[Integers, Array]:
     k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
     t = (2.0 * x - nodes[k] - nodes[k + 1]) / (nodes[k + 1] - nodes[k])
     return k, np.asarray(legendre.legvander(np.clip(t, -1.0, 1.0), degree), float)
-
-
-def _last_two(lengths: Array, coefficients: Array) -> Array:
-    """Bound of Σ|c_j| beyond the degree n for c_j ~ j^(−3/2) (a kink) and faster, (panels,).
-
-    Σ j^(−r) from n on is n c_n/(r − 1); two coefficients, as one may vanish by symmetry.
-    """
-    tail = (coefficients.shape[1] - 1) * np.abs(coefficients[:, -2:]).sum(axis=1)
-    return np.asarray(tail.reshape(lengths.size, -1).max(axis=1))
-
-
-def _per_panel(factor: Array, values: Array) -> Array:
-    return factor.reshape(-1, *(1,) * (values.ndim - 1))

@@ -75,10 +75,14 @@ def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
     value = np.asarray(legvander(2.0 * share - 1.0, highest), dtype=float)
     slope = 2.0 * value[:, :-1] @ legder(np.eye(highest + 1))
     tests = value[:, :-1, None]
+    # All points but the middle one, exact for as many degrees as are left.
+    enriched_weight, used = np.zeros(share.size), np.arange(share.size) != share.size // 2
+    every = legvander(2.0 * share[used] - 1.0, share.size - 2)
+    enriched_weight[used] = np.linalg.solve(every.T, np.eye(share.size - 1)[0])
     return Rule(
         share=share,
         weight=weight,
-        enriched_weight=_without_one(share),
+        enriched_weight=enriched_weight,
         P=np.ascontiguousarray(value.T),
         tested=np.concatenate(
             [(tests * f[:, None]).reshape(share.size, -1) for f in (value, slope)]
@@ -95,21 +99,12 @@ def _gauss(points: int) -> tuple[Array, Array]:
     return 0.5 * (1.0 + x), 0.5 * w
 
 
-def _without_one(share: Array) -> Array:
-    """Weights at the points, 0 at the middle one, exact for as many degrees as are left."""
-    used = np.arange(share.size) != share.size // 2
-    weight = np.zeros(share.size)
-    moments = np.eye(share.size - 1)[0]
-    weight[used] = np.linalg.solve(legvander(2.0 * share[used] - 1.0, share.size - 2).T, moments)
-    return weight
-
-
 class Elements(NamedTuple):
     """Solutions of single elements, each of mass 1; every array (elements, …).
 
     ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
-    p e^(−log_factor)/T; ``values`` and ``enriched_values``
-    (elements, points) are p at the same points, ``weights`` those of the points. ``residual`` is
+    p e^(−log_factor)/T; ``values`` and ``enriched_values`` (elements, points) are p at the same
+    points, ``weights`` those of the points. ``residual`` is
     relative to the terms that cancel in it; ``net_flux`` is the mean of J and ``one_way`` the terms
     that cancel in that. ``coefficient_error`` is the largest relative error of the coefficients,
     ``at_end`` p at the right end.

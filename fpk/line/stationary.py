@@ -254,9 +254,15 @@ def _assembled(
     # times the fall of ln p over the bulk of the mass, about one per energy scale; the worst
     # point of each element counts by its share of the mass.
     coefficient_error = 2.0 * float(size @ e.coefficient_error)
-    moved, accumulated = 0.0, 0.0
+    # They add up where they do not cancel: over one element an error of ln p moves mass from one
+    # side of it to the other, at most twice the smaller of the two with the element on both sides.
+    moved, accumulated, below = 0.0, 0.0, np.cumsum(size)
     if process.state_damping:
-        moved, accumulated = _accumulated_error(process, nodes, size)
+        x, w = panel_rule(nodes, ACCUMULATION_POINTS)
+        c = process.coefficients(x.ravel())
+        steps = np.sum(w * log_density_slope_error(c).reshape(x.shape), axis=1)
+        sides = np.minimum(below, np.maximum(1.0 - below, 0.0) + size)
+        moved, accumulated = 2.0 * float(steps @ sides), float(steps.sum())
     estimate = SAFETY * distance + 2.0 * tail + coefficient_error + moved
     estimate += ROUND_OFF * (size.size + degree**2)
     measured = Measured(
@@ -288,7 +294,7 @@ def _assembled(
     # What of the distance is an element's own making: that in shape, and a wrong step between two
     # neighbours, which moves the smaller of the masses on its sides.
     own = size * np.sum(e.weights * np.abs(e.values - e.enriched_values), axis=1)
-    below = np.cumsum(size)[:-1]
+    below = below[:-1]
     step = np.abs(np.diff(log_mass[0] - log_mass[1]))
     step *= np.minimum(below, np.maximum(1.0 - below, 0.0))
     own += np.append(step, 0.0) + np.append(0.0, step)
@@ -333,17 +339,3 @@ def _chained(e: Elements) -> tuple[Array, Array, Array, Array]:
             log_mass[s, k] -= log_total
             log_scale[s, k] -= log_total
     return sign, log_scale, log_mass, share
-
-
-def _accumulated_error(process: Process, nodes: Array, share: Array) -> tuple[float, float]:
-    """L1 effect of the errors of 2s/b where they do not cancel, and their sum, a bound in ln p.
-
-    An error of ln p over one element moves mass from one side of it to the other: at the most
-    twice the smaller of the two, the element counted on both sides.
-    """
-    x, w = panel_rule(nodes, ACCUMULATION_POINTS)
-    c = process.coefficients(x.ravel())
-    steps = np.sum(w * log_density_slope_error(c).reshape(x.shape), axis=1)
-    below = np.cumsum(share)
-    moved = 2.0 * np.minimum(below, np.maximum(1.0 - below, 0.0) + share)
-    return float(steps @ moved), float(steps.sum())

@@ -171,10 +171,12 @@ def coefficients_on_grid(process: Process, H1: Array, H2: Array, weight: Weight 
 
 
 @lru_cache
-def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array]:
+def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array, Integers]:
     """Weighted products of test and trial functions at Gauss points, (points, (degree+1)²) each.
 
     Order: value·value, slope·value, value·slope, slope·slope (test first), on the unit interval.
+    Then the positions of the entries of an element matrix in ``local_order``, where rows are pairs
+    (i, j) of test and trial functions along H1, columns those along H2.
     """
     t, w = gauss_legendre(points)
     phi, dphi = shape_functions(degree, 0.5 * (1.0 + t))
@@ -182,18 +184,10 @@ def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array]:
     vv, sv, vs, ss = (
         np.einsum("q,iq,jq->qij", 0.5 * w, test, trial).reshape(points, -1) for test, trial in pairs
     )
-    return vv, sv, vs, ss
-
-
-@lru_cache
-def _places(degree: int) -> Integers:
-    """Positions of the entries of an element matrix in ``local_order`` in the sum factorisation.
-
-    There rows are pairs (i, j) of test and trial functions along H1, columns those along H2.
-    """
     k = degree + 1
     i, m = np.divmod(local_order(degree)[0], k)
-    return np.asarray((i[:, None] * k + i) * k * k + m[:, None] * k + m).ravel()
+    places = (i[:, None] * k + i) * k * k + m[:, None] * k + m
+    return vv, sv, vs, ss, places.ravel()
 
 
 def element_matrices(coefficients: Array, sizes: Array, degree: int) -> Array:
@@ -204,7 +198,7 @@ def element_matrices(coefficients: Array, sizes: Array, degree: int) -> Array:
     i(degree+1)+k; they come in ``local_order``.
     """
     a1, a2, b11, b12, b22 = coefficients
-    vv, sv, vs, ss = _products(degree, a1.shape[-1])
+    vv, sv, vs, ss, places = _products(degree, a1.shape[-1])
     h1, h2 = sizes[:, 0, None, None], sizes[:, 1, None, None]
     # Along H2 first: for every Gauss point of H1 a small matrix over (k, l).
     slope_slope = (-0.5 * h2 / h1 * b11) @ vv
@@ -215,7 +209,7 @@ def element_matrices(coefficients: Array, sizes: Array, degree: int) -> Array:
         inner[1] += (-0.5 * b12) @ vs
         outer.append(vs)
         inner.append((-0.5 * b12) @ sv)
-    factors, places = np.concatenate(outer).T, _places(degree)
+    factors = np.concatenate(outer).T
     m = (degree + 1) ** 2
     matrices = np.empty((len(sizes), m, m))
     for matrix, *parts in zip(matrices, *inner, strict=True):
@@ -228,7 +222,7 @@ def mass_matrices(weights: Array, sizes: Array, degree: int) -> Array:
 
     ``weights`` (elements, q, q) is w at Gauss points, ``sizes`` (elements, 2) as above.
     """
-    vv, places = _products(degree, weights.shape[-1])[0], _places(degree)
+    vv, *_, places = _products(degree, weights.shape[-1])
     m = (degree + 1) ** 2
     area = sizes[:, 0, None, None] * sizes[:, 1, None, None]
     matrices = vv.T @ (area * weights) @ vv
