@@ -11,7 +11,7 @@ from averaging.energy_process import damping_and_noise, damping_by_energy, energ
 from averaging.hidden import gibbs_integral, rules_of
 from averaging.shell.averages import log_linear_states
 from averaging.weyl import Part, Solution, StateDensity, tabulated
-from averaging.zero_flux import ZeroFluxDensity, flux_residual
+from averaging.zero_flux import POINTS, ZeroFluxDensity, flux_residual
 from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured
 from fpk.errors import NotApplicable
@@ -23,8 +23,6 @@ from fpk.system import System
 
 TAIL = 1e-17
 """Share of the probability beyond the last energy of a closed form."""
-POINTS = (16, 20)
-"""Gauss points per panel of the normalisation, and of the finer rule that estimates its error."""
 
 
 def closed_form(

@@ -138,8 +138,8 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         require_held(system)
         require_constant_noise(system.modulation)
         modes = self._in_time(system)
-        by = closed_form if self.solver == "closed-form" else elements
-        answer = by.relaxation(modes, count, tol=tolerance(tol, TOL))
+        solved = closed_form.relaxation if self.solver == "closed-form" else elements.relaxation
+        answer = solved(modes, count, tol=tolerance(tol, TOL))
         return replace(answer, settings=_time_settings(answer.settings, system, modes))
 
     def _in_time(self, system: System) -> ModalAnalysis:

@@ -31,7 +31,6 @@ from fpk.plane.solution import PlaneSolution
 from fpk.process import Process
 from fpk.system import System
 
-ENERGY = Coordinate("H")
 Settings = dict[str, str | float | int]
 
 MODULATED_TOL = 1e-6

@@ -20,18 +20,12 @@ from fpk.process import Coefficients, Process, log_density_slope_error
 from fpk.quadrature import panel_rule
 
 POINTS = (16, 20)
-"""Gauss points per panel of ∫2s/σ² dH, and of the finer rule whose distance is its error."""
+"""Gauss points per panel of integrals along H, and of the finer rule that tells their error."""
 ROUND_OFF = 16.0 * EPS
 """Round-off of a logarithm of p or of σ², relative to 1 + |ln|, of some dozens of operations."""
-PANEL_POINTS = 16
-"""Gauss points per panel: the exponent is expanded in Legendre polynomials of degree 15."""
-MOST_ROUNDS = 30
-"""Cuts of a panel: towards H = 0 and contact energies each leaves 0.15 of it."""
 NARROW = 1e-13
 """Length of a panel, relative to the last energy, below which it is not cut: what is left of a
 singularity there is part of the stated error."""
-PANEL_ROUND_OFF = 1e-15
-"""Relative error of p that a panel adds by its round-off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,10 +192,9 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
         rate_and_error,
         nodes,
         0.1 * tol / nodes.size,
-        degree=PANEL_POINTS - 1,
+        degree=POINTS[0] - 1,
         cut=cut,
         estimate=unresolved,
-        rounds=MOST_ROUNDS,
     )
     nodes, lengths = rate.nodes, np.diff(rate.nodes)
     smooth = replace(rate, coefficients=rate.coefficients[..., 0], error=None).antiderivative()
@@ -213,10 +206,10 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
         states = c.log_density_of_states.reshape(energy.shape) if over_states else 0.0
         return np.asarray(value - states)
 
-    x, w = panel_rule(nodes, PANEL_POINTS)
+    x, w = panel_rule(nodes, POINTS[0])
     top = log_p(x).max()
     smooth.coefficients[:, 0] -= top + np.log(np.sum(w * np.exp(log_p(x) - top)))
-    x, w = panel_rule(nodes, PANEL_POINTS + 4)
+    x, w = panel_rule(nodes, POINTS[1])
     p = np.exp(log_p(x))
     tail_mass = probe.tail_bound(float(nodes[-1]), float(np.exp(log_p(nodes[-1:])[0])))
     # An error of the exponent over one panel shifts the mass on one side of it against the other.
@@ -226,9 +219,7 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     defect = abs(float(share.sum()) - 1.0)
     # Close to a contact energy T may be worse by far, where there is next to no mass.
     states = 2.0 * process.coefficients(x.ravel()).relative_error.reshape(x.shape)
-    l1_error = (
-        float(np.sum(w * p * states)) + defect + 2.0 * tail_mass + PANEL_ROUND_OFF * lengths.size
-    )
+    l1_error = float(np.sum(w * p * states)) + defect + 2.0 * tail_mass + 4.0 * EPS * lengths.size
     steps = truncation(lengths, rate.coefficients) + lengths * rate.coefficients[:, 0, 1]
     if process.state_damping:
         # The exponent is a running sum over all panels, whose round-off is relative to its size.

@@ -5,8 +5,10 @@ meshes that are refined uniformly. The fast solvers of ``fpk.line`` and ``fpk.pl
 same equation in other ways, one element and one direction at a time, and judge both answers.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array, csc_array, csr_array
@@ -35,7 +37,7 @@ DEGREE = 6
 """Degree of the elements where none is given."""
 
 
-def flux(u, w):  # type: ignore[no-untyped-def]
+def flux(u: Any, w: Mapping[str, Array]) -> Any:
     """J = T (F u − ½ b ∇u) of ∂p/∂t = −∇ · J, p = T u; the weak form is ∫ J · ∇v, Eqs. (9), (19).
 
     In the drift-diffusion form T = 1 and F = s − ½ ∇ · b, in the flux form F is the dissipation.
@@ -150,7 +152,8 @@ class Operator:
         unit = self.local[3]
         entries = self.local[2] * np.exp(unit - unit.max())[:, None]
         dofs = self.basis.element_dofs.T.ravel()
-        return np.bincount(dofs, entries.ravel(), minlength=self.basis.N)[self.free]
+        total = np.bincount(dofs, entries.ravel(), minlength=self.basis.N)
+        return np.asarray(total[self.free], dtype=float)
 
     def null_vector(self) -> tuple[Array, Array, float]:
         """Return y and ln s of the solution u = y/s of A u = 0, and its relative residual.
@@ -230,9 +233,9 @@ def solve_by_scikit_fem(
     """
     if process.dimension == 2:
         require_confined(process)
-        probe = probed_plane(process)
+        first = probed_plane(process)
         return solve_by_elements(
-            process, probe, tol=tol, degree=degree, marked=marked, solved=null_function
+            process, first, tol=tol, degree=degree, marked=marked, solved=null_function
         )
     probe, layers = probed(process), GRADED_LAYERS if process.state_damping else 0
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth, layers=layers)

@@ -17,8 +17,6 @@ from fpk.quadrature import gauss_legendre
 
 DEGREE = 15
 """Degree of a fit: with 16 Gauss points a panel, e^(−x) is met to round-off over five e-folds."""
-MOST_ROUNDS = 60
-"""Bisections of a panel of a fit: 2^−60 of its length is below round-off of its ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +67,15 @@ def fit(
     degree: int = DEGREE,
     cut: Callable[[Array, Array], Array] | None = None,
     estimate: Callable[[Array, Array], Array] | None = None,
-    rounds: int = MOST_ROUNDS,
+    rounds: int = 60,
 ) -> Piecewise:
     """Return the interpolant of ``f`` on panels between ``nodes``, each split until it fits.
 
     ``f`` maps points (points,) to values (points, ...), and is called with those of all new panels
     at once. A panel is split at ``cut(left, right)``, half-way unless given, while its error
-    exceeds ``tol``, ``rounds`` times at the most: ``error`` says what was reached. It is
-    ``estimate(lengths, coefficients)``, unless given ``degree`` times the last two coefficients,
-    the largest of all values.
+    exceeds ``tol``, ``rounds`` times at the most (2^−60 of a length is below round-off): ``error``
+    says what was reached. It is ``estimate(lengths, coefficients)``, unless given ``degree`` times
+    the last two coefficients, the largest of all values.
     """
     middle = cut if cut is not None else lambda left, right: 0.5 * (left + right)
 

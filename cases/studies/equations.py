@@ -16,14 +16,15 @@ from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import solve_by_quadrature, solved_energies
 from cases.studies.levels import Discretisation, Solution, TimedCoefficients, density_of
+from fpk import operator
 from fpk.arrays import Array
 from fpk.density import Density
 from fpk.errors import NotApplicable, NotCertified
 from fpk.escape import require_held
 from fpk.line.stationary import solve_on_mesh
 from fpk.observable import parse_observable
-from fpk.operator import null_function, null_vectors, solve_by_scikit_fem
-from fpk.plane.solution import graded, solve_plane_on_mesh
+from fpk.operator import null_vectors, solve_by_scikit_fem
+from fpk.plane.solution import graded, null_function, solve_plane_on_mesh
 from fpk.plane.weight import probed as probed_plane
 from fpk.probe import probed
 from fpk.process import Process
@@ -118,10 +119,10 @@ def solve_on(
     """Return the solution by elements of one degree on a given mesh."""
     slow = solver == "scikit-fem"
     if len(nodes) == 1:
-        own = {"null_vectors": null_vectors} if slow else {}
-        return solve_on_mesh(process, nodes[0], degree, **own)
-    solved = {"solved": null_function} if slow else {}
-    return solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree, **solved)
+        own = null_vectors if slow else None
+        return solve_on_mesh(process, nodes[0], degree, null_vectors=own)
+    solved = operator.null_function if slow else null_function
+    return solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree, solved=solved)
 
 
 def energy_equation(system: System, solver: str = "fem") -> Equation:

@@ -28,11 +28,6 @@ STEEP_POINTS = 4
 and the enriched solution share an error (n from 7 to 40: up to four times their distance)."""
 CONTACT_POINTS = 8
 """Points by which integrals over an element that begins where contact does exceed the degree."""
-AT_ONCE = 10_000
-"""Elements whose coefficients are evaluated at once: a hundred quadrature points for each of ten
-energies of each are 80 MB."""
-
-
 NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
 """Solver on nodes, of a degree, by a number of Gauss points: Legendre series of u, residual."""
 
@@ -142,9 +137,6 @@ def solve_elements(
     own for them. ``null_vectors(process, nodes, degree, points)`` gives u of all elements and the
     residual by another solver of the same equations.
     """
-    if null_vectors is None and left.size > AT_ONCE:
-        parts = np.array_split(np.arange(left.size), -(-left.size // AT_ONCE))
-        return joined([solve_elements(process, left[k], right[k], degree) for k in parts])
     rule, h = element_rule(degree, process.degrees_of_freedom), (right - left)[:, None]
     above = np.array([k for k, H in enumerate(left.tolist()) if H in process.nonsmooth], np.intp)
     energy = left[:, None] + h * rule.share

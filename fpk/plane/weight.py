@@ -235,7 +235,8 @@ def _values(coefficients: Array, x: Array, y: Array) -> Array:
     """Σ c_ij x^i y^j at points that broadcast together; of a grid (m, 1), (n,) by axes."""
     if x.ndim == 2 and x.shape[1] == 1 and y.ndim == 1:
         return on_grid(x[:, 0], y, coefficients)
-    return np.asarray(polyval2d(*np.broadcast_arrays(x, y), coefficients))
+    first, second = np.broadcast_arrays(x, y)
+    return np.asarray(polyval2d(first, second, coefficients))
 
 
 @lru_cache
