@@ -199,7 +199,7 @@ def solve_stationary(
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
     special = np.array([0.0, *process.nonsmooth])
-    while True:
+    for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
         solution, marked = _assembled(process, probe, elements, degree, tol)
         if not marked.any() or marked.size > MOST_ELEMENTS:
             break
