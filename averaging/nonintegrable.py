@@ -102,7 +102,7 @@ class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
         wanted = tolerance(asked.tol, self._tol_in_time(system))
         energy_process(system)  # it refuses what has no stationary density
         begins = energy_start(system, asked.start)
-        if observable != (ENERGY,) and (reason := energy_only_refusal(system, observable)):
+        if observable != (Coordinate("H"),) and (reason := energy_only_refusal(system, observable)):
             raise NotApplicable(reason)
         question = DensityQuestion(observable, begins, asked.times, asked.at, wanted)
         return energy.transient(system, self.solver, question)
