@@ -11,7 +11,7 @@ from averaging.conditional import gibbs_integral, rules_of
 from averaging.energy_process import damping_and_noise, damping_by_energy, energy_process
 from averaging.shell.averages import log_linear_states
 from averaging.weyl import Part, Solution, StateDensity, tabulated
-from averaging.zero_flux import ZeroFluxDensity, flux_residual
+from averaging.zero_flux import POINTS, ZeroFluxDensity, flux_residual
 from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured
 from fpk.errors import NotApplicable
@@ -23,8 +23,6 @@ from fpk.system import System
 
 TAIL = 1e-17
 """Share of the probability beyond the last energy of a closed form."""
-POINTS = (16, 20)
-"""Gauss points per panel of the normalisation, and of the finer rule that estimates its error."""
 
 
 def closed_form(
@@ -51,7 +49,20 @@ def closed_form(
     nodes = initial_nodes(probe, end, process.nonsmooth)
     nodes = nodes[np.searchsorted(nodes, begin, side="right") - 1 :]
     exponent: Array = np.asarray(polynomial.polyint(-rate), dtype=float)
-    exponent[0], error = norm or _log_norm(process, nodes, exponent)
+    if norm is None:
+        # −ln ∫T exp(Σ exponent_e H^e) dH and its error, that of T and round-off included.
+        panels, norms = with_layers(nodes, process.nonsmooth, count=DEEP_LAYERS), []
+        for points in POINTS:
+            energy, weights = (part.ravel() for part in panel_rule(panels, points))
+            c = process.coefficients(energy)
+            terms = c.log_density_of_states + polynomial.polyval(energy, exponent)
+            top = float(terms.max())
+            shares = weights * np.exp(terms - top)
+            norms.append(-top - float(np.log(shares.sum())))
+        relative = (c.relative_error + _round_off(exponent, energy)) @ shares / shares.sum()
+        rounding = 4.0 * EPS * (1.0 + abs(norms[1]))
+        norm = norms[1], abs(norms[1] - norms[0]) + float(relative) + rounding
+    exponent[0], error = norm
     p = ZeroFluxDensity(
         process,
         nodes,
@@ -64,21 +75,6 @@ def closed_form(
     if reach is None:
         tail = probe.tail_bound(end, float(p.density(nodes[-1:])[0]))
     return replace(p, measured=Measured(error + 2.0 * tail, np.nan, np.nan, residual, tail))
-
-
-def _log_norm(process: Process, nodes: Array, exponent: Array) -> tuple[float, float]:
-    """Return −ln ∫T exp(Σ exponent_e H^e) dH and its error, that of T and round-off included."""
-    nodes = with_layers(nodes, process.nonsmooth, count=DEEP_LAYERS)
-    norms = []
-    for points in POINTS:
-        energy, weights = (part.ravel() for part in panel_rule(nodes, points))
-        c = process.coefficients(energy)
-        terms = c.log_density_of_states + polynomial.polyval(energy, exponent)
-        top = float(terms.max())
-        shares = weights * np.exp(terms - top)
-        norms.append(-top - float(np.log(shares.sum())))
-    error = (c.relative_error + _round_off(exponent, energy)) @ shares / shares.sum()
-    return norms[1], abs(norms[1] - norms[0]) + float(error) + 4.0 * EPS * (1.0 + abs(norms[1]))
 
 
 def _round_off(exponent: Array, energy: Array) -> Array:

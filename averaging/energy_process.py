@@ -61,8 +61,14 @@ def energy_process(system: System) -> Process:
     Raises ``NotApplicable`` where noise or damping vanishes, or damping terms do not outweigh the
     noise at high energy: there is no stationary density then.
     """
-    damping, noise = damping_and_noise(system)
-    scale, n = _energy_scale(system, damping, noise), system.n
+    (damping, noise), n = damping_and_noise(system), system.n
+    if noise <= 0:
+        raise NotApplicable("no noise reaches a mass, so the energy has no stationary density")
+    if damping <= 0 and not system.damping_terms:
+        raise NotApplicable("nothing is damped, so the energy grows for ever")
+    # An energy of the order of the mean: n times the temperature, or where damping takes over.
+    terms = system.damping_terms
+    scale = n * (equivalent_temperature(system) if terms else noise / damping)
 
     def coefficients(energy: Array) -> Coefficients:
         shell = shell_averages(system, energy)
@@ -90,14 +96,3 @@ def energy_process(system: System) -> Process:
         degrees_of_freedom=n,
         state_damping=bool(system.damping_terms),
     )
-
-
-def _energy_scale(system: System, damping: float, noise: float) -> float:
-    """An energy of the order of the mean: n times the temperature, or where damping takes over."""
-    if noise <= 0:
-        raise NotApplicable("no noise reaches a mass, so the energy has no stationary density")
-    if not system.damping_terms:
-        if damping <= 0:
-            raise NotApplicable("nothing is damped, so the energy grows for ever")
-        return system.n * noise / damping
-    return system.n * equivalent_temperature(system)

@@ -37,13 +37,14 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
 
     Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3
     evaluated. ``solver``: "closed-form" is (34), Π e^(−H_i/θ_i)/θ_i with the modal temperatures
-    θ_i = d_i/c*_ii, whose back-transform is Gaussian; "quadrature" evaluates (11) and "fem" solves
-    the FPK equation, for the modal energies alone. The theory needs light damping and is refused
-    where a resonance matters; without contacts it is exact where damping and noise meet (8).
+    θ_i = d_i/c*_ii, whose back-transform is Gaussian; "quadrature" evaluates (11), "fem" and
+    "scikit-fem" (on meshes refined uniformly) solve the FPK equation, for the modal energies alone.
+    The theory needs light damping and is refused where a resonance matters; without contacts it is
+    exact where damping and noise meet (8).
 
     Damping that depends on the state is averaged over the phases; it may couple the energies of
-    two modes, which "fem" solves for together, and no more. Every solver then gives every
-    observable: displacements and momenta by the characteristic function of the energies. ::
+    two modes, which "fem" and "scikit-fem" solve for together, and no more. Every solver then gives
+    every observable: displacements and momenta by the characteristic function of the energies. ::
 
         fpk.solve(system, ["H1,H2"], methods=[Integrable("fem", tol=1e-9)])
 
@@ -62,6 +63,7 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         ("closed-form", "modal averaging, closed form", "(34)"),
         ("fem", "modal averaging, finite elements", "(19)"),
         ("quadrature", "modal averaging, quadrature", "(11)"),
+        ("scikit-fem", "modal averaging, scikit-fem", "(19)"),
     )
     solves = "averaged"
     colour = "#00a688"
@@ -143,8 +145,9 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         """The modes; raises ``NotApplicable`` where the theory or the solver does not hold."""
         modes = system.fact(modal_analysis)
         require_no_resonance(system, modes)
-        if self.solver == "quadrature":
-            raise NotApplicable("quadrature gives stationary densities; use closed-form or fem")
+        if self.solver in ("quadrature", "scikit-fem"):
+            words = "gives stationary densities; use closed-form or fem"
+            raise NotApplicable(f"{self.solver} {words}")
         if reason := unsolved(modes, self.solver):
             raise NotApplicable(reason)
         return modes
@@ -164,7 +167,7 @@ def _time_settings(
     settings: Mapping[str, str | float | int], system: System, modes: ModalAnalysis
 ) -> Mapping[str, str | float | int]:
     neglected = _contacts_left_out(system, modes)
-    return {**settings, **({"contacts left out": neglected} if neglected else {})}
+    return {**settings, "contacts left out": neglected} if neglected else settings
 
 
 def _contacts_left_out(system: System, modes: ModalAnalysis) -> str:

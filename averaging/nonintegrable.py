@@ -10,8 +10,8 @@ from averaging.energy_process import energy_process
 from averaging.theory import Theory, energy_only_refusal
 from averaging.time import energy
 from averaging.time.start import DensityQuestion, energy_start
-from averaging.weyl import Solution, StateDensity, tabulated
-from averaging.zero_flux import solve_by_quadrature
+from averaging.weyl import StateDensity, tabulated
+from averaging.zero_flux import solved_energies
 from fpk.certificate import tolerance
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates
 from fpk.errors import NotApplicable
@@ -24,13 +24,13 @@ from fpk.evolution import (
     TransientAsked,
     Transients,
 )
-from fpk.line.stationary import solve_stationary
+from fpk.line.stationary import StationarySolution
 from fpk.method import Plan, Progress, Result, silent
 from fpk.observable import Coordinate, Observable
+from fpk.plane.solution import PlaneSolution
 from fpk.process import Process
 from fpk.system import System
 
-ENERGY = Coordinate("H")
 Settings = dict[str, str | float | int]
 
 MODULATED_TOL = 1e-6
@@ -42,10 +42,11 @@ MODULATED_TOL = 1e-6
 class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
     """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
 
-    ``solver``: "fem" solves the FPK equation of the process by finite elements; "quadrature"
-    evaluates (11); "closed-form" is (29) in its general form, for damping that is constant or
-    depends on the energy only. The theory is exact where the damping and noise
-    meet (8), an approximation otherwise, and the better the more the contacts matter. ::
+    ``solver``: "fem" solves the FPK equation of the process by finite elements, "scikit-fem" by
+    elements of one degree on meshes refined uniformly; "quadrature" evaluates (11); "closed-form"
+    is (29) in its general form, for damping that is constant or depends on the energy only. The
+    theory is exact where the damping and noise meet (8), an approximation otherwise, and the better
+    the more the contacts matter. ::
 
         fpk.solve(system, ["q2", "H"], methods=[NonIntegrable("fem", tol=1e-8)])
 
@@ -64,6 +65,7 @@ class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
         ("fem", "energy averaging, finite elements", "(24)"),
         ("closed-form", "energy averaging, closed form", "(29)"),
         ("quadrature", "energy averaging, quadrature", "(11)"),
+        ("scikit-fem", "energy averaging, scikit-fem", "(24)"),
     )
     solves = "averaged"
     colour = "#e07500"
@@ -100,7 +102,7 @@ class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
         wanted = tolerance(asked.tol, self._tol_in_time(system))
         energy_process(system)  # it refuses what has no stationary density
         begins = energy_start(system, asked.start)
-        if observable != (ENERGY,) and (reason := energy_only_refusal(system, observable)):
+        if observable != (Coordinate("H"),) and (reason := energy_only_refusal(system, observable)):
             raise NotApplicable(reason)
         question = DensityQuestion(observable, begins, asked.times, asked.at, wanted)
         return energy.transient(system, self.solver, question)
@@ -134,12 +136,10 @@ class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
     def _state_density(self, system: System, process: Process) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":
             return state_closed_form(system, averaged_rate(system)), {"equation": "(29)"}
-        solution: Solution
-        if self.solver == "quadrature":
-            solution = solve_by_quadrature(process, tol=self.wanted(system))
-            settings: Settings = {"equation": "(11)", "panels": solution.nodes.size - 1}
-        else:
-            solution = solve_stationary(process, tol=self.wanted(system))
+        solution = solved_energies(process, self.solver, tol=self.wanted(system))
+        assert not isinstance(solution, PlaneSolution)
+        settings: Settings = {"equation": "(11)", "panels": solution.nodes.size - 1}
+        if isinstance(solution, StationarySolution):
             settings = {
                 "equation": "FPK of (24)",
                 "degree": solution.degree,

@@ -10,27 +10,22 @@ from fpk.arrays import EPS, Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.line.mesh import initial_nodes, split_points
-from fpk.line.stationary import StationarySolution
+from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.observable import Observable
-from fpk.piecewise import Piecewise, fit
+from fpk.piecewise import fit
 from fpk.plane.solution import PlaneSolution
+from fpk.plane.stationary import solve_plane
 from fpk.probe import probed
 from fpk.process import Coefficients, Process, log_density_slope_error
 from fpk.quadrature import panel_rule
 
 POINTS = (16, 20)
-"""Gauss points per panel of ∫2s/σ² dH, and of the finer rule whose distance is its error."""
+"""Gauss points per panel of integrals along H, and of the finer rule that tells their error."""
 ROUND_OFF = 16.0 * EPS
 """Round-off of a logarithm of p or of σ², relative to 1 + |ln|, of some dozens of operations."""
-PANEL_POINTS = 16
-"""Gauss points per panel: the exponent is expanded in Legendre polynomials of degree 15."""
-MOST_ROUNDS = 30
-"""Cuts of a panel: towards H = 0 and contact energies each leaves 0.15 of it."""
 NARROW = 1e-13
 """Length of a panel, relative to the last energy, below which it is not cut: what is left of a
 singularity there is part of the stated error."""
-PANEL_ROUND_OFF = 1e-15
-"""Relative error of p that a panel adds by its round-off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +143,22 @@ def density_of_energies(
     )
 
 
+def solved_energies(
+    process: Process, solver: str, *, tol: float
+) -> StationarySolution | ZeroFluxDensity | PlaneSolution:
+    """Return the stationary density of one or two energies to the L1 tolerance ``tol``.
+
+    ``solver`` is "fem", "scikit-fem", or of one energy "quadrature".
+    """
+    if solver == "scikit-fem":
+        from fpk.operator import solve_by_scikit_fem  # noqa: PLC0415  (scikit-fem takes 0.2 s)
+
+        return solve_by_scikit_fem(process, tol=tol)
+    if solver == "quadrature":
+        return solve_by_quadrature(process, tol=tol)
+    return (solve_stationary if process.dimension == 1 else solve_plane)(process, tol=tol)
+
+
 def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDensity:
     """Return p(H) = C/σ² exp(+∫2s/σ² dH), Eq. (11) with its sign corrected.
 
@@ -157,7 +168,34 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     """
     probe = probed(process)
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)
-    rate = _expanded_rate(process, nodes, 0.1 * tol)
+    special = np.array([0.0, *process.nonsmooth])
+
+    def rate_and_error(energy: Array) -> Array:
+        """2s/σ² − n/H and a bound of its error by those of the coefficients."""
+        c = process.coefficients(energy)
+        rate = 2.0 * c.drift / c.diffusion - process.degrees_of_freedom / energy
+        return np.stack([rate, log_density_slope_error(c)], axis=-1)
+
+    def truncation(lengths: Array, coefficients: Array) -> Array:
+        """Error of the integral over each panel by truncating the series, (panels,)."""
+        return np.asarray(lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1))
+
+    def unresolved(lengths: Array, coefficients: Array) -> Array:
+        error = truncation(lengths, coefficients)
+        # What the coefficients do not know, no panel can resolve.
+        return np.where(error > lengths * coefficients[:, 0, 1], error, 0.0)
+
+    def cut(left: Array, right: Array, end: float = float(nodes[-1])) -> Array:
+        return np.where(right - left <= NARROW * end, left, split_points(left, right, special))
+
+    rate = fit(
+        rate_and_error,
+        nodes,
+        0.1 * tol / nodes.size,
+        degree=POINTS[0] - 1,
+        cut=cut,
+        estimate=unresolved,
+    )
     nodes, lengths = rate.nodes, np.diff(rate.nodes)
     smooth = replace(rate, coefficients=rate.coefficients[..., 0], error=None).antiderivative()
 
@@ -168,10 +206,10 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
         states = c.log_density_of_states.reshape(energy.shape) if over_states else 0.0
         return np.asarray(value - states)
 
-    x, w = panel_rule(nodes, PANEL_POINTS)
+    x, w = panel_rule(nodes, POINTS[0])
     top = log_p(x).max()
     smooth.coefficients[:, 0] -= top + np.log(np.sum(w * np.exp(log_p(x) - top)))
-    x, w = panel_rule(nodes, PANEL_POINTS + 4)
+    x, w = panel_rule(nodes, POINTS[1])
     p = np.exp(log_p(x))
     tail_mass = probe.tail_bound(float(nodes[-1]), float(np.exp(log_p(nodes[-1:])[0])))
     # An error of the exponent over one panel shifts the mass on one side of it against the other.
@@ -181,10 +219,8 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     defect = abs(float(share.sum()) - 1.0)
     # Close to a contact energy T may be worse by far, where there is next to no mass.
     states = 2.0 * process.coefficients(x.ravel()).relative_error.reshape(x.shape)
-    l1_error = (
-        float(np.sum(w * p * states)) + defect + 2.0 * tail_mass + PANEL_ROUND_OFF * lengths.size
-    )
-    steps = _truncation(lengths, rate.coefficients) + lengths * rate.coefficients[:, 0, 1]
+    l1_error = float(np.sum(w * p * states)) + defect + 2.0 * tail_mass + 4.0 * EPS * lengths.size
+    steps = truncation(lengths, rate.coefficients) + lengths * rate.coefficients[:, 0, 1]
     if process.state_damping:
         # The exponent is a running sum over all panels, whose round-off is relative to its size.
         l1_error += EPS * float(np.ptp(smooth.coefficients[:, 0]))
@@ -204,37 +240,3 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
 
     log_u = partial(log_p, over_states=True)
     return ZeroFluxDensity(process, nodes, log_u, relative_error, measured)
-
-
-def _truncation(lengths: Array, coefficients: Array) -> Array:
-    """Error of the integral over each panel by truncating the series, (panels,)."""
-    return np.asarray(lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1))
-
-
-def _expanded_rate(process: Process, nodes: Array, tol: float) -> Piecewise:
-    """Return 2s/σ² − n/H on panels, and a bound of its error by those of the coefficients."""
-    special = np.array([0.0, *process.nonsmooth])
-
-    def rate_and_error(energy: Array) -> Array:
-        c = process.coefficients(energy)
-        rate = 2.0 * c.drift / c.diffusion - process.degrees_of_freedom / energy
-        return np.stack([rate, log_density_slope_error(c)], axis=-1)
-
-    def unresolved(lengths: Array, coefficients: Array) -> Array:
-        error = _truncation(lengths, coefficients)
-        # What the coefficients do not know, no panel can resolve.
-        return np.where(error > lengths * coefficients[:, 0, 1], error, 0.0)
-
-    def cut(left: Array, right: Array) -> Array:
-        narrow = right - left <= NARROW * nodes[-1]
-        return np.where(narrow, left, split_points(left, right, special))
-
-    return fit(
-        rate_and_error,
-        nodes,
-        tol / nodes.size,
-        degree=PANEL_POINTS - 1,
-        cut=cut,
-        estimate=unresolved,
-        rounds=MOST_ROUNDS,
-    )

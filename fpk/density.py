@@ -41,6 +41,7 @@ class Density(FunctionQuantities):
         p.mean(), p.std(), p.rms(), p.variance(), p.skewness(), p.kurtosis(), p.moment(4)
         p.exceedance(0.5), p.cdf(0.5), p.probability(-0.5, 0.5), p.quantile(0.99)
         p.expectation(np.abs, kinks=[0.0]), p.certificate.certified
+        p.to_meshio(), p.to_pyvista()
     """
 
     observable: Observable

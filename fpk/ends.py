@@ -51,53 +51,46 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     stand still while H_i is small: the least favourable of their ``OTHERS`` decides.
     """
     name = "H" if process.dimension == 1 else f"H{axis + 1}"
-    return _lower(process, axis, name), _upper(process, axis, name)
-
-
-def _along(process: Process, axis: int, share: float) -> tuple[Array, Coefficients]:
-    """H_i = ``share`` of its scale, and the process there with the other energies at ``OTHERS``."""
     rest = process.dimension - 1
     levels = [np.full(rest, level) for level in OTHERS[: None if rest else 1]]
     levels += [level * row for level in OTHERS if level and rest > 1 for row in np.eye(rest)]
-    energy = np.insert(np.array(levels), axis, share, axis=1) * np.array(process.energy_scales)
-    return energy[:, axis], process.at(energy)
 
+    def along(share: float) -> tuple[Array, Array, Array, Coefficients]:
+        """H_i = ``share`` of its scale, s_i and b_ii there with the others at ``OTHERS``."""
+        energy = np.insert(np.array(levels), axis, share, axis=1) * np.array(process.energy_scales)
+        c = process.at(energy)
+        return energy[:, axis], c.drift[:, axis], c.diffusion[:, axis, axis], c
 
-def _lower(process: Process, axis: int, name: str) -> BoundaryClass:
-    energy, c = _along(process, axis, NEAR)
-    diffusion = c.diffusion[:, axis, axis]
-    order = np.log2(_along(process, axis, 2.0 * NEAR)[1].diffusion[:, axis, axis] / diffusion)
+    energy, drift, diffusion, _ = along(NEAR)
+    order = np.log2(along(2.0 * NEAR)[2] / diffusion)
     worst = float(order[np.argmax(np.abs(order - 1.0))])
-    if abs(worst - 1.0) > 1e-2:
-        return BoundaryClass(f"{name} = 0", "not classified", f"σ² ~ H^{worst:.3g}, not ~ H")
     # The extrapolated κ is that of H = NEAR, whose distance from the limit is of order NEAR.
-    kappa = float(np.min(2.0 * c.drift[:, axis] * energy / diffusion))
-    if kappa > 1.0 - 1e-3:
-        kind, words = "entrance", "the process leaves it and never comes back"
-    elif kappa > 0.0:
-        kind, words = "regular", "the process reaches it"
+    kappa = float(np.min(2.0 * drift * energy / diffusion))
+    if abs(worst - 1.0) > 1e-2:
+        lower = BoundaryClass(f"{name} = 0", "not classified", f"σ² ~ H^{worst:.3g}, not ~ H")
     else:
         kind, words = "exit", "the process ends there"
-    least = "" if process.dimension == 1 else " at the least"
-    return BoundaryClass(f"{name} = 0", kind, f"σ² ~ H and 2 s H/σ² → {kappa:.4g}{least}: {words}")
-
-
-def _upper(process: Process, axis: int, name: str) -> BoundaryClass:
-    near, far = (_along(process, axis, share)[1] for share in (FAR, BESIDE * FAR))
-    drift, farther = near.drift[:, axis], far.drift[:, axis]
+        if kappa > 1.0 - 1e-3:
+            kind, words = "entrance", "the process leaves it and never comes back"
+        elif kappa > 0.0:
+            kind, words = "regular", "the process reaches it"
+        least = "" if process.dimension == 1 else " at the least"
+        reason = f"σ² ~ H and 2 s H/σ² → {kappa:.4g}{least}: {words}"
+        lower = BoundaryClass(f"{name} = 0", kind, reason)
+    (_, drift, _, near), (_, farther, _, _) = along(FAR), along(BESIDE * FAR)
     if np.any(farther >= 0.0):
-        return BoundaryClass(f"{name} = ∞", "not confining", "the drift points outwards")
+        outwards = "the drift points outwards"
+        return lower, BoundaryClass(f"{name} = ∞", "not confining", outwards)
     inwards = drift < 0.0
-    order = float(np.min(np.log(farther / drift))) / np.log(BESIDE) if inwards.all() else 0.0
-    power = "" if f"{order:.2g}" == "1" else f"^{order:.2g}"
-    reason = f"the drift points inwards, about as −{name}{power}"
+    power = float(np.min(np.log(farther / drift))) / np.log(BESIDE) if inwards.all() else 0.0
+    reason = "the drift points inwards, about as −" + name
+    reason += "" if f"{power:.2g}" == "1" else f"^{power:.2g}"
     # An error of either drift; 0 where the process gives none.
     slack = 2.0 * float(np.max(np.nan_to_num(near.relative_error))) / np.log(BESIDE)
-    if order > 1.0 + LINEAR + slack:
-        return BoundaryClass(f"{name} = ∞", "entrance", f"{reason}, so it is left in finite time")
-    return BoundaryClass(
-        f"{name} = ∞", "natural", f"{reason}: neither reached nor left in finite time"
-    )
+    kind, words = "natural", ": neither reached nor left in finite time"
+    if power > 1.0 + LINEAR + slack:
+        kind, words = "entrance", ", so it is left in finite time"
+    return lower, BoundaryClass(f"{name} = ∞", kind, reason + words)
 
 
 def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:

@@ -17,8 +17,6 @@ from fpk.quadrature import gauss_legendre
 
 DEGREE = 15
 """Degree of a fit: with 16 Gauss points a panel, e^(−x) is met to round-off over five e-folds."""
-MOST_ROUNDS = 60
-"""Bisections of a panel of a fit: 2^−60 of its length is below round-off of its ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +48,13 @@ class Piecewise:
 
     def antiderivative(self) -> "Piecewise":
         """Return ∫f from the first node, continuous."""
-        scaled, log_scale = self.coefficients, None
+        factor, log_scale = 0.5 * np.diff(self.nodes), None
         if self.log_scale is not None:
             top = float(self.log_scale.max())
-            scaled = scaled * _per_panel(np.exp(self.log_scale - top), scaled)
+            factor = factor * np.exp(self.log_scale - top)
             log_scale = np.full(self.log_scale.size, top)
-        within = np.asarray(legendre.legint(scaled, axis=1, lbnd=-1), float)
-        within *= _per_panel(0.5 * np.diff(self.nodes), within)
+        within = np.asarray(legendre.legint(self.coefficients, axis=1, lbnd=-1), float)
+        within *= factor.reshape(-1, *(1,) * (within.ndim - 1))
         within[1:, 0] += np.cumsum(within.sum(axis=1), axis=0)[:-1]
         return replace(self, coefficients=within, log_scale=log_scale, error=None)
 
@@ -69,18 +67,25 @@ def fit(
     degree: int = DEGREE,
     cut: Callable[[Array, Array], Array] | None = None,
     estimate: Callable[[Array, Array], Array] | None = None,
-    rounds: int = MOST_ROUNDS,
+    rounds: int = 60,
 ) -> Piecewise:
     """Return the interpolant of ``f`` on panels between ``nodes``, each split until it fits.
 
     ``f`` maps points (points,) to values (points, ...), and is called with those of all new panels
     at once. A panel is split at ``cut(left, right)``, half-way unless given, while its error
-    exceeds ``tol``, ``rounds`` times at the most: ``error`` says what was reached. It is
-    ``estimate(lengths, coefficients)``, unless given ``degree`` times the last two coefficients,
-    the largest of all values.
+    exceeds ``tol``, ``rounds`` times at the most (2^−60 of a length is below round-off): ``error``
+    says what was reached. It is ``estimate(lengths, coefficients)``, unless given ``degree`` times
+    the last two coefficients, the largest of all values.
     """
     middle = cut if cut is not None else lambda left, right: 0.5 * (left + right)
-    judge = estimate if estimate is not None else _last_two
+
+    def last_two(lengths: Array, coefficients: Array) -> Array:
+        # Σ|c_j| beyond the degree n for c_j ~ j^(−3/2) (a kink) and faster: Σ j^(−r) from n on is
+        # n c_n/(r − 1); two coefficients, as one may vanish by symmetry.
+        tail = (coefficients.shape[1] - 1) * np.abs(coefficients[:, -2:]).sum(axis=1)
+        return np.asarray(tail.reshape(lengths.size, -1).max(axis=1))
+
+    judge = estimate if estimate is not None else last_two
     left, right = nodes[:-1], nodes[1:]
     coefficients = interpolated(f, left, right, degree)
     error = judge(right - left, coefficients)
@@ -105,10 +110,10 @@ def interpolated(f: Callable[[Array], Array], left: Array, right: Array, degree:
     x = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * t
     values = np.asarray(f(x.ravel()))
     values = values.reshape(*x.shape, *values.shape[1:])
-    return np.asarray(np.moveaxis(np.tensordot(_projection(degree), values, (1, 1)), 1, 0))
+    return np.asarray(np.moveaxis(np.tensordot(projection(degree), values, (1, 1)), 1, 0))
 
 
-def _projection(degree: int) -> Array:
+def projection(degree: int) -> Array:
     """Matrix from values at ``degree`` + 1 Gauss points to Legendre coefficients."""
     t, w = gauss_legendre(degree + 1)
     return np.asarray(
@@ -171,7 +176,7 @@ def interpolated_tensor(panels: tuple[Array, Array], values: Array, points: int)
     counts = [nodes.size - 1 for nodes in panels]
     blocks = np.broadcast_to(values, [points * n for n in counts])
     blocks = blocks.reshape(counts[0], points, counts[1], points)
-    project = _projection(points - 1)
+    project = projection(points - 1)
     coefficients = np.einsum("ia,jb,kalb->klij", project, project, blocks, optimize=True)
     return PiecewiseTensor(panels, coefficients)
 
@@ -181,16 +186,3 @@ def legendre_at(nodes: Array, x: Array, degree: int) -> tuple[Integers, Array]:
     k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
     t = (2.0 * x - nodes[k] - nodes[k + 1]) / (nodes[k + 1] - nodes[k])
     return k, np.asarray(legendre.legvander(np.clip(t, -1.0, 1.0), degree), float)
-
-
-def _last_two(lengths: Array, coefficients: Array) -> Array:
-    """Bound of Σ|c_j| beyond the degree n for c_j ~ j^(−3/2) (a kink) and faster, (panels,).
-
-    Σ j^(−r) from n on is n c_n/(r − 1); two coefficients, as one may vanish by symmetry.
-    """
-    tail = (coefficients.shape[1] - 1) * np.abs(coefficients[:, -2:]).sum(axis=1)
-    return np.asarray(tail.reshape(lengths.size, -1).max(axis=1))
-
-
-def _per_panel(factor: Array, values: Array) -> Array:
-    return factor.reshape(-1, *(1,) * (values.ndim - 1))

@@ -110,7 +110,7 @@ def probed(process: Process) -> Probe:
     # Of energies farther out than that, those whose coefficients overflow are not judged.
     with np.errstate(over="ignore", invalid="ignore"):
         c = process.coefficients(energy)
-        slope, roughness = _slopes(c)
+        slope, roughness = log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
         finite = np.isfinite(slope * energy)
         if not finite.all():
             finite |= FAR_OUT[0] >= GRID
@@ -118,16 +118,9 @@ def probed(process: Process) -> Probe:
             energy, slope, roughness = energy[finite], slope[finite], roughness[finite]
         require_falling(energy, c, slope)
     probe = Probe(energy, slope, roughness)
-    return _closer(process, probe) if process.state_damping else probe
 
-
-def _slopes(c: Coefficients) -> tuple[Array, Array]:
-    return log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
-
-
-def _closer(process: Process, probe: Probe) -> Probe:
-    """Add points until no maximum of p can hide between two of them: it may be narrow."""
-    for _ in range(PROBE_ROUNDS):
+    # More points, until no maximum of p can hide between two of them: it may be narrow.
+    for _ in range(PROBE_ROUNDS if process.state_damping else 0):
         log_mass = probe.log_mass
         bulk = np.maximum(log_mass[1:], log_mass[:-1]) > log_mass.max() - DEEP
         rate = 1.0 + probe.energy * probe.slope
@@ -136,10 +129,8 @@ def _closer(process: Process, probe: Probe) -> Probe:
         if not i.size:
             break
         energy = np.sqrt(probe.energy[i] * probe.energy[i + 1])
-        slope, roughness = _slopes(process.coefficients(energy))
-        probe = Probe(
-            np.insert(probe.energy, i + 1, energy),
-            np.insert(probe.slope, i + 1, slope),
-            np.insert(probe.roughness, i + 1, roughness),
-        )
+        c = process.coefficients(energy)
+        added = energy, log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
+        of = probe.energy, probe.slope, probe.roughness
+        probe = Probe(*(np.insert(x, i + 1, new) for x, new in zip(of, added, strict=True)))
     return probe

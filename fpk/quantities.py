@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from fpk.arrays import Array, Complexes
-from fpk.errors import InvalidInput
+from fpk.errors import InvalidInput, Unavailable
 from fpk.number import Number
 
 Function = Callable[..., Array]
@@ -168,6 +168,28 @@ class Quantities(ABC):
             fpk.solve(system, ["q2"], methods=["nonintegrable/fem"])["q2"].plot(log=True)
         """
         return import_module("fpk").plot(self, log=log)
+
+    def to_meshio(self) -> Any:
+        """Return the density as a ``meshio.Mesh`` of quadratic cells that follow it.
+
+        ``point_data`` has ``density``, ``log10 density`` and ``error of p``, the stated error. ::
+
+            fpk.solve(system, ["q2,p2"], methods=["nonintegrable/fem"])["q2,p2"].to_meshio()
+        """
+        from fpk.field import field_of  # noqa: PLC0415  (meshio is needed here only)
+
+        return field_of({"p": self})[0]
+
+    def to_pyvista(self) -> Any:
+        """Return the density as an ``UnstructuredGrid`` of pyvista, see ``to_meshio``.
+
+        Raises ``Unavailable`` without pyvista.
+        """
+        try:
+            pyvista = import_module("pyvista")
+        except ImportError:
+            raise Unavailable("pyvista is not installed; pip install pyvista brings it") from None
+        return pyvista.from_meshio(self.to_meshio())
 
     def _axis(self, points: Sequence[float] = ()) -> Array:
         """The nodes of the one coordinate, and those of ``points`` that lie between them."""

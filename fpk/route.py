@@ -19,7 +19,8 @@ class Route:
     Eq. (6) itself and "averaged" for a theory's equation; ``sampled`` says that the errors are
     those of sampling. ``colour`` is the curve's (#rrggbb). ``make()`` returns the method with its
     default settings. ``quick``: an answer does not take seconds, so that ``fpk export`` and the
-    references of studies take the route without being told.
+    references of studies take the route without being told. ``named``: it is taken only where its
+    solver is named.
     Of one method's routes the one registered first is the default and the one that is drawn; a
     route that samples comes after those that do not.
     """
@@ -33,6 +34,7 @@ class Route:
     colour: str
     make: Callable[[], "Method"]
     quick: bool = True
+    named: bool = False
 
     @property
     def name(self) -> str:

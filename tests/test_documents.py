@@ -19,13 +19,13 @@ from cases.commands.app import app
 from cases.comparison import answering, claims, doubt, quantity
 from cases.comparison.answers import Answers
 from cases.comparison.routes import listed_routes
-from cases.output import facts, presented, text, vtk
+from cases.output import facts, presented, text
 from cases.output.pictures import joint, lines
 from cases.scene import schema
 from cases.studies import converge_page, cost_page, levels, orders
 from cases.studies.orders import grid_convergence
 from cases.studies.sweep import answering as sweep_answering
-from fpk import bin_fit, clearance, contour, damping
+from fpk import bin_fit, clearance, contour, damping, field
 from fpk.errors import InvalidInput
 from sim import checkpoint, diagnostics, histogram, plan, settings, step_size
 from sim.motion import curves, failure_times
@@ -157,8 +157,8 @@ CONSTANTS = {
         f"judged by an L1 error of {short(theory.DEFAULT)}, of systems with",
         f"stops on more than two masses by {short(theory.DEFAULT_BY_LINES)}.",
         f"solved to {short(sweep_answering.REFERENCE_TOL)}",
-        f"within {short(vtk.SUBDIVISION)} of the largest density",
-        f"is at least {short(vtk.CUT)} of its maximum",
+        f"within {short(field.SUBDIVISION)} of the largest density",
+        f"is at least {short(field.CUT)} of its maximum",
     ),
     "cluster.md": (f"Every {checkpoint.INTERVAL:g} seconds of a simulation",),
     "faq.md": (f"gives it to {short(phase_space.UNASKED_TOL)} or better",),

@@ -17,18 +17,19 @@ from averaging.zero_flux import (
     ZeroFluxDensity,
     density_of_energies,
     flux_residual,
-    solve_by_quadrature,
+    solved_energies,
 )
 from fpk.arrays import CHUNK, Array
 from fpk.density import Density, certified_density
-from fpk.line.stationary import StationarySolution, solve_stationary
+from fpk.line.stationary import StationarySolution
 from fpk.observable import Coordinate, Observable
 from fpk.piecewise import fit
 from fpk.plane.solution import PlaneSolution
-from fpk.plane.stationary import solve_plane
 from fpk.quadrature import panel_rule
 
 Group = tuple[int, ...]
+BY_ELEMENTS = ("fem", "scikit-fem")
+"""Solvers of two energies at once."""
 
 
 def unsolved(modes: ModalAnalysis, solver: str) -> str | None:
@@ -37,7 +38,7 @@ def unsolved(modes: ModalAnalysis, solver: str) -> str | None:
     names = " and ".join(f"H{m + 1}" for m in largest)
     if len(largest) > 2:
         return f"the damping couples {names}: more than two energies are not solved for together"
-    if len(largest) == 2 and solver != "fem":
+    if len(largest) == 2 and solver not in BY_ELEMENTS:
         return f"the damping couples {names}, so their density is no product; use fem"
     return None
 
@@ -62,7 +63,7 @@ def modal_densities(
         if not of_energies(observable):
             return list(groups)
         index = tuple(c.row for c in observable)
-        if modes.constant and solver == "fem":
+        if modes.constant and solver in BY_ELEMENTS:
             return [index]  # (19) in two energies, though the density factors
         return list(dict.fromkeys(next(group for group in groups if m in group) for m in index))
 
@@ -94,16 +95,14 @@ def solved_group(
     """
     process, theta = modes.process(group), modes.temperature[list(group)]
     p: PlaneSolution | StationarySolution | ZeroFluxDensity
-    if len(group) == 2:
-        p = solve_plane(process, tol=share)
-    elif solver == "closed-form":
+    if solver == "closed-form":
         factors, (m,) = modes.averaged.factors, group  # γ/d in ascending powers of H_m
         alone = np.isin(factors, [0, m + 1]).all(axis=1)
         degree = np.count_nonzero(factors[alone], axis=1)
         rate = np.bincount(degree, modes.averaged.values[alone, m, m])
         p = closed_form(process, rate / modes.noise[m])
     else:
-        p = (solve_stationary if solver == "fem" else solve_by_quadrature)(process, tol=share)
+        p = solved_energies(process, solver, tol=share)
 
     def of_modes(*energies: Array) -> Array:
         reach = sum(1.0 + H / scale for H, scale in zip(energies, theta, strict=True))

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from averaging.modal.analysis import modal_analysis
 from fpk.plane.solution import PlaneSolution
-from fpk.plane.stationary import solve_plane
+from fpk.plane.stationary import solve_by_elements
+from fpk.plane.weight import probed
 from fpk.process import Process
 from fpk.quadrature import panel_rule
 
@@ -78,7 +79,7 @@ class Averaged:
     def truth(self) -> PlaneSolution:
         """The solution that answers are judged by; solved once, in nobody's time."""
         tol, degree = TRUTH
-        return solve_plane(self.process, tol=tol, degree=degree)
+        return solve_by_elements(self.process, probed(self.process), tol=tol, degree=degree)
 
     def exact(self, points: Array) -> Array:
         """p(H1, H2) at points (2, ...), 0 where less than 1e-12 of the probability lies."""

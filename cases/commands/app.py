@@ -94,7 +94,7 @@ def run(
         if out is not None:
             write_netcdf(outcome, out / parts.FIELDS)
 
-    methods, asked = all_methods(**settings, partial=True), settings["tol"]
+    methods, asked = all_methods(named=only, **settings, partial=True), settings["tol"]
     methods = chosen_methods(methods, only, simulation=simulation)
     outcome = parts.outcome_of(
         loaded, methods, partial=True, relax=asked is None, tol=asked, save=save

@@ -71,6 +71,9 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
 @click.option(
     "--seconds", type=click.FloatRange(0.1), help="Processor time for the steps of each scheme."
 )
+@click.option(
+    "--solver", type=click.Choice(["fem", "scikit-fem"]), help="Elements on given meshes by this."
+)
 @parts.threads
 def converge(
     scene: "Scene", route: str | None = None, of: str | None = None, **settings: Any
@@ -182,10 +185,13 @@ def sweep(
 @click.command()
 @click.argument("scenes", nargs=-1, metavar="[SCENE]...")
 @click.option("--coarse", is_flag=True, help="A quick look: a still shorter simulation.")
+@click.option(
+    "--solver", multiple=True, help="With this solver too, of those taken only where named."
+)
 @parts.seed
 @parts.threads
 @parts.as_json
-def verify(scenes: tuple[str, ...], coarse: bool, **settings: Any) -> None:
+def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **settings: Any) -> None:
     """Run scenes by every route and judge them: one line each, one final table.
 
     SCENE: names or paths; all shipped scenes but the hard ones where none is given.
@@ -195,13 +201,16 @@ def verify(scenes: tuple[str, ...], coarse: bool, **settings: Any) -> None:
     shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
     loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
     from cases.comparison.claims import Verdict
-    from cases.comparison.routes import all_methods
+    from cases.comparison.routes import all_methods, listed_routes
     from cases.output.digest import digest_of, verify_row
     from cases.output.text import rendered
 
     if coarse:
         settings |= {"paths": COARSE_PATHS}
-    methods = all_methods(relaxations=COARSE if coarse else USUAL, work=WORK, **settings)
+    relaxations = COARSE if coarse else USUAL
+    if unknown := set(solver) - {route.solver for route in listed_routes()}:
+        raise BadInput(f"--solver {unknown.pop()}: is not a solver of any method")
+    methods = all_methods(named=solver, relaxations=relaxations, work=WORK, **settings)
     width = max(len(scene.name) for scene in loaded)
     rows = []
     for scene in loaded:

@@ -47,13 +47,16 @@ def method_for(name: str, solver: str | None = None, **settings: Any) -> Method:
 
 
 def methods_of(name: str, solver: str | None = None, **settings: Any) -> tuple[Method, ...]:
-    """Return the method ``name`` by ``solver``, or by each of its solvers, its default first."""
+    """Return the method ``name`` by ``solver``, or by each of its solvers, its default first.
+
+    Those that are taken only where they are named are left out of the latter.
+    """
     register_routes(name)
     choices = [ROUTES[name, each] for each in solvers_of(name)]
     if not choices:
         names = dict.fromkeys(route.method for route in listed_routes())
         raise InvalidInput("method", name, f"use one of {', '.join(names)}")
-    wanted = [route for route in choices if solver in (None, route.solver)]
+    wanted = [r for r in choices if solver == r.solver or (solver is None and not r.named)]
     if not wanted:
         labels = ", ".join(route.label for route in choices)
         remedy = f"use one of {labels}" if len(choices) > 1 else "leave it out"
@@ -61,8 +64,12 @@ def methods_of(name: str, solver: str | None = None, **settings: Any) -> tuple[M
     return tuple(_made(route, settings) for route in wanted)
 
 
-def all_methods(*, tol: float | None = None, **settings: Any) -> tuple[Method, ...]:
+def all_methods(
+    *, tol: float | None = None, named: Sequence[str] = (), **settings: Any
+) -> tuple[Method, ...]:
     """Return every route with the settings that it has; ``tol`` is for deterministic ones only.
+
+    Routes that are taken only where they are named are those whose solver or label is in ``named``.
 
     A simulation has its own tolerance: a digit that takes a solver a millisecond takes sampling a
     hundred times as long.
@@ -70,6 +77,7 @@ def all_methods(*, tol: float | None = None, **settings: Any) -> tuple[Method, .
     return tuple(
         _made(route, settings if route.sampled else {**settings, "tol": tol})
         for route in listed_routes()
+        if not route.named or route.solver in named or route.label in named
     )
 
 

@@ -1,6 +1,6 @@
 """Densities as VTK files (.vtu, .pvd) that open in ParaView: quadratic cells, errors stated."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
@@ -10,23 +10,14 @@ import numpy as np
 
 from cases.comparison.answers import Answers
 from cases.comparison.stationary import Outcome
-from cases.output.fields import POINTS, attributes_of, curve_numbers, variable_name
+from cases.output.fields import attributes_of, curve_numbers, variable_name
 from cases.output.files import write_by
 from cases.scene.units import attribute, bracketed
-from fpk.arrays import Array, Flags
-from fpk.density import AnyDensity
+from fpk.arrays import Array
 from fpk.evolution import Transient
+from fpk.field import field_of
 from fpk.observable import Observable, observable_name
 from fpk.system import System
-
-SUBDIVISION = 1e-5
-"""Largest error of the quadratic cells between their nodes, relative to the largest density."""
-
-CUT = 1e-6
-"""Share of its largest value down to which the first density lies in the box of the field."""
-
-MOST_CELLS = {1: 20_000, 2: 60_000}
-"""Cells at which refinement ends; the error that is left is stated in any case."""
 
 
 def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
@@ -106,74 +97,6 @@ def _write_collection(path: Path, entries: Mapping[Path, Mapping[str, str]]) -> 
         ElementTree.SubElement(collection, "DataSet", {**entry, "file": file.name})
     write_by(path, ElementTree.ElementTree(root).write)
     return [path, *entries]
-
-
-def field_of(densities: Mapping[str, AnyDensity]) -> tuple[meshio.Mesh, float]:
-    """Return the densities on cells that follow the first one's panels, refined where it bends.
-
-    The field is the smallest box that holds all points at which the first is at least ``CUT`` of
-    its largest value; in the corners of a box of two coordinates it is less. In ``point_data`` the
-    array ``density`` is the first, beside it ``log10 density``, not a number where it is not
-    positive; every route, simulations too, has its own array, the error it states, and the
-    difference of the first from it. The number is the largest difference of
-    interpolant and density at the probes, in units of the density.
-    """
-    named = {route.replace("/", " "): density for route, density in densities.items()}
-    (first, density), *_ = named.items()
-    ends = [
-        np.union1d(np.clip(panels, grid[0], grid[-1]), grid[[0, -1]])
-        for grid, panels in zip(_box(density), density.panels, strict=True)
-    ]
-    cells, subdivision, allowed = 0, np.inf, 0.0
-    while subdivision > allowed and cells <= MOST_CELLS[len(ends)]:
-        nodes = tuple(_with_middles(e) for e in ends)
-        values = density(*np.ix_(*nodes))
-        misses = [_misses(density, nodes, values, axis) for axis in range(len(nodes))]
-        subdivision = max(float(m.max()) for m in misses)
-        allowed = SUBDIVISION * float(values.max())
-        ends = [_with_middles(e, only=miss > allowed) for e, miss in zip(ends, misses, strict=True)]
-        cells = int(np.prod([e.size - 1 for e in ends]))
-    grid = np.meshgrid(*nodes, indexing="ij")
-    data: dict[str, Array] = {}
-    for name, other in named.items():
-        data[name], data[f"error of {name}"] = other.at(*grid)
-    differences = {f"{first} - {k}": data[first] - data[k] for k in named if k != first}
-    p = data[first]
-    decades = np.log10(p, out=np.full_like(p, np.nan), where=p > 0.0)
-    own = {"density": p, "log10 density": decades}
-    return _mesh(grid, {**own, **data, **differences}), subdivision
-
-
-def _box(density: AnyDensity) -> list[Array]:
-    """The two ends along every axis of the smallest box that holds what is not below ``CUT``.
-
-    By ``POINTS`` along an axis, in the support and again in the box that these give: too wide by
-    no more than one of their intervals.
-    """
-    ends = [nodes[[0, -1]] for nodes in density.panels]
-    for _ in range(2):
-        grid = [np.linspace(a, b, POINTS[len(ends)]) for a, b in ends]
-        values = density.tabulated(*np.ix_(*grid))
-        inside = np.nonzero(values >= CUT * values.max())
-        ends = [
-            x[np.clip([i.min() - 1, i.max() + 1], 0, x.size - 1)]
-            for x, i in zip(grid, inside, strict=True)
-        ]
-    return ends
-
-
-def _mesh(grid: Sequence[Array], data: Mapping[str, Array]) -> meshio.Mesh:
-    """The grid as points in the plane (a line for one axis) and the quadratic cells on them."""
-    points = np.zeros((grid[0].size, 3))
-    points[:, : len(grid)] = np.column_stack([x.ravel() for x in grid])
-    a, b, m = slice(None, -1, 2), slice(2, None, 2), slice(1, None, 2)
-    line = (a,), (b,), (m,)
-    # Corners counter-clockwise, then the middles of the sides, then the centre.
-    square = (a, a), (b, a), (b, b), (a, b), (m, a), (b, m), (m, b), (a, m), (m, m)
-    kind, order = ("line3", line) if len(grid) == 1 else ("quad9", square)
-    index = np.arange(grid[0].size).reshape(grid[0].shape)
-    cells = np.column_stack([index[place].ravel() for place in order])
-    return meshio.Mesh(points, [(kind, cells)], point_data={k: v.ravel() for k, v in data.items()})
 
 
 def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path) -> list[Path]:
@@ -258,22 +181,3 @@ def _write_mesh(mesh: meshio.Mesh, data: Mapping[str, str | float], path: Path) 
         temporary.write_text(text, encoding="utf-8")
 
     write_by(path, write)
-
-
-def _with_middles(ends: Array, only: Flags | None = None) -> Array:
-    """The ends of cells with the middles of all of them, or of those in ``only``."""
-    middles = 0.5 * (ends[1:] + ends[:-1])
-    return np.sort(np.concatenate([ends, middles if only is None else middles[only]]))
-
-
-def _misses(density: AnyDensity, nodes: Sequence[Array], values: Array, axis: int) -> Array:
-    """Per cell along an axis, the largest |interpolant − density| halfway between its nodes."""
-    x = nodes[axis]
-    between = [0.5 * (x[1:] + x[:-1]) if a == axis else n for a, n in enumerate(nodes)]
-    truth = np.moveaxis(density(*np.ix_(*between)), axis, 0)
-    along = np.moveaxis(values, axis, 0)
-    low, middle, high = along[:-1:2], along[1::2], along[2::2]
-    # The parabola through three nodes at a quarter and at three quarters of the cell.
-    quarters = [0.125 * (3 * a + 6 * middle - b) for a, b in ((low, high), (high, low))]
-    off = np.abs(np.stack(quarters, axis=1).reshape(truth.shape) - truth)
-    return np.asarray(off.reshape(low.shape[0], -1).max(axis=1))

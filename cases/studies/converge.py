@@ -118,10 +118,12 @@ def study_convergence(
     seconds: float = SECONDS,
     seed: int = 1,
     threads: int | None = None,
+    solver: str = "fem",
     progress: Progress = silent,
 ) -> ConvergenceStudy:
     """Measure how the errors of ``routes`` fall; ``seconds`` is for the steps of each scheme.
 
+    Elements on given meshes and by tolerance are those of ``solver``, "fem" or "scikit-fem".
     Of several routes those that do not apply are named with the reason; one alone raises
     ``NotApplicable`` or ``NotCertified``.
     """
@@ -137,11 +139,11 @@ def study_convergence(
                 study.samples = sample_slope(system, method)
                 continue
             *_, make = EQUATIONS[route]
-            equation = make(system)
+            equation = make(system, solver)
             measured = list(ladders(equation, progress=progress))
             if equation.dimension == 1 and system.contacts:
                 try:
-                    free = make(replace(system, contacts=()))
+                    free = make(replace(system, contacts=()), solver)
                     free = replace(free, name=f"{free.name} without contact")
                     measured.append(measured_ladder(free, free.degrees()))
                 except (NotApplicable, NotCertified) as reason:  # stops may be what makes it stable

@@ -14,18 +14,18 @@ from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import modal_densities
 from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
-from averaging.zero_flux import solve_by_quadrature
+from averaging.zero_flux import solve_by_quadrature, solved_energies
 from cases.studies.levels import Discretisation, Solution, TimedCoefficients, density_of
+from fpk import operator
 from fpk.arrays import Array
 from fpk.density import Density
 from fpk.errors import NotApplicable, NotCertified
 from fpk.escape import require_held
-from fpk.line.stationary import solve_on_mesh, solve_stationary
+from fpk.line.stationary import solve_on_mesh
 from fpk.observable import parse_observable
-from fpk.plane.on_mesh import solve_plane_on_mesh
-from fpk.plane.probe import probed as probed_plane
-from fpk.plane.solution import graded
-from fpk.plane.stationary import solve_plane
+from fpk.operator import null_vectors, solve_by_scikit_fem
+from fpk.plane.solution import graded, null_function, solve_plane_on_mesh
+from fpk.plane.weight import probed as probed_plane
 from fpk.probe import probed
 from fpk.process import Process
 from fpk.route import Route
@@ -41,7 +41,8 @@ BEYOND = {1: 1e-14, 2: 1e-9}
 REFERENCE_TOL = {1: 1e-12, 2: 1e-11}
 """Tolerance of a numerical reference by the number of energies; round-off is most of the rest."""
 REFERENCE_DEGREE = 12
-"""Degree of the plain elements that are the reference of two energies."""
+"""Degree of the elements of scikit-fem that are the reference of two energies."""
+UNIFORM = "elements of scikit-fem of one degree, all halved until the tolerance is met or they end."
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,8 @@ class Equation:
 
     ``ends`` are the last energies of given meshes along each axis; ``by_tolerance`` are the routes
     that are given a tolerance, elements first, which ``words`` are about; ``clock`` counts the time
-    that all spend in the coefficients of ``process``.
+    that all spend in the coefficients of ``process``. ``solver`` is that of the elements on given
+    meshes.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Equation:
     ends: Sequence[float]
     by_tolerance: Mapping[Route, Callable[..., Solution]]
     words: str
+    solver: str = "fem"
 
     @property
     def dimension(self) -> int:
@@ -74,7 +77,7 @@ class Equation:
             "h",
             f"elements of degree {degree}",
             " x ".join(str(x.size - 1) for x in nodes) + " elements",
-            partial(solve_on, self.process, nodes, degree),
+            partial(solve_on, self.process, nodes, degree, self.solver),
             partial(self.elements, degree, halvings + 1),
             size=2.0**-halvings,
             degree=degree,
@@ -83,7 +86,7 @@ class Equation:
     def degrees(self, first: int = 0) -> Discretisation:
         """Return ``P_DEGREES`` on one mesh with the contact energies among its nodes."""
         degree, finer = P_DEGREES[first], partial(self.degrees, first + 1)
-        solve = partial(solve_on, self.process, self.mesh(4, 1), degree)
+        solve = partial(solve_on, self.process, self.mesh(4, 1), degree, self.solver)
         name, words = "p on a fixed mesh", f"p = {degree}"
         return Discretisation("p", name, words, solve, finer, size=exp(-degree))
 
@@ -110,15 +113,20 @@ class Equation:
         return (nodes,)
 
 
-def solve_on(process: Process, nodes: tuple[Array, ...], degree: int) -> Solution:
+def solve_on(
+    process: Process, nodes: tuple[Array, ...], degree: int, solver: str = "fem"
+) -> Solution:
     """Return the solution by elements of one degree on a given mesh."""
+    slow = solver == "scikit-fem"
     if len(nodes) == 1:
-        return solve_on_mesh(process, nodes[0], degree)
-    return solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree)
+        own = null_vectors if slow else None
+        return solve_on_mesh(process, nodes[0], degree, null_vectors=own)
+    solved = operator.null_function if slow else null_function
+    return solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree, solved=solved)
 
 
-def energy_equation(system: System) -> Equation:
-    """Return (24) for p(H). Raises ``NotApplicable`` where the theory does.
+def energy_equation(system: System, solver: str = "fem") -> Equation:
+    """Return (24) for p(H) by elements of ``solver``; raise ``NotApplicable`` as the theory does.
 
     The closed form (29) is the reference; where damping depends on q or v it is the quadrature of
     (11), which shares with the elements the coefficients only.
@@ -142,19 +150,22 @@ def energy_equation(system: System) -> Equation:
         reference_words=words,
         ends=[probed(process).extent(BEYOND[1])],
         by_tolerance={
-            NonIntegrable("fem").route: solve_stationary,
+            NonIntegrable(solver).route: partial(solved_energies, solver=solver),
             NonIntegrable("quadrature").route: solve_by_quadrature,
         },
-        words="elements whose number and degree follow from the tolerance, cut until it is met.",
+        solver=solver,
+        words=UNIFORM
+        if solver == "scikit-fem"
+        else "elements whose number and degree follow from the tolerance, cut until it is met.",
     )
 
 
-def modal_equation(system: System) -> Equation:
+def modal_equation(system: System, solver: str = "fem") -> Equation:
     """Return (17) for p(H1, H2) of the first two modes; raise ``NotApplicable`` as the theory does.
 
     Constant damping has the closed form (34) as reference. Where damping depends on the state it is
-    plain elements of one degree (p itself is the polynomial, w = 1) on a mesh of their own, which
-    share with the route the coefficients and the weak form only.
+    elements of scikit-fem of one degree (p itself is the polynomial, w = 1) on a mesh of their own,
+    which share with the route the coefficients and the estimate of the error only.
     """
     require_held(system)
     modes = modal_analysis(system)
@@ -170,12 +181,15 @@ def modal_equation(system: System) -> Equation:
         (reference,) = modal_densities(modes, [observable], "closed-form", tol=1e-12)
         words = "closed form (34)"
     else:
-        solution = solve_plane(process, tol=REFERENCE_TOL[2], degree=REFERENCE_DEGREE)
+        solution = solve_by_scikit_fem(
+            process, tol=REFERENCE_TOL[2], degree=REFERENCE_DEGREE, marked=0.1
+        )
         if not np.isfinite(solution.l1_error):
             raise NotCertified("plain elements, the reference of (17), have no finite error")
         reference = density_of(observable, solution)
         count = " x ".join(str(nodes.size - 1) for nodes in solution.nodes)
-        words = f"plain elements (w = 1), degree {solution.degree}, {count} on a mesh of their own"
+        words = f"plain elements (w = 1) of scikit-fem, degree {solution.degree}, {count} on a mesh"
+        words += " of their own"
     ends = probed_plane(process).extent(BEYOND[2]) * process.energy_scales
     return Equation(
         name=OF_MODES,
@@ -184,8 +198,11 @@ def modal_equation(system: System) -> Equation:
         reference=reference,
         reference_words=words,
         ends=ends.tolist(),
-        by_tolerance={Integrable("fem").route: solve_plane},
-        words=(
+        by_tolerance={Integrable(solver).route: partial(solved_energies, solver=solver)},
+        solver=solver,
+        words=UNIFORM
+        if solver == "scikit-fem"
+        else (
             "p = w u with a positive weight w near p and u a polynomial of high degree on few"
             " panels; plain elements (levels marked w = 1) where that misses the tolerance. With"
             " constant damping w itself is the density, (34)."
@@ -193,7 +210,7 @@ def modal_equation(system: System) -> Equation:
     )
 
 
-EQUATIONS: Mapping[str, tuple[str, str, Callable[[System], Equation]]] = {
+EQUATIONS: Mapping[str, tuple[str, str, Callable[..., Equation]]] = {
     "nonintegrable": (OF_ENERGY, "H", energy_equation),
     "integrable": (OF_MODES, "H1,H2", modal_equation),
 }

@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from averaging.zero_flux import PANEL_POINTS, ZeroFluxDensity, density_of_energies
+from averaging.zero_flux import POINTS, ZeroFluxDensity, density_of_energies
 from fpk.arrays import Array
 from fpk.density import Density
 from fpk.line.stationary import StationarySolution
@@ -149,7 +149,7 @@ def refined_levels(
         p = density_of(reference.observable, solution)
         norms, moments, elements = errors(p, reference), errors(p), p.panels[0].size - 1
         unknowns = (
-            PANEL_POINTS * elements if isinstance(solution, ZeroFluxDensity) else solution.unknowns
+            POINTS[0] * elements if isinstance(solution, ZeroFluxDensity) else solution.unknowns
         )
         plain = isinstance(solution, PlaneSolution) and solution.weight is None
         words = f"{setting.settings}, w = 1" if plain else setting.settings

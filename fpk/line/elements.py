@@ -8,7 +8,7 @@ own, and the solution of the global system is these, scaled to match at the vert
 nothing else to match, the basis is that of Legendre polynomials.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -28,9 +28,8 @@ STEEP_POINTS = 4
 and the enriched solution share an error (n from 7 to 40: up to four times their distance)."""
 CONTACT_POINTS = 8
 """Points by which integrals over an element that begins where contact does exceed the degree."""
-AT_ONCE = 10_000
-"""Elements whose coefficients are evaluated at once: a hundred quadrature points for each of ten
-energies of each are 80 MB."""
+NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
+"""Solver on nodes, of a degree, by a number of Gauss points: Legendre series of u, residual."""
 
 
 class Rule(NamedTuple):
@@ -71,10 +70,14 @@ def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
     value = np.asarray(legvander(2.0 * share - 1.0, highest), dtype=float)
     slope = 2.0 * value[:, :-1] @ legder(np.eye(highest + 1))
     tests = value[:, :-1, None]
+    # All points but the middle one, exact for as many degrees as are left.
+    enriched_weight, used = np.zeros(share.size), np.arange(share.size) != share.size // 2
+    every = legvander(2.0 * share[used] - 1.0, share.size - 2)
+    enriched_weight[used] = np.linalg.solve(every.T, np.eye(share.size - 1)[0])
     return Rule(
         share=share,
         weight=weight,
-        enriched_weight=_without_one(share),
+        enriched_weight=enriched_weight,
         P=np.ascontiguousarray(value.T),
         tested=np.concatenate(
             [(tests * f[:, None]).reshape(share.size, -1) for f in (value, slope)]
@@ -91,21 +94,12 @@ def _gauss(points: int) -> tuple[Array, Array]:
     return 0.5 * (1.0 + x), 0.5 * w
 
 
-def _without_one(share: Array) -> Array:
-    """Weights at the points, 0 at the middle one, exact for as many degrees as are left."""
-    used = np.arange(share.size) != share.size // 2
-    weight = np.zeros(share.size)
-    moments = np.eye(share.size - 1)[0]
-    weight[used] = np.linalg.solve(legvander(2.0 * share[used] - 1.0, share.size - 2).T, moments)
-    return weight
-
-
 class Elements(NamedTuple):
     """Solutions of single elements, each of mass 1; every array (elements, …).
 
     ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
-    p e^(−log_factor)/T; ``values`` and ``enriched_values``
-    (elements, points) are p at the same points, ``weights`` those of the points. ``residual`` is
+    p e^(−log_factor)/T; ``values`` and ``enriched_values`` (elements, points) are p at the same
+    points, ``weights`` those of the points. ``residual`` is
     relative to the terms that cancel in it; ``net_flux`` is the mean of J and ``one_way`` the terms
     that cancel in that. ``coefficient_error`` is the largest relative error of the coefficients,
     ``at_end`` p at the right end.
@@ -126,7 +120,13 @@ class Elements(NamedTuple):
     at_end: Array
 
 
-def solve_elements(process: Process, left: Array, right: Array, degree: int) -> Elements:
+def solve_elements(
+    process: Process,
+    left: Array,
+    right: Array,
+    degree: int,
+    null_vectors: NullVectors | None = None,
+) -> Elements:
     """Solve the elements between ``left`` and ``right`` in ``degree`` and in the enriched one.
 
     u = p/T is the phase-space density, and J = T (F u − ½ b u') with F the part of the drift due to
@@ -134,11 +134,9 @@ def solve_elements(process: Process, left: Array, right: Array, degree: int) -> 
     needed, and u is smooth where T is not. The exact solution has J = 0 at every point, so that any
     points serve the Galerkin equations. Integrals of p are another matter: above an energy where
     contact begins T has half-integer powers, and the element that begins there has points of its
-    own for them.
+    own for them. ``null_vectors(process, nodes, degree, points)`` gives u of all elements and the
+    residual by another solver of the same equations.
     """
-    if left.size > AT_ONCE:
-        parts = np.array_split(np.arange(left.size), -(-left.size // AT_ONCE))
-        return joined([solve_elements(process, left[k], right[k], degree) for k in parts])
     rule, h = element_rule(degree, process.degrees_of_freedom), (right - left)[:, None]
     above = np.array([k for k, H in enumerate(left.tolist()) if H in process.nonsmooth], np.intp)
     energy = left[:, None] + h * rule.share
@@ -160,7 +158,14 @@ def solve_elements(process: Process, left: Array, right: Array, degree: int) -> 
     A = (factors.reshape(left.size, -1) @ rule.tested).reshape(left.size, -1, degree + 3)
     largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), SMALLEST)
     A /= largest
-    u, enriched = (_null_vectors(A, m) for m in (degree, degree + ENRICHMENT))
+    degrees = degree, degree + ENRICHMENT
+    if null_vectors is None:
+        u, enriched = (_null_vectors(A, m) for m in degrees)
+    else:
+        nodes = np.append(left, right[-1])
+        (u, own), (enriched, _) = (
+            null_vectors(process, nodes, m, rule.share.size) for m in degrees
+        )
     if above.size:
         inner_error = flat.relative_error[energy.size : -left.size].reshape(inner.shape)
         error[above] = np.maximum(error[above], inner_error.max(axis=1))
@@ -181,6 +186,8 @@ def solve_elements(process: Process, left: Array, right: Array, degree: int) -> 
         at_end=judged[3],
     )
     _scale_to_mass_one(e, A, largest[:, 0, 0], T, T_end, above, inner_T, rule)
+    if null_vectors is not None:
+        e.residual[:] = own
     return e
 
 

@@ -10,10 +10,11 @@ from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from cases.comparison.routes import method_for
 from cases.comparison.stationary import run_scene
-from cases.output.vtk import CUT, SUBDIVISION, field_of, write_vtu
+from cases.output.vtk import write_vtu
 from cases.scene.scene import load_scene
 from fpk.certificate import Certificate
 from fpk.density import Density
+from fpk.field import CUT, SUBDIVISION, field_of
 from fpk.observable import parse_observable
 
 FINE = Certificate(0.0, 0.0, 0.0, 0.0)
@@ -46,6 +47,19 @@ def test_cells_shrink_until_the_stated_error_is_met():
     assert subdivision <= SUBDIVISION * mesh.point_data["density"].max()
     nodes = [np.unique(x).size for x in mesh.points.T[:2]]
     assert len(mesh.points) == np.prod(nodes) and all(n % 2 == 1 for n in nodes)
+
+
+@pytest.mark.parametrize("of", ["q2", "q2,p2"])
+def test_a_density_is_a_mesh_of_meshio_and_a_grid_of_pyvista_in_one_call(of, pyvista):
+    scene = load_scene("fig3a")
+    (p,) = Exact().solve(scene.system, [parse_observable(of, 2)]).densities
+    mesh, grid = p.to_meshio(), p.to_pyvista()
+    axes = mesh.points.T[: len(p.observable)]
+    value, error = p.at(*axes)
+    np.testing.assert_allclose(mesh.point_data["density"], value, atol=1e-14 * value.max())
+    np.testing.assert_allclose(mesh.point_data["error of p"], error, atol=1e-14 * value.max())
+    assert isinstance(grid, pyvista.UnstructuredGrid) and grid.n_points == len(mesh.points)
+    np.testing.assert_array_equal(grid["density"], mesh.point_data["density"])
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.9, -0.9])

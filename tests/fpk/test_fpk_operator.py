@@ -12,7 +12,7 @@ from averaging.energy_process import energy_process
 from fpk.errors import NotCertified
 from fpk.line.stationary import solve_on_mesh
 from fpk.operator import Operator
-from fpk.plane.on_mesh import solve_plane_on_mesh
+from fpk.plane.solution import solve_plane_on_mesh
 from fpk.process import Process
 
 H = np.random.default_rng(20260705).uniform(0.05, 2.0, (200, 2))

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from processes import process_of
 
 from fpk.errors import InvalidInput, NotCertified
-from fpk.plane.on_mesh import solve_plane_on_mesh
-from fpk.plane.solution import PlaneSolution
+from fpk.plane.solution import PlaneSolution, solve_plane_on_mesh
 from fpk.plane.stationary import solve_plane
 from fpk.process import Process
 from fpk.quadrature import panel_rule

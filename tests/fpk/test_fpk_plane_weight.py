@@ -22,13 +22,17 @@ from test_fpk_plane import (
 )
 
 from fpk.errors import NotCertified
-from fpk.plane import on_mesh, spectral, stationary
-from fpk.plane.on_mesh import solve_by_elements, solve_plane_on_mesh
-from fpk.plane.probe import probed
-from fpk.plane.solution import PlaneSolution
-from fpk.plane.spectral import solve_with_weight
-from fpk.plane.stationary import detailed_balance, solve_plane
-from fpk.plane.weight import Weight, fitted_weight, flux_free_weight
+from fpk.plane import stationary
+from fpk.plane.solution import PlaneSolution, solve_plane_on_mesh
+from fpk.plane.stationary import (
+    RUNGS,
+    detailed_balance,
+    finer,
+    solve_by_elements,
+    solve_plane,
+    solve_with_weight,
+)
+from fpk.plane.weight import Weight, fitted_weight, flux_free_weight, probed
 from fpk.process import Coefficients, Process
 from fpk.quadrature import panel_rule
 
@@ -310,8 +314,7 @@ def test_a_looser_tolerance_takes_no_more_attempts_and_no_more_work(
         attempts.append(solve_plane_on_mesh(*args, **kwargs))
         return attempts[-1]
 
-    for module in (on_mesh, spectral):
-        monkeypatch.setattr(module, "solve_plane_on_mesh", noted)
+    monkeypatch.setattr(stationary, "solve_plane_on_mesh", noted)
     counts, work = [], []
     for tol in (1e-4, 1e-7, 1e-10):
         attempts.clear()
@@ -338,9 +341,9 @@ def test_without_any_weight_the_elements_obey_the_same_rule(
 
 def test_what_is_not_affordable_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
     process = square_root_process((0.1, 0.1), (0.1, 0.1))
-    monkeypatch.setattr(on_mesh, "MAX_ENTRIES", 0)
+    monkeypatch.setattr(stationary, "MAX_ENTRIES", 0)
     with pytest.raises(NotCertified, match="affordable"):
-        solve_plane(process, tol=1e-6, degree=4)
+        solve_by_elements(process, probed(process), tol=1e-6)
 
 
 def test_a_weight_that_is_not_fitted_serves_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -364,22 +367,22 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # Few panels of low degree and no plain elements: inaccurate, and said so in words.
-    monkeypatch.setattr(spectral, "LEVELS", ((2, 6),))
-    monkeypatch.setattr(on_mesh, "MAX_ENTRIES", 0)
+    monkeypatch.setattr(stationary, "RUNGS", ((2, 6), (4, 18)))
+    monkeypatch.setattr(stationary, "finer", lambda *_, **__: 2)
+    monkeypatch.setattr(stationary, "MAX_ENTRIES", 0)
     solution = solve_plane(one_sided(0.3, 0.05), tol=1e-10)
     assert not solution.certificate.certified
     assert any("exceeds the tolerance" in words for words in solution.certificate.failures)
 
 
-def test_a_density_that_does_not_fall_off_at_the_edges_takes_one_step_more() -> None:
-    levels = spectral.LEVELS
-    after = [spectral._finer(level, np.inf, 1e-6) for level in range(len(levels))]
-    assert [levels[k] for k in after[:3]] == [(4, 8), (4, 12), (4, 13)]
-    assert all(k == level + 1 for level, k in enumerate(after) if levels[level][1] == 18)
+def test_a_density_that_does_not_fall_off_at_the_edges_takes_five_rungs_at_the_most() -> None:
+    after = [finer(rung, np.inf, coarse=True) for rung in range(len(RUNGS))]
+    assert [RUNGS[k] for k in after[:3]] == [(4, 8), (4, 12), (4, 13)]
+    assert all(k == rung + 1 for rung, k in enumerate(after) if RUNGS[rung][1] == 18)
     assert after == sorted(after)
     # Half a digit takes one degree more, six digits all that four panels have.
-    assert levels[spectral._finer(levels.index((4, 8)), 3e-6, 1e-6)] == (4, 9)
-    assert levels[spectral._finer(levels.index((4, 8)), 1e-5, 1e-11)] == (4, 18)
+    assert RUNGS[finer(RUNGS.index((4, 8)), 3.0, coarse=False)] == (4, 9)
+    assert RUNGS[finer(RUNGS.index((4, 8)), 1e6, coarse=False)] == (4, 18)
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8])

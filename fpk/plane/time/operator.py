@@ -15,10 +15,15 @@ from numpy.polynomial.polynomial import polyder, polyval2d
 from scipy.sparse import csc_array
 
 from fpk.arrays import Array, Flags, Integers
-from fpk.plane.condensation import axis_numbers, local_order
-from fpk.plane.elements import by_element, element_matrices, mass_matrices, shape_functions
-from fpk.plane.on_mesh import MORE_POINTS, WEIGHT_POINTS
-from fpk.plane.solution import Nodes, gauss_grid
+from fpk.plane.elements import (
+    axis_numbers,
+    by_element,
+    element_matrices,
+    local_order,
+    mass_matrices,
+    shape_functions,
+)
+from fpk.plane.solution import ENRICHMENT, WEIGHT_POINTS, Nodes, gauss_grid
 from fpk.plane.weight import Weight
 from fpk.process import Process
 
@@ -79,7 +84,7 @@ class PlaneOperator:
     def points(self) -> int:
         """Gauss points per panel."""
         extra = 0 if self.weight is None else WEIGHT_POINTS // min(self.counts)
-        return self.degree + MORE_POINTS + extra
+        return self.degree + ENRICHMENT + extra
 
     @property
     def counts(self) -> tuple[int, int]:
