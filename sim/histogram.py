@@ -11,12 +11,11 @@ import numpy as np
 from fpk.arrays import SMALLEST, Array, Integers
 from fpk.bins import BinAxis, LogReference, no_reference
 from fpk.certificate import Measured, certify
+from fpk.contact_quantities import kinks_of
 from fpk.effects import effects_of
-from fpk.fits import NEAR
-from fpk.kinks import kinks_of
 from fpk.linear import natural_modes
 from fpk.observable import Coordinate, Observable
-from fpk.sampled_density import SampledDensity
+from fpk.sampled_density import NEAR, SampledDensity
 from fpk.system import System
 from sim.step_size import temperature
 

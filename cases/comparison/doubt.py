@@ -7,7 +7,7 @@ import numpy as np
 
 from averaging.exact import compatibility
 from fpk.arrays import Array
-from fpk.clearance import stop_clearances
+from fpk.contact_quantities import stop_clearances
 from fpk.errors import NotApplicable
 from fpk.linear import linear_covariance
 from fpk.route import Route

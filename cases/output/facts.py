@@ -12,7 +12,7 @@ from cases.output.records import Record, plain
 from cases.scene.numbers import Place
 from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
-from fpk.clearance import stop_clearances
+from fpk.contact_quantities import stop_clearances
 from fpk.effects import effects_of
 from fpk.ends import BoundaryClass, classify
 from fpk.errors import InvalidInput, NotApplicable, NotCertified

@@ -18,7 +18,7 @@ from fpk.sampled_density import SampledDensity
 
 register_routes()
 
-FINE = Certificate(0.0, 0.0, 0.0, 0.0)
+FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
 Q1 = parse_observable("q1", 1)
 
 

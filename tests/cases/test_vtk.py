@@ -16,7 +16,7 @@ from fpk.certificate import Certificate
 from fpk.density import Density
 from fpk.observable import parse_observable
 
-FINE = Certificate(0.0, 0.0, 0.0, 0.0)
+FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")

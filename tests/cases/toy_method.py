@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from fpk.certificate import ROUNDING, Measured
+from fpk.certificate import NEGATIVE, Measured
 from fpk.density import certified_density
 from fpk.errors import NotApplicable
 from fpk.method import Method, Plan, Result
@@ -53,8 +53,8 @@ class Equipartition(Method):
             observable,
             (np.linspace(-REACH * scale, REACH * scale, 18),),
             pdf,
-            lambda x: ROUNDING * pdf(x),
-            measured=Measured(tail + 2.0 * ROUNDING, 0.0, 0.0, 0.0, tail),
+            lambda x: -NEGATIVE * pdf(x),
+            measured=Measured(tail - 2.0 * NEGATIVE, 0.0, 0.0, 0.0, tail),
             tol=self.tol,
         )
 
