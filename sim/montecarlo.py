@@ -21,10 +21,9 @@ from fpk.evolution import (
     TransientAsked,
     Transients,
 )
-from fpk.method import Plan, Progress, Result
+from fpk.method import ROUTES, Plan, Progress, Result, Route, register
 from fpk.observable import Observable
 from fpk.recognition import REGISTRY
-from fpk.route import ROUTES, Route, register
 from fpk.system import System
 from sim.arrays import LANES, MAX_TRAJECTORIES
 from sim.relaxation import relaxation_time, undamped_mode

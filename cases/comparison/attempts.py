@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from fpk.certificate import Certificate
 from fpk.clock import working_time
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.route import Route
+from fpk.method import Route
 
 Answer = TypeVar("Answer")
 

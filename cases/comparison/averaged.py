@@ -27,10 +27,9 @@ from fpk.evolution import (
 )
 from fpk.limit import Limit
 from fpk.linear import modal_energies
-from fpk.method import Method, Plan, Progress, Result
+from fpk.method import ROUTES, Method, Plan, Progress, Result, Route, register
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.process import Process
-from fpk.route import ROUTES, Route, register
 from fpk.start import Start
 from fpk.system import System
 

@@ -18,8 +18,8 @@ from fpk.ends import BoundaryClass, classify
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.escape import escape
 from fpk.linear import natural_modes
+from fpk.method import ROUTES, solvers_of
 from fpk.observable import Coordinate, observable_name
-from fpk.route import ROUTES, solvers_of
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
 from sim.setup import expected_seconds

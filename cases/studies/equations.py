@@ -21,6 +21,7 @@ from fpk.density import Density
 from fpk.errors import NotApplicable, NotCertified
 from fpk.escape import require_held
 from fpk.line.stationary import solve_on_mesh, solve_stationary
+from fpk.method import Route
 from fpk.observable import parse_observable
 from fpk.plane.on_mesh import solve_plane_on_mesh
 from fpk.plane.probe import probed as probed_plane
@@ -28,7 +29,6 @@ from fpk.plane.solution import graded
 from fpk.plane.stationary import solve_plane
 from fpk.probe import probed
 from fpk.process import Process
-from fpk.route import Route
 from fpk.system import System
 
 OF_ENERGY, OF_MODES = "averaged equation (24)", "averaged equation (17)"

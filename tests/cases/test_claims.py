@@ -17,8 +17,8 @@ from fpk.bins import BinAxis
 from fpk.certificate import Certificate
 from fpk.contact_quantities import StopClearance
 from fpk.density import Density
+from fpk.method import ROUTES
 from fpk.observable import parse_observable
-from fpk.route import ROUTES
 from fpk.sampled_density import SampledDensity
 
 FLAT = lambda x: np.where(np.abs(x) <= 1, 0.5, 0.0)  # noqa: E731

@@ -9,8 +9,7 @@ import numpy as np
 from fpk.certificate import NEGATIVE, Measured
 from fpk.density import certified_density
 from fpk.errors import NotApplicable
-from fpk.method import Method, Plan, Result
-from fpk.route import Route, register
+from fpk.method import Method, Plan, Result, Route, register
 
 REACH = 8.5
 
