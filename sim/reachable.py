@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import gammainccinv
 
 from fpk.arrays import Array, Flags
-from fpk.equivalent import balance_energy
+from fpk.equivalent import damping_balance
 from fpk.errors import NotCertified
 from fpk.escape import escape
 from fpk.linear import UNDAMPED
@@ -73,7 +73,7 @@ class Reachable:
         """
         s, T, energy = self.system, self.system.fact(hottest), self.energy
         if s.damping_terms:
-            energy = max(energy, BEYOND_BALANCE * balance_energy(s))
+            energy = max(energy, BEYOND_BALANCE * s.fact(damping_balance).energy)
         else:
             T = min(T, 2.0 * time * float(np.sum(np.diag(s.noise_matrix) / s.mass)))
         root = SHADOW * sqrt(energy) + sqrt(T * float(gammainccinv(s.n, CHANCE)))

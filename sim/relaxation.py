@@ -7,10 +7,9 @@ import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
 from fpk.arrays import Array
-from fpk.balance import balance_with_stops
-from fpk.equivalent import dissipated_power, equivalent_temperature, stops_matter
+from fpk.damping import gaussian_moment
+from fpk.equivalent import damping_balance, equivalent_temperature
 from fpk.linear import UNDAMPED, decay_time, natural_modes
-from fpk.moments import gaussian_moment
 from fpk.system import System
 
 
@@ -25,11 +24,8 @@ def relaxation_time(system: System) -> float:
     """
     if not system.damping_terms:
         return decay_time(system)
-    temperature = equivalent_temperature(system)
-    if stops_matter(system):
-        slope = system.fact(balance_with_stops).slope
-    else:
-        slope = float(np.polynomial.Polynomial(dissipated_power(system)).deriv()(temperature))
+    equivalent_temperature(system)  # raises where damping and noise do not balance
+    slope = system.fact(damping_balance).slope
     times = [2.0 * system.n / slope] if slope > 0 else []
     if (balance := modal_temperatures(system)).size:
         slowest = float(natural_modes(system)[1][0])

@@ -7,7 +7,7 @@ import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
 from fpk.arrays import Array
-from fpk.equivalent import balance_energy, equivalent_temperature
+from fpk.equivalent import damping_balance, equivalent_temperature
 from fpk.linear import drift_matrix, natural_modes
 from fpk.observable import Observable
 from fpk.system import System
@@ -120,7 +120,7 @@ def term_rate(system: System) -> float:
     energy E = ``REACHED`` kT, or ``BEYOND_BALANCE`` times the last one at which damping and noise
     balance: ``q_a² = 2 E (K⁻¹)_aa``, ``v_a² = 2 E/m_a``.
     """
-    level = max(REACHED * temperature(system), BEYOND_BALANCE * balance_energy(system))
+    level = max(REACHED * temperature(system), BEYOND_BALANCE * system.fact(damping_balance).energy)
     q = np.sqrt(2.0 * level * np.diag(system.compliance))
     v = np.sqrt(2.0 * level / system.mass)
     rates = np.zeros(system.n)

@@ -12,7 +12,7 @@ from averaging.conditional import bridge_covariance, conditional
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.sums import Combine
 from fpk.arrays import Array, Integers
-from fpk.moments import gaussian_moment
+from fpk.damping import gaussian_moment
 from fpk.system import System
 
 ROUND_OFF = 1e-14

@@ -17,10 +17,10 @@ from averaging.phase_space.equation.frame import contact_frame, gibbs_reference,
 from averaging.phase_space.identities import force_means
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.compare import compared
+from fpk.damping import gaussian_moment
 from fpk.density import l1_distance
 from fpk.errors import NotApplicable
 from fpk.method import silent
-from fpk.moments import gaussian_moment
 from fpk.observable import Coordinate, parse_observable
 from sim.montecarlo import MonteCarlo
 
