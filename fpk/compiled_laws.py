@@ -69,9 +69,10 @@ def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
     if len(parts) == 1:
         only = parts[0]
         return lambda function, law, overlap, exponent: only(overlap, exponent)
-    choice = _compiled(_last(parts[-1]))
+    last = parts[-1]
+    choice = _compiled(lambda law, x, e: last(x, e))
     for part in reversed(parts[:-1]):
-        choice = _compiled(_first_or(part, choice))
+        choice = _compiled(_chosen(part, choice))
     return lambda function, law, overlap, exponent: choice(law, overlap, exponent)
 
 
@@ -93,15 +94,6 @@ def _compiled(function: Callable[..., Any]) -> Any:
     return numba.njit(error_model="numpy")(function)
 
 
-def _last(function: Any) -> Callable[[Any, Any, Any], Any]:
-    def last(law: Any, x: Any, e: Any) -> Any:
-        return function(x, e)
-
-    return last
-
-
-def _first_or(first: Any, others: Any) -> Callable[[Any, Any, Any], Any]:
-    def first_or(law: Any, x: Any, e: Any) -> Any:
-        return first(x, e) if law == 0 else others(law - 1, x, e)
-
-    return first_or
+def _chosen(first: Any, others: Any) -> Any:
+    """The law ``first`` where the number of the law is 0, one of the ``others`` at one less."""
+    return lambda law, x, e: first(x, e) if law == 0 else others(law - 1, x, e)

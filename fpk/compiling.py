@@ -18,7 +18,7 @@ from zlib import crc32
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-from fpk.clock import left_out
+from fpk.machine import left_out
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -26,14 +26,8 @@ FLAGS = {"contract", "nsz", "arcp", "afn"}
 """Liberties of arithmetic that are taken: none that assumes there is no NaN, and no reassociation,
 which would undo exact differences."""
 
-NO_FOLDER = "no locator available"
-"""Message of numba where neither the source's cache folder nor the user's can be written."""
-
 COMPILER = "fpk compiler"
 """Name of the threads that compile."""
-
-DIGEST_BYTES = sha256().digest_size
-"""Bytes at the end of a cache file: the SHA-256 of those before, which no reader unpickles."""
 
 _njit: Any = numba.njit
 
@@ -41,8 +35,9 @@ _njit: Any = numba.njit
 class CheckedFiles(IndexDataCacheFile):
     """Index and data files of one function's disk cache, which are damaged or as written.
 
-    numba unpickles and executes whatever they hold. Here each ends with a checksum, and data are
-    stored with the key that they belong to: two processes may have given one name to two of them.
+    numba unpickles and executes whatever they hold. Here each ends with the SHA-256 of the bytes
+    before, which no reader unpickles, and data are stored with the key that they belong to: two
+    processes may have given one name to two of them.
     """
 
     def load(self, key: Any) -> Any:
@@ -87,24 +82,13 @@ def _is_whole(path: Path) -> bool:
         return True
     except OSError:
         content = b""
-    whole = sha256(content[:-DIGEST_BYTES]).digest() == content[-DIGEST_BYTES:]
+    size = sha256().digest_size
+    whole = sha256(content[:-size]).digest() == content[-size:]
     if not whole:
         warnings.warn(f"{path}: is damaged; the code in it is compiled again", stacklevel=2)
         with suppress(OSError):
             path.unlink()
     return whole
-
-
-class CheckedCache(FunctionCache):
-    """Disk cache of a compiled function in ``CheckedFiles``."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        """Find the folder; ``RuntimeError`` with ``NO_FOLDER`` where none can be written."""
-        super().__init__(function)
-        files = self._cache_file
-        # A name of its own: files of numba's own format are not damaged, only of no use here.
-        name = files._index_name.removesuffix(".nbi") + ".sha256"
-        self._cache_file = CheckedFiles(self._cache_path, name, files._source_stamp)
 
 
 _awaited: set[Future[Any]] = set()
@@ -165,28 +149,30 @@ def is_compiling() -> bool:
     return bool(_abandoned)
 
 
-def cached_where_possible(compiled: Any) -> Any:
-    """Return the compiled function with a disk cache, or without where no folder can be written.
+def cached_njit() -> Callable[[Function], Function]:
+    """Return the decorator of a compiled function with a disk cache where one can be written.
 
-    It is then compiled again in every process. Any other error of numba is raised. Ctrl-C does not
-    wait until it is compiled.
+    Where no folder can be written it is compiled again in every process. Ctrl-C does not wait until
+    it is compiled.
     """
-    compiled.compile = interruptible_compile(compiled.compile)
-    try:
-        compiled._cache = CheckedCache(compiled.py_func)
-    except RuntimeError as error:
-        if NO_FOLDER not in str(error):
-            raise
-    return compiled
-
-
-def cached_njit(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
-    """Return the decorator of a compiled function with a disk cache where one can be written."""
 
     def decorated(function: Function) -> Function:
-        options = {"fastmath": flags, "error_model": "numpy", "nogil": True}
-        cached: Function = cached_where_possible(_njit(**options)(function))
-        return cached
+        compiled = _njit(fastmath=FLAGS, error_model="numpy", nogil=True)(function)
+        compiled.compile = interruptible_compile(compiled.compile)
+        try:
+            cache = FunctionCache(compiled.py_func)
+        except RuntimeError as error:
+            # numba's message where neither the source's cache folder nor the user's can be written
+            if "no locator available" not in str(error):
+                raise
+        else:
+            files = cache._cache_file
+            # A name of its own: files of numba's own format are not damaged, only of no use here.
+            name = files._index_name.removesuffix(".nbi") + ".sha256"
+            cache._cache_file = CheckedFiles(cache._cache_path, name, files._source_stamp)
+            compiled._cache = cache
+        result: Function = compiled
+        return result
 
     return decorated
 

@@ -12,11 +12,10 @@ from fpk.arrays import SMALLEST, Array, Integers
 from fpk.bins import BinAxis, LogReference, no_reference
 from fpk.certificate import Measured, certify
 from fpk.contact_quantities import kinks_of
-from fpk.effects import effects_of
 from fpk.linear import natural_modes
 from fpk.observable import Coordinate, Observable
 from fpk.sampled_density import NEAR, SampledDensity
-from fpk.system import System
+from fpk.system import System, effects_of
 from sim.step_size import temperature
 
 BINS = (1024, 128)

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.effects import effects_of
 from fpk.linear import natural_modes
 from fpk.observable import Coordinate
-from fpk.system import System
+from fpk.system import System, effects_of
 from sim.arrays import Rows, StepArrays, TermArrays, WatchArrays
 from sim.histogram import Histogram, starts
 from sim.kernel import KernelKey

@@ -15,7 +15,7 @@ from averaging.phase_space.growth import finer, lowest, rise_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.moments import moments
 from averaging.phase_space.reference import fitted, start
-from fpk.cores import usable_cores
+from fpk.machine import usable_cores
 from fpk.method import Progress
 from fpk.observable import Coordinate, Observable
 from fpk.quadrature import gauss_grid, integral

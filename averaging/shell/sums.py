@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.rays import RULES, gauss_rules
 from fpk.arrays import Array, Integers
-from fpk.effects import looks_the_same_mirrored
 from fpk.quadrature import gauss_legendre
+from fpk.system import looks_the_same_mirrored
 
 NO_ORDERS: Integers = np.empty((0, 2), dtype=np.int64)
 TARGET = 3e-12

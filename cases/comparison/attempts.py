@@ -10,8 +10,8 @@ from math import ceil, inf, isnan, log10
 from typing import Any, TypeVar
 
 from fpk.certificate import Certificate
-from fpk.clock import working_time
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.machine import working_time
 from fpk.method import Route
 
 Answer = TypeVar("Answer")

@@ -10,8 +10,8 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.bins import BinAxis
-from fpk.clock import working_time
 from fpk.errors import InvalidInput
+from fpk.machine import working_time
 from fpk.method import Progress, silent
 from fpk.observable import Coordinate, Observable
 from fpk.sampled_density import SampledDensity

@@ -7,10 +7,10 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.certificate import tolerance
-from fpk.clock import left_out
 from fpk.errors import InvalidInput
 from fpk.evolution import Passage, PassageAsked
 from fpk.limit import Limit
+from fpk.machine import left_out
 from fpk.method import Progress
 from fpk.modulation import Modulation
 from sim.arrays import LANES, MAX_TRAJECTORIES, in_blocks, in_rows

@@ -6,9 +6,8 @@ from math import ceil, inf, pi
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.effects import effects_of
 from fpk.errors import InvalidInput, NotApplicable
-from fpk.system import System
+from fpk.system import System, effects_of
 from sim.montecarlo import MonteCarlo
 from sim.motion.limits import Reach
 from sim.schemes import SCHEMES

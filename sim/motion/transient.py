@@ -10,12 +10,12 @@ import numpy as np
 from fpk.arrays import Array, Integers
 from fpk.bins import BinAxis
 from fpk.certificate import Measured, certify, outside, tolerance, worst
-from fpk.clock import left_out
-from fpk.effects import effects_of
 from fpk.errors import InvalidInput
 from fpk.evolution import Transient, TransientAsked
+from fpk.machine import left_out
 from fpk.observable import Observable
 from fpk.sampled_density import SampledDensity
+from fpk.system import effects_of
 from sim.arrays import LANES, MAX_TRAJECTORIES, in_rows
 from sim.ensemble import ensemble_from
 from sim.histogram import (
