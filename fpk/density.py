@@ -139,45 +139,38 @@ class Density(Quantities):
         first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
         ends = (low < nodes[0], high > nodes[-1])
         beyond_ends = sum(outside(self.certificate) for beyond_end in ends if beyond_end)
-        value, error = (float(x) for x in self._share(first, last, self.pdf, self.pointwise))
+        value, error, rounding = (float(x) for x in self._share(first, last))
         of_all = float(self._panel_shares[1].sum())
         unlocated = max(self.l1_error - of_all, self.certificate.mass_defect or 0.0)
-        rounding = float(self._share(first, last, self.pdf, rounding=True)[0])
         located = max(min(error, of_all - error), 0.0)
         return Number(value, located + unlocated + beyond_ends + rounding)
 
     def share(self, low: float, high: float) -> float:
         """Return P(low < X <= high) without its error, which takes as long again."""
         ends = np.clip([low, high], *self._axis()[[0, -1]])
-        return float(self._share(*ends, self.pdf)[0])
+        return float(self._share(*ends, rows=1)[0])
 
-    def _share(
-        self, low: float, high: float, *functions: Callable[..., Array], rounding: bool = False
-    ) -> Array:
-        """Integrals from ``low`` to ``high``, both within the support, of each of ``functions``.
-
-        These are the density, and after it, if given, its error at points. With ``rounding`` each
-        panel counts by the relative round-off of its nodes, so that the round-off is returned.
-        """
+    def _share(self, low: float, high: float, *, rows: int = 3) -> Array:
+        """Integrals between two points of the support: the first ``rows`` of ``_panel_shares``."""
         nodes = self.panels[0]
-        each = EPS * _condition(nodes) if rounding else np.ones(nodes.size - 1)
         first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
-        whole: Array = (self._panel_shares[: len(functions)] * each)[:, first:last].sum(axis=1)
+        whole: Array = self._panel_shares[:rows, first:last].sum(axis=1)
         cut = [(low, nodes[first]), (nodes[last], high)] if first <= last else [(low, high)]
         for a, b in cut:
             if a < b:
                 mesh, grids = gauss_grid([np.array([a, b])])
-                own = each[min(max(np.searchsorted(nodes, a, side="right") - 1, 0), each.size - 1)]
-                whole = whole + own * np.array([integral(f(*mesh), grids) for f in functions])
+                own = [integral(f(*mesh), grids) for f in (self.pdf, self.pointwise)[:rows]]
+                k = np.clip(np.searchsorted(nodes, a, side="right") - 1, 0, nodes.size - 2)
+                whole = whole + [*own, EPS * _condition(nodes)[k] * own[0]][:rows]
         return whole
 
     @cached_property
     def _panel_shares(self) -> Array:
-        """∫ of the density and of its error over every panel of the one axis."""
+        """∫ of the density, of its error and of its round-off over every panel of the one axis."""
         _, [(_, w)] = gauss_grid(self.panels)
         weighted = [np.broadcast_to(f, w.shape) * w for f in self._at_nodes[1:]]
-        shares: Array = np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
-        return shares
+        value, error = np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
+        return np.array([value, error, EPS * _condition(self.panels[0]) * value])
 
     @cached_property
     def _at_nodes(self) -> tuple[Array, Array, Array]:

@@ -22,11 +22,10 @@ SEARCHED = 2.0 ** np.arange(-2.0, 54.0)
 noise: up to 1e16 of it, as energies in ``fpk.ends.FAR_OUT``."""
 DEEP = 40.0
 """Energy of a contact mass, in kT, beyond which its Gibbs density is left out: 4e-18 of it."""
-POINTS = (64, 64, 32, 16)
+POINTS = {1: 64, 2: 64, 3: 32, 4: 16}
 """Gauss points for each of one to four contact masses, 65536 in all at the most: three digits."""
-LOG2_SAMPLES = 14
-"""Sobol points for five and more contact masses, as a power of two: moments to 5 % of up to twelve
-masses, to a tenth of thirty."""
+KEPT = 2**11
+"""Points of five and more contact masses: moments to 2 % of up to thirty masses."""
 ROUND_OFF = 1e-9
 """A power below this share of the terms that cancel in it counts as zero: what quadrature leaves
 where terms of one contact mass cancel exactly is 1e-12."""
@@ -79,8 +78,7 @@ def damping_balance(system: System) -> Balance:
     if not (system.damping_terms and system.contact_masses):
         return _polynomial_balance(system, constant, noise)
     theta = _temperature_of_sizes(system, abs(constant), noise) * SEARCHED
-    states_at = _contact_states if len(system.contact_masses) <= len(POINTS) else _sampled_states
-    log_theta, states = np.log(theta), [states_at(system, float(t)) for t in theta]
+    log_theta, states = np.log(theta), [_contact_states(system, float(t)) for t in theta]
     order = system.n + np.gradient(np.log([weights.sum() for _, weights in states]), log_theta)
     gibbs, shell = constant * theta, constant * theta
     size = np.abs(gibbs)
@@ -180,14 +178,22 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
     """Displacements (masses, points) of the contact masses, and weights (points,), at θ.
 
     The weights are those of E exp(−U/θ) over the Gaussian of the springs, in which a mass departs
-    from the one before it by the flexibility in between. Its Gauss points follow that as far as
-    its stops let it go.
+    from the one before it by the flexibility in between: Gauss points go as far as its stops let it
+    go. Of many masses ``KEPT`` points are drawn again after each, evenly in the order of its
+    displacement: the weights of all masses together would leave one point in thousands.
     """
-    x, w = gauss_legendre(POINTS[len(system.contact_masses) - 1])
+    masses, reach = system.contact_masses, sqrt(2.0 * DEEP)
+    x, w = gauss_legendre(POINTS.get(len(masses), 16))
+    flexibility = np.cumsum(1.0 / system.stiffness)[list(masses)]
     q, weights = np.zeros((0, 1)), np.ones(1)
-    for mass, width in zip(system.contact_masses, _departures(system, theta), strict=True):
+    for mass, width in zip(masses, np.sqrt(theta * np.diff(flexibility, prepend=0.0)), strict=True):
         mean = q[-1] if q.size else np.zeros(1)
-        low, high = _reach(system, mass, theta, mean, width)
+        low, high = mean - reach * width, mean + reach * width
+        for stop in system.stops:
+            if stop.index == mass:
+                end = stop.clearance + stop.overlap_at(DEEP * theta)
+                low = np.maximum(low, -end) if stop.sign < 0 else low
+                high = np.minimum(high, end) if stop.sign > 0 else high
         half = np.maximum(0.5 * (high - low), 0.0)
         own = (0.5 * (low + high))[:, None] + half[:, None] * x
         normal = (own - mean[:, None]) / width
@@ -195,57 +201,15 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
         density = np.exp(-0.5 * normal**2 - energy) / (sqrt(2.0 * np.pi) * width)
         weights = (weights[:, None] * half[:, None] * w * density).ravel()
         q = np.vstack([np.repeat(q, x.size, axis=1), own.reshape(1, -1)])
-    return q, weights
-
-
-def _sampled_states(system: System, theta: float) -> tuple[Array, Array]:
-    """Displacements (masses, samples) of many contact masses, and weights (samples,), at θ.
-
-    A sequential Monte Carlo method with evenly spread points in place of random ones: each mass
-    departs from the one before it by a truncated Gaussian, and samples are drawn again in
-    proportion to exp(−U/θ), in the order of the displacement, before the next mass: the weights of
-    all masses together would leave one sample in thousands.
-    """
-    from scipy.stats.qmc import Sobol  # noqa: PLC0415  (it takes half a second)
-
-    masses, q = system.contact_masses, np.empty((0, 2**LOG2_SAMPLES))
-    # The first point has only zeros: half a step keeps all inside.
-    uniform = Sobol(len(masses), scramble=False).random_base2(LOG2_SAMPLES).T
-    uniform, mean = uniform + 0.5 / uniform.shape[1], np.zeros(uniform.shape[1])
-    weights, even = np.full(mean.size, 1.0 / mean.size), (np.arange(mean.size) + 0.5) / mean.size
-    for mass, width, u in zip(masses, _departures(system, theta), uniform, strict=True):
-        low, high = _reach(system, mass, theta, mean, width)
-        share, end = (scipy.special.ndtr((x - mean) / width) for x in (low, high))
-        inside = np.maximum(end - share, 0.0)
-        own = mean + width * scipy.special.ndtri(share + inside * u)
-        mean = np.clip(own, low, np.maximum(low, high))  # where nothing is inside, of weight 0
-        weights = weights * inside * np.exp(-system.contact_energy(mass, mean) / theta)
-        order, total = np.argsort(mean), float(weights.sum())
-        again = order[np.searchsorted(np.cumsum(weights[order]), even * total)]
-        q = np.vstack([q, mean])[:, again]
-        mean, weights = mean[again], np.full(mean.size, total / mean.size)
-    return q, weights
-
-
-def _departures(system: System, theta: float) -> list[float]:
-    """Standard deviation of each contact mass given the one before it, without stops, at θ."""
-    flexibilities = [float(np.sum(1.0 / system.stiffness[: i + 1])) for i in system.contact_masses]
-    return [sqrt(theta * step) for step in np.diff([0.0, *flexibilities]).tolist()]
-
-
-def _reach(
-    system: System, mass: int, theta: float, mean: Array, width: float
-) -> tuple[Array, Array]:
-    """How far a mass gets on either side of its ``mean``, by the springs and by its stops."""
-    reach = sqrt(2.0 * DEEP)
-    low, high = mean - reach * width, mean + reach * width
-    for stop in system.stops:
-        if stop.index == mass:
-            end = stop.clearance + stop.overlap_at(DEEP * theta)
-            low, high = (
-                (np.maximum(low, -end), high) if stop.sign < 0 else (low, np.minimum(high, end))
+        if len(masses) not in POINTS:
+            # Fractions of the golden ratio: evenly spread beside the order of the mass before.
+            k, total = np.arange(KEPT), np.cumsum(weights)
+            kept = np.searchsorted(
+                total, (k + k * 0.5 * (sqrt(5.0) - 1.0) % 1.0) / KEPT * total[-1]
             )
-    return low, high
+            q = q[:, kept[np.argsort(q[-1, kept])]]
+            weights = np.full(KEPT, total[-1] / KEPT)
+    return q, weights
 
 
 def _mean_power(

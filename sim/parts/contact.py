@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.compiled_laws import of_law
-from fpk.compiling import inlined
+from fpk.compiling import inlined, of_law
 from sim.arrays import LANES as W
 from sim.arrays import StepArrays
 from sim.lanes import fill, kick, row

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Integers
-from fpk.compiled_laws import compiled_laws, law_files
-from fpk.compiling import ROOT, cached_njit, checksum
+from fpk.compiling import ROOT, cached_njit, checksum, compiled_laws, law_files
 from sim.arrays import StepArrays, WatchArrays
 from sim.kernel import KERNEL, KernelKey
 from sim.lanes import kick, row

@@ -10,8 +10,7 @@ import numpy as np
 from numba import njit
 
 from fpk.arrays import Array
-from fpk.compiled_laws import of_law
-from fpk.compiling import inlined
+from fpk.compiling import inlined, of_law
 from sim.arrays import StepArrays, WatchArrays
 from sim.motion.between import cubic_of, distance_to, form_of, largest_of
 from sim.parts.contact import numbers_of, overlap_of
