@@ -186,12 +186,8 @@ def boxes(
 
 
 def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
-    """Both parts of a box cut across the axis that fits worst; none if one has too little.
-
-    The cut is in the middle, or as near to it as leaves both parts bins and samples enough: more
-    bins than coefficients, so that a misfit shows.
-    """
-    axes, bins = range(shares.ndim), DEGREE + 4
+    """Both parts of a box cut near the middle of the axis that fits worst; none if one is small."""
+    axes, bins = range(shares.ndim), DEGREE + 4  # more bins than coefficients: a misfit shows
     needed = PER_COEFFICIENT * comb(DEGREE + shares.ndim, shares.ndim) / samples
     for axis in sorted(axes, key=lambda k: _chance_of_highest(box, alone=k)):
         below = np.cumsum(shares.sum(axis=tuple(k for k in axes if k != axis)))[:-1]
@@ -320,10 +316,7 @@ class Model:
 
 
 def _chance_of_highest(box: Box, alone: int | None = None) -> float:
-    """Probability of highest coefficients as large as they are, were the true ones 0.
-
-    By Hotelling's T². ``alone``: of the polynomials of this axis alone.
-    """
+    """Probability by Hotelling's T² that the highest coefficients (of an axis ``alone``) are 0."""
     total = box.degrees.sum(axis=0)
     highest = total > max(0, int(total.max(initial=0)) - HIGHEST[len(box.first)])
     if alone is not None:
@@ -342,11 +335,7 @@ def _chance_of_highest(box: Box, alone: int | None = None) -> float:
 
 
 def _chance_of_misfit(residuals: Array, held: Array) -> float:
-    """Probability of the largest residual of all blocks of 1, 2, 4, … bins an axis.
-
-    ``residuals`` (batches, bins of each axis) are shares less those of the fit to the batch, and
-    ``held`` the samples in the bins.
-    """
+    """Probability of the largest of ``residuals`` (batches, *bins) in blocks of 1, 2, 4, … bins."""
     least, count, batches, size = 1.0, 0, len(residuals), 1
     while 4 * size <= max(held.shape):
         blocks, own = residuals, held

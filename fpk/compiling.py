@@ -79,10 +79,7 @@ class CheckedFiles(IndexDataCacheFile):
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a cache file is as it was written, or is not there.
-
-    One that is damaged is removed, with a warning.
-    """
+    """Whether a cache file is as written or not there; a damaged one is removed, with a warning."""
     try:
         content = path.read_bytes()
     except FileNotFoundError:

@@ -183,10 +183,7 @@ class Density(Quantities):
 
 
 def _condition(nodes: Array) -> Array:
-    """1 + |x|/width of every panel between ``nodes``, |x| the larger of its ends.
-
-    EPS times that is the relative round-off of the width, and so of an integral over the panel.
-    """
+    """1 + |x|/width of panels: times EPS the relative round-off of an integral over each."""
     largest = np.maximum(np.abs(nodes[1:]), np.abs(nodes[:-1]))
     return np.asarray(1.0 + largest / np.diff(nodes))
 

@@ -177,10 +177,9 @@ def _temperature_of_sizes(system: System, constant: float, noise: float) -> floa
 def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
     """Displacements (masses, points) of the contact masses, and weights (points,), at θ.
 
-    The weights are those of E exp(−U/θ) over the Gaussian of the springs, in which a mass departs
-    from the one before it by the flexibility in between: Gauss points go as far as its stops let it
-    go. Of many masses ``KEPT`` points are drawn again after each, evenly in the order of its
-    displacement: the weights of all masses together would leave one point in thousands.
+    A mass departs from the one before it by the flexibility in between, as far as its stops let it
+    go. Of many masses ``KEPT`` points are drawn again after each: the weights of all masses
+    together would leave one point in thousands.
     """
     masses, reach = system.contact_masses, sqrt(2.0 * DEEP)
     x, w = gauss_legendre(POINTS.get(len(masses), 16))
@@ -217,9 +216,8 @@ def _mean_power(
 ) -> tuple[float, float]:
     """E coefficient Π q Π v v_i v_j at θ without the power of H, and that of its absolute value.
 
-    A displacement is its mean given the contact masses and an independent Gaussian part: their
-    product is summed over all ways to take some factors of the one and the others of the other.
-    ``contact`` and ``weights`` as of ``_contact_states``; C (n, n) is the compliance.
+    ``contact`` and ``weights`` as of ``_contact_states``; C (n, n) is the compliance. A mass is at
+    its mean given the contact masses, and an independent Gaussian part off.
     """
     masses = list(system.contact_masses) if len(contact) else []
     nodes = [0.0, *np.diag(C)[masses]]  # the mean is linear between them, constant beyond

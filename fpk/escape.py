@@ -141,10 +141,7 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
 
 
 def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array, Array]]:
-    """Return the function of states x = (q, v)/``unit``, (states, 2n): dx/dt, ∂(dx/dt)/∂x and H.
-
-    Their shapes are (states, 2n), (states, 2n, 2n) and (states,).
-    """
+    """Return the function of states x = (q, v)/``unit``, (states, 2n): dx/dt, ∂(dx/dt)/∂x and H."""
     n, terms, K = system.n, system.damping_terms, system.stiffness_matrix
     powers = np.array([[*t.powers("q", n), *t.powers("v", n)] for t in terms])
     powers[range(len(terms)), [n + t.column for t in terms]] += 1
@@ -180,12 +177,10 @@ def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array
 
 
 def _states(system: System, unit: Array, energy: float, span: float) -> Array:
-    """Return states z = (q, v), (states, 2n), of about one ``energy``, drawn with a fixed seed.
-
-    A third is spread over all directions. In the others half of the coordinates are small, evenly
-    so in their logarithms, down to a tenth of their size at ``energy/span``: others lead there.
-    """
+    """Return states z = (q, v), (states, 2n), of about one ``energy``, drawn with a fixed seed."""
     rng, n = np.random.default_rng(0), system.n
+    # Two thirds have half of the coordinates small, evenly so in their logarithms, down to a tenth
+    # of their size at ``energy/span``: others lead there.
     small = rng.random((DRAWN, 2 * n)) < 0.5
     small[::3] = False
     share = np.where(small, (10.0 * np.sqrt(span)) ** -rng.random((DRAWN, 2 * n)), 1.0)
@@ -206,11 +201,7 @@ def _powers(system: System, z: Array) -> Array:
 
 
 def _words(system: System, state: Array) -> str:
-    """Return the reason: the term that feeds most in at ``state``, from which motion escapes.
-
-    Where it does so: by the signs of its odd factors there or, with one factor, in c_ii, from where
-    it outweighs the constant damping.
-    """
+    """Return the reason: the term that feeds most in at ``state``, and where it does so."""
     term = system.damping_terms[int(np.argmin(_powers(system, state[None])[:, 0]))]
     names = [f"{key}{i + 1}" for key in "qv" for i in range(system.n)]
     powers = [*term.powers("q", system.n), *term.powers("v", system.n)]
@@ -218,6 +209,7 @@ def _words(system: System, state: Array) -> str:
     factors += [f"H^{term.energy}" if term.energy > 1 else "H"] if term.energy else []
     start = ", ".join(f"{x} = {value:.3g}" for x, value in zip(names, state, strict=True))
     side = ["<" if x < 0.0 else ">" for x in state]
+    # One factor in c_ii feeds in from where it outweighs the constant damping.
     if term.i == term.j and term.energy == 0 and len(term.q + term.v) == 1:
         k, constant = int(np.argmax(powers)), max(float(system.damping[term.row, term.row]), 0.0)
         bound = (constant / abs(term.coefficient)) ** (1.0 / powers[k])

@@ -206,11 +206,7 @@ class Quantities(ABC):
         return self.moment(1, 0).value, self.moment(0, 1).value
 
     def _of_moments(self, function: Callable[[Complexes], Any], *about: float) -> Number:
-        """A ``function`` of the first four moments about a point, of two axes of the first five.
-
-        A small change of the density changes the function by the expectation of its gradient times
-        the powers; the error of that expectation is the error of the function.
-        """
+        """A ``function`` of the first four moments about a point, of two axes of the first five."""
         pair = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
         powers = [(1,), (2,), (3,), (4,)] if len(about) == 1 else pair
         terms = [_monomial(k, about) for k in powers]
@@ -219,6 +215,7 @@ class Quantities(ABC):
         # An imaginary step, whose square is nothing beside 1, differentiates without a difference.
         steps = 1e-20 * np.prod(np.sqrt(squares) ** np.array(powers), axis=1)
         gradient = np.imag([function(m) for m in moments + 1j * np.diag(steps)]) / steps
+        # The error is that of the expectation of the gradient times the powers.
         own = self.expectation(
             lambda *x: sum(g * term(*x) for g, term in zip(gradient, terms, strict=True))
         )

@@ -288,7 +288,7 @@ def sampled_density(
 
 def unresolved_words(density: SampledDensity) -> list[str]:
     """Return in words where the contents of the bins do not show the density, if anywhere."""
-    for box in density.fits.unresolved:
+    for box in density.unresolved:
         ends = zip(density.observable, density.edges, box.first, box.last, strict=True)
         where = ", ".join(f"{c} = {e[a]:.4g} to {e[b]:.4g}" for c, e, a, b in ends)
         return [f"the density changes within a bin for {where}, and is not known there"]

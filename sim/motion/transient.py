@@ -201,7 +201,7 @@ def answer_of(
     values, errors, bias, wide = [], [], 0.0, list[str]()
     for time, a, b in zip(times.tolist(), fine, coarse, strict=True):
         value, error = a.at(*at)
-        step, lost = b.at(*at)[0] - value, a.fits.are_unresolved(np.stack(at))
+        step, lost = b.at(*at)[0] - value, a.are_unresolved(np.stack(at))
         values.append(value)
         errors.append(np.where(lost, inf, np.hypot(error, step)))
         if lost.any():
