@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.arrays import ROUND_OFF
 from fpk.errors import InvalidInput
 
 Default = TypeVar("Default")
@@ -14,9 +15,6 @@ Default = TypeVar("Default")
 NEGATIVE = -1e-14
 """Smallest p / max p that counts as round-off of a density that is not negative; its size is the
 departure of a mass from 1 that counts as round-off of its own sum."""
-CANCELLED = 1e-12
-"""Largest algebraic residual relative to the terms that cancel in it, and largest net flux relative
-to the one-way flux where the net flux is zero, that count as round-off."""
 MISSED = "the estimated error"
 """First words of the failure that an estimated error exceeds the tolerance."""
 
@@ -128,8 +126,8 @@ def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certifi
         failures.append(
             f"the mass is off by {off:.2g}, more than the stated error {m.l1_error:.2g}"
         )
-    if not sampled and m.residual is not None and not m.residual < CANCELLED:
+    if not sampled and m.residual is not None and not m.residual < ROUND_OFF:
         failures.append(f"the residual of the equation is {m.residual:.2g}")
-    if m.net_flux is not None and not m.net_flux < CANCELLED:
+    if m.net_flux is not None and not m.net_flux < ROUND_OFF:
         failures.append(f"the net flux is {m.net_flux:.2g} of the one-way flux")
     return Certificate(**{**vars(m), "failures": tuple(failures), "missed": missed})

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
-from fpk.arrays import Array
+from fpk.arrays import ROUND_OFF, Array
 from fpk.damping import DampingTerm, gaussian_moment
 from fpk.errors import NotApplicable
 from fpk.quadrature import gauss_legendre
@@ -26,7 +26,7 @@ POINTS = {1: 64, 2: 64, 3: 32, 4: 16}
 """Gauss points for each of one to four contact masses, 65536 in all at the most: three digits."""
 KEPT = 2**11
 """Points of five and more contact masses: moments to 2 % of up to thirty masses."""
-ROUND_OFF = 1e-9
+QUADRATURE = 1e-9
 """A power below this share of the terms that cancel in it counts as zero: what quadrature leaves
 where terms of one contact mass cancel exactly is 1e-12."""
 GROWS = "the damping does not balance the noise, so the energy grows for ever"
@@ -102,14 +102,14 @@ def damping_balance(system: System) -> Balance:
             for t, s in zip(theta, states, strict=True)
         ]
         mean, absolute = np.array(means, dtype=float).T
-        acts = np.abs(mean) > ROUND_OFF * absolute
+        acts = np.abs(mean) > QUADRATURE * absolute
         logs = np.log(np.where(acts, np.abs(mean), 1.0))
         power = np.where(acts, np.maximum(np.gradient(logs, log_theta), 0.0), 0.0)
         factor = theta**term.energy * gamma_ratio(order + power, float(term.energy))
         power = power + term.energy
         gibbs, size = gibbs + factor * mean, size + factor * np.where(acts, absolute, 0.0)
         shell = shell + factor * mean * order**power / gamma_ratio(order, power)
-    if not gibbs[-1] > max(noise, ROUND_OFF * size[-1]):
+    if not gibbs[-1] > max(noise, QUADRATURE * size[-1]):
         raise NotApplicable(GROWS)
 
     def last_root(x: Array, share: Array) -> float:
@@ -142,7 +142,7 @@ def _polynomial_balance(system: System, constant: float, noise: float) -> Balanc
         part = _mean_power(system, term, 1.0, *none, compliance)[0] * energies
         power[1 + term.degree // 2] += part
         size[1 + term.degree // 2] += abs(part)
-    power[np.abs(power) <= 1e-12 * size] = 0.0  # the round-off of terms that cancel
+    power[np.abs(power) <= ROUND_OFF * size] = 0.0
     power = np.trim_zeros(power, "b") if np.any(power) else power[:2]
 
     def largest_root(coefficients: Any) -> float:

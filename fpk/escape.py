@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fpk.arrays import Array
+from fpk.arrays import ROUND_OFF, Array
 from fpk.ends import MAX_ENERGY
 from fpk.equivalent import SEARCHED
 from fpk.errors import NotApplicable
@@ -30,8 +30,6 @@ SLOW = 0.05
 over whole cycles is for ``fpk.equivalent`` to judge."""
 FLOOR = 1e-3
 """Displacements or velocities below this share of all of them may change by more."""
-ROUND_OFF = 1e-12
-"""A power or a growth rate below this share of its largest part is round-off."""
 ESCAPED = 100.0
 """Energy, in units of that of the starts, above which a motion may have escaped."""
 

@@ -6,12 +6,9 @@ from math import inf
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from fpk.arrays import EPS, Array
+from fpk.arrays import EPS, ROUND_OFF, Array
 from fpk.errors import NotApplicable
 from fpk.system import System
-
-UNDAMPED = 1e-12
-"""A decay rate below this share of the largest eigenvalue of the drift is round-off."""
 
 
 def drift_matrix(system: System) -> Array:
@@ -56,7 +53,7 @@ def decay_time(system: System) -> float:
     """Return 1/rate of the slowest decay of the linear part; inf where some motion never decays."""
     eigenvalues = np.linalg.eigvals(drift_matrix(system))
     rate = float(-np.max(eigenvalues.real))
-    return 1.0 / rate if rate > UNDAMPED * float(np.max(np.abs(eigenvalues))) else inf
+    return 1.0 / rate if rate > ROUND_OFF * float(np.max(np.abs(eigenvalues))) else inf
 
 
 @dataclass(frozen=True, eq=False)

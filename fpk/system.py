@@ -8,17 +8,13 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fpk.arrays import Array
+from fpk.arrays import ROUND_OFF, Array
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 from fpk.modulation import Modulation
 
 Fact = TypeVar("Fact")
-
-SEMIDEFINITE_SLACK = 1e-12
-"""An eigenvalue above minus this share of the largest one counts as not negative (round-off of
-an input written with twelve digits or more)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +86,7 @@ class System:
         intensity = _matrix("noise_intensity", self.noise_intensity)
         noises = intensity.shape[0]
         skew = np.abs(intensity - intensity.T)
-        if (skew > SEMIDEFINITE_SLACK * np.abs(intensity)).any():
+        if (skew > ROUND_OFF * np.abs(intensity)).any():
             raise InvalidInput("noise_intensity", self.noise_intensity, "must be symmetric")
         _refuse_negative("noise_intensity", intensity, "is not positive semidefinite: it has")
         if self.noise_gain is None:
@@ -237,7 +233,7 @@ def _refuse_negative(key: str, matrix: Array, words: str) -> None:
     eigenvalues: Array = np.sort(symmetric.diagonal())
     if np.count_nonzero(symmetric) > np.count_nonzero(eigenvalues):
         eigenvalues = np.asarray(np.linalg.eigvalsh(symmetric), dtype=float)
-    if eigenvalues[0] < -SEMIDEFINITE_SLACK * np.abs(eigenvalues).max():
+    if eigenvalues[0] < -ROUND_OFF * np.abs(eigenvalues).max():
         raise InvalidInput(key, matrix, f"{words} the eigenvalue {eigenvalues[0]:.3g} < 0")
 
 

@@ -6,11 +6,10 @@ from math import exp, inf, sqrt
 import numpy as np
 from scipy.special import gammainccinv
 
-from fpk.arrays import Array, Flags
+from fpk.arrays import ROUND_OFF, Array, Flags
 from fpk.equivalent import damping_balance
 from fpk.errors import NotCertified
 from fpk.escape import escape
-from fpk.linear import UNDAMPED
 from fpk.system import System
 from sim.relaxation import modal_temperatures
 from sim.schemes import Scheme
@@ -44,7 +43,7 @@ def hottest(system: System) -> float:
     c = 0.5 * (system.damping + system.damping.T)
     rates, v = np.linalg.eigh(c)
     noise = v.T @ system.noise_matrix @ v
-    damped = rates > UNDAMPED * rates[-1]
+    damped = rates > ROUND_OFF * rates[-1]
     if np.any(np.diag(noise)[~damped] > 0.0):
         return inf
     roots = np.sqrt(rates[damped])

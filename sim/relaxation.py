@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
-from fpk.arrays import Array
+from fpk.arrays import ROUND_OFF, Array
 from fpk.damping import gaussian_moment
 from fpk.equivalent import damping_balance, equivalent_temperature
-from fpk.linear import UNDAMPED, decay_time, natural_modes
+from fpk.linear import decay_time, natural_modes
 from fpk.system import System
 
 
@@ -82,10 +82,10 @@ def undamped_mode(system: System) -> bool:
     """
     shapes, omega = natural_modes(system)
     constant = np.abs(np.einsum("im,ij,jm->m", shapes, system.damping, shapes))
-    reached = constant > UNDAMPED * omega[-1]
+    reached = constant > ROUND_OFF * omega[-1]
     size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
     for term in system.damping_terms:
-        reached |= size[term.row] * size[term.column] > UNDAMPED
+        reached |= size[term.row] * size[term.column] > ROUND_OFF
     return not bool(np.all(reached))
 
 
