@@ -17,10 +17,10 @@ from averaging.shell.laplace import PartitionLines, by_lines
 from averaging.shell.parts import ROUND_OFF, parts_of
 from averaging.shell.sums import TARGET, shell_integrals
 from averaging.shell.table import ShellTable
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.system import System
 
-ROUNDED = 4.0 * float(np.finfo(float).eps)
+ROUNDED = 4.0 * EPS
 """Bound of H − V at a stop by a few roundings of H and of V, relative to H."""
 TARGETS = (8e-13, 3e-14)
 """Disagreement of two rules, for n = 1 and more, that ends the refinement of the power over one

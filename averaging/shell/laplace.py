@@ -25,7 +25,7 @@ from averaging.hidden import DEPTH, stop_panels
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.parts import parts_of
 from averaging.shell.passes import passed
-from fpk.arrays import Array, Complexes
+from fpk.arrays import EPS, Array, Complexes
 from fpk.errors import NotApplicable
 from fpk.quadrature import panel_rule
 from fpk.system import System
@@ -68,7 +68,6 @@ MOST_MASSES = 10
 """Masses, and a quarter of the highest degree of damping terms, up to which two contact masses are
 integrated along rays: beyond, v^a r^k is so narrow that the 24 points along a ray miss more than is
 stated (3 times of 12 masses and of 9 with a term of degree 8, 0.5 times of 8 with it)."""
-EPS = float(np.finfo(float).eps)
 
 Alone = Callable[[System, Array], Array]
 """Columns of ``averaging.shell.averages`` of a system with one contact mass."""

@@ -19,7 +19,7 @@ from averaging.phase_space.equation.equations import chain_of
 from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.equation.others import lowered, raised
 from averaging.phase_space.marginals import Form
-from fpk.arrays import Array, Complexes
+from fpk.arrays import EPS, Array, Complexes
 
 VECTORS = 120
 """Most vectors of a Krylov space: with more, making them orthogonal takes as long as an elimination
@@ -235,7 +235,7 @@ def eigenvalues(A: Generator, at: float, step: Step) -> tuple[Complexes, float]:
     random = np.random.default_rng(0).normal(size=(A.chain.ends[-1], BLOCK))
     *_, (V, H, _) = _krylov(solve, solve(random), RITZ_VECTORS)
     theta, W = np.linalg.eig(H[: len(V)])
-    rounding = np.finfo(float).eps * np.max(np.abs(theta))
+    rounding = EPS * np.max(np.abs(theta))
     known = np.abs(theta) > rounding
     theta, residual = theta[known], np.linalg.norm(H[len(V) :] @ W, axis=0)[known] + rounding
     away = 1.0 / np.abs(theta)

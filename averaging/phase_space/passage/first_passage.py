@@ -7,9 +7,9 @@ import numpy as np
 from averaging.phase_space.passage.elements import elements
 from averaging.phase_space.passage.mesh import DEGREES
 from averaging.phase_space.passage.oscillator import oscillator_of
-from averaging.phase_space.passage.solution import EPS, Solution
+from averaging.phase_space.passage.solution import Solution
 from averaging.phase_space.passage.states import Region, Source, region_of, source_of
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.certificate import tolerance
 from fpk.errors import NotCertified
 from fpk.evolution import Passage, PassageAsked, certified_passage, checked_times

@@ -7,12 +7,10 @@ from math import inf, pi, sqrt
 import numpy as np
 from scipy.optimize import brentq
 
-from fpk.arrays import Array
+from fpk.arrays import EPS, Array
 from fpk.errors import NotApplicable
 from fpk.modulation import require_constant_noise
 from fpk.system import System
-
-EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,6 @@ from averaging.phase_space.passage.elements import Elements
 from fpk.arrays import Array
 from fpk.errors import NotCertified
 
-EPS = float(np.finfo(float).eps)
 PIVOTS = (1e-3, 1e-2, 1.0)
 """Least diagonal pivots relative to their columns, tried in this order: lower ones keep more of the
 symmetric ordering, and entries may grow by their inverse in each step."""
