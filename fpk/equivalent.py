@@ -90,23 +90,17 @@ def damping_balance(system: System) -> Balance:
         """Γ(a + k)/Γ(a)."""
         return np.asarray(np.exp(scipy.special.gammaln(a + k) - scipy.special.gammaln(a)))
 
-    for term, *others in alike.values():
+    for (_, _, degree), terms in alike.items():
         means = [
-            np.sum(
-                [
-                    _mean_power(system, each, float(t), *s, system.compliance)
-                    for each in (term, *others)
-                ],
-                axis=0,
-            )
-            for t, s in zip(theta, states, strict=True)
+            sum(np.array(_mean_power(system, term, t, *s, system.compliance)) for term in terms)
+            for t, s in zip(theta.tolist(), states, strict=True)
         ]
         mean, absolute = np.array(means, dtype=float).T
         acts = np.abs(mean) > QUADRATURE * absolute
         logs = np.log(np.where(acts, np.abs(mean), 1.0))
         power = np.where(acts, np.maximum(np.gradient(logs, log_theta), 0.0), 0.0)
-        factor = theta**term.energy * gamma_ratio(order + power, float(term.energy))
-        power = power + term.energy
+        factor = theta**degree * gamma_ratio(order + power, float(degree))
+        power = power + degree
         gibbs, size = gibbs + factor * mean, size + factor * np.where(acts, absolute, 0.0)
         shell = shell + factor * mean * order**power / gamma_ratio(order, power)
     if not gibbs[-1] > max(noise, QUADRATURE * size[-1]):

@@ -52,37 +52,29 @@ def escape(system: System) -> str | None:
     if not system.damping_terms:
         return None
     # The unit (2n,) of each of (q, v) in which its energy is about x²/2.
-    unit = np.sqrt([*np.diag(system.compliance), *(1.0 / system.mass)])
-    with np.errstate(over="ignore", divide="ignore"):
-        least, last = _balances(system, unit)
-    if not LEVEL * last < MAX_ENERGY:  # terms too weak for any motion in double precision
-        return None
-    state = _escaping_state(system, unit, LEVEL * last, LEVEL * last / least)
-    return None if state is None else _words(system, state)
-
-
-def _balances(system: System, unit: Array) -> tuple[float, float]:
-    """Return the last energies, without and with stops, at which two rates of motion are alike.
-
-    The rates are c_ij/√(m_i m_j) of the damping and of each term, the natural frequencies, and
-    √(2E/m)/q of a rebound from a stop at the displacement q.
-    """
+    n, unit = system.n, np.sqrt([*np.diag(system.compliance), *(1.0 / system.mass)])
+    # The last energies, without and with stops, at which two rates of motion are alike: c_ij over
+    # √(m_i m_j) of the damping and each term, natural frequencies, √(2E/m)/q of a rebound at q.
     root, flexibility = np.sqrt(np.outer(system.mass, system.mass)), np.diag(system.compliance)
     rates = [(0, max(np.max(np.abs(system.damping) / root), natural_modes(system)[1][-1]))]
     for t in system.damping_terms:
-        powers = [*t.powers("q", system.n), *t.powers("v", system.n)]
-        size = np.prod((np.sqrt(2.0) * unit) ** powers)
+        size = np.prod((np.sqrt(2.0) * unit) ** [*t.powers("q", n), *t.powers("v", n)])
         rates.append((t.degree, abs(t.coefficient) / root[t.row, t.column] * size))
-    least = last = max((b / a) ** (2.0 / (d - e)) for d, a in rates for e, b in rates if d > e)
-    energy = least * SEARCHED[SEARCHED >= 1.0]
-    for stop in system.stops:
-        q = np.array([stop.clearance + stop.overlap_at(float(e)) for e in energy])
-        rebound = np.sqrt(2.0 * energy / system.mass[stop.index]) / q
-        reduced = q / np.sqrt(2.0 * flexibility[stop.index] * energy)
-        for t, (degree, rate) in zip(system.damping_terms, rates[1:], strict=True):
-            damping = rate * energy ** (0.5 * degree) * reduced ** dict(t.q).get(stop.mass, 0)
-            last = max([last, *energy[1:][np.diff(damping > rebound)]])
-    return float(least), float(last)
+    with np.errstate(over="ignore", divide="ignore"):
+        pairs = [(a, b, d - e) for d, a in rates for e, b in rates if d > e]
+        least = last = max((b / a) ** (2.0 / more) for a, b, more in pairs)
+        energy = least * SEARCHED[SEARCHED >= 1.0]
+        for stop in system.stops:
+            q = np.array([stop.clearance + stop.overlap_at(float(e)) for e in energy])
+            rebound = np.sqrt(2.0 * energy / system.mass[stop.index]) / q
+            reduced = q / np.sqrt(2.0 * flexibility[stop.index] * energy)
+            for t, (degree, rate) in zip(system.damping_terms, rates[1:], strict=True):
+                damping = rate * energy ** (0.5 * degree) * reduced ** dict(t.q).get(stop.mass, 0)
+                last = max([last, *energy[1:][np.diff(damping > rebound)]])
+    if not LEVEL * last < MAX_ENERGY:  # terms too weak for any motion in double precision
+        return None
+    state = _escaping_state(system, unit, LEVEL * float(last), LEVEL * float(last) / float(least))
+    return None if state is None else _words(system, state)
 
 
 def _escaping_state(system: System, unit: Array, energy: float, span: float) -> Array | None:

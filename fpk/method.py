@@ -259,8 +259,3 @@ def solvers_of(method: str) -> tuple[str, ...]:
     """Return the solvers of a method, its default first and those that sample last."""
     own = [route for route in ROUTES.values() if route.method == method]
     return tuple(route.solver for route in sorted(own, key=lambda route: route.sampled))
-
-
-def methods() -> tuple[str, ...]:
-    """Return the names of all methods, in the order of registration."""
-    return tuple(dict.fromkeys(name for name, _ in ROUTES))
