@@ -221,7 +221,9 @@ def _mean_power(
     spread[masses] = spread[:, masses] = 0.0
     mean, powers = follow @ contact, term.powers("q", system.n)
     total, absolute = np.zeros((2, weights.size))
-    for own in product(*(range(power + 1) for power in powers)):
+    # Without contact masses all displacements are Gaussian.
+    least = (0 if len(contact) else power for power in powers)
+    for own in product(*(range(a, b + 1) for a, b in zip(least, powers, strict=True))):
         moment = gaussian_moment(spread, own)
         if moment:
             ways = prod(comb(power, k) for power, k in zip(powers, own, strict=True))
