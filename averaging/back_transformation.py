@@ -1,16 +1,17 @@
 """From a density of the energy to q, p and crossing rates, Eqs. (23), (30)."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable
 from math import ceil, pi
 
 import numpy as np
 
-from averaging.conditional import Conditional, conditionals
-from averaging.hidden import (
-    HiddenIntegral,
+from averaging.conditional import (
+    DEPTH,
+    Conditional,
+    conditionals,
     contact_levels,
     gibbs_integral,
+    hidden_integral,
     rules_of,
     stop_panels,
 )
@@ -57,9 +58,7 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         return density_of_energies(
             observable, solution, (nodes,), own, tol=tol, added=source.closed
         )
-    q = tuple(c.row for c in observable if c.kind == "q")
-    marginal = marginal_of(source, observable)
-    added = partial(integration_error, source, observable, marginal)
+    pdf, pointwise, added = marginal_of(source, observable)
     T, end = source.temperature, source.end
 
     def panels(c: Coordinate) -> Array:
@@ -69,93 +68,109 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         reach = np.sqrt(2.0 * system.mass[c.row] * end)
         return np.linspace(-reach, reach, max(16, ceil(np.sqrt(2.0 * end / T))) + 1)
 
+    frame = None
+    q = tuple(c.row for c in observable if c.kind == "q")
+    if len(q) == 2:
+        # Two displacements that are tied: one, and the distance of the other from its mean given
+        # that. The one has stops where only one has: none of them lies across the panels then.
+        swapped = q[0] not in system.contact_masses
+        first, second = conditionals(system, q[::-1] if swapped else q)
+        width = float(np.sqrt(T / second.precision))
+        if width <= TIED * np.sqrt(T * system.compliance[second.mass, second.mass]):
+            reach = float(np.sqrt(2.0 * end / second.precision))
+            apart = np.linspace(-reach, reach, ceil(2.0 * reach / width) + 1)
+            matrix = np.array([[1.0, 0.0], [second.weights[0], 1.0]])
+            along = panels(Coordinate("q", first.mass))
+            frame = matrix[::-1] if swapped else matrix, (along, apart)
     return certified_density(
         observable,
         tuple(map(panels, observable)),
-        marginal,
-        lambda *x: marginal(*x, part="error") + added(marginal(*x), *x),
+        pdf,
+        pointwise,
         measured=source.measured,
         tol=tol,
         added_error=added,
-        frame=_ridge(system, q, T, end) if len(q) == 2 else None,
+        frame=frame,
     )
-
-
-def integration_error(
-    source: StateDensity,
-    observable: Observable,
-    marginal: Callable[..., Array],
-    values: Array,
-    *x: Array,
-) -> Array:
-    """Error of integrating out: tables of Weyl integrals, quadrature over hidden masses."""
-    hidden = len(set(source.system.contact_masses) - {c.row for c in observable if c.kind == "q"})
-    lower = rules_of(hidden)[0]  # enough for an error
-    error = marginal(*x, part="table", points=lower)
-    return error + np.abs(values - marginal(*x, points=lower)) if hidden else error
 
 
 def marginal_of(
     source: StateDensity, observable: Observable, *, flux_of: float | None = None
-) -> Callable[..., Array]:
+) -> tuple[Callable[..., Array], Callable[..., Array], Callable[..., Array]]:
     """Return the integral of u(H) over everything but the observed displacements and momenta.
 
-    It is a function of these, broadcast together, of ``part`` of u and of the number of ``points``
-    of the rule over hidden contact masses. All else is quadratic in H and integrated exactly.
-    ``flux_of``, a mass: the momentum of the one displacement is integrated over its velocity > 0.
+    It is a function of these, broadcast together. With it come its error, and the part of that by
+    tables and quadrature, a function of the integral and of the same points. All but hidden contact
+    masses is quadratic in H and integrated exactly. ``flux_of``, a mass: the momentum of the one
+    displacement is integrated over its velocity > 0.
     """
-    system = source.system
-    q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
+    system, T = source.system, source.temperature
+    q = [c.row for c in observable if c.kind == "q"]
     hidden = [i for i in system.contact_masses if i not in q]
-    laws = conditionals(system, [*q, *hidden])
-    over_hidden = HiddenIntegral(laws[len(q) :], source.temperature, source.end)
-    order, log_factor = hidden_quadratic(system, p, laws)
+    order, log_factor, laws = reduced(system, observable, hidden, source.unit)
     if flux_of is not None:  # dx of x = p²/2m in the place of dp
         order, log_factor = order + 0.5, log_factor - 0.5 * np.log(2.0 * pi * flux_of)
-    # u is in the unit of T of the process.
-    log_factor -= float(log_linear_states(system, source.unit))
+    coarse, fine = rules_of(len(hidden))
+    laws_hidden, weyl = laws[len(q) :], source.weyl(order)
+    widths = np.prod([np.sqrt(2.0 * pi * T / law.precision) for law in laws_hidden])
 
-    def marginal(*x: Array, part: Part = "value", points: int = rules_of(len(hidden))[1]) -> Array:
+    def marginal(*x: Array, part: Part = "value", points: int = fine) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
-        at = {c: a.ravel() for c, a in zip(observable, arrays, strict=True)}
-        Q = np.array([at[Coordinate("q", i)] for i in q]).reshape(len(q), arrays[0].size)
-        energy = np.zeros(arrays[0].size)
-        for k, law in enumerate(laws[: len(q)]):
-            energy = energy + law.energy(Q[k], law.weights @ Q[:k])
-        for i in p:
-            energy = energy + at[Coordinate("p", i)] ** 2 / (2.0 * system.mass[i])
-
-        weyl = source.weyl(order)
+        Q, energy = observed_energy(system, observable, laws, [a.ravel() for a in arrays])
         if source.gibbs:
-            T = source.temperature
             factor, error = gibbs_integral(system, q, Q, temperature=T, points=points)
-            scale = np.prod([np.sqrt(2.0 * pi * T / law.precision) for law in laws[len(q) :]])
             own = error * weyl(energy) if part == "table" else factor * weyl(energy, part)
-            result = scale * own
+            result = widths * own
         else:
-            result = over_hidden(lambda E: weyl(E, part), energy, Q, points=points)
+            result = hidden_integral(
+                lambda E: weyl(E, part), energy, Q, laws_hidden, temperature=T, end=source.end,
+                points=points,
+            )  # fmt: skip
             if part == "table":
-                result = result + over_hidden.beyond(weyl, energy)
+                # The grids leave out V above the end, and ``DEPTH`` above E. Contact only adds to
+                # V: the rest is below Ψ at that energy times a width for each mass.
+                top = np.maximum(source.end, energy + DEPTH * T)
+                result = result + len(hidden) * widths * weyl(top)
         return np.asarray(np.exp(log_factor) * result).reshape(arrays[0].shape)
 
-    return marginal
+    def added(values: Array, *x: Array) -> Array:
+        error = marginal(*x, part="table", points=coarse)  # enough for an error
+        return error + np.abs(values - marginal(*x, points=coarse)) if hidden else error
+
+    return marginal, lambda *x: marginal(*x, part="error") + added(marginal(*x), *x), added
 
 
-def hidden_quadratic(
-    system: System, p: Sequence[int], laws: Sequence[Conditional]
-) -> tuple[float, float]:
-    """Return ν and ln of (2π)^ν/√det of the quadratic coordinates that are integrated out.
+def reduced(
+    system: System, observable: Observable, hidden: list[int], unit: float
+) -> tuple[float, float, tuple[Conditional, ...]]:
+    """Return ν and ln of (2π)^ν/(√det T_lin) of the quadratic coordinates integrated out, and laws.
 
-    These are all but the momenta ``p`` and the displacements of the ``laws``. det K of the masses
-    is exactly det K over det K_red, a product each.
+    These coordinates are all but the observed ones and the displacements ``hidden``, whose laws
+    follow on the observed displacements' own. det K of the masses is exactly det K over det K_red,
+    a product each. T_lin is the density of states without contact at the energy ``unit``.
     """
+    q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
+    laws = conditionals(system, [*q, *hidden])
     order = system.n - 0.5 * (len(p) + len(laws))
     log_factor = order * np.log(2.0 * pi) + 0.5 * (
         np.sum(np.log(np.delete(system.mass, p)))
         + np.sum(np.log([law.precision for law in laws]))
         - np.sum(np.log(system.stiffness))
     )
-    return order, float(log_factor)
+    return order, float(log_factor - log_linear_states(system, unit)), laws
+
+
+def observed_energy(
+    system: System, observable: Observable, laws: tuple[Conditional, ...], at: list[Array]
+) -> tuple[Array, Array]:
+    """Return the observed displacements (observed, N), and the energy (N,) that they and p have."""
+    momenta = [(c.row, x) for c, x in zip(observable, at, strict=True) if c.kind == "p"]
+    displacements = [x for c, x in zip(observable, at, strict=True) if c.kind == "q"]
+    Q = np.array(displacements).reshape(len(displacements), at[0].size)
+    energy = sum((x**2 / (2.0 * system.mass[i]) for i, x in momenta), np.zeros(at[0].size))
+    for k, law in enumerate(laws[: len(Q)]):
+        energy = energy + law.energy(Q[k], law.weights @ Q[:k])
+    return Q, energy
 
 
 def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:
@@ -186,26 +201,6 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
     return np.asarray(nodes[np.append(True, np.diff(nodes) > SAME * (high + low))])
 
 
-def _ridge(
-    system: System, q: tuple[int, ...], temperature: float, end: float
-) -> tuple[Array, tuple[Array, ...]] | None:
-    """Return a frame for two displacements that are tied: one, and what parts the other from it.
-
-    The one has stops where only one has: none of them then lies across the panels. None where
-    panels of both, one thermal displacement wide, resolve their joint density.
-    """
-    swapped = q[0] not in system.contact_masses
-    first, second = conditionals(system, q[::-1] if swapped else q)
-    width = float(np.sqrt(temperature / second.precision))
-    if width > TIED * np.sqrt(temperature * system.compliance[second.mass, second.mass]):
-        return None
-    reach = float(np.sqrt(2.0 * end / second.precision))
-    parted = np.linspace(-reach, reach, ceil(2.0 * reach / width) + 1)
-    along = displacement_panels(system, first.mass, temperature=temperature, end=end)
-    frame = np.array([[1.0, 0.0], [second.weights[0], 1.0]])
-    return frame[::-1] if swapped else frame, (along, parted)
-
-
 def crossing_rates(source: StateDensity, row: int, at: Array, *, tol: float) -> Curve:
     """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row`` (of 0).
 
@@ -215,8 +210,6 @@ def crossing_rates(source: StateDensity, row: int, at: Array, *, tol: float) -> 
     observable, mass = (Coordinate("q", row),), float(source.system.mass[row])
     q = back_transformed(source, observable, tol=tol)
     p = back_transformed(source, (Coordinate("p", row),), tol=tol)
-    flux = marginal_of(source, observable, flux_of=mass)
-    values = flux(at)
-    errors = flux(at, part="error") + integration_error(source, observable, flux, values, at)
+    flux, error, _ = marginal_of(source, observable, flux_of=mass)
     scale = p.std().value / mass / (2.0 * pi * q.std().value)
-    return certified_curve(values, errors, scale=scale, of=q, tol=tol)
+    return certified_curve(flux(at), error(at), scale=scale, of=q, tol=tol)

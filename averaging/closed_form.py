@@ -7,8 +7,8 @@ import numpy as np
 from numpy.polynomial import polynomial
 from scipy.special import gammainccinv, gammaincinv
 
+from averaging.conditional import gibbs_integral, rules_of
 from averaging.energy_process import damping_and_noise, damping_by_energy, energy_process
-from averaging.hidden import gibbs_integral, rules_of
 from averaging.shell.averages import log_linear_states
 from averaging.weyl import Part, Solution, StateDensity, tabulated
 from averaging.zero_flux import ZeroFluxDensity, flux_residual

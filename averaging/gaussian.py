@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag, eig, expm
 
-from averaging.gaussian_state import Gaussian, state_rows
+from averaging.gaussian_state import Gaussian
 from averaging.theory import Theory, energy_only_refusal
-from fpk.arrays import EPS, Array, Complexes
+from fpk.arrays import EPS
 from fpk.certificate import Measured, certify, tolerance
 from fpk.density import Density
 from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
@@ -74,27 +74,55 @@ class Linear(StationaryMotionMethod, Theory):
         return Plan(lambda o: energy_only_refusal(system, o) or gaussian.refusal(o), solve)
 
     def _crossings(self, asked: Question) -> Curve:
-        """Return the upcrossings per unit time of q, by Rice's formula for a Gaussian."""
+        """Return Rice's rates σ_v/(2πσ_q) exp(−a²/2σ_q²) of a Gaussian at the levels a."""
         density, q, v = self._state(asked)
-        error = asked.system.fact(linear_covariance).relative_error
-        values, errors = rice_rates(q, v, error, asked.at)
-        scale = v / (2.0 * np.pi * q)
-        return certified_curve(
-            values, errors, scale=scale, of=density, tol=asked.tol or self.wanted(asked.system)
-        )
+        relative = asked.system.fact(linear_covariance).relative_error + 4.0 * EPS
+        scale, square = v / (2.0 * np.pi * q), (asked.at / q) ** 2
+        values = scale * np.exp(-0.5 * square)
+        errors = values * relative * (1.0 + 0.5 * square)
+        tol = asked.tol or self.wanted(asked.system)
+        return certified_curve(values, errors, scale=scale, of=density, tol=tol)
 
     def _spectrum(self, asked: Question) -> Curve:
-        """Return the power spectral density of q from the transfer functions."""
+        """Return (1/π) [h f D fᵀ h*]_ii of q, h(ω) = (K − ω² M + iω c)⁻¹ the transfer functions.
+
+        White noise of E[W W'] = 2 D δ has the two-sided spectral density D/π. The error is that of
+        a perturbation of all entries of h⁻¹ by their round-off.
+        """
+        system, row, w = asked.system, asked.row, asked.at[:, None, None]
         density, q, v = self._state(asked)
-        values, errors = spectral_density(asked.system, asked.row, asked.at)
-        return certified_curve(
-            values, errors, scale=q**3 / v, of=density, tol=asked.tol or self.wanted(asked.system)
-        )
+        K, M, c = system.stiffness_matrix, np.diag(system.mass), system.damping
+        h = np.linalg.inv(K - w**2 * M + 1j * w * c)
+        rounding = 4.0 * EPS * system.n * (np.abs(K) + w**2 * M + np.abs(w * c))
+        own, size, D = h[:, row], np.abs(h), system.noise_matrix
+        changed = (size[:, row, None] @ rounding @ size)[:, 0]
+        values = np.einsum("wi,ij,wj->w", own, D, own.conj()).real / np.pi
+        errors = np.einsum("wi,ij,wj->w", changed + EPS * size[:, row], np.abs(D), size[:, row])
+        tol = asked.tol or self.wanted(system)
+        return certified_curve(values, 2.0 * errors / np.pi, scale=q**3 / v, of=density, tol=tol)
 
     def _correlation(self, asked: Question) -> Curve:
-        """Return the autocovariance of q by the exponential of the drift matrix."""
+        """Return the autocovariance (e^(At) Σ)_ii of q, with Σ of the Lyapunov equation.
+
+        It solves dC/dt = A C. In (ω Q, P) of the modes, where nothing grows, |e^(At)| <= 1:
+        round-off of A changes e^(At) by no more than t times itself and |e^(At/2)|. An error of Σ,
+        relative to it as a quadratic form, is felt by q and its forecast.
+        """
         density, q, _ = self._state(asked)
-        values, errors = autocovariance(asked.system, asked.row, asked.at)
+        modes = asked.system.fact(linear_covariance)
+        A, Sigma, n = modes.drift, modes.covariance, asked.system.n
+        w = np.append(modes.shapes[asked.row] / modes.omega, np.zeros(n))
+        size, own = float(np.linalg.norm(A, 2)), float(w @ Sigma @ w)
+        values, errors = np.empty((2, asked.at.size))
+        for k, t in enumerate(asked.at):
+            # Of more radians than 1/EPS no digit is known, but that nothing is left.
+            half = expm(0.5 * min(t, 1.0 / (EPS * size)) * A)
+            forecast = w @ half @ half
+            values[k] = forecast @ Sigma @ w
+            rounding = EXPM * n * EPS * (1.0 + t * size) * float(np.linalg.norm(half, 2))
+            felt = np.sqrt(own * max(float(forecast @ Sigma @ forecast), 0.0))
+            errors[k] = rounding * float(np.linalg.norm(w) * np.linalg.norm(Sigma @ w))
+            errors[k] += modes.relative_error * felt
         return certified_curve(
             values, errors, scale=q**2, of=density, tol=asked.tol or self.wanted(asked.system),
             positive=q**2 - np.abs(values),
@@ -103,13 +131,45 @@ class Linear(StationaryMotionMethod, Theory):
     def relaxation(
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
-        """Return sums of eigenvalues of the drift matrix: those of −L are no others."""
+        """Return sums of eigenvalues of the drift matrix: those of −L are no others.
+
+        They are Σ n_j μ_j, n_j = 0, 1, …, with μ those of minus the drift matrix: the products of j
+        left eigenvectors with the state are eigenfunctions of L but for terms of lower degree. One
+        of a conjugate pair stands for both. The error is that of a change of the drift matrix by
+        its round-off, by the condition of each eigenvalue; of one that is double it is the square
+        root.
+        """
         self.planned(system, ())
-        residual = system.fact(linear_covariance).residual
-        values, errors = eigenvalue_sums(system, count)
+        covariance = system.fact(linear_covariance)
+        decomposed: Any = eig(-covariance.drift, left=True, right=True)
+        mu, left, right = decomposed
+        first, second = np.flatnonzero(mu.imag > 0.0), np.flatnonzero(mu.imag < 0.0)
+        partner = np.arange(mu.size)  # LAPACK has conjugate pairs side by side
+        partner[first], partner[second] = second, first
+        order = np.argsort(mu.real)
+        mu, partner = mu[order], np.argsort(order)[partner[order]]
+        overlap = np.abs(np.sum(left.conj() * right, axis=0))[order]
+        rounding = EPS * mu.size
+        change = rounding / np.maximum(overlap, np.sqrt(rounding))
+        error = float(np.linalg.norm(covariance.drift, 2)) * change
+        # Sums in the order of their real parts: a longer one has one more eigenvalue, none before
+        # its last.
+        heap: list[tuple[float, list[int]]] = [(x, [j]) for j, x in enumerate(mu.real.tolist())]
+        sums: list[list[int]] = []
+        while len(sums) < count:
+            real, terms = heapq.heappop(heap)
+            value = mu[terms].sum()
+            is_real = abs(value.imag) <= np.sqrt(EPS) * abs(value)
+            if terms <= sorted(partner[terms]) if is_real else value.imag > 0.0:
+                sums.append(terms)
+            for j in range(terms[-1], mu.size):
+                heapq.heappush(heap, (real + float(mu[j].real), [*terms, j]))
+        values = np.array([mu[terms].sum() for terms in sums])
+        errors = np.array([error[terms].sum() for terms in sums])
         relative = float(np.max(errors / np.abs(values)))
         certificate = certify(
-            Measured(relative, None, None, residual, None), tol=tolerance(tol, self.wanted(system))
+            Measured(relative, None, None, covariance.residual, None),
+            tol=tolerance(tol, self.wanted(system)),
         )
         return Rates(values, errors, certificate)
 
@@ -118,8 +178,7 @@ class Linear(StationaryMotionMethod, Theory):
         system, row = asked.system, asked.row
         (density,) = self.solve(system, [(Coordinate("q", row),)]).densities
         assert isinstance(density, Density)
-        at = state_rows((Coordinate("q", row), Coordinate("p", row)), system.n)
-        variances = np.diag(stationary_covariance(system))[at]
+        variances = np.diag(stationary_covariance(system))[[row, row + system.n]]
         if not np.min(variances) > 0.0:
             raise NotApplicable(f"no noise reaches mass {row + 1}, which is at rest")
         q, p = np.sqrt(variances)
@@ -127,100 +186,3 @@ class Linear(StationaryMotionMethod, Theory):
 
 
 Linear.register()
-
-
-def spectral_density(system: System, row: int, at: Array) -> tuple[Array, Array]:
-    """Return (1/π) [h f D fᵀ h*]_ii, h(ω) = (K − ω² M + iω c)⁻¹, of q of mass ``row``, and errors.
-
-    White noise of E[W W'] = 2 D δ has the two-sided spectral density D/π. The error is that of a
-    perturbation of all entries of h⁻¹ by their round-off.
-    """
-    K, M, c, D = system.stiffness_matrix, np.diag(system.mass), system.damping, system.noise_matrix
-    w = at[:, None, None]
-    h = np.linalg.inv(K - w**2 * M + 1j * w * c)
-    rounding = 4.0 * EPS * system.n * (np.abs(K) + w**2 * M + np.abs(w * c))
-    own, size = h[:, row], np.abs(h)
-    changed = (size[:, row, None] @ rounding @ size)[:, 0]
-    values = np.einsum("wi,ij,wj->w", own, D, own.conj()).real / np.pi
-    sizes = np.einsum("wi,ij,wj->w", changed + EPS * size[:, row], np.abs(D), size[:, row])
-    return values, 2.0 * sizes / np.pi
-
-
-def autocovariance(system: System, row: int, at: Array) -> tuple[Array, Array]:
-    """Return (e^(At) Σ)_ii of q of mass ``row`` at the lags ``at``, and errors.
-
-    With Σ of the Lyapunov equation it solves dC/dt = A C. In (ω Q, P) of the modes, where nothing
-    grows, |e^(At)| <= 1: round-off of A changes e^(At) by no more than t times itself and
-    |e^(At/2)|. An error of Σ, relative to it as a quadratic form, is felt by q and its forecast.
-    """
-    modes = system.fact(linear_covariance)
-    A = modes.drift
-    w = np.append(modes.shapes[row] / modes.omega, np.zeros(system.n))
-    Sigma, size = modes.covariance, float(np.linalg.norm(A, 2))
-    own = float(w @ Sigma @ w)
-    values, errors = np.empty(at.size), np.empty(at.size)
-    for k, t in enumerate(at):
-        # Of more radians than 1/EPS no digit is known, but that nothing is left.
-        half = expm(0.5 * min(t, 1.0 / (EPS * size)) * A)
-        forecast = w @ half @ half
-        values[k] = forecast @ Sigma @ w
-        rounding = EXPM * system.n * EPS * (1.0 + t * size) * float(np.linalg.norm(half, 2))
-        errors[k] = rounding * float(np.linalg.norm(w) * np.linalg.norm(Sigma @ w))
-        felt = np.sqrt(own * max(float(forecast @ Sigma @ forecast), 0.0))
-        errors[k] += modes.relative_error * felt
-    return values, errors
-
-
-def rice_rates(q: float, v: float, relative: float, at: Array) -> tuple[Array, Array]:
-    """Return σ_v/(2πσ_q) exp(−a²/2σ_q²) at the levels a, and errors; ``q`` and ``v`` are σ_q, σ_v.
-
-    ``relative`` is the error of the variances.
-    """
-    square = (at / q) ** 2
-    values = v / (2.0 * np.pi * q) * np.exp(-0.5 * square)
-    return values, values * (relative + 4.0 * EPS) * (1.0 + 0.5 * square)
-
-
-def eigenvalue_sums(system: System, count: int) -> tuple[Complexes, Array]:
-    """Return the ``count`` eigenvalues of −L with the least positive real parts, and their errors.
-
-    They are Σ n_j μ_j, n_j = 0, 1, …, with μ those of minus the drift matrix: the products of j
-    left eigenvectors with the state are eigenfunctions of L but for terms of lower degree. One of
-    a conjugate pair stands for both. The error is that of a change of the drift matrix by its
-    round-off, by the condition of each eigenvalue; of one that is double it is the square root.
-    """
-    n = system.n
-    A = system.fact(linear_covariance).drift
-    decomposed: Any = eig(-A, left=True, right=True)
-    mu, left, right = decomposed
-    overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    rounding = 2 * n * EPS
-    change = rounding / np.maximum(overlap, np.sqrt(rounding))
-    error = float(np.linalg.norm(A, 2)) * change
-    # LAPACK has conjugate pairs side by side.
-    first = np.flatnonzero(mu.imag > 0.0)
-    second = np.flatnonzero(mu.imag < 0.0)
-    partner = np.arange(2 * n)
-    partner[first], partner[second] = second, first
-
-    def stands_for_both(terms: list[int]) -> bool:
-        value = mu[list(terms)].sum()
-        if abs(value.imag) > np.sqrt(EPS) * abs(value):
-            return bool(value.imag > 0.0)
-        return sorted(terms) <= sorted(partner[list(terms)])
-
-    # Sums in the order of their real parts: a longer one has one more eigenvalue, none before its
-    # last in this order of all.
-    order = [int(j) for j in np.argsort(mu.real)]
-    heap: list[tuple[float, tuple[int, ...]]] = [
-        (float(mu[j].real), (place,)) for place, j in enumerate(order)
-    ]
-    sums: list[list[int]] = []
-    while len(sums) < count:
-        real, places = heapq.heappop(heap)
-        terms = [order[place] for place in places]
-        if stands_for_both(terms):
-            sums.append(terms)
-        for place in range(places[-1], 2 * n):
-            heapq.heappush(heap, (real + float(mu[order[place]].real), (*places, place)))
-    return np.array([mu[terms].sum() for terms in sums]), np.array([error[t].sum() for t in sums])

@@ -3,13 +3,14 @@
 Its energy is a sum of independent gamma variables.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import erfc
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
-from fpk.arrays import EPS, Array
+from fpk.arrays import EPS, SMALLEST, Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
 from fpk.errors import NotApplicable
@@ -17,25 +18,21 @@ from fpk.observable import Observable, observable_name
 
 REACH = 8.5
 """Half-width of the support in standard deviations."""
-TAIL = 1.9e-17
-"""Probability of one coordinate beyond ``REACH`` on both sides, erfc(8.5/√2)."""
 WIDTH = 3.0
 """Largest width of a panel in standard deviations of one coordinate given the other."""
 PANELS = (17, 120)
 """Least and largest number of panels along an axis; correlations above 0.999 would need more."""
-ENERGY_TAIL = 4e-18
-"""Bound of the probability beyond the last energy of the support."""
-NODES, COARSE_NODES = 40, 30
-"""Nodes on half of the contour, and of the coarser sum for the error: 32 reach round-off."""
+NATS = 40.0
+"""−ln of a bound of the probability beyond the last energy of the support, and of the fall of the
+integrand along the contour at which that ends."""
+NODES = (30, 40)
+"""Nodes on half of the contour, of the coarser sum for the error and of the answer: 32 reach
+round-off."""
 MIN_CROSSING = 2.0
 """Least product of x and the point where the contour crosses the real axis: nearer to the
 singularity the sum needs more nodes, farther from it large terms cancel."""
-CONTOUR_NATS = 39.0
-"""ln of the fall of the integrand along the contour at which that ends: 1e-17 lies beyond."""
 SADDLE_STEPS = 12
 """Fixed-point steps to the saddle; any point between it and the first guess serves."""
-MIN_ENERGY = 1e-200
-"""Least x, in units of the largest scale, for which the contour is taken: the limit at 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,7 @@ class Gaussian:
             exponent = half_square(x)
             return np.asarray(relative * (exponent + 0.5 * count) * height * np.exp(-exponent))
 
-        tail = TAIL * count
+        tail = count * erfc(REACH * 0.5**0.5)
         return certified_density(
             observable,
             tuple(np.linspace(-REACH * s, REACH * s, panels + 1) for s in scale),
@@ -111,13 +108,17 @@ class Gaussian:
         )
 
     def _energy_density(self, observable: Observable, tol: float) -> Density:
-        largest = float(np.max(self.scales))
+        largest, tail = float(np.max(self.scales)), float(np.exp(-NATS))
         # Chernoff's bound at s = 7/8 of the least rate: P(X > E) <= e^(−sE) Π (1 − s λ_j)^−shape.
         s = 0.875 / largest
-        end = float(-np.log(ENERGY_TAIL) - self.shape * np.sum(np.log1p(-s * self.scales))) / s
+        end = (NATS - self.shape * float(np.sum(np.log1p(-s * self.scales)))) / s
         nodes, least = [0.0], max(float(np.min(self.scales)), EPS * end)
         while nodes[-1] < end:
             nodes.append(nodes[-1] + min(max(2.0 * least, nodes[-1] / 3.0), 2.0 * largest))
+
+        def pdf(energy: Array) -> Array:  # a third of the cost of its error
+            terms, *_ = _contour(self.scales, self.shape, energy, NODES[1])
+            return np.asarray(terms.real.sum(axis=-1))
 
         def error(energy: Array) -> Array:
             return gamma_sum(self.scales, self.shape, self.scale_errors, energy)[1]
@@ -125,9 +126,9 @@ class Gaussian:
         return certified_density(
             observable,
             (np.array([*nodes[:-1], end]),),
-            lambda energy: gamma_density(self.scales, self.shape, energy),
+            pdf,
             error,
-            measured=Measured(ENERGY_TAIL, np.nan, np.inf, self.residual, ENERGY_TAIL),
+            measured=Measured(tail, np.nan, np.inf, self.residual, tail),
             tol=tol,
             added_error=lambda p, energy: error(energy),
         )
@@ -151,46 +152,35 @@ def gamma_sum(scales: Array, shape: float, errors: Array, x: Array) -> tuple[Arr
     The error holds the distance to a coarser contour, the round-off of the terms, and the
     derivatives of the density with respect to the scales, ∂ ln p^/∂λ_j = −shape s/(1 + λ_j s).
     """
-    coarse, *_ = _contour(scales, shape, np.ravel(x), COARSE_NODES)
-    terms, exponent, z = _contour(scales, shape, np.ravel(x), NODES)
-    factors = _factors(scales / np.max(scales), z)
-    slopes = np.stack([np.sum(terms * (z - 1.0) / f, axis=1).real for f in factors], axis=1)
-    density = terms.real.sum(axis=1)
-    error = np.abs(density - coarse.real.sum(axis=1))
-    error += np.abs(slopes * (shape / np.max(scales))) @ errors
-    error += EPS * np.sum(np.abs(terms) * (4.0 + np.abs(exponent)), axis=1)
-    return density.reshape(np.shape(x)), error.reshape(np.shape(x))
-
-
-def gamma_density(scales: Array, shape: float, x: Array) -> Array:
-    """Return the density that ``gamma_sum`` returns, at a third of the cost of its error."""
-    terms, *_ = _contour(scales, shape, np.ravel(x), NODES)
-    density: Array = terms.real.sum(axis=1).reshape(np.shape(x))
-    return density
+    terms, exponent, z = _contour(scales, shape, x, NODES[1])
+    density: Array = terms.real.sum(axis=-1)
+    error = np.abs(density - _contour(scales, shape, x, NODES[0])[0].real.sum(axis=-1))
+    largest = np.max(scales)
+    for r, of_scale in zip(scales / largest, errors, strict=True):
+        slope = np.sum(terms * (z - 1.0) / (1.0 - r + r * z), axis=-1).real
+        error += np.abs(slope) * (shape / largest * of_scale)
+    error += EPS * np.sum(np.abs(terms) * (4.0 + np.abs(exponent)), axis=-1)
+    return density, error
 
 
 def _contour(scales: Array, shape: float, x: Array, nodes: int) -> tuple[Array, Array, Array]:
-    """Terms of the sum, their exponents and z, (points, nodes).
+    """Terms of the sum, their exponents and z, (*shape of x, nodes).
 
     The terms are 0 for x < 0, and at 0 those of the limit from above.
     """
     largest = float(np.max(scales))
-    t = np.maximum(x / largest, MIN_ENERGY)
+    t = np.maximum(x / largest, SMALLEST**0.5)[..., None]
     ratio = scales / largest
     crossing = scales.size * shape / t
     for _ in range(SADDLE_STEPS):
-        pull = ratio / (1.0 - ratio + ratio * crossing[:, None])
-        crossing = np.maximum(shape * crossing * pull.sum(axis=1), MIN_CROSSING) / t
-    step = np.sqrt(CONTOUR_NATS / (crossing * t)) / nodes
-    u = 1j * step[:, None] * (np.arange(nodes) + 0.5)
-    z = crossing[:, None] * (1.0 + u) ** 2
-    exponent = t[:, None] * (z - 1.0)
-    for factor in _factors(ratio, z):  # whose complex logarithm takes three times as long
+        pull = ratio / (1.0 - ratio + ratio * crossing)
+        crossing = np.maximum(shape * crossing * pull.sum(axis=-1, keepdims=True), MIN_CROSSING) / t
+    step = np.sqrt(NATS / (crossing * t)) / nodes
+    u = 1j * step * (np.arange(nodes) + 0.5)
+    z = crossing * (1.0 + u) ** 2
+    exponent = t * (z - 1.0)
+    for r in ratio:
+        factor = 1.0 - r + r * z  # whose complex logarithm takes three times as long
         exponent -= shape * (np.log(np.abs(factor)) + 1j * np.angle(factor))
-    length = np.where(x >= 0.0, 2.0 * crossing * step / (np.pi * largest), 0.0)
-    return np.exp(exponent) * (1.0 + u) * length[:, None], exponent, z
-
-
-def _factors(ratio: Array, z: Array) -> Iterator[Array]:
-    """The factors 1 + λ_j s at z, one scale at a time."""
-    return (1.0 - r + r * z for r in ratio)
+    length = np.where(x[..., None] >= 0.0, 2.0 * crossing * step / (np.pi * largest), 0.0)
+    return np.exp(exponent) * (1.0 + u) * length, exponent, z

@@ -6,16 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
-from averaging.modal.groups import unsolved
-from averaging.modal.observables import gaussian_modes, modal_densities
+from averaging.modal.observables import gaussian_modes, modal_densities, unsolved
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
-from averaging.time.start import TOL, DensityQuestion, modal_start
+from averaging.time.start import TOL, DensityQuestion, energy_start
 from fpk.certificate import tolerance
 from fpk.contact_quantities import CLEARANCE_RULE
 from fpk.density import Density
-from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve
+from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve, upcrossings
 from fpk.errors import NotApplicable
 from fpk.escape import require_held
 from fpk.evolution import (
@@ -30,7 +29,6 @@ from fpk.method import Plan, Progress, Result, silent
 from fpk.modulation import require_constant_noise
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.system import System
-from fpk.upcrossings import upcrossings
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         system, wanted = asked.system, tolerance(asked.tol, TOL)
         require_held(system)
         modes = self._in_time(system)
-        begins = modal_start(system, modes, asked.start)
+        begins = energy_start(system, asked.start, modes)
         of_modes = DensityQuestion(asked.observable, begins, asked.times, asked.at, wanted)
         if self.solver == "closed-form":
             answer = closed_form.transient(modes, of_modes, system.modulation)
@@ -125,7 +123,7 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         system = asked.system
         require_constant_noise(system.modulation)
         modes = self._in_time(system)
-        begins = modal_start(system, modes, asked.start)
+        begins = energy_start(system, asked.start, modes)
         solved = closed_form.passage if self.solver == "closed-form" else elements.passage
         answer = solved(modes, asked.limit, begins, asked.times, tol=tolerance(asked.tol, TOL))
         return replace(answer, settings=_time_settings(answer.settings, system, modes))

@@ -8,8 +8,8 @@ from averaging.back_transformation import back_transformed, crossing_rates
 from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import energy_process
 from averaging.theory import Theory, energy_only_refusal
-from averaging.time.energy import total_energy
-from averaging.time.start import DensityQuestion, total_energy_start
+from averaging.time import energy
+from averaging.time.start import DensityQuestion, energy_start
 from averaging.weyl import Solution, StateDensity, tabulated
 from averaging.zero_flux import solve_by_quadrature
 from fpk.certificate import tolerance
@@ -98,35 +98,34 @@ class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
         system, observable = asked.system, asked.observable
         require_held(system)
         wanted = tolerance(asked.tol, self._tol_in_time(system))
-        one, begins = total_energy(system), total_energy_start(system, asked.start)
-        of_energy = DensityQuestion(observable, begins, asked.times, asked.at, wanted)
-        if observable == (ENERGY,):
-            return one.transient(self.solver, of_energy)
-        if reason := energy_only_refusal(system, observable):
+        energy_process(system)  # it refuses what has no stationary density
+        begins = energy_start(system, asked.start)
+        if observable != (ENERGY,) and (reason := energy_only_refusal(system, observable)):
             raise NotApplicable(reason)
-        return one.state_transient(system, self.solver, of_energy)
+        question = DensityQuestion(observable, begins, asked.times, asked.at, wanted)
+        return energy.transient(system, self.solver, question)
 
     def _passage(self, asked: PassageAsked) -> Passage:
         """Return the first passage of the energy through a limit; ``tol`` as of ``transient``."""
         system, limit = asked.system, asked.limit
-        one = total_energy(system)
+        energy_process(system)  # it refuses what has no stationary density
         if limit.kind != "H":
             raise NotApplicable(
                 f"{limit}: this theory knows the total energy only; give a limit H=.."
             )
-        begins, tol = total_energy_start(system, asked.start), self._tol_in_time(system)
+        begins, tol = energy_start(system, asked.start), self._tol_in_time(system)
         begins.require_below(limit)
         wanted = tolerance(asked.tol, tol)
-        return one.passage(self.solver, begins, limit.value, asked.times, tol=wanted)
+        asked_for = begins, limit.value, asked.times
+        return energy.passage(system, self.solver, *asked_for, tol=wanted)
 
     def relaxation(
         self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
     ) -> Rates:
         """Return the slowest rates at which the energy forgets its past."""
         require_held(system)
-        return total_energy(system).relaxation(
-            self.solver, count, tol=tolerance(tol, self.wanted(system))
-        )
+        wanted = tolerance(tol, self.wanted(system))
+        return energy.relaxation(system, self.solver, count, tol=wanted)
 
     def _tol_in_time(self, system: System) -> float:
         modulated = system.modulation is not None and self.solver == "fem"

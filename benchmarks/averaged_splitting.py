@@ -4,9 +4,7 @@ Exact steps of its square-root form; tests judge the algorithm of ``sim.splittin
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from math import log, sqrt
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -16,20 +14,25 @@ from fpk.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.method import silent
 from fpk.process import Process
-from sim.averaged.passage import from_energies
-from sim.averaged.square_root import SquareRootForm, line_form
-from sim.random import GOLDEN, mixed_seed
-from sim.splitting.algorithm import CompiledReplicas
-from sim.splitting.arrays import LEVELS, Paths, Score, new_paths
-from sim.splitting.parts import begin, draw_normals, level_of, place, record, uniform
-from sim.splitting.run import failure_of
-from sim.splitting.score import SHARES, ScoreFunction, cost_score, score_table
-from sim.splitting.settings import RareFailure, Splitting
+from sim.averaged.square_root import SquareRootForm, from_energies, line_form
+from sim.kernel import once
+from sim.random import GOLDEN
+from sim.splitting.kernel import (
+    LEVELS,
+    CompiledReplicas,
+    Paths,
+    Score,
+    begin,
+    draw_normals,
+    level_of,
+    place,
+    record,
+    uniform,
+)
+from sim.splitting.problem import SHARES, ScoreFunction, cost_score, score_table
+from sim.splitting.run import RareFailure, Splitting, failure_of
 
-NAMES = (
-    "sim/random.py", "sim/splitting/arrays.py", "sim/splitting/parts.py",
-    "benchmarks/averaged_splitting.py",
-)  # fmt: skip
+NAMES = ("sim/random.py", "sim/splitting/kernel.py", "benchmarks/averaged_splitting.py")
 
 CELLS = 4096
 """Cells of the table of the damping over R = √X up to the limit."""
@@ -40,12 +43,10 @@ STEPS = 16
 WHOLE = 1e-9
 """Distance from a whole number up to which the degrees of freedom 4 d/β count as one."""
 
-_COMPILING = Lock()
-
 
 @dataclass(frozen=True, eq=False)
 class EnergyProblem:
-    """Failure at the energy ``limit`` before ``time`` from ``start``; see ``algorithm.Problem``.
+    """Failure at the energy ``limit`` before ``time`` from ``start``; see ``run.repetition``.
 
     ``numbers`` are d, β, γ₀; ``table`` is γ − γ₀ over R = √X up to ``top``, that of the limit;
     ``first`` is X of the start.
@@ -72,9 +73,7 @@ class EnergyProblem:
             pairs, self.table, self.score._replace(steps=steps),
         )  # fmt: skip
         states = np.full((count, 1), self.first)
-        return CompiledReplicas(
-            compiled_energies(), model, new_paths(states, steps), mixed_seed(seed)
-        )
+        return CompiledReplicas(compiled_energies(), model, states, steps, seed)
 
 
 def rare_failure_of_process(
@@ -165,14 +164,9 @@ def damped(X: float, table: Array, top: float, h: float) -> float:
     return y
 
 
+@once
 def compiled_energies() -> Any:
     """Return the function that renews paths of an energy, one for all threads."""
-    with _COMPILING:
-        return _compiled()
-
-
-@lru_cache
-def _compiled() -> Any:
     sources = checksum([ROOT / name for name in NAMES])
 
     @cached_njit()

@@ -26,13 +26,12 @@ from report import machine, markdown_table
 from fpk.contact import Contact
 from fpk.observable import parse_observable
 from fpk.system import System
+from sim.diagnostics import moment_products
 from sim.ensemble import Ensemble
 from sim.histogram import axis_of, covering
-from sim.plan import step_arrays
+from sim.plan import step_arrays, with_long_steps
 from sim.schemes import SCHEMES
-from sim.statistics import moment_products
 from sim.step_size import chosen_step
-from sim.substeps import with_long_steps
 
 PATHS, STEPS, REPEATS = 8192, 500, 7
 Row = dict[str, str | int | float]

@@ -12,7 +12,7 @@ from averaged_splitting import rare_failure_of_process
 from scipy.optimize import brentq
 
 from averaging.energy_process import energy_process
-from averaging.time.energy import total_energy
+from averaging.time.energy import square_root
 from fpk.system import System
 from sim.splitting import Splitting
 
@@ -22,7 +22,7 @@ COLUMNS = ["by", "replicas", "runs", "P", "stated error", "spread", "steps", "se
 
 def rare(system: System, c: float, D: float) -> list[list[str]]:
     """Return the rows of rare failure of the averaged energy dH = (D − cH) dt + √(2DH) dB."""
-    closed, table = total_energy(system).closed, []
+    closed, table = square_root(system, "closed-form"), []
     now = partial(closed.passage, start=0.0, times=np.array([TIME]), tol=1e-10)
     limit = float(brentq(lambda H: now(H).failure[0] - 1e-6, 8.0, 11.0, xtol=1e-13))
     few = {"replicas": REPLICAS, "killed": 1, "repetitions": 8}

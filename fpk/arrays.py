@@ -15,5 +15,7 @@ ROUND_OFF = 1e-12
 counts as round-off, of input written with twelve digits or more."""
 SMALLEST = float(np.finfo(float).tiny)
 """Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
+ROUNDINGS = 8.0
+"""Roundings that are stated of a sum, for each of its terms that cancel."""
 CHUNK = 4_000_000
 """Numbers of intermediate results that are held at once: 32 MB."""

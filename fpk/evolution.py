@@ -30,6 +30,9 @@ BEYOND_RANGE = "the mean time to it is beyond the range of double precision; tak
 """Why a limit is refused that is hardly ever reached."""
 NO_NOISE_YET = "no noise has acted yet: there is no density"
 """Why a time is refused before which a modulation is 0."""
+LARGEST_ERROR = 0.1
+"""Error of a probability above which it is not certified, some tenths tell no two scenes apart; and
+L1 error above which nothing is known of a density: its errors are then infinite."""
 
 
 def checked_times(times: Array, *, positive: bool = False) -> Array:
@@ -83,12 +86,6 @@ class StartCurve:
     mean_error: Array
     variance: Array
     variance_error: Array
-
-
-LARGEST_ERROR = 0.1
-"""Error of a probability above which it is not certified: some tenths tell no two scenes apart."""
-UNRESOLVED = 0.1
-"""L1 error above which nothing is known of a density: its errors are then infinite."""
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,15 @@ It is the averaged energy of n masses without contact, or of one mode; Cox, Inge
 """
 
 from dataclasses import dataclass
-from math import exp, expm1, sqrt
+from math import exp, expm1, pi, sqrt
 
 import numpy as np
+from scipy.special import gammaln, ive, xlogy
 
-from fpk.arrays import EPS, SMALLEST, Array, Complexes
+from fpk.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes
 from fpk.certificate import Measured, certify
-from fpk.confluent import kummer, log_kummer_ratio, noncentral, series_terms
 from fpk.contour import contours
-from fpk.dynamics import Rates
+from fpk.dynamics import Rates, certified_rates
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import (
     BEYOND_RANGE,
@@ -41,6 +41,20 @@ NEAR = (0.02, 40.0)
 farther ones hardly any motion fails so early."""
 WIDTHS = 40.0
 """Standard deviations above the mean within which a density is integrated: e^(−√2·40) is beyond."""
+MOST_TERMS = 20_000
+"""Terms of a series of 1F1, or of a continued fraction, beyond which it is left to the finite
+elements."""
+BESSEL = 50.0
+"""Error of scipy's ``ive`` in roundings, and of the power series beside it."""
+FEW, MOST_POWERS = 60.0, 40
+"""x y below which the Bessel function is summed as a power series, and its powers: 60^41/41!² is
+1e-26, beside a sum of 1 or more."""
+LARGE = 1e4
+"""Argument of a Bessel function, over the square of its order, beyond which it is asymptotic."""
+LEAST_SIZE = 4.0
+"""Least |a|: about the relaxation rates, small negative a, 1F1 has zeros near the real x."""
+RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14
+"""Largest ratio and difference of the ends of a panel of x, and its Gauss points."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +74,7 @@ class SquareRoot:
     def rates(self, count: int, *, tol: float) -> Rates:
         """Return k c, the eigenvalues of −L; the eigenfunctions are Laguerre polynomials."""
         values = self.c * np.arange(1.0, count + 1.0)
-        relative = 4.0 * EPS + self.relative_error
-        certificate = certify(Measured(relative, None, None, None, None), tol=tol)
-        return Rates(values.astype(complex), relative * values, certificate)
+        return certified_rates(values, (4.0 * EPS + self.relative_error) * values, tol=tol)
 
     def transient(
         self, start: float, noise: float | None, times: Array, at: Array, *, tol: float
@@ -125,10 +137,27 @@ class SquareRoot:
         require_constant_noise(self.modulation)
         rate, xf = self.rate(limit), limit * self.c / self.d
         starts = np.linspace(0.0, limit, STARTS)
-        curves = self._moments(np.append(starts, start) * self.c / self.d, xf)
-        mean, mean_error, variance, variance_error = (float(curve[-1]) for curve in curves)
+        x, k = np.append(starts, start) * self.c / self.d, np.arange(1.0, series_terms(xf) + 1.0)
+        # Of 1F1(a; n; x_f) the terms x_f^k/(k (n)_k), and 1 − (x/x_f)^k, without a difference of
+        # large numbers. The coefficient of a is A_1 = Σ x^k/(k (n)_k), that of a² is
+        # A_2 = Σ x^k (1 + … + 1/(k−1))/(k (n)_k).
+        terms = np.cumprod(xf / (self.n + k - 1.0)) / k
+        with np.errstate(divide="ignore"):
+            less = -np.expm1(k * np.log(x / xf)[:, None])
+        harmonic = np.cumsum(1.0 / k) - 1.0 / k
+        unit, lost = terms.sum(), self._lost(xf)
+        first, second = less @ terms, less @ (terms * harmonic)
+        relative = 4.0 * EPS * (k.size + 2.0)
+        # Per unit²: A_1(x_f)² − A_1(x)² = first (2 A_1 − first).
+        a, b, c = first / unit, 2.0 - first / unit, 2.0 * second / unit / unit
+        with np.errstate(over="ignore"):
+            variance = (a * b - c) * unit * unit / self.c**2
+            variance_error = (relative + 2.0 * lost) * (a * b + c) * unit * unit / self.c**2
+        mean = first / self.c
+        curves = mean, (relative + lost) * mean, variance, variance_error
+        own = [float(curve[-1]) for curve in curves]
         return certified_passage(
-            (Number(mean, mean_error), Number(variance, variance_error), rate),
+            (Number(*own[:2]), Number(*own[2:]), rate),
             times,
             *self.failure(limit, start, times, tol=tol),
             tol=tol,
@@ -138,13 +167,28 @@ class SquareRoot:
     def rate(self, limit: float) -> Number:
         """Return the failure rate, c times the least a with 1F1(−a; n; x_f) = 0.
 
-        Raises ``InvalidInput`` where the mean time to the limit is beyond double precision.
+        By Newton's method, which rises to the root of a convex curve. Raises ``InvalidInput`` where
+        the mean time to the limit is beyond double precision.
         """
         xf = limit * self.c / self.d
         if not xf <= FARTHEST:
             raise InvalidInput("limit", limit, BEYOND_RANGE)
-        rate, error = self._rate(xf)
-        return Number(rate, error + self._lost(xf) * rate)
+        k = np.arange(1.0, series_terms(xf) + 1.0)
+        a, relative = 0.0, 4.0 * EPS * (k.size + 2.0)
+        for _ in range(100):
+            # Terms of 1F1(−a; n; x) − 1 and of its derivative in a, of which the first has a left
+            # out: it may be as small as 1e-290.
+            factors = k[:-1] - a
+            factors[factors == 0.0] = EPS  # a rounding beside an integer a, where 0/0 follows
+            rest = np.cumprod(np.append(1.0, factors) * xf / ((self.n + k - 1.0) * k))
+            slopes = np.cumsum(np.append(0.0, 1.0 / factors))
+            f, slope = 1.0 - a * rest.sum(), -rest.sum() + a * (rest * slopes).sum()
+            step = f / slope
+            a -= step
+            if abs(step) <= EPS * a:
+                break
+        error = relative * (1.0 + a * np.abs(rest).sum()) / abs(slope) + 2.0 * EPS * a
+        return Number(self.c * a, self.c * error + self._lost(xf) * (self.c * a))
 
     def failure(
         self, limit: float, start: float, times: Array, *, tol: float
@@ -169,13 +213,13 @@ class SquareRoot:
         for contour, other in zip(
             *(contours(times[later], more=k) for k in (MORE, 0)), strict=True
         ):
-            at, values = later[contour.index], []
+            at, values = later[contour.places], []
             for c in (other, contour):
                 ratio, relative = self._transform(c.z / self.c, x0, xf)
                 with np.errstate(invalid="ignore", over="ignore"):
                     values.append((c.factors @ (ratio / c.z)).imag)
                     sizes = np.abs(c.factors) * np.abs(ratio / c.z)
-                    error[at] = sizes @ relative + 8.0 * EPS * sizes.sum(axis=1)
+                    error[at] = sizes @ relative + ROUNDINGS * EPS * sizes.sum(axis=1)
             p[at] = values[1]
             error[at] += np.abs(values[1] - values[0])
         bounded = (times > 0.0) & ((bound <= NEGLIGIBLE) | ~(error <= bound))
@@ -206,44 +250,79 @@ class SquareRoot:
         """Relative error of mean times and rates, which rise by e^(x_f) at most, by c and d."""
         return (3.0 + 2.0 * xf) * self.relative_error
 
-    def _moments(self, x: Array, xf: float) -> tuple[Array, Array, Array, Array]:
-        """Mean and variance from the starts x, and errors: A_1 and A_1² − 2 A_2, less those of x.
 
-        A_1 = Σ x^k/(k (n)_k) and A_2 = Σ x^k (1 + … + 1/(k−1))/(k (n)_k) are the coefficients of
-        a and a² in 1F1(a; n; x).
-        """
-        k = np.arange(1.0, series_terms(xf) + 1.0)
-        # x_f^k/(k (n)_k), and 1 − (x/x_f)^k, without a difference of large numbers.
-        terms = np.cumprod(xf / (self.n + k - 1.0)) / k
-        with np.errstate(divide="ignore"):
-            less = -np.expm1(k * np.log(x / xf)[:, None])
-        harmonic = np.cumsum(1.0 / k) - 1.0 / k
-        A1, lost = terms.sum(), self._lost(xf)
-        first, second = less @ terms, less @ (terms * harmonic)
-        unit, relative = A1, 4.0 * EPS * (k.size + 2.0)
-        # Per unit²: A_1(x_f)² − A_1(x)² = first (2 A_1 − first).
-        a, b, c = first / unit, 2.0 - first / unit, 2.0 * second / unit / unit
-        with np.errstate(over="ignore"):
-            variance = (a * b - c) * unit * unit / self.c**2
-            variance_error = (relative + 2.0 * lost) * (a * b + c) * unit * unit / self.c**2
-        mean = first / self.c
-        return mean, (relative + lost) * mean, variance, variance_error
+def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
+    """Return ln of e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)), n >= 1, and its error.
 
-    def _rate(self, xf: float) -> tuple[float, float]:
-        """Return the failure rate by Newton's method, which rises to the root of a convex curve."""
-        k = np.arange(1.0, series_terms(xf) + 1.0)
-        a, relative = 0.0, 4.0 * EPS * (k.size + 2.0)
-        for _ in range(100):
-            # Terms of 1F1(−a; n; x) − 1 and of its derivative in a, of which the first has a left
-            # out: it may be as small as 1e-290.
-            factors = k[:-1] - a
-            factors[factors == 0.0] = EPS  # a rounding beside an integer a, where 0/0 follows
-            rest = np.cumprod(np.append(1.0, factors) * xf / ((self.n + k - 1.0) * k))
-            slopes = np.cumsum(np.append(0.0, 1.0 / factors))
-            f, slope = 1.0 - a * rest.sum(), -rest.sum() + a * (rest * slopes).sum()
-            step = f / slope
-            a -= step
-            if abs(step) <= EPS * a:
+    As a density of x it is that of half a noncentral χ² of 2n degrees, noncentrality 2y.
+    """
+    few = x * y < FEW
+    # Σ (x y)^k/(k! (n)_k), of positive terms.
+    product, series = np.where(few, x * y, 0.0), np.ones(x.shape)
+    for k in range(MOST_POWERS if y > 0.0 else 0, 0, -1):
+        series = 1.0 + product / (k * (n + k - 1.0)) * series
+    # e^(−z) I_(n−1)(z): scipy's has no value at very large z, where Abramowitz and Stegun (9.7.1)
+    # has a next term below 1/LARGE^4.
+    z, mu = 2.0 * np.sqrt(x) * np.sqrt(y), 4.0 * (n - 1) ** 2
+    large = z > LARGE * n**2
+    near, w = ive(n - 1, np.where(large, 1.0, z)), np.where(large, 8.0 * z, 1.0)
+    tail = 1.0 - (mu - 1.0) / w * (1.0 - (mu - 9.0) / (2.0 * w) * (1.0 - (mu - 25.0) / (3.0 * w)))
+    far = np.log(np.where(large, tail, 1.0)) - 0.5 * np.log(np.where(large, 2.0 * pi * z, 1.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_series = xlogy(n - 1, x) - x - y + np.log(series) - gammaln(n)
+        root, other = np.sqrt(x), np.sqrt(y)
+        ratio = 0.0 if n == 1 else (n - 1) * np.log(root / other)
+        by_bessel = np.where(large, far, np.log(near)) + ratio - (root - other) ** 2
+    value = np.where(few, by_series, by_bessel)
+    # Of an exponent, relative errors of its parts are errors of ln p.
+    parts = np.where(few, x + y, np.abs(root - other) * (root + other))
+    steep = np.where(x > 0.0, (n - 1) * np.abs(np.log(np.maximum(x, SMALLEST))), 0.0)
+    return value, EPS * (BESSEL + 4.0 * parts + 2.0 * (gammaln(n + 1.0) + steep))
+
+
+def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
+    """Return 1F1(a; n; x) at complex ``a`` (points,), x >= 0, by its series, and its error.
+
+    The error is infinite where ``MOST_TERMS`` are too few or overflow.
+    """
+    term, total = np.ones_like(a), np.ones_like(a)
+    size = np.ones(a.size)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(1, MOST_TERMS):
+            term = term * ((a + (k - 1)) * (x / ((n + k - 1) * k)))
+            total, last = total + term, np.abs(term)
+            size += last
+            if k > x and np.all(~(last > EPS * np.abs(total))):
                 break
-        error = relative * (1.0 + a * np.abs(rest).sum()) / abs(slope) + 2.0 * EPS * a
-        return self.c * a, self.c * error
+        else:
+            size[:] = np.inf
+    return total, np.where(np.isfinite(size), 4.0 * EPS * sqrt(k) * size, np.inf)
+
+
+def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Complexes, Array]:
+    """Return ln 1F1(a; n; low)/1F1(a; n; high), 0 < low < high, and its error, at ``a`` (points,).
+
+    It is −∫ 1F1'/1F1 dx, in which nothing cancels however large a is, away from the negative axis.
+    The slope is Gauss's continued fraction, DLMF (13.5.1). The error is infinite for |a| below
+    ``LEAST_SIZE``, and where that would need more than ``MOST_TERMS`` terms.
+    """
+    nodes = [low]
+    while nodes[-1] < high:  # zeros of 1F1 are of angles beyond a radian, or an imaginary part of π
+        nodes.append(min(high, RATIO_PANELS[0] * nodes[-1], nodes[-1] + RATIO_PANELS[1]))
+    x, w = (part.reshape(-1, 1) for part in panel_rule(np.array(nodes), RATIO_POINTS))
+    terms = 3.0 * np.sqrt(np.abs(a) * high) + high + 60.0
+    near = (terms <= MOST_TERMS) & (np.abs(a) >= LEAST_SIZE)
+    inside, fraction = a[near], np.ones((x.size, int(near.sum())), dtype=complex)
+    for k in range(int(np.max(terms[near], initial=0.0)), 0, -1):
+        top = inside + k // 2 if k % 2 == 0 else inside - (n + k // 2)
+        fraction = 1.0 + top * x / ((n + k - 1) * (n + k)) / fraction
+    slopes = w * inside / n / fraction
+    value, error = np.zeros_like(a), np.full(a.size, np.inf)
+    value[near] = -slopes.sum(axis=0)
+    error[near] = 2.0 * ROUNDINGS * EPS * (1.0 + np.abs(slopes).sum(axis=0))
+    return value, error
+
+
+def series_terms(x: float) -> int:
+    """Terms of a power series like that of e^x, up to round-off."""
+    return int(x + 12.0 * sqrt(x)) + 60

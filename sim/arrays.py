@@ -6,8 +6,11 @@ import numpy as np
 
 from fpk.arrays import Array, Integers
 
-LANES = 128
+LANES = W = 128
 """Trajectories that run side by side in one block; a constant of compilation."""
+
+GROUPS = 64
+"""Independent batches of trajectories, from which errors are taken; of an ensemble at most."""
 
 COLUMNS = 4
 """Columns of the linear map that one loop joins; its matrix is padded to a multiple."""
@@ -47,7 +50,7 @@ class TermArrays(NamedTuple):
 
 
 class SubstepArrays(NamedTuple):
-    """Numbers of a long step of ``small`` small ones, see ``sim.substeps``; stops as in a step."""
+    """Numbers of a long step of ``small`` small ones, see ``sim.plan``; stops as in a step."""
 
     small: int
     matrix: Array  # (2n, columns), the map over the long step

@@ -3,7 +3,7 @@
 import os
 import signal
 import threading
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -26,13 +26,6 @@ INTERVAL = 2.0
 
 FIRST_PIECE = 256
 """Steps of the first piece, which shows how long a step takes."""
-
-PART = ".part"
-"""Ending of a state that is being written."""
-
-DAMAGED = (BadZipFile, EOFError, KeyError, OSError, RuntimeError, ValueError)
-"""Exceptions of NumPy and zipfile for bytes that are not the archive that was written."""
-
 
 PROGRAM = ("fpk", "averaging", "sim", "cases")
 """All packages, whose sources any number may depend on."""
@@ -77,19 +70,19 @@ class Checkpoint:
             yield
             return
         with locked(self.path.with_suffix(".lock")):
-            for part in self.path.parent.glob(f"{self.path.name}.*{PART}"):
+            for part in self.path.parent.glob(f"{self.path.name}.*.part"):
                 part.unlink(missing_ok=True)
             yield
 
-    def save(self, ensemble: Any) -> None:
-        """Write the state and the notes to another file and move it to ``path``.
+    def save(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Write the arrays of a state and the notes to another file and move it to ``path``.
 
         Raises ``Unavailable`` where that is not possible; what was in the file stays.
         """
         if self.path is None:
             return
-        part = self.path.with_name(f"{self.path.name}.{token_hex(4)}{PART}")
-        arrays = {**ensemble.saved(), **self.notes}
+        part = self.path.with_name(f"{self.path.name}.{token_hex(4)}.part")
+        arrays: dict[str, Any] = {**state, **self.notes}
         try:
             try:
                 with part.open("xb") as stream:
@@ -120,7 +113,7 @@ class Checkpoint:
                 # gone: hence ``testzip``, and the names in ``about``.
                 whole, arrays = saved.zip.testzip() is None, dict(saved)
             identity, *names = arrays.pop("about").tolist()
-        except DAMAGED:
+        except (BadZipFile, EOFError, KeyError, OSError, RuntimeError, ValueError):
             whole = False
         if not whole or names != list(arrays):
             raise Unavailable(f"{self.path}: is damaged; remove it to begin anew")
@@ -146,7 +139,7 @@ class Checkpoint:
             self.interrupted = self.stopped()
             ended = self.interrupted or now >= self.deadline
             if saving and (ended or now - self._saved >= INTERVAL):
-                self.save(ensemble)
+                self.save(ensemble.saved())
         return self.interrupted or steps > 0
 
 

@@ -1,4 +1,4 @@
-"""Can the sample be trusted: autocorrelation times, effective samples, split R-hat, drift.
+"""Can the sample be trusted: moment identities, autocorrelation times, effective samples, drift.
 
 τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity with the variance σ². Its mean
 over a time T on a trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, so that independent
@@ -8,13 +8,19 @@ trajectories show τ without any correlogram: ``τ = T var(path means)/(2 σ²)`
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, nan, sqrt
-from typing import NamedTuple
+from math import inf, nan, pi, sqrt
 
 import numpy as np
 from scipy.special import stdtrit
 
 from fpk.arrays import Array
+from fpk.density import l1_distance
+from fpk.method import Identity
+from fpk.sampled_density import SampledDensity
+from fpk.system import System
+
+Product = tuple[str, int, str, int]
+"""Two coordinates whose product is summed, each a kind (q, p, f or d) and a mass from 0."""
 
 LEAST_TIMES = 50.0
 """Autocorrelation times, of 2τ as emcee counts them, below which a run is refused."""
@@ -22,18 +28,84 @@ LEAST_TIMES = 50.0
 LEAST_BURN_IN = 5.0
 """Autocorrelation times τ that a burn-in must have: e^−5 of a start is 0.7 % of its distance."""
 
+CHUNKS = 20
+"""Chunks into which the sampled time is divided, to see a drift. Without a known end they begin a
+32nd as long: whenever there are twice as many, they are joined in pairs, and those that follow are
+twice as long."""
+
 FALSE_ALARMS = 1e-6
 """Probability that a right simulation is called wrong, in one observable or of all that may drift.
 
 A verification judges thousands of comparisons, and one false alarm ends it with an error."""
 
 
-class Effective(NamedTuple):
-    """Independent samples of equal worth of one quantity, and the relative error of the number."""
+def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
+    """Return the products that are summed: p p, q p, q F, p F and q q, F = K q + g(q).
 
-    name: str
-    samples: float
-    relative_error: float
+    With damping ``terms`` of the forces D_i = Σ_j c̃_ij v_j also p D and q D.
+    """
+    masses = range(n)
+    products: list[Product] = [("p", i, "p", j) for i in masses for j in range(i, n)]
+    products += [("q", i, "p", j) for i in masses for j in masses]
+    for a, b in ("qf", "pf", "qq", *(("pd", "qd") if terms else ())):
+        products += [(a, i, b, i) for i in masses]
+    return tuple(products)
+
+
+def batch_moments(system: System, batch_means: Array) -> dict[Product, Array]:
+    """Return the mean (batches,) of each product, in either order, from (batches, products)."""
+    products = moment_products(system.n, terms=bool(system.damping_terms))
+    moments = dict(zip(products, batch_means.T, strict=True))
+    return moments | {(b, j, a, i): mean for (a, i, b, j), mean in moments.items()}
+
+
+def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...]:
+    """Return the moment identities, exact in the stationary state of Eq. (6).
+
+    The generator applied to H, q_i p_i and p_i² has mean zero:
+    ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
+    ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ and F = K q + g(q). Damping terms are
+    part of c, inside the means. ``batch_means`` (batches, products): errors are from their spread.
+    """
+    m, c, masses = system.mass, system.damping, range(system.n)
+    mean = batch_moments(system, batch_means)
+
+    def damped(a: str, i: int) -> Array:
+        terms = [c[i, j] / m[j] * mean[a, i, "p", j] for j in masses]
+        if system.damping_terms:
+            terms.append(mean[a, i, "d", i])
+        return np.asarray(np.sum(terms, axis=0))
+
+    def identity(name: str, batches: Array, expected: float) -> Identity:
+        error = float(batches.std(ddof=1) / np.sqrt(batches.size))
+        return Identity(name, float(batches.mean()), expected, error)
+
+    noise = np.diag(system.noise_matrix)
+    loss = np.sum([damped("p", i) / m[i] for i in masses], axis=0)
+    identities = [identity("energy balance", loss, float(np.sum(noise / m)))]
+    for i in masses:
+        virial = mean["p", i, "p", i] / m[i] - mean["q", i, "f", i] - damped("q", i)
+        identities.append(identity(f"virial of mass {i + 1}", virial, 0.0))
+        work = mean["p", i, "f", i] + damped("p", i)
+        identities.append(identity(f"kinetic balance of mass {i + 1}", work, float(noise[i])))
+    return tuple(identities)
+
+
+def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
+    """Return ∫|p_a − p_b| of two independent samples, and what chance alone makes of it.
+
+    Their bins, which are the same, are joined to 128, of two coordinates to 64 along each: on those
+    of the histogram it would show the counting noise of each, which any smoothing removes.
+    """
+    wanted = 128 if len(a.edges) == 1 else 64
+    a, b = (density.joined(min(density.values.shape) // wanted) for density in (a, b))
+    spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
+    area = float(np.prod([e[1] - e[0] for e in a.edges]))
+    return l1_distance(a, b), sqrt(2.0 / pi) * area * spread
+
+
+Effective = tuple[str, float, float]
+"""A quantity, its independent samples of equal worth, and the relative error of the number."""
 
 
 @dataclass(frozen=True)
@@ -157,18 +229,18 @@ def diagnosis(
 
     ``means`` (quantities, batches, chunks) belong to the ``names``.
     """
-    worst = min(effective, key=lambda e: e.samples)
-    tau = paths * time / (2.0 * worst.samples) if worst.samples > 0 else inf
+    slowest, samples, relative_error = min(effective, key=lambda e: e[1])
+    tau = paths * time / (2.0 * samples) if samples > 0 else inf
     quantities, batches, chunks = means.shape
     z = np.abs(drifts(means)) if chunks > 1 else np.zeros((quantities, 2))
     drift, limit = float(z.max()), drift_limit(batches, z.size)
     failures = []
     if chunks < 2:
         failures.append("it ended in its first chunk, where no drift shows; sample for longer")
-    if worst.samples < LEAST_TIMES:
+    if samples < LEAST_TIMES:
         failures.append(
-            f"the {paths} trajectories are {worst.samples:.3g} autocorrelation times of"
-            f" {worst.name} long together, fewer than {LEAST_TIMES:g}; sample for longer"
+            f"the {paths} trajectories are {samples:.3g} autocorrelation times of"
+            f" {slowest} long together, fewer than {LEAST_TIMES:g}; sample for longer"
         )
     if burn_in < LEAST_BURN_IN * tau:
         failures.append(
@@ -182,9 +254,9 @@ def diagnosis(
         )
     return Diagnosis(
         autocorrelation_time=tau,
-        effective_samples=worst.samples,
-        relative_error=worst.relative_error,
-        slowest=worst.name,
+        effective_samples=samples,
+        relative_error=relative_error,
+        slowest=slowest,
         times_per_path=time / tau if tau > 0 else inf,
         r_hat=max(split_r_hat(m) for m in means),
         drift=drift,

@@ -14,17 +14,16 @@ from fpk.errors import NotApplicable
 from fpk.modulation import Modulation
 from fpk.observable import Coordinate
 from fpk.system import System
-from sim.arrays import LANES, StepArrays, WatchArrays, in_blocks, in_rows
+from sim.arrays import GROUPS, LANES, StepArrays, WatchArrays, in_blocks, in_rows
+from sim.diagnostics import Product
 from sim.histogram import Histogram, starts
 from sim.kernel import KernelKey, compiled_kernel
 from sim.parts.observed import FOLDED
 from sim.plan import step_arrays, watched
 from sim.random import mixed_seed
-from sim.reachable import Reachable, loudest
+from sim.reachable import PIECE, Reachable, loudest, start_states
 from sim.schemes import Scheme
 from sim.schemes.exact_flow import EXACT_FLOW
-from sim.start_states import PIECE, start_states
-from sim.statistics import Product
 from sim.workers import TASKS_PER_THREAD, Workers
 
 Reader = Callable[..., None]
@@ -34,9 +33,6 @@ these blocks, changed in place. A function of a module, or a ``partial`` of one.
 
 CHANGING = ("states", "sums", "folded", "counts")
 """Arrays of an ensemble that a step changes."""
-
-BATCHES = 64
-"""Independent batches at most; a batch is made of whole blocks of lanes."""
 
 LEAST_WORK = 100_000
 """Steps of single trajectories, a millisecond, below which a task costs more than it saves."""
@@ -48,9 +44,6 @@ of path means to half a per cent. Of the others there are sums over each block."
 
 GROUP, TRACED = 4, 32
 """Blocks and samples of a trace that is read at once: they fit into the cache of a core."""
-
-INVERSIONS, INVERTED = 100, 1e-13
-"""Iterations in which the observed state becomes the start, and what may be left of its size."""
 
 
 def advanced(
@@ -155,7 +148,7 @@ class Ensemble:
     @property
     def edges(self) -> Integers:
         """First block of each batch, and the number of blocks."""
-        batches = min(BATCHES, len(self.states))
+        batches = min(GROUPS, len(self.states))
         return np.arange(batches + 1, dtype=np.int64) * len(self.states) // batches
 
     @property
@@ -199,9 +192,9 @@ class Ensemble:
         # Displacements in units of momenta.
         impedance = np.sqrt(self.system.mass * np.diag(self.system.stiffness_matrix))
         scale = np.concatenate([impedance, np.ones(n)])[:, None]
-        enough = INVERTED * np.max(np.abs(wanted * scale))
+        enough = 1e-13 * np.max(np.abs(wanted * scale))
         before = wanted.copy()
-        for _ in range(INVERSIONS):
+        for _ in range(100):
             self.states = before.copy()
             self._advance(1, 1, None, ())
             with np.errstate(over="ignore", invalid="ignore"):  # not a number is not enough

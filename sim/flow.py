@@ -10,9 +10,6 @@ from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.system import System
 from sim.arrays import COLUMNS
 
-RANK_SLACK = 1e-13
-"""A pivot below this share of its own variance is round-off: no normal number is drawn for it."""
-
 
 @dataclass(frozen=True, eq=False)
 class LinearMap:
@@ -49,21 +46,17 @@ def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, A
     diffusion = diffusion / row / scale
     largest = float(np.max(np.abs(diffusion)))
     size = 2.0 ** np.floor(np.log2(largest)) if largest > 0.0 else 1.0
-    propagator, covariance = _balanced(np.asarray(balanced, dtype=float), diffusion / size, dt)
-    return row * propagator / scale, size * (row * covariance * scale)
-
-
-def _balanced(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
-    doublings = max(0, int(np.ceil(np.log2(2.0 * np.linalg.norm(drift, 2) * dt + 1e-300))))
+    A, b, m = np.asarray(balanced, dtype=float), diffusion / size, len(drift)
+    doublings = max(0, int(np.ceil(np.log2(2.0 * np.linalg.norm(A, 2) * dt + 1e-300))))
     h = dt / 2**doublings
-    m = drift.shape[0]
-    block = expm(np.block([[-drift, diffusion], [np.zeros((m, m)), drift.T]]) * h)
+    block = expm(np.block([[-A, b], [np.zeros((m, m)), A.T]]) * h)
     propagator = block[m:, m:].T
     covariance = propagator @ block[:m, m:]
     for _ in range(doublings):
         covariance = covariance + propagator @ covariance @ propagator.T
         propagator = propagator @ propagator
-    return expm(drift * dt), 0.5 * (covariance + covariance.T)
+    covariance = size * (row * (0.5 * (covariance + covariance.T)) * scale)
+    return row * expm(A * dt) / scale, covariance
 
 
 def factored(covariance: Array) -> Array:
@@ -78,7 +71,7 @@ def factored(covariance: Array) -> Array:
     columns = []
     for _ in range(scale.size):
         pivot = int(np.argmax(np.diag(rest)))
-        if rest[pivot, pivot] <= RANK_SLACK * scale.size:
+        if rest[pivot, pivot] <= 1e-13 * scale.size:  # round-off of its own variance
             break
         column = rest[:, pivot] / np.sqrt(rest[pivot, pivot])
         rest = rest - np.outer(column, column)

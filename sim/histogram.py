@@ -21,9 +21,6 @@ from sim.step_size import temperature
 BINS = (1024, 128)
 """Bins of each axis of a histogram of one and of two coordinates."""
 
-LEAST_BINS, MULTIPLE = 32, 8
-"""Least number of bins between two kinks, and a divisor of it: by that many bins may be joined."""
-
 MARGIN = 0.3
 """Share of the pilot's range that is added beyond its extremes."""
 
@@ -89,7 +86,7 @@ def binned(
         if not inside or kink - inside[-1] > NEAR * (high - low):
             inside.append(kink)
     nodes = [low, *(k for k in inside if k > low), high]
-    each = max(LEAST_BINS, bins // (len(nodes) - 1) // MULTIPLE * MULTIPLE)
+    each = max(32, bins // (len(nodes) - 1) // 8 * 8)  # by 8 they may be joined
     edges, share = [np.array([low])], np.linspace(0.0, 1.0, each + 1)[1:]
     for a, b in pairwise(nodes):
         edges.append(a + (b - a) * (share**4 if widening and a in inside else share))
@@ -116,31 +113,29 @@ def axis_of(
         low = -high
     else:
         low, high = low - reach, high + reach
+
+    def end(side: float, x: float, seen: float) -> float:
+        """Where bins of side·q end instead of at ``x``: deep enough in the outermost stop before.
+
+        That is where its contact energy is ``DEEPEST`` kT, and beyond what was ``seen``.
+        """
+        own = (s for s in system.stops if (s.index, s.sign) == (coordinate.row, side))
+        stops, kT = [s for s in own if s.clearance < x], temperature(system)
+        if not stops:
+            return x
+        stop = max(stops, key=lambda s: s.clearance)
+        depth = max((1.0 + 2.0 * MARGIN) * (seen - stop.clearance), 0.0)
+        if isfinite(kT) and kT > 0.0:
+            depth = max(depth, stop.overlap_at(DEEPEST * kT))
+        return min(x, stop.clearance + depth) if depth > 0.0 else x
+
     if coordinate.kind == "q":
-        ends = (low, -1.0, -low - reach), (high, 1.0, high - reach)
-        low, high = (
-            side * _end(system, coordinate.row, side, side * x, seen) for x, side, seen in ends
-        )
+        low, high = -end(-1.0, -low, -low - reach), end(1.0, high, high - reach)
     reference = partial(reference_of, system, coordinate)
     axis = binned(low, high, kinks, bins, widening=energy, reference=reference)
     if effects_of(system).mirror and not energy:  # to the last digit
         axis = replace(axis, edges=0.5 * (axis.edges - axis.edges[::-1]))
     return axis
-
-
-def _end(system: System, mass: int, side: float, x: float, seen: float) -> float:
-    """Where bins of ``side``·q end instead of at ``x``: deep enough in the outermost stop before.
-
-    That is where its contact energy is ``DEEPEST`` kT, and beyond what was ``seen``.
-    """
-    stops = [s for s in system.stops if (s.index, s.sign) == (mass, side) and s.clearance < x]
-    if not stops:
-        return x
-    stop, kT = max(stops, key=lambda s: s.clearance), temperature(system)
-    depth = max((1.0 + 2.0 * MARGIN) * (seen - stop.clearance), 0.0)
-    if isfinite(kT) and kT > 0.0:
-        depth = max(depth, stop.overlap_at(DEEPEST * kT))
-    return min(x, stop.clearance + depth) if depth > 0.0 else x
 
 
 def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
@@ -180,8 +175,6 @@ def covering(
     observables: Sequence[Observable],
     reached: Array,
     axis: Callable[[Coordinate, float, float, int], BinAxis],
-    *,
-    bins: tuple[int, int] = BINS,
 ) -> tuple[Histogram, ...]:
     """Return histograms over the extremes ``reached`` (coordinates, 2) of all coordinates.
 
@@ -193,7 +186,7 @@ def covering(
         for coordinate in observable:
             low, high = next(pairs)
             low, high = (low, high) if low <= high else (-1.0, 1.0)
-            axes.append(axis(coordinate, low, high, bins[len(observable) - 1]))
+            axes.append(axis(coordinate, low, high, BINS[len(observable) - 1]))
         histograms.append(Histogram(observable, tuple(axes)))
     return tuple(histograms)
 

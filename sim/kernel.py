@@ -1,8 +1,8 @@
 """The compiled stepper: many steps of many blocks of lanes, with only the effects asked for."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, wraps
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -11,22 +11,14 @@ import numpy as np
 
 from fpk.arrays import Array, Integers
 from fpk.compiling import ROOT, cached_njit, checksum, compiled_laws, law_files
-from sim.arrays import LANES as W
-from sim.arrays import StepArrays, WatchArrays
-from sim.lanes import add, add_matrix, aligned_rows, row, scale_all
-from sim.parts.contact import add_contact, contact_forces, kick_by_contact
-from sim.parts.damping import damping_forces, spring_energy, term_flow, whole_energy
-from sim.parts.linear import map_state
-from sim.parts.observed import add_products, count_all, observe, trace_state
-from sim.parts.substeps import AT_ONCE, NARROW, gather, near_lanes, places, scatter, small_steps
+from sim.arrays import StepArrays, W, WatchArrays
+from sim.lanes import add, add_matrix, aligned_rows, copy, row, scale_all
+from sim.parts import forces, linear, observed
 from sim.random import GOLDEN, fill_normals
 
-PARTS = ("contact", "damping", "linear", "observed", "substeps")
-NAMES = ("arrays", "kernel", "lanes", "random", *(f"parts/{part}" for part in PARTS))
+NAMES = ("arrays", "kernel", "lanes", "random", "parts/forces", "parts/linear", "parts/observed")
 KERNEL = tuple(f"sim/{name}.py" for name in NAMES)
 """Files of this room that a kernel is compiled from."""
-
-_COMPILING = Lock()
 
 
 def kernel_checksum(laws: Sequence[str], root: Path = ROOT) -> int:
@@ -61,16 +53,22 @@ class KernelKey:
     modulated: bool = False
 
 
+def once(make: Callable[..., Any]) -> Callable[..., Any]:
+    """Return ``make`` with results that are kept, made by one thread at a time."""
+    lock, cached = Lock(), lru_cache(make)
+
+    @wraps(make)
+    def made(*key: Any) -> Any:
+        with lock:
+            return cached(*key)
+
+    return made
+
+
+@once
 def compiled_kernel(key: KernelKey) -> Any:
-    """Return the kernel of ``key``, one for all threads."""
-    with _COMPILING:
-        return _compiled(key)
-
-
-@lru_cache
-def _compiled(key: KernelKey) -> Any:
-    """Return a new kernel; what a flag guards that is False, and so a constant, is not compiled."""
-    contact, observed, kick_first = bool(key.laws), key.observed, key.kick_first
+    """Return the kernel of ``key``; what a flag guards that is False, a constant, is left out."""
+    contact, observing, kick_first = bool(key.laws), key.observed, key.kick_first
     damping, energy_damping = key.damping, key.energy_damping
     momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
     traced, halved, modulated = key.traced, key.halved, key.modulated
@@ -104,86 +102,83 @@ def _compiled(key: KernelKey) -> Any:
         z, words = aligned_rows(pairs).view(np.float32), aligned_rows(1).view(np.uint64)
         index, second, number = np.zeros(W, np.int64), np.zeros(W, np.int64), aligned_rows(1)
         if substeps:
-            group = at.total * NARROW
+            group = at.total * linear.NARROW
             groups, chosen = aligned_rows(at.total), np.zeros(W, np.int64)
-            drawn = aligned_rows(pairs * AT_ONCE).view(np.float32)
-            places_of = aligned_rows(pairs * AT_ONCE).view(np.uint64)
-            halves = aligned_rows(pairs * AT_ONCE).view(np.uint32)
+            drawn = aligned_rows(pairs * linear.AT_ONCE).view(np.float32)
+            places_of = aligned_rows(pairs * linear.AT_ONCE).view(np.uint64)
+            halves = aligned_rows(pairs * linear.AT_ONCE).view(np.uint32)
         for b in range(x.shape[0]):
             trajectory = np.uint64((first + b) * W)
             s[: 2 * n * W] = x[b]
             for t in range(steps):
-                watched = observed and stride > 0 and (phase + t) % stride == 0
+                watched = observing and stride > 0 and (phase + t) % stride == 0
 
                 # Forces and energies at the state before the kick.
                 if contact and (apart or watched or energy_damping):
-                    contact_forces(s, at.contact, step, force, slope)
+                    forces.contact_forces(s, at.contact, step, force, slope)
                 if energy_damping:
-                    spring_energy(s, V, step)
+                    forces.spring_energy(s, V, step)
                     if contact:
-                        add_contact(s, 0, at.work + 1, step, potential, False)
+                        forces.add_contact(s, 0, at.work + 1, step, potential, False)
 
                 # First half of the damping terms, which ends in the middle of the kicks.
                 if damping and kick_first:
                     for k in range(terms.target.size):
-                        term_flow(s, at.work, step, k, energy_damping)
+                        forces.term_flow(s, at.work, step, k, energy_damping)
 
                 # Observation.
                 if watched:
-                    observe(
+                    observed.observe(
                         s, V, H, step, watch, contact, damping, energy_damping, momenta, energy,
                         modes, moments, force, potential,
                     )  # fmt: skip
                     if moments:
-                        add_products(s, b, sums, folded, live, watch)
+                        observed.add_products(s, b, sums, folded, live, watch)
                     own = counts[batch[b] - batch[0]]
-                    count_all(s, number, index, second, live[b], watch, own)
+                    observed.count_all(s, number, index, second, live[b], watch, own)
                     if traced:
-                        trace_state(s, trace[b], watch, 1 + t // stride)
+                        for r in range(watch.traced.size):
+                            sample = (1 + t // stride) * watch.traced.size + r
+                            copy(row(trace[b], sample), row(s, watch.traced[r]))
 
                 # Kicks, and the second half of the terms in reverse: a symmetric step.
                 if apart and kick_first:
-                    kick_by_contact(s, at.contact, step, n)
+                    forces.kick_by_contact(s, at.contact, step, n)
                 if damping and kick_first:
                     add_matrix(s, n, 0, terms.springs, -1.0)
                     for k in range(terms.target.size - 1, -1, -1):
-                        term_flow(s, at.work, step, k, energy_damping)
+                        forces.term_flow(s, at.work, step, k, energy_damping)
                 if damping and not kick_first:  # of Euler's kind, from before the map
                     if energy_damping:
-                        whole_energy(s, H, V, step)
-                    damping_forces(s, 0, H, at.damping, at.work, step)
+                        forces.whole_energy(s, H, V, step)
+                    forces.damping_forces(s, 0, H, at.damping, at.work, step)
 
                 # The linear map; trajectories near a stop make small steps instead.
                 if substeps:
-                    near = near_lanes(s, row(s, at.q, 2), index, chosen, step)
-                    gather(groups, s, chosen, near, 2 * n, group)
-                    places(places_of, chosen, near, pairs)
+                    near = linear.near_lanes(s, row(s, at.q, 2), index, chosen, step)
+                    linear.gather(groups, s, chosen, near, 2 * n, group)
+                    linear.places(places_of, chosen, near, pairs)
                 word = counter + np.uint64(t * step.words)
-                for pair in range(pairs):
-                    to = z[2 * pair * W : 2 * (pair + 1) * W]
-                    fill_normals(to, words, trajectory, word + np.uint64(pair), offset)
-                if modulated:
-                    scale_all(z, step.strength[t])
-                map_state(s, z, matrix, pairs)
-                if halved:  # the second half of the time between two kicks
+                for half in range(1 + halved):  # of the time between two kicks
                     for pair in range(pairs):
                         to = z[2 * pair * W : 2 * (pair + 1) * W]
-                        fill_normals(to, words, trajectory, word + np.uint64(pairs + pair), offset)
+                        own = word + np.uint64(half * pairs + pair)
+                        fill_normals(to, words, trajectory, own, offset)
                     if modulated:
                         scale_all(z, step.strength[t])
-                    map_state(s, z, matrix, pairs)
+                    linear.map_state(s, z, matrix, pairs)
                 if substeps:
                     word += np.uint64(pairs)
                     place = ((trajectory << np.uint64(40)) + word) * GOLDEN + offset
-                    small_steps(
+                    linear.small_steps(
                         groups, group, places_of, near, drawn, halves, place, step,
                         at.contact, pairs, force, slope,
                     )  # fmt: skip
-                    scatter(s, groups, chosen, near, 2 * n, group)
+                    linear.scatter(s, groups, chosen, near, 2 * n, group)
 
                 # Kicks of a scheme that kicks after its map.
                 if apart and not kick_first:
-                    kick_by_contact(s, at.contact, step, n)
+                    forces.kick_by_contact(s, at.contact, step, n)
                 if damping and not kick_first:
                     for i in range(n):
                         add(row(s, n + i), row(s, at.damping + i), -step.dt)

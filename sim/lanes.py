@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fpk.arrays import Array
 from fpk.compiling import inlined
-from sim.arrays import LANES as W
+from sim.arrays import W
 
 
 @inlined

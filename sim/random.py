@@ -30,34 +30,22 @@ OTHER_SEED = 0x9E3779B97F4A7C15
 """Added to a seed for a second simulation: 2**64 over the golden ratio."""
 
 GOLDEN = np.uint64(OTHER_SEED)
-_MIX1 = np.uint64(0xBF58476D1CE4E5B9)
-_MIX2 = np.uint64(0x94D049BB133111EB)
-_S30, _S27, _S31, _S40 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(40)
 LANE = np.uint64((int(GOLDEN) << 40) & ((1 << 64) - 1))
 """From a trajectory's words to the next one's."""
 
 u32, f32 = np.uint32, np.float32
-_LOWEST, _ONE = u32(1), f32(1.0)
-_ROOT_HALF = u32(0x3F3504F3)  # bits of √½
-_SCALED = u32(0x3F3504F3 + (32 << 23))  # and of 2**32 √½
-_MANTISSA = u32(0x007FFFFF)
-_EXPONENT = u32(0xFF800000)
-_SIGN = u32(0x80000000)
-_TWO = u32(0x40000000)  # bits of 2: or'ed with 23 bits they are a number in [2, 4)
-_THREE = f32(3.0)
-_LN4 = f32(2.0 * 0.6931471805599453 / 2**23)
 
 # Chebyshev interpolants: −2 log(1+f)/f on [√½ − 1, √2 − 1] to 4e-7; sin(π/2 x)/x to 1.2e-6 and
 # cos(π/2 x) to 5e-8, in x² on |x| <= 1.
-_LOG = [
+_L0, _L1, _L2, _L3, _L4, _L5, _L6, _L7 = map(f32, [
     -1.999999885, 1.000007262, -0.6667022828, 0.4994014337,
     -0.397971301, 0.3449402661, -0.324683796, 0.202681135,
-]  # fmt: skip
-_SIN = [1.570795135, -0.6459258417, 0.0795003287, -0.004370800433]
-_COS = [0.9999999532, -1.233698208, 0.2536507096, -0.02081057138, 0.0008581625433]
-_L0, _L1, _L2, _L3, _L4, _L5, _L6, _L7 = map(f32, _LOG)
-_A0, _A1, _A2, _A3 = map(f32, _SIN)
-_B0, _B1, _B2, _B3, _B4 = map(f32, _COS)
+])  # fmt: skip
+_A0, _A1, _A2, _A3 = map(f32, [1.570795135, -0.6459258417, 0.0795003287, -0.004370800433])
+_B0, _B1, _B2, _B3, _B4 = map(
+    f32, [0.9999999532, -1.233698208, 0.2536507096, -0.02081057138, 0.0008581625433]
+)
+_LN4 = f32(2.0 * 0.6931471805599453 / 2**23)
 
 
 def stream_of(seed: int, number: int) -> np.random.Generator:
@@ -68,9 +56,9 @@ def stream_of(seed: int, number: int) -> np.random.Generator:
 @inlined
 def mixed_word(z: np.uint64) -> np.uint64:
     """Return the word at the place ``z`` of the sequence."""
-    z = (z ^ (z >> _S30)) * _MIX1
-    z = (z ^ (z >> _S27)) * _MIX2
-    return np.uint64(z ^ (z >> _S31))
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.uint64(z ^ (z >> np.uint64(31)))
 
 
 def mixed_seed(seed: int) -> np.uint64:
@@ -82,17 +70,19 @@ def mixed_seed(seed: int) -> np.uint64:
 @inlined
 def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
     """Write one pair a lane: a row of cosines, then a row of sines; bits as in the module."""
+    root_half, mantissa = u32(0x3F3504F3), u32(0x007FFFFF)  # bits of √½; u is scaled by 2**32
     for k in range(width):
         a = halves[width + k]
-        u = f32(u32(halves[k] | _LOWEST))
-        bits = u32(f32(u).view(u32) - _SCALED)
-        e = f32(u32(bits & _EXPONENT).view(np.int32))
-        f = u32(u32(bits & _MANTISSA) + _ROOT_HALF).view(f32) - _ONE
+        u = f32(u32(halves[k] | u32(1)))
+        bits = u32(f32(u).view(u32) - u32(root_half + u32(32 << 23)))
+        e = f32(u32(bits & u32(0xFF800000)).view(np.int32))
+        f = u32(u32(bits & mantissa) + root_half).view(f32) - f32(1.0)
         log = _L4 + f * (_L5 + f * (_L6 + f * _L7))
         log = f * (_L0 + f * (_L1 + f * (_L2 + f * (_L3 + f * log))))
         r = np.sqrt(log - _LN4 * e)
-        r = u32(f32(r).view(u32) | u32(a & _SIGN)).view(f32)
-        x = u32(u32(a & _MANTISSA) | _TWO).view(f32) - _THREE
+        r = u32(f32(r).view(u32) | u32(a & u32(0x80000000))).view(f32)
+        # With the bits of 2 these 23 are a number in [2, 4).
+        x = u32(u32(a & mantissa) | u32(0x40000000)).view(f32) - f32(3.0)
         y = x * x
         rows[width + k] = r * (x * (_A0 + y * (_A1 + y * (_A2 + y * _A3))))
         rows[k] = r * (_B0 + y * (_B1 + y * (_B2 + y * (_B3 + y * _B4))))
@@ -107,7 +97,7 @@ def fill_normals(
     ``trajectory`` is that of the first lane, ``counter`` the word within it, ``offset`` the
     finalised seed. ``words`` (LANES) is scratch.
     """
-    first = ((trajectory << _S40) + counter) * GOLDEN + offset
+    first = ((trajectory << np.uint64(40)) + counter) * GOLDEN + offset
     for lane in range(LANES):
         words[lane] = mixed_word(first + np.uint64(lane) * LANE)
     box_muller(rows, words.view(np.uint32))

@@ -1,4 +1,4 @@
-"""How far exact motions get: a simulation of which one gets farther is unstable, and ends."""
+"""States in which stationary simulations start, and how far exact motions get from there."""
 
 from dataclasses import dataclass, replace
 from math import exp, inf, sqrt
@@ -11,17 +11,54 @@ from fpk.equivalent import damping_balance
 from fpk.errors import NotCertified
 from fpk.escape import escape
 from fpk.system import System
-from sim.relaxation import modal_temperatures
+from sim.arrays import LANES
+from sim.flow import factored
+from sim.random import START, normals
 from sim.schemes import Scheme
-from sim.step_size import BEYOND_BALANCE, stability_limit, temperature
+from sim.step_size import BEYOND_BALANCE, modal_temperatures, stability_limit, temperature
+
+PIECE = 64
+"""Blocks whose starts are drawn together, beginning at its multiples."""
+
+
+def start_states(system: System, seed: int, piece: int) -> Array:
+    """Return the states (PIECE, 2n, LANES) in which the blocks from ``piece`` on start.
+
+    They are q = 0 and momenta of the temperature (covariance kT M). With damping terms the
+    displacements are drawn, too: on a limit cycle the noise alone mixes phases slowly.
+    """
+    n, kT = system.n, temperature(system)
+    # A trajectory owns 2**40 words; so many lie before those of the piece's first one.
+    words = START + ((piece * LANES) << 40)
+    L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))
+    # Of whole pieces: matrix products may round by the shape they come in.
+    p = L @ normals(seed, PIECE * LANES, words, n)[: L.shape[1]]
+    q = np.zeros_like(p)
+    if system.damping_terms:
+        q = start_displacements(system, kT, normals(seed, PIECE * LANES, words + n, n))
+    return np.vstack([q, p]).reshape(2 * n, -1, LANES).transpose(1, 0, 2)
+
+
+def start_displacements(system: System, kT: float, z: Array) -> Array:
+    """Return displacements (n, paths) from standard normals ``z``: Gaussian by the springs at kT.
+
+    Where a contact is reached they are shortened, by bisection, to the potential energy of the
+    springs alone: no start is deeper in a stop than its energy allows.
+    """
+    # An inverse, not ``system.compliance``: its rounding is part of what a seed stands for.
+    q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
+    level = 0.5 * np.sum(q * (system.stiffness_matrix @ q), axis=0)
+    low, high = np.zeros(q.shape[1]), np.ones(q.shape[1])
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        above = system.potential((middle * q).T) > level
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return np.asarray(low * q)
+
 
 CHANCE = exp(-100.0)
 """Probability that a state has more energy. Of 1e13 states one in 1e30 has it by chance; where the
 density is not Gibbs', and falls by e^−30 only instead of e^−100, none of them has."""
-
-SHADOW = 2.0
-"""Size of a state in units of what its energy allows that a stable step leads to: a kick keeps
-½p² + ½(1 − h²ω²/4) ω²q², a quarter of the energy at the least up to hω = √3 of at most 2."""
 
 
 def loudest(system: System) -> System:
@@ -75,7 +112,9 @@ class Reachable:
             energy = max(energy, BEYOND_BALANCE * s.fact(damping_balance).energy)
         else:
             T = min(T, 2.0 * time * float(np.sum(np.diag(s.noise_matrix) / s.mass)))
-        root = SHADOW * sqrt(energy) + sqrt(T * float(gammainccinv(s.n, CHANCE)))
+        # Twice: a stable kick keeps ½p² + ½(1 − h²ω²/4) ω²q², a quarter of H at the least up to
+        # hω = √3 of at most 2.
+        root = 2.0 * sqrt(energy) + sqrt(T * float(gammainccinv(s.n, CHANCE)))
         return root * np.sqrt(2.0 * np.concatenate([np.diag(s.compliance), s.mass]))
 
     def require(self, states: Array, time: float, running: Flags | None = None) -> None:

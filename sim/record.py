@@ -17,9 +17,6 @@ SNAPSHOTS = (0, 5, 10, 15)
 """Chunks at whose beginning a single sample of every trajectory shows the variance of the squares:
 σ² of 8192 trajectories to 2 % each, the error of var(path means) being about the same."""
 
-LEVELS = 8
-"""A density is watched by its shares below the octiles of a coordinate, of |x| with a mirror."""
-
 
 @dataclass(eq=False)
 class Record:
@@ -73,7 +70,14 @@ class Record:
 
     def chunk_ends(self) -> None:
         """Note where the sums and counts of the ensemble stand at the end of a chunk."""
-        ensemble, below = self.ensemble, [np.cumsum(m, axis=1) for m in self._marginals()]
+        ensemble, below, folds = self.ensemble, list[Integers](), iter(self.folds)
+        for histogram, counts in ensemble.counted():
+            own = counts[:, :-1].reshape(-1, *histogram.shape)
+            for axis, bins in enumerate(histogram.shape, start=1):
+                marginal = own.sum(axis=tuple({1, own.ndim - 1} - {axis}))
+                if next(folds):  # |x|, from the middle on
+                    marginal = marginal[:, bins // 2 :] + marginal[:, : bins // 2][:, ::-1]
+                below.append(np.cumsum(marginal, axis=1))
         if not self.ends:
             self.chunk_samples = ensemble.samples
             self.cuts = [
@@ -95,19 +99,19 @@ class Record:
         """Return the effective samples of every quantity, squares first."""
         effective: list[Effective] = []
         if self.variances:
-            numbers = effective_of_paths(
+            samples, errors = effective_of_paths(
                 self._of_paths(self.ensemble.sums) / self.ensemble.samples,
                 np.mean(self.variances, axis=0),
                 np.mean(self.errors, axis=0) / np.sqrt(len(self.errors)),
                 whole=self.ensemble.paths,
             )
             names = [name for name, _, _ in self.squares]
-            effective += map(Effective, names, *(number.tolist() for number in numbers))
+            effective += zip(names, samples.tolist(), errors.tolist(), strict=True)
         shares = self.ends[-1] / (self.chunk_samples * len(self.ends))
         for axis, name in enumerate(self.axes):
             columns = [len(self.squares) + k for k, cut in enumerate(self.cuts) if cut[0] == axis]
             if columns:
-                effective.append(Effective(name, *effective_of_shares(shares[:, columns])))
+                effective.append((name, *effective_of_shares(shares[:, columns])))
         return effective
 
     def moments(self) -> tuple[Moment, ...]:
@@ -135,24 +139,12 @@ class Record:
         rows = np.stack([f * sums[:, k] for _, k, f in self.squares])
         return np.asarray(rows[:, np.arange(LANES) < self.ensemble.live[: sums.shape[0], None]])
 
-    def _marginals(self) -> list[Integers]:
-        """Counts (batches, bins) of every coordinate, of |x| from the middle where folded."""
-        folds, marginals = iter(self.folds), []
-        for histogram, counts in self.ensemble.counted():
-            own = counts[:, :-1].reshape(-1, *histogram.shape)
-            for axis, bins in enumerate(histogram.shape, start=1):
-                marginal = own.sum(axis=tuple({1, own.ndim - 1} - {axis}))
-                if next(folds):
-                    marginal = marginal[:, bins // 2 :] + marginal[:, : bins // 2][:, ::-1]
-                marginals.append(marginal)
-        return marginals
-
 
 def octiles(below: Integers) -> Integers:
     """Return the bins up to which 1/8, 2/8 ... of the samples lie, each once.
 
     ``below`` (bins,) is the number of samples up to the end of each bin.
     """
-    cuts = np.unique(np.searchsorted(LEVELS * below, np.arange(1, LEVELS) * int(below[-1])))
+    cuts = np.unique(np.searchsorted(8 * below, np.arange(1, 8) * int(below[-1])))
     # A cut below which all samples lie says nothing.
     return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)

@@ -12,35 +12,20 @@ from fpk.observable import Observable
 from fpk.system import System
 from sim.checkpoint import Checkpoint, checkpoint_of
 from sim.histogram import Histogram
-from sim.montecarlo import NOT_IN_STATE, MonteCarlo
-from sim.relaxation import relaxation_time
+from sim.plan import cost, with_long_steps
 from sim.schemes import SCHEMES, Scheme
+from sim.settings import NOT_IN_STATE, Settings, require_stationary
 from sim.step_size import (
     SAMPLE_SECONDS,
     STEP_SECONDS,
     chosen_step,
     expected_error,
+    relaxation_time,
     samples_in,
     sampling_interval,
     stability_limit,
     step_for,
 )
-from sim.substeps import cost, with_long_steps
-
-RANDOM_NUMBERS = 2.0**-39
-"""Least step, in units of the time that is simulated, per mass: a trajectory owns 2**40 words of
-random numbers and takes n of them a step, 5/4 n with long steps, at the most."""
-
-CHECKPOINTED = 3600.0
-"""Seconds of one thread for whose accuracy a run with a checkpoint and no known length is made."""
-
-STEP_ROUNDS = 8
-"""Rounds in which the step and the samples that it leaves time for are adapted to each other; each
-divides what is left by at least 4, as h ~ samples^(−1/4) or less."""
-
-
-SMALL_CHAIN = 3
-"""Masses up to which a step takes ``STEP_SECONDS``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +39,7 @@ class Setup:
     cut ``time`` short, and ``failures`` are reasons not to certify an answer.
     """
 
-    method: MonteCarlo
+    method: Settings
     system: System
     observables: Sequence[Observable]
     scheme: Scheme
@@ -87,14 +72,12 @@ class Setup:
         return checkpoint_of(self.method.checkpoint, (self, self.open), less=NOT_IN_STATE)
 
 
-def default_step(
-    method: MonteCarlo, system: System, observables: Sequence[Observable] = ()
-) -> float:
+def default_step(method: Settings, system: System, observables: Sequence[Observable] = ()) -> float:
     """Return the step: short enough for the contact, and for the accuracy the run will reach.
 
     That follows from ``tol``, from the samples that ``seconds`` of wall time allow by ``threads``,
     or from the sampled time. Not from wall time where there is a checkpoint: a run may go on from
-    it with another limit and on another machine; it is then as for ``CHECKPOINTED`` seconds.
+    it with another limit and on another machine; it is then as for an hour of one thread.
     """
     if method.tol is not None:
         return step_for(system, method.tol, observables=observables)
@@ -106,30 +89,30 @@ def default_step(
         error = expected_error(method.paths * time / interval)
         return step_for(system, error, observables=observables)
     own = method.seconds * (method.threads or usable_cores())
-    seconds = own if method.checkpoint is None else CHECKPOINTED
-    for _ in range(STEP_ROUNDS):
+    seconds = own if method.checkpoint is None else 3600.0
+    for _ in range(8):  # each leaves a fourth of the change at most: h ~ samples^(−1/4) or less
         error = expected_error(samples_in(system, dt, seconds))
         dt = step_for(system, error, observables=observables)
     return dt
 
 
-def expected_seconds(method: MonteCarlo, system: System) -> float:
+def expected_seconds(method: Settings, system: System) -> float:
     """Return about how long a simulation takes, in seconds of wall time, to a factor of three.
 
     Without compiling, and without what long steps save far from stiff stops. Raises as
-    ``MonteCarlo.planned`` does.
+    ``require_stationary`` does.
     """
-    method.planned(system, ())
+    require_stationary(system)
     dt, relaxation = default_step(method, system), relaxation_time(system)
     time = method.time or min(method.relaxations * relaxation, method.most_steps * dt)
     whole = time + method.burn_in * relaxation
-    size = max(1.0, system.n / SMALL_CHAIN) ** 2  # the map of a step is a full matrix
+    size = max(1.0, system.n / 3) ** 2  # the map of a step is a full matrix
     samples = whole / max(dt, sampling_interval(system))
     work = STEP_SECONDS * size * whole / dt + SAMPLE_SECONDS * samples
     return method.paths * work / (method.threads or usable_cores())
 
 
-def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observable]) -> Setup:
+def setup_of(method: Settings, system: System, observables: Sequence[Observable]) -> Setup:
     """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
     scheme, failures = SCHEMES[method.scheme], list[str]()
     dt = method.dt or method.step_factor * default_step(method, system, observables)
@@ -141,7 +124,8 @@ def setup_of(method: MonteCarlo, system: System, observables: Sequence[Observabl
             raise InvalidInput("dt", dt, remedy)
         failures.append(f"the step {dt:g} was insisted on: it {remedy}")
     relaxation = relaxation_time(system)
-    shortest = RANDOM_NUMBERS * system.n * (method.burn_in * relaxation + (method.time or 0.0))
+    # Of its 2**40 words of random numbers a trajectory takes n a step, 5/4 n with long steps.
+    shortest = 2.0**-39 * system.n * (method.burn_in * relaxation + (method.time or 0.0))
     if dt < shortest:
         remedy = f"takes more random numbers than a trajectory has; use at least {shortest:.2g}"
         raise InvalidInput("dt", dt, remedy)

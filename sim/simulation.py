@@ -14,34 +14,28 @@ from fpk.method import Progress, Result, silent
 from fpk.observable import Observable
 from fpk.system import System, effects_of
 from sim.checkpoint import Checkpoint, interruptible
-from sim.diagnostics import Diagnosis, diagnosis
+from sim.diagnostics import (
+    CHUNKS,
+    Diagnosis,
+    diagnosis,
+    l1_difference,
+    moment_identities,
+    moment_products,
+)
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram, axis_of, covering, extremes, sampled_density
-from sim.montecarlo import MonteCarlo
 from sim.random import OTHER_SEED
 from sim.record import SNAPSHOTS, Record
-from sim.relaxation import relaxation_time
 from sim.report import Report, StepBias, Steps
+from sim.settings import Settings
 from sim.setup import Setup, setup_of
-from sim.statistics import l1_difference, moment_identities, moment_products
-from sim.step_size import temperature
+from sim.step_size import relaxation_time, temperature
 from sim.workers import workers_of
 
-PILOT_STATES = 16
-"""States of the ensemble from which the pilot takes the ranges of the histograms."""
-
-PILOT_STEPS = 8
-"""Sampling intervals between two of them: about a period of the fastest mode."""
-
-PILOT_PATHS = 65536
-"""Trajectories at most that the pilot reads: the extremes of more lie within the margin."""
-
-CHUNKS = 20
-"""Chunks into which the sampled time is divided."""
-
-FIRST_CHUNK = 32
-"""Divisor of the length of a chunk at the beginning of a run without a known end. Whenever it has
-2 ``CHUNKS``, they are joined in pairs, and those that follow are twice as long."""
+PILOT_STATES, PILOT_PATHS = 16, 65536
+"""States of the ensemble from which the ranges of the histograms are taken, and most trajectories:
+the extremes of more lie within the margin. Between two states lie 8 intervals of samples, about a
+period of the fastest mode."""
 
 LEAST_CHUNKS = 8
 """Chunks before which a target error is not trusted: halves of four can be compared."""
@@ -58,22 +52,18 @@ leave beyond chance."""
 
 
 def run(
-    method: MonteCarlo,
-    system: System,
-    observables: Sequence[Observable],
-    progress: Progress,
-    *,
-    beside: Sequence[Observable] = (),
-) -> Result:
+    method: Settings, system: System, observables: Sequence[Observable], progress: Progress,
+    *, beside: Sequence[Observable] = (),
+) -> Result:  # fmt: skip
     """Return the densities of ``observables`` with their report, as ``method`` asks for them.
 
-    Those of ``beside`` are sampled with them.
+    Those of ``beside`` are sampled with them. A step pair compares them with a second run at half
+    the step, unless one of both was interrupted or has no chunk by the limit of time.
     """
     setup = setup_of(method, system, [*observables, *beside])
     with workers_of(method.cluster, method.threads or usable_cores()) as workers:
         result = simulate(setup, workers=workers, progress=progress)
-        report = result.report
-        assert isinstance(report, Report)
+        report: Any = result.report
         if method.step_pair and report.diagnosis is not None:
             seed = (method.seed + OTHER_SEED) % 2**64
             densities: Any = result.densities  # of histograms
@@ -86,33 +76,20 @@ def run(
                 seconds=2.0 / 3.0 * method.seconds if method.seconds else inf,
                 histograms=tuple(Histogram(d.observable, d.bins) for d in densities),
             )
-            report = with_step_bias(result, simulate(half, workers=workers, progress=progress))
+            second: Any = simulate(half, workers=workers, progress=progress)
+            if second.report.diagnosis is None:
+                words = "interrupted" if second.report.interrupted else "the limit of time came"
+                report = replace(report, step_pair=f"not measured: {words}")
+            else:
+                pairs = zip(densities, second.densities, strict=True)
+                biases = {a.name: StepBias(*l1_difference(a, b)) for a, b in pairs}
+                for a, b in zip(report.moments, second.report.moments, strict=True):
+                    biases[a.name] = StepBias(a.mean - b.mean, hypot(a.error, b.error))
+                report = replace(report, step_biases=biases, step_pair="dt against dt/2")
     asked = len(observables)
     densities, others = result.densities[:asked], result.densities[asked:]
-    return replace(
-        result,
-        densities=densities,
-        beside=others,
-        report=report,
-        settings=report.settings(densities),
-    )
-
-
-def with_step_bias(result: Result, at_half: Result) -> Report:
-    """Return the report of ``result`` with the differences from the run at half the step.
-
-    Of a run that was interrupted or has no chunk by the limit of time there are none.
-    """
-    report, half = result.report, at_half.report
-    assert isinstance(report, Report) and isinstance(half, Report)
-    if half.interrupted or half.diagnosis is None:
-        words = "interrupted" if half.interrupted else "the limit of time came"
-        return replace(report, step_pair=f"not measured: {words}")
-    pairs: Any = zip(result.densities, at_half.densities, strict=True)  # of histograms
-    biases = {a.name: StepBias(*l1_difference(a, b)) for a, b in pairs}
-    for a, b in zip(report.moments, half.moments, strict=True):
-        biases[a.name] = StepBias(a.mean - b.mean, hypot(a.error, b.error))
-    return replace(report, step_biases=biases, step_pair="dt against dt/2")
+    settings = report.settings(densities)
+    return replace(result, densities=densities, beside=others, report=report, settings=settings)
 
 
 def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Result:
@@ -152,7 +129,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
         else:
             checkpoint.notes["reached"] = reached
             _sample(setup, record, checkpoint=checkpoint, progress=progress)
-            checkpoint.save(ensemble)
+            checkpoint.save(ensemble.saved())
     of = "" if setup.open else f" of {CHUNKS}"
     where = cut or f"after {record.chunks}{of} chunks"
     interrupted = f"partial: interrupted {where}" if checkpoint.interrupted else ""
@@ -180,7 +157,7 @@ def _burnt_in(
     share = min(ensemble.done / whole, 1.0)
     pilot, done = [], share == 1.0
     for k in range(PILOT_STATES if setup.histograms is None else 0):
-        steps = PILOT_STEPS * setup.stride
+        steps = 8 * setup.stride
         done = done and not checkpoint.advance(ensemble, steps, stride=0, saving=False)
         if done or k == 0:
             states = ensemble.phase_points(PILOT_PATHS)
@@ -201,7 +178,7 @@ def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: P
     ensemble, stride, tol = record.ensemble, setup.stride, setup.tol
     begin = working_time() - record.elapsed
     checkpoint.deadline = begin + setup.seconds
-    chunks = CHUNKS * (FIRST_CHUNK if setup.open else 1)
+    chunks = CHUNKS * (32 if setup.open else 1)
     first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
     record.chunk_samples = record.chunk_samples or first
     while True:
@@ -299,6 +276,7 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
         for m, (histogram, counts) in enumerate(ensemble.counted())
     )
     report = Report(steps, diagnosed, record.moments(), interrupted)
+    method: Any = setup.method  # a ``MonteCarlo``
     return Result(
-        setup.method, densities, identities=identities, partial=bool(interrupted), report=report
+        method, densities, identities=identities, partial=bool(interrupted), report=report
     )

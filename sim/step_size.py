@@ -1,14 +1,16 @@
-"""The step: from the stiffest contact that the motion reaches, and from the shortest period."""
+"""Time scales: the step of the stiffest contact and of the shortest period, and the relaxation."""
 
 from collections.abc import Sequence
-from math import exp, inf, isfinite, pi, sqrt
+from math import exp, inf, isfinite, lgamma, pi, sqrt
+from typing import Any
 
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
-from fpk.arrays import Array
+from fpk.arrays import ROUND_OFF, Array
+from fpk.damping import gaussian_moment
 from fpk.equivalent import damping_balance, equivalent_temperature
-from fpk.linear import drift_matrix, natural_modes
+from fpk.linear import decay_time, drift_matrix, natural_modes
 from fpk.observable import Observable
 from fpk.system import System
 from sim.schemes import Scheme
@@ -44,15 +46,9 @@ the inverse sampling error at the velocity v = u √(kT/m)."""
 RAREST = 10.0
 """ln of the factor at most by which the error at a rarely visited stop is taken to be larger."""
 
-DENSITY_ERROR = 7.0
-"""Relative error of p near its maximum times √samples: 5.8 to 7.7 in runs of 1e9 samples."""
-
 STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8
 """Wall time of a step and of a sample of one thread, in s: of one to three masses, to a factor 2.
 The step that follows is longer by the fourth root of an error."""
-
-SAMPLES_PER_PERIOD = 8
-"""Samples in the shortest natural period; closer ones repeat each other."""
 
 
 def temperature(system: System) -> float:
@@ -132,8 +128,11 @@ def term_rate(system: System) -> float:
 
 
 def sampling_interval(system: System) -> float:
-    """Return the time between samples, an eighth of the shortest natural period."""
-    return 2.0 * pi / highest_frequency(system) / SAMPLES_PER_PERIOD
+    """Return the time between samples, an eighth of the shortest natural period.
+
+    Closer ones repeat each other.
+    """
+    return 2.0 * pi / highest_frequency(system) / 8
 
 
 def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None) -> float:
@@ -154,22 +153,8 @@ def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None)
     return min(steps)
 
 
-def joint_masses(observables: Sequence[Observable]) -> set[int]:
-    """Return the rows of the masses of which two of q, p and an energy are observed together."""
-    masses: set[int] = set()
-    for observable in observables:
-        rows = {c.row for c in observable if c.kind != "H"}
-        if len({c.kind for c in observable}) == 2 and len(rows) == 1:
-            masses |= rows
-    return masses
-
-
 def step_for(
-    system: System,
-    error: float,
-    *,
-    kT: float | None = None,
-    observables: Sequence[Observable] = (),
+    system: System, error: float, *, kT: float | None = None, observables: Sequence[Observable] = ()
 ) -> float:
     """Return the step whose bias at the stops is a third of the relative sampling ``error`` of p.
 
@@ -181,7 +166,11 @@ def step_for(
     ``observables`` contain one. Farther stops are visited less often, and known to a larger error.
     """
     kT = temperature(system) if kT is None else kT
-    steps, joint = [chosen_step(system, kT=kT)], joint_masses(observables)
+    steps, joint = [chosen_step(system, kT=kT)], set[int | None]()
+    for observable in observables:
+        rows = {c.row for c in observable if c.kind != "H"}
+        if len({c.kind for c in observable}) == 2 and len(rows) == 1:
+            joint |= rows
     for stop in system.stops:
         m, k_eff = float(system.mass[stop.index]), 1.0 / system.compliance[stop.index, stop.index]
         rarity = min(0.25 * k_eff * stop.clearance**2 / kT, RAREST)
@@ -195,8 +184,11 @@ def step_for(
 
 
 def expected_error(samples: float) -> float:
-    """Return about what relative error p has near its maximum, from the samples to be taken."""
-    return DENSITY_ERROR / sqrt(samples)
+    """Return about what relative error p has near its maximum, from the samples to be taken.
+
+    Times √samples it was 5.8 to 7.7 in runs of 1e9 samples.
+    """
+    return 7.0 / sqrt(samples)
 
 
 def samples_in(system: System, dt: float, seconds: float) -> float:
@@ -228,3 +220,82 @@ def stability_limit(
         both[1, n:, :n] -= np.diag(contact_slopes(system, energy=energy, kT=kT))
     roots = np.linalg.eigvals(both)
     return float(np.min(-2.0 * roots.real / np.abs(roots) ** 2))
+
+
+def relaxation_time(system: System) -> float:
+    """Return the longest decay time of the motion without contact; inf if some never decays.
+
+    With damping terms modes are taken for Gaussian at temperatures θ_m that balance,
+    ``dθ_m/dt = S_m − P_m(θ)``: S_m the power of the noise, P_m that of all damping; an eigenvalue
+    of ∂P/∂θ there is the decay rate of an energy. One temperature for all modes gives a second
+    estimate, 2n/P'(θ), and the longer one counts. Rare passages between coexisting states take
+    longer than this: it is for ``burn_in`` and ``time`` to allow for them.
+    """
+    if not system.damping_terms:
+        return decay_time(system)
+    equivalent_temperature(system)  # raises where damping and noise do not balance
+    slope = system.fact(damping_balance).slope
+    times = [2.0 * system.n / slope] if slope > 0 else []
+    if (balance := modal_temperatures(system)).size:
+        slowest = float(natural_modes(system)[1][0])
+        # ∂P/∂θ by central differences: a polynomial of low degree, so that 1e-4 costs no digit.
+        change = [
+            modal_powers(system, balance + h) - modal_powers(system, balance - h)
+            for h in np.diag(1e-4 * balance)
+        ]
+        rates = np.linalg.eigvals(np.transpose(change) / (2e-4 * balance)).real
+        if np.all(rates > 0):
+            # Of x'' + rate x' + ω² x = 0; creeping has (rate/2 + √…)/ω².
+            creep = np.sqrt(np.maximum((0.5 * rates) ** 2 - slowest**2, 0.0))
+            creeping = (0.5 * rates + creep) / slowest**2
+            times += np.where(0.5 * rates > slowest, creeping, 2.0 / rates).tolist()
+    return max((time for time in times if isfinite(time)), default=inf)
+
+
+def modal_temperatures(system: System) -> Array:
+    """Return the temperatures θ (n,) of ``relaxation_time`` at which modes balance; none: empty."""
+    shapes, _ = natural_modes(system)
+    noise = np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes)
+    start = np.full(system.n, equivalent_temperature(system))
+    root: Any = scipy.optimize.root  # the stubs want a function of a fixed shape
+    balance: Any = root(lambda theta: noise - modal_powers(system, theta), start, method="hybr")
+    found = balance.success and np.all(balance.x > 0)
+    return np.asarray(balance.x) if found else np.zeros(0)
+
+
+def modal_powers(system: System, temperatures: Array) -> Array:
+    """Return E P_m (Tᵀ c M⁻¹ p)_m, modes being independent Gaussians of ``temperatures`` (n,).
+
+    H^e of a term stands for E H^e of the Gibbs state of the same mean energy.
+    """
+    n, (shapes, omega) = system.n, natural_modes(system)
+    displacements = (shapes * (temperatures / omega**2)) @ shapes.T
+    velocities = (shapes * temperatures) @ shapes.T
+    force = system.damping @ velocities  # E (c v)_i v_r
+    power = np.einsum("im,ir,r,rm->m", shapes, force, system.mass, shapes)
+    mean = float(np.mean(np.abs(temperatures)))
+    for term in system.damping_terms:
+        level = mean**term.energy * exp(lgamma(n + term.energy) - lgamma(n))
+        q = gaussian_moment(displacements, term.powers("q", n))
+        for r in range(n):
+            v = list(term.powers("v", n))
+            v[term.column] += 1
+            v[r] += 1
+            moment = term.coefficient * level * q * gaussian_moment(velocities, tuple(v))
+            power = power + shapes[term.row] * moment * system.mass[r] * shapes[r]
+    return np.asarray(power)
+
+
+def undamped_mode(system: System) -> bool:
+    """Return whether neither the constant damping nor any term acts on some mode.
+
+    Where terms act, whether they suffice is left to ``equivalent_temperature``, to lost
+    trajectories and to the moment identities.
+    """
+    shapes, omega = natural_modes(system)
+    constant = np.abs(np.einsum("im,ij,jm->m", shapes, system.damping, shapes))
+    reached = constant > ROUND_OFF * omega[-1]
+    size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
+    for term in system.damping_terms:
+        reached |= size[term.row] * size[term.column] > ROUND_OFF
+    return not bool(np.all(reached))

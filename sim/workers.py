@@ -17,18 +17,15 @@ from fpk.errors import NotCertified, Unavailable
 from sim.checkpoint import PROGRAM, program_checksum
 
 PATIENCE = 10.0
-"""Seconds in which the scheduler must answer."""
-
-WORKERS_IN = 60.0
-"""Seconds in which it must have a worker."""
+"""Seconds in which the scheduler must answer; in six times as many it must have a worker."""
 
 TASKS_PER_THREAD = 8
 """Tasks of a thread in one piece of time: fewer cost less to hand out, more leave less to wait for
 at the end, and after Ctrl-C."""
 
-PIECE, CLUSTER_PIECE = 0.5, 4.0
-"""Seconds after which workers come back with an ensemble, so that Ctrl-C waits for that; longer on
-a cluster, as the arrays of the ensemble travel with each piece."""
+PIECE = 0.5
+"""Seconds after which workers come back with an ensemble, so that Ctrl-C waits for that; eight
+times as long on a cluster, as the arrays of the ensemble travel with each piece."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +88,7 @@ def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
         raise unavailable(words) from None
     with client:
         try:
-            client.wait_for_workers(1, timeout=WORKERS_IN)
+            client.wait_for_workers(1, timeout=6.0 * PATIENCE)
             stamp = client.submit(program_checksum, rooms=PROGRAM, pure=False).result()
         except TimeoutError:
             raise unavailable("has no worker; start one") from None
@@ -104,4 +101,4 @@ def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
         threads = max(1, sum(client.nthreads().values()))
         quiet = {"distributed.admin.large-graph-warning-threshold": "1PiB"}
         with import_module("dask").config.set(quiet):
-            yield Workers(client.get_executor(pure=False), threads, CLUSTER_PIECE, lost)
+            yield Workers(client.get_executor(pure=False), threads, 8.0 * PIECE, lost)

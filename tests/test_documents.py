@@ -27,8 +27,8 @@ from cases.studies.orders import grid_convergence
 from cases.studies.sweep import answering as sweep_answering
 from fpk import bins, contact_quantities, contour, damping
 from fpk.errors import InvalidInput
-from sim import checkpoint, diagnostics, histogram, montecarlo, step_size, substeps
-from sim.motion import correlation, failure_times, spectrum
+from sim import checkpoint, diagnostics, histogram, plan, settings, step_size
+from sim.motion import curves, failure_times
 from sim.splitting import run as splitting
 
 ROOT = Path(__file__).parent.parent
@@ -147,7 +147,7 @@ CONSTANTS = {
         f"applies to at most {WORDS[phase_space.UNASKED_MASSES]} masses",
         f"up to {WORDS[phase_space.MOST_MASSES]} masses, stops on one of them",
         f"With more than {WORDS[facts.MASSES]} masses",
-        f"simulation {PARTS[round(montecarlo.RELAXATIONS / studies.USUAL)]} as long",
+        f"simulation {PARTS[round(settings.RELAXATIONS / studies.USUAL)]} as long",
         f"to {short(PhaseSpace().tol)} by default",
         f"as long as a solution needs at most {refinement.MEMORY:g} GB",
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
@@ -175,9 +175,9 @@ CONSTANTS = {
     "theory.md": (
         f"about ${step_size.BIAS}\\,X^e$ of itself",
         f"up to about ${step_size.JOINT_BIAS}\\,X$ of itself",
-        f"each pair of normals lies in a disc of radius {substeps.LARGEST_NORMAL:.2f}",
-        f"disc of radius {substeps.LARGEST_NORMAL:.2f}: `sim/substeps.py",
-        f"$a \\ge {substeps.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
+        f"each pair of normals lies in a disc of radius {plan.LARGEST_NORMAL:.2f}",
+        f"disc of radius {plan.LARGEST_NORMAL:.2f}: `sim/plan.py",
+        f"$a \\ge {plan.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
         f"clearance > {contact_quantities.CLEARANCE_RULE:g} rms",
         f"one serves all times within a factor {contour.SPREAD:g}",
         f"Above {100 * splitting.RESOLVED:g} % no error is stated",
@@ -195,8 +195,8 @@ CONSTANTS = {
         f"A mean time beyond e^{first_passage.HIGHEST:g} units",
         f"with fewer than {failure_times.LEAST_FAILURES} failures in the tail",
         f"jackknife of {failure_times.GROUPS} groups",
-        f"one Hann window of {spectrum.WINDOW:g} decay times",
-        f"over paths and {correlation.RELAXATIONS:g} relaxation times",
+        f"one Hann window of {curves.WINDOW:g} decay times",
+        f"over paths and {curves.RELAXATIONS:g} relaxation times",
         f"polynomial of total degree {bins.DEGREE} in the number of the bin",
         f"A box whose {bins.HIGHEST[1]} highest coefficients differ from 0",
         f"with a probability below {bins.DOUBT:g} is cut in two",

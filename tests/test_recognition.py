@@ -40,11 +40,11 @@ from fpk.system import System
 from sim.checkpoint import PROGRAM, program_checksum
 from sim.histogram import Histogram, binned
 from sim.kernel import KernelKey
-from sim.montecarlo import ANYWHERE, NOT_IN_STATE, MonteCarlo
+from sim.montecarlo import MonteCarlo
+from sim.settings import ANYWHERE, NOT_IN_STATE
 from sim.setup import setup_of
-from sim.splitting.full import system_problem
-from sim.splitting.run import failure_of
-from sim.splitting.settings import NOT_IN_REPETITION, Splitting
+from sim.splitting.problem import system_problem
+from sim.splitting.run import NOT_IN_REPETITION, Splitting, failure_of
 
 SYSTEM = System(
     [1.0, 2.0], [1.0, 3.0], [[0.2, 0.0], [0.0, 0.4]], [0.1, 0.2], [[1.0, 0.0], [0.0, 1.0]],
@@ -183,20 +183,12 @@ def test_a_state_is_that_of_a_setup_equal_in_all_that_matters(tmp_path):
     """A state is not gone on from under any other setting; where it is named, it is."""
     first = setup(checkpoint=tmp_path)
     saved = first.checkpoint()
-    saved.save(Saved())
+    saved.save({"a": np.arange(3.0)})
     for way, other in others(first):
         state = other.checkpoint()
         again = replace(state, path=tmp_path / state.path.name).load()
         assert bool(again) == bool({*way} & {*NOT_IN_STATE}), way
     assert not replace(first, seconds=inf).checkpoint().load()
-
-
-class Saved:
-    """Arrays as of an ensemble."""
-
-    @staticmethod
-    def saved():
-        return {"a": np.arange(3.0)}
 
 
 class Asked(Exception):
@@ -328,8 +320,8 @@ UNREAD_BY_PATHS = {
 
 @pytest.mark.parametrize(
     ("compiled", "unread"),
-    [(sim.kernel._compiled, set()),
-     (lambda key: sim.splitting.kernel._compiled(key, "H"), UNREAD_BY_PATHS)],
+    [(sim.kernel.compiled_kernel, set()),
+     (lambda key: sim.splitting.kernel.compiled_paths(key, "H"), UNREAD_BY_PATHS)],
 )  # fmt: skip
 def test_compiled_code_is_found_by_every_field_of_its_key(compiled, unread):
     """The disk cache finds it by what it closes over."""

@@ -1,19 +1,93 @@
-"""Modal analysis of the chain without contacts and its averaged energies, Eqs. (12)-(18), (33)."""
+"""Modal analysis of the chain without contacts and its averaged energies, Eqs. (12)-(18), (33).
 
-from collections.abc import Sequence
+Damping averaged over the phases is a polynomial in the modal energies, section 5.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
+from math import comb
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.special import factorial
 
-from averaging.modal.damping import NEGLIGIBLE, AveragedDamping, averaged_damping, balanced_energies
-from fpk.arrays import EPS, Array
+from fpk.arrays import EPS, Array, Integers
+from fpk.damping import DampingTerm
 from fpk.ends import require_confined
+from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable, NotCertified
 from fpk.linear import natural_modes
 from fpk.probe import probed
 from fpk.process import Coefficients, Process
 from fpk.system import System
+
+NEGLIGIBLE = 1e-12
+"""Share of the terms added up in a coefficient below which it is their round-off, so zero."""
+MAX_COEFFICIENTS = 1_000_000
+"""Largest number of coefficients Γ_mk of all monomials (8 MB, and as much for their sizes)."""
+MAX_STEPS = 4000
+"""Largest number of steps to the balanced energies; the iteration is linear, some hundred steps."""
+BALANCED = 1e-14
+"""Imbalance of a mode, relative to all power in and out, at which the iteration has converged."""
+UNBOUNDED = 1e8
+"""Multiple of the first guess above which an energy is taken to grow for ever."""
+
+
+@dataclass(frozen=True, eq=False)
+class AveragedDamping:
+    """Γ_mk(H) with ⟨F_m Q̇_k⟩ = Γ_mk(H) H_k, where F are the modal damping forces.
+
+    The damping rate of mode m is γ_m = Γ_mm. Row r is the monomial Π_j H_factors[r, j] with the
+    energies counted from 1 and H_0 = 1; row 0 is the constant. ``factors`` (rows, degree),
+    ``values`` (rows, n, n) the coefficients, ``sizes`` the sums of absolute values behind them.
+    """
+
+    factors: Integers
+    values: Array
+    sizes: Array
+
+    def rates(self, group: Sequence[int]) -> Callable[[Array], Array]:
+        """Return γ_m of the modes of ``group``, on which no other acts, of their H (points, k)."""
+        index = np.array(group)
+        rows = np.isin(self.factors, [0, *(index + 1)]).all(axis=1)
+        column = np.zeros(self.values.shape[1] + 1, dtype=np.int64)
+        column[index + 1] = np.arange(1, index.size + 1)
+        factors, rate = column[self.factors[rows]], self.values[rows][:, index, index]
+        return lambda energies: _monomials(factors, energies) @ rate
+
+    def mean(self, means: Array) -> tuple[Array, Array]:
+        """Return E[F_m Q̇_k]/E H_k for independent exponential energies, and the sum of sizes."""
+        counts, factorials = self._counts
+        moments = _monomials(self.factors, means) * factorials
+        weights = moments[:, None] * (1.0 + counts)
+        value, size = (np.einsum("rmk,rk->mk", x, weights) for x in (self.values, self.sizes))
+        return value, size
+
+    @cached_property
+    def _counts(self) -> tuple[Integers, Array]:
+        """Powers of the energies in each monomial (rows, n), and products of their factorials."""
+        modes = np.arange(1, self.values.shape[1] + 1)
+        counts = (self.factors[:, :, None] == modes).sum(axis=1)
+        return counts, factorial(counts).prod(axis=1)
+
+    @cached_property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """The groups of modes, ascending, within which a γ_m depends on another's energy."""
+        n = self.values.shape[1]
+        joined = np.eye(n, n + 1, 1)
+        row, mode = np.nonzero(np.einsum("rmm->rm", self.values))
+        for column in self.factors.T:
+            joined[mode, column[row]] = 1.0
+        # Modes that are reached in any number of steps, either way.
+        reached = np.linalg.matrix_power(joined[:, 1:] + joined[:, 1:].T, n) > 0.0
+        return tuple(dict.fromkeys(tuple(map(int, np.flatnonzero(row))) for row in reached))
+
+
+def _monomials(factors: Integers, energies: Array) -> Array:
+    """Π_j H_factors[r, j] (..., rows) at energies (..., n), with H_0 = 1."""
+    with_one = np.concatenate([np.ones((*energies.shape[:-1], 1)), energies], axis=-1)
+    return np.asarray(with_one[..., factors].prod(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,19 +198,115 @@ def modal_analysis(system: System) -> ModalAnalysis:
         constant=constant,
         relative_error=round_off * float(cancelling),
     )
-    if not constant:
-        _require_confined(modes)
-    return modes
-
-
-def _require_confined(modes: ModalAnalysis) -> None:
-    """Raise ``NotApplicable`` where one or two energies grow for ever; more are not judged."""
-    for group in modes.averaged.groups:
-        names = " and ".join(f"H{m + 1}" for m in group)
+    # Energies that the damping couples grow for ever or not; of more than two that is not judged.
+    for group in () if constant else averaged.groups:
         try:
             if len(group) == 1:
                 probed(modes.process(group))
             elif len(group) == 2:
                 require_confined(modes.process(group))
         except NotCertified as reason:
-            raise NotApplicable(f"{names}: {reason}, so the energy grows for ever") from reason
+            grow = " and ".join(f"H{m + 1}" for m in group)
+            raise NotApplicable(f"{grow}: {reason}, so the energy grows for ever") from reason
+    return modes
+
+
+def averaged_damping(system: System, shapes: Array, omega: Array) -> AveragedDamping:
+    """Return the averages over independent uniform phases of the modes, X = T Q (14).
+
+    ``shapes`` T (n, n) with Tᵀ M T = 1, ``omega`` (n,). Raises ``NotApplicable`` where the
+    polynomials would have too many coefficients.
+    """
+    n, terms = omega.size, system.damping_terms
+    degree = max((term.degree // 2 for term in terms), default=0)
+    if (count := comb(n + degree, degree) * n * n) > MAX_COEFFICIENTS:
+        raise NotApplicable(
+            f"damping terms of degree {2 * degree} and {n} modes make averages of {count} "
+            f"coefficients, more than {MAX_COEFFICIENTS}"
+        )
+
+    def total(T: Array, damping: Array, sign: Callable[[float], float]) -> tuple[Integers, Array]:
+        """Rows and Γ_mk (rows, n, n): c*_mk of the constant damping, and each damping term's."""
+        rows, values = [np.zeros((1, degree), dtype=np.int64)], [(T.T @ damping @ T)[None]]
+        for term in terms:
+            modes, flow = _velocity_average(term, T, omega)
+            rows.append(np.pad(modes, ((0, 0), (degree - modes.shape[1], 0))))
+            values.append(sign(term.coefficient) * T[term.row][:, None] * flow[:, None, :])
+        factors, row = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
+        total = np.zeros((len(factors), n, n))
+        np.add.at(total, row.ravel(), np.concatenate(values))
+        return factors, total
+
+    factors, values = total(shapes, system.damping, float)
+    _, sizes = total(np.abs(shapes), np.abs(system.damping), abs)
+    return AveragedDamping(factors, np.where(np.abs(values) > NEGLIGIBLE * sizes, values, 0), sizes)
+
+
+def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> tuple[Integers, Array]:
+    """⟨Π q_a^. Π v_a^. v_j H^energy Q̇_k⟩/H_k as a polynomial in the energies.
+
+    Returned are the modes of each monomial, from 1, ascending, and its values (rows, n).
+    With Q_m = √(2 H_m)/ω_m cos φ_m and Q̇_m = −√(2 H_m) sin φ_m, exponential energies of means θ_m
+    make the modes Gaussian, and E Π H_m^α_m = Π α_m! θ_m^α_m: the phase average has the
+    coefficients of the Gaussian moment, a polynomial in θ by Isserlis' theorem, divided by Π α_m!.
+    Of the Gaussian state E[Q̇_k f(v)] = Σ_b T_bk θ_k E ∂f/∂v_b.
+    """
+    n = omega.size
+    rms = np.vstack([shapes / omega, shapes])  # of q and v of the masses where θ_m = 1
+
+    @cache
+    def moment(factors: tuple[int, ...]) -> Array:
+        """E of a product of q_a (a < n) and v_a (n + a), Σ moment_lm.. θ_l θ_m .., 0 if odd."""
+        total = np.zeros((n,) * (len(factors) // 2)) if factors else np.ones(())
+        for i, other in enumerate(factors[1:], start=1):
+            if (factors[0] < n) == (other < n):
+                rest = moment(factors[1:i] + factors[i + 1 :])
+                total = total + np.multiply.outer(rms[factors[0]] * rms[other], rest)
+        return total
+
+    powers = [*term.powers("q", n), *term.powers("v", n)]
+    powers[n + term.column] += 1
+    factors = tuple(a for a, power in enumerate(powers) for _ in range(power))
+    parts = [
+        np.multiply.outer(moment(factors[:i] + factors[i + 1 :]), shapes[a - n])
+        for i, a in enumerate(factors)
+        if a >= n
+    ]
+    count = parts[0].ndim - 1
+    degree = count + term.energy
+    modes = np.indices((n,) * degree).reshape(degree, n**degree).T
+    counts = (modes[:, :count, None] == np.arange(n)).sum(axis=1)
+    flow = np.repeat(np.sum(parts, axis=0).reshape(-1, n), n**term.energy, axis=0)
+    flow /= factorial(counts).prod(axis=1, keepdims=True) * (1.0 + counts)
+    modes, row = np.unique(np.sort(modes, axis=1), axis=0, return_inverse=True)
+    total = np.zeros((len(modes), n))
+    np.add.at(total, row.ravel(), flow)
+    return modes + 1, total
+
+
+def balanced_energies(system: System, damping: AveragedDamping, noise: Array) -> Array:
+    """Return the means (n,) at which independent exponential energies balance: E γ_m H_m = d_m.
+
+    The iteration starts from ten times the equivalent temperature, so that of several balances a
+    high one is reached. A scale for meshes and bandwidths: no answer rests on it.
+
+    Raises ``NotApplicable`` for a mode whose energy grows for ever.
+    """
+    try:
+        guess = equivalent_temperature(system)
+    except NotApplicable:
+        guess = float(np.max(noise / np.diag(damping.sizes[0])))
+    theta = np.full(noise.size, 10.0 * guess)
+    for _ in range(MAX_STEPS):
+        rate, size = (np.diag(x) for x in damping.mean(theta))
+        step = (noise / theta - rate) / (noise / theta + size)
+        theta = theta * np.exp(0.5 * step)
+        if np.any(theta > UNBOUNDED * guess) or np.max(np.abs(step)) < BALANCED:
+            break
+    worst = int(np.argmax(theta / guess + np.abs(step)))
+    if np.any(theta > UNBOUNDED * guess) or np.max(np.abs(step)) > 1e-9:
+        raise NotApplicable(
+            f"mode {worst + 1}: its damping, which depends on the state, does not balance the "
+            "noise, so its energy grows for ever"
+        )
+    return np.asarray(theta)

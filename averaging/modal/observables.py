@@ -1,27 +1,45 @@
-"""Densities of all observables of the modes, from those of their energies, Eqs. (34)-(36)."""
+"""Densities of all observables of the modes from their energies', Eqs. (11), (19), (34)-(36).
 
-from collections.abc import Callable, Mapping, Sequence
+The modal energies fall into groups that the damping couples; each is solved once.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial, reduce
 from math import prod
 
 import numpy as np
 
+from averaging.closed_form import closed_form
 from averaging.gaussian_state import Gaussian
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.characteristic import state_density
-from averaging.modal.groups import POINTS, Group, joined, solved_group, total_energy
-from averaging.zero_flux import flux_residual
-from fpk.arrays import Array
+from averaging.modal.characteristic import POINTS, joined, state_density
+from averaging.zero_flux import (
+    ZeroFluxDensity,
+    density_of_energies,
+    flux_residual,
+    solve_by_quadrature,
+)
+from fpk.arrays import CHUNK, Array
 from fpk.density import Density, certified_density
+from fpk.line.stationary import StationarySolution, solve_stationary
 from fpk.observable import Coordinate, Observable
+from fpk.piecewise import fit
+from fpk.plane.solution import PlaneSolution
+from fpk.plane.stationary import solve_plane
 from fpk.quadrature import panel_rule
 
-Function = Callable[..., Array]
+Group = tuple[int, ...]
 
-RESIDUAL_PANELS = np.linspace(0.0, 40.0, 21)
-"""Panels, in units of the mean energy, on which the flux of a modal density is measured."""
-FINE_POINTS = 2 * POINTS
-"""Gauss points per panel where an energy is integrated out; the distance to ``POINTS`` of them is
-the error."""
+
+def unsolved(modes: ModalAnalysis, solver: str) -> str | None:
+    """Return why the energies of the modes cannot be solved for, or None where they can."""
+    largest = max(modes.averaged.groups, key=len)
+    names = " and ".join(f"H{m + 1}" for m in largest)
+    if len(largest) > 2:
+        return f"the damping couples {names}: more than two energies are not solved for together"
+    if len(largest) == 2 and solver != "fem":
+        return f"the damping couples {names}, so their density is no product; use fem"
+    return None
 
 
 def modal_densities(
@@ -30,45 +48,73 @@ def modal_densities(
     """Return the densities of modal energies, their sum, displacements and momenta.
 
     Each group of modes that the damping couples is solved once, to a share of ``tol`` such that
-    what rests on all of them meets it. With constant damping the closed forms are Gaussian.
+    an observable that depends on all of them meets it. With constant damping the closed forms are
+    Gaussian.
     """
-    closed = modes.constant and solver == "closed-form"
-    groups = {o: _groups_behind(modes, o, solver) for o in observables}
-    # What rests on all groups adds errors of its own.
-    parts = [len(g) * (1 if _energies(o) else 2) for o, g in groups.items()]
-    needed = {g for o in observables if _energies(o) or not closed for g in groups[o]}
-    solved = {g: solved_group(modes, g, solver, share=tol / max(parts), tol=tol) for g in needed}
+    closed, groups = modes.constant and solver == "closed-form", modes.averaged.groups
+
+    def of_energies(observable: Observable) -> bool:
+        """Whether modal energies are asked for: not their sum, nor displacements or momenta."""
+        return all(c.kind == "H" and c.index is not None for c in observable)
+
+    def behind(observable: Observable) -> list[Group]:
+        """The groups whose energies an observable depends on, in its own order."""
+        if not of_energies(observable):
+            return list(groups)
+        index = tuple(c.row for c in observable)
+        if modes.constant and solver == "fem":
+            return [index]  # (19) in two energies, though the density factors
+        return list(dict.fromkeys(next(group for group in groups if m in group) for m in index))
+
+    # An observable of all groups adds errors of its own.
+    parts = max((len(behind(o)) * (1 if of_energies(o) else 2) for o in observables), default=1)
+    needed = {g for o in observables if of_energies(o) or not closed for g in behind(o)}
+    solved = {g: solved_group(modes, g, solver, share=tol / parts, tol=tol) for g in needed}
 
     def density(observable: Observable) -> Density:
-        if closed and not _energies(observable):
+        if closed and not of_energies(observable):
             return gaussian_modes(modes).density(observable, tol=tol)
-        behind = [solved[group] for group in groups[observable]]
-        if _energies(observable):
-            return _joint(observable, behind, tol)
+        of_groups = [solved[group] for group in behind(observable)]
+        if of_energies(observable):
+            return _product(observable, of_groups, tol)
         if observable[0].kind == "H":
-            return total_energy(observable, behind, tol=tol)
-        return state_density(modes, behind, observable, tol=tol)
+            return _total_energy(observable, of_groups, tol)
+        return state_density(modes, of_groups, observable, tol=tol)
 
     return tuple(density(observable) for observable in observables)
 
 
-def _energies(observable: Observable) -> bool:
-    """Whether modal energies are asked for: not their sum, nor displacements or momenta."""
-    return all(c.kind == "H" and c.index is not None for c in observable)
+def solved_group(
+    modes: ModalAnalysis, group: Group, solver: str, *, share: float, tol: float
+) -> Density:
+    """Return the density of the energies of one or two modes on which no other acts.
+
+    It is solved for to the L1 error ``share`` and judged by the tolerance ``tol``. The relative
+    round-off of the modes, that of γ θ/d, counts by 1 + H/θ of each energy.
+    """
+    process, theta = modes.process(group), modes.temperature[list(group)]
+    p: PlaneSolution | StationarySolution | ZeroFluxDensity
+    if len(group) == 2:
+        p = solve_plane(process, tol=share)
+    elif solver == "closed-form":
+        factors, (m,) = modes.averaged.factors, group  # γ/d in ascending powers of H_m
+        alone = np.isin(factors, [0, m + 1]).all(axis=1)
+        degree = np.count_nonzero(factors[alone], axis=1)
+        rate = np.bincount(degree, modes.averaged.values[alone, m, m])
+        p = closed_form(process, rate / modes.noise[m])
+    else:
+        p = (solve_stationary if solver == "fem" else solve_by_quadrature)(process, tol=share)
+
+    def of_modes(*energies: Array) -> Array:
+        reach = sum(1.0 + H / scale for H, scale in zip(energies, theta, strict=True))
+        return np.asarray(modes.relative_error * reach)
+
+    observable = tuple(Coordinate("H", m) for m in group)
+    panels = p.panels if isinstance(p.panels, tuple) else (p.panels,)
+    return density_of_energies(observable, p, panels, of_modes, tol=tol, added=True)
 
 
-def _groups_behind(modes: ModalAnalysis, observable: Observable, solver: str) -> list[Group]:
-    """The groups of modes whose energies an observable depends on, in its own order."""
-    groups = modes.averaged.groups
-    if not _energies(observable):
-        return list(groups)
-    index = tuple(c.row for c in observable)
-    if modes.constant and solver == "fem":
-        return [index]  # (19) in two energies, though the density factors
-    return list(dict.fromkeys(next(group for group in groups if m in group) for m in index))
-
-
-def _joint(observable: Observable, parts: Sequence[Density], tol: float) -> Density:
+def _product(observable: Observable, parts: Sequence[Density], tol: float) -> Density:
     """The density of one or two modal energies, a product over independent groups of modes."""
     if parts[0].observable == observable:
         return parts[0]
@@ -76,19 +122,27 @@ def _joint(observable: Observable, parts: Sequence[Density], tol: float) -> Dens
     hidden = len(panels) > len(observable)
 
     def marginals(which: str, energies: Sequence[Array], points: int) -> list[Array]:
-        """The densities of the groups, or their errors, without the energies not asked for."""
-        given = dict(zip(observable, energies, strict=True))
-        return [_marginal(part, getattr(part, which), given, points) for part in parts]
+        """The densities of the groups, or their errors, integrated over energies not asked for."""
+        given, factors = dict(zip(observable, energies, strict=True)), []
+        for part in parts:
+            function: Callable[..., Array] = getattr(part, which)
+            if out := [c for c in part.observable if c not in given]:
+                x, w = (a.ravel() for a in panel_rule(panels[out[0]], points))
+                at = (given[c][..., None] if c in given else x for c in part.observable)
+                factors.append(np.asarray(function(*at) @ w))
+            else:
+                factors.append(function(*(given[c] for c in part.observable)))
+        return factors
 
     def pdf(*energies: Array) -> Array:
-        return np.asarray(prod(marginals("pdf", energies, FINE_POINTS)))
+        return np.asarray(prod(marginals("pdf", energies, 2 * POINTS)))
 
     def rule_error(p: Array, *energies: Array) -> Array:
         return np.asarray(np.abs(p - prod(marginals("pdf", energies, POINTS))))
 
     def pointwise(*energies: Array) -> Array:
-        p = marginals("pdf", energies, FINE_POINTS)
-        errors = marginals("pointwise", energies, FINE_POINTS)
+        p = marginals("pdf", energies, 2 * POINTS)
+        errors = marginals("pointwise", energies, 2 * POINTS)
         total = sum(e * prod(p[:k] + p[k + 1 :]) for k, e in enumerate(errors))
         return np.asarray(total + rule_error(pdf(*energies), *energies) if hidden else total)
 
@@ -103,16 +157,66 @@ def _joint(observable: Observable, parts: Sequence[Density], tol: float) -> Dens
     )
 
 
-def _marginal(
-    part: Density, function: Function, given: Mapping[Coordinate, Array], points: int
-) -> Array:
-    """A function of the energies of a group, integrated over the one that is not given, if any."""
-    hidden = [x for c, x in zip(part.observable, part.panels, strict=True) if c not in given]
-    if not hidden:
-        return function(*(given[c] for c in part.observable))
-    x, w = (a.ravel() for a in panel_rule(hidden[0], points))
-    arguments = (np.asarray(given[c])[..., None] if c in given else x for c in part.observable)
-    return np.asarray(function(*arguments) @ w)
+def _total_energy(observable: Observable, parts: Sequence[Density], tol: float) -> Density:
+    """The density of H = Σ H_i over independent groups of one or two energies.
+
+    p(H) = ∫p(H1, H − H1) dH1 within a group, and convolutions between groups.
+    """
+    of_sum = partial(_of_sum, observable, share=tol / (2 * len(parts)), tol=tol)
+    return reduce(of_sum, (part if len(part.panels) == 1 else of_sum(part) for part in parts))
+
+
+def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -> Density:
+    """The density of H1 + H2 from p(H1, H2), or from those of two independent energies.
+
+    It is expanded panel by panel, halved until its last coefficients fall below the L1 ``share``.
+    """
+    panels = tuple(x for part in parts for x in part.panels)
+    end = panels[0][-1] + panels[1][-1]
+    nodes = np.unique(np.concatenate([*panels, np.linspace(0.0, end, 9), [end]]))
+    nodes = nodes[np.append(True, np.diff(nodes) > 1e-12 * end)]
+    t, w = panel_rule(np.array([0.0, 1.0]), POINTS)
+
+    def joint(x: Array, y: Array) -> tuple[Array, Array]:
+        if len(parts) == 1:
+            return parts[0].at(x, y)
+        (p, p_error), (r, r_error) = parts[0].at(x), parts[1].at(y)
+        return p * r, p_error * np.abs(r) + np.abs(p) * r_error
+
+    def along(energy: Array) -> Array:
+        """∫joint(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
+        sums = []
+        size = energy.size * POINTS * (panels[0].size + panels[1].size)
+        for part in np.array_split(energy, 1 + 2 * size // CHUNK):
+            H = part[:, None]
+            ends = np.hstack([np.minimum(panels[0], H), np.maximum(H - panels[1], 0.0)])
+            ends = np.sort(np.clip(ends, 0.0, np.minimum(H, panels[0][-1])), axis=1)
+            length = np.diff(ends, axis=1)[:, :, None]
+            x = ends[:, :-1, None] + length * t
+            values = np.stack(joint(x, np.clip(H[:, :, None] - x, 0.0, None)), axis=-1)
+            sums.append(np.einsum("hkt,hktc->hc", length * w, values))
+        return np.concatenate(sums)
+
+    def truncation(lengths: Array, coefficients: Array) -> Array:
+        """L1 norm of the last two terms of p on each panel."""
+        return np.asarray(lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1))
+
+    both = fit(along, nodes, 0.5 * share / nodes.size, estimate=truncation)
+    assert both.error is not None
+    local = 2.0 * both.error / np.diff(both.nodes)
+
+    def pointwise(energy: Array) -> Array:
+        k = np.clip(np.searchsorted(both.nodes, energy, side="right") - 1, 0, local.size - 1)
+        return np.asarray(np.abs(both(energy)[..., 1]) + local[k])
+
+    return certified_density(
+        observable,
+        (both.nodes,),
+        lambda energy: both(energy)[..., 0],
+        pointwise,
+        measured=joined(parts, 2.0 * float(both.error.sum())),
+        tol=tol,
+    )
 
 
 def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
@@ -120,12 +224,12 @@ def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
 
     With M* = 1: ``cov q = T diag(θ_i/ω_i²) Tᵀ``, ``cov p = M T diag(θ_i) Tᵀ M``, Eqs. (20), (35);
     displacements and momenta are not correlated. The residual is the largest flux of e^(−H/θ)/θ in
-    the energy process (19) of a mode.
+    the energy process (19) of a mode, up to 40 θ.
     """
     theta = modes.temperature
 
     def flux(m: int) -> float:
-        nodes = theta[m] * RESIDUAL_PANELS
+        nodes = np.linspace(0.0, 40.0 * theta[m], 21)
         return flux_residual(modes.process((m,)), nodes, lambda H: -H / theta[m] - np.log(theta[m]))
 
     return Gaussian(

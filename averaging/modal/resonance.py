@@ -21,9 +21,6 @@ neglect: p(q_i, p_j) is then off by up to about 2/π of it in L1, p(q_i) by the 
 with bandwidth/detuning."""
 MAX_CANDIDATES = 500
 """Largest number of resonances that are examined, those of least detuning."""
-FAR = 50.0
-"""Detuning, in units of the fastest rate of a mode, from which a resonance is ignored: its
-swing would be below 0.1 even where what oscillates is twice as large as what averages."""
 
 
 def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
@@ -43,7 +40,14 @@ def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
             f"neglect a correlation of {correlation[i, j]:.2g} between these modes, at most "
             f"{MAX_NEGLECTED:g} is allowed"
         )
-    for integers, detuning in _excited_resonances(system, modes):
+    terms = system.damping_terms
+    sizes = {size for term in terms for size in range(term.factors, 0, -2)} - {2}
+    if not sizes or modes.n == 1:
+        return
+    # Farther off a swing is smaller, even where what oscillates is twice as large as the average.
+    fastest = float(np.max(np.diag(modes.averaged.mean(modes.temperature)[1])))
+    far, order = 4.0 * fastest / MAX_NEGLECTED, resonance_order(system)
+    for integers, detuning in resonances(modes.natural_frequency, order, sizes, far):
         swing = 2.0 * flow_amplitudes(system, modes, integers) / modes.temperature
         m = int(np.argmax(swing))
         if not swing[m] <= MAX_NEGLECTED * detuning:
@@ -123,16 +127,6 @@ def resonances(
                 vectors.add(tuple(int(k) for k in integers * np.sign(leading)))
     pairs = [(np.array(v), abs(float(np.dot(v, omega)))) for v in vectors]
     return sorted(pairs, key=lambda pair: pair[1])[:MAX_CANDIDATES]
-
-
-def _excited_resonances(system: System, modes: ModalAnalysis) -> list[tuple[Integers, float]]:
-    """Resonances of Σ|l_i| ≠ 2 that damping terms excite, with detunings that may matter."""
-    terms = system.damping_terms
-    sizes = {size for term in terms for size in range(term.factors, 0, -2)} - {2}
-    if not sizes or modes.n == 1:
-        return []
-    fastest = float(np.max(np.diag(modes.averaged.mean(modes.temperature)[1])))
-    return resonances(modes.natural_frequency, resonance_order(system), sizes, FAR * fastest)
 
 
 def flow_amplitudes(system: System, modes: ModalAnalysis, integers: Integers) -> Array:

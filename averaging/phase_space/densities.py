@@ -1,18 +1,21 @@
-"""Densities of displacements and momenta by the last solution of a ladder, with their errors."""
+"""What follows from the last solution of a ladder: densities and identities, with their errors.
 
-from collections.abc import Callable
+Identities hold in any stationary state: a judge where nothing is exact.
+"""
 
 import numpy as np
 from scipy.ndimage import map_coordinates, maximum_filter
 
-from averaging.phase_space.identities import heat_into_masses
-from averaging.phase_space.marginals import marginal
-from averaging.phase_space.moments import moments
-from averaging.phase_space.refinement import ROUND_OFF, Ladder
+from averaging.phase_space.equation.damping import Polynomial, by_y, product, reach, state
+from averaging.phase_space.equation.elimination import Expansion
+from averaging.phase_space.equation.space import Matrix, space_to
+from averaging.phase_space.marginals import marginal, moments
+from averaging.phase_space.refinement import ROUND_OFF, SAFETY, Ladder
 from fpk.arrays import Array
 from fpk.certificate import Measured
 from fpk.density import Density, certified_density
-from fpk.observable import Observable
+from fpk.method import Identity
+from fpk.observable import Coordinate, Observable, observable_name
 
 GRID = {1: 721, 2: 181}
 """Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
@@ -22,6 +25,10 @@ function of degree 20, as the error does not vanish where the distance does."""
 FEWER = 0.8
 """Share of the points at which the contact displacement is integrated out, to see their error."""
 
+MARGIN = 4.0
+"""Factor on the distance to the coarser solution, which may be small by chance: the L1 error of the
+densities, in units of the identity's own sides, is added."""
+
 
 def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     """Return the density of ``observable``; what ended the ladder fails beyond ``tol``.
@@ -29,77 +36,59 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     The error is the distance to the coarser solution about a point, as much larger as all of the
     L1 error is than all of that, and what fewer points of integration change.
     """
-    frame, factor = ladder.frame, ladder.factors[observable]
-    panels, pdf = marginal(frame, ladder.finest, observable)
-    _, coarser = marginal(frame, ladder.coarser, observable)
-    local, largest = _local_distance(panels, pdf, coarser)
-    floor, tail = ROUND_OFF * largest, _tail(panels, pdf)
+    factor, error = ladder.factors[observable], ladder.errors[observable]
+    panels, pdf = marginal(ladder.finest, observable)
+    _, coarser = marginal(ladder.coarser, observable)
+    _, fewer = marginal(ladder.finest, observable, share=FEWER)
+    count, window = GRID[len(panels)], WINDOW[len(panels)]
+    axes = [np.linspace(nodes[0], nodes[-1], count) for nodes in panels]
+    mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
+    values = np.asarray(pdf(*mesh))
+    distance = np.abs(values - np.asarray(coarser(*mesh)))
+    local, floor = maximum_filter(distance, window, mode="nearest"), ROUND_OFF * values.max()
+    # Mass beyond the panels: the density at their ends times the length of the last ones, over
+    # which it falls by more than e at the end of the support.
+    tail = 0.0
+    for axis, nodes in enumerate(panels):
+        step = float(np.prod([x[1] - x[0] for k, x in enumerate(axes) if k != axis]))
+        for end, length in ((nodes[0], nodes[1] - nodes[0]), (nodes[-1], nodes[-1] - nodes[-2])):
+            at = [*axes[:axis], np.array([end]), *axes[axis + 1 :]]
+            tail += float(np.abs(pdf(*at)).sum()) * step * float(length)
     measured = Measured(
-        l1_error=ladder.errors[observable] + tail,
+        l1_error=error + tail,
         mass_defect=np.nan,
         minimum=np.inf,
         residual=ladder.finest.residual,
         tail_mass=tail,
+        failures=(ladder.limit,) if ladder.limit and error > tol else (),
     )
-    if ladder.limit and ladder.errors[observable] > tol:
-        measured = measured.with_failures(ladder.limit)
-    ends = np.array([[nodes[0], nodes[-1]] for nodes in panels])
-
-    def pointwise(*x: Array) -> Array:
-        arrays = np.broadcast_arrays(*x)
-        place = [
-            (a - low) / (high - low) * (GRID[len(panels)] - 1)
-            for a, (low, high) in zip(arrays, ends, strict=True)
-        ]
-        distance = map_coordinates(local, np.array(place), order=1, mode="nearest")
-        return np.asarray(factor * distance + floor)
-
-    _, fewer = marginal(frame, ladder.finest, observable, share=FEWER)
 
     def integration_error(p: Array, *x: Array) -> Array:
         return np.abs(p - np.asarray(fewer(*x)))
+
+    def pointwise(*x: Array) -> Array:
+        place = [
+            (a - nodes[0]) / (nodes[-1] - nodes[0]) * (count - 1)
+            for a, nodes in zip(np.broadcast_arrays(*x), panels, strict=True)
+        ]
+        about = map_coordinates(local, np.array(place), order=1, mode="nearest")
+        return np.asarray(factor * about + floor + integration_error(pdf(*x), *x))
 
     return certified_density(
         observable,
         panels,
         pdf,
-        lambda *x: pointwise(*x) + integration_error(pdf(*x), *x),
+        pointwise,
         measured=measured,
         tol=tol,
         added_error=integration_error,
     )
 
 
-def _local_distance(
-    panels: tuple[Array, ...], pdf: Callable[..., Array], coarser: Callable[..., Array]
-) -> tuple[Array, float]:
-    """Largest distance to the coarser solution around the points of a grid, and largest density."""
-    count, window = GRID[len(panels)], WINDOW[len(panels)]
-    axes = [np.linspace(nodes[0], nodes[-1], count) for nodes in panels]
-    mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
-    values = np.asarray(pdf(*mesh))
-    distance = np.abs(values - np.asarray(coarser(*mesh)))
-    return maximum_filter(distance, size=window, mode="nearest"), float(values.max())
-
-
-def _tail(panels: tuple[Array, ...], pdf: Callable[..., Array]) -> float:
-    """Mass beyond the panels: the density at their ends times the length of the last ones.
-
-    The density falls by more than e over a panel at the end of the support.
-    """
-    total = 0.0
-    for axis, nodes in enumerate(panels):
-        others = [np.linspace(x[0], x[-1], GRID[2]) for k, x in enumerate(panels) if k != axis]
-        weight = float(np.prod([x[1] - x[0] for x in others])) if others else 1.0
-        for end, length in ((nodes[0], nodes[1] - nodes[0]), (nodes[-1], nodes[-1] - nodes[-2])):
-            at = [np.array([end]), *others] if axis == 0 else [*others, np.array([end])]
-            total += float(np.abs(pdf(*at)).sum()) * weight * float(length)
-    return total
-
-
 def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
     """Return degrees, what ended the ladder, second moments and the power into each mass."""
-    d, n = ladder.finest.degrees, ladder.frame.n
+    e = ladder.finest
+    frame, d, m = e.basis.frame, e.basis.degrees, moments(e)
     settings: dict[str, str | float | int] = {
         "equation": "(6)",
         "highest degree": d.total,
@@ -108,13 +97,91 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
     }
     if ladder.limit:
         settings["ended by"] = ladder.limit
-    m = moments(ladder.frame, ladder.finest)
-    order, mass = ladder.frame.order, ladder.frame.system.mass
-    for place, i in enumerate(order):
-        square = m.covariance[place, place] + m.mean[place] ** 2
-        settings[f"E q{i + 1}²"] = float(square / mass[i])
-        velocity = m.covariance[n + place, n + place] + m.mean[n + place] ** 2
-        settings[f"E p{i + 1}²"] = float(velocity * mass[i])
-    for i, heat in zip(order, heat_into_masses(ladder.frame, ladder.finest), strict=True):
-        settings[f"net power of damping and noise on mass {i + 1}"] = heat
+    squares = np.diag(m.covariance) + m.mean**2
+    for i in frame.order:
+        for c in (Coordinate("q", i), Coordinate("p", i)):
+            at, unit = frame.place(c)
+            settings[f"E {observable_name((c,))}²"] = float(squares[at] * unit**2)
+    # D_ii/m_i − Σ_j E c_ij v_i v_j: what the noise gives a mass less what its damping takes. The
+    # springs carry it to the others, and the sum of all vanishes.
+    n = frame.n
+    second = m.covariance[n:, n:] + np.outer(m.mean[n:], m.mean[n:])
+    heat = np.diag(frame.noise) - np.sum(frame.damping * second, axis=1) - force_means(e)[0]
+    for i, power in zip(frame.order, heat, strict=True):
+        settings[f"net power of damping and noise on mass {i + 1}"] = float(power)
     return settings
+
+
+def force_means(e: Expansion) -> tuple[Array, Array, Array]:
+    """Return the means of the forces f of damping terms, in the order of the frame.
+
+    E v_i f_i and E r_i f_i (n,), and the means (n, points) of f given y, times the density of y,
+    in the weights of the points. All are 0 without damping terms.
+    """
+    b = e.basis
+    n, top = b.frame.n, 2 + reach(b.frame)
+    if not b.frame.system.damping_terms:
+        return np.zeros(n), np.zeros(n), np.zeros((n, b.points.size))
+    space = space_to(top, top, 2 * n - 1)
+    r, v, forces = state(b, e.factor, space)
+    inside = [
+        np.flatnonzero((space.level == n) & (space.counted <= b.degrees.others))
+        for n in range(top + 1)
+    ]
+    levels = [e.functions(n, b.points) for n in range(top + 1)]
+    first: Polynomial = {(0, 0): Matrix(([1.0], ([0], [0])), shape=(1, len(space.level)))}
+
+    def given(*factors: Polynomial) -> Array:
+        """Mean of a product given y, in the weights of the points."""
+        row, total = first, np.zeros(b.points.size)
+        for factor in factors:
+            row = product(row, factor)
+        for powers, X in row.items():
+            x = X.toarray()[0]
+            total += by_y(b, powers) * sum(x[at] @ u for at, u in zip(inside, levels, strict=True))
+        return total
+
+    power, virial = (
+        np.array([np.sum(given(x, f)) for x, f in zip(of, forces, strict=True)]) for of in (v, r)
+    )
+    return power, virial, np.array([given(f) for f in forces])
+
+
+def identities(ladder: Ladder) -> tuple[Identity, ...]:
+    """Return the balance of power, the virials, and two with functions outside the trial space.
+
+    For any f, E[v f(y)] = 0 and E[v₁² f'(y)] = E[f(y) ((K (y, r) + c v)₁ + g(y))]; f is the sine of
+    y in standard deviations. The error is that of the coarser solution, by its distance.
+    """
+    finest, coarser = _sides(ladder.finest), _sides(ladder.coarser)
+    scale, out = float(np.trace(ladder.finest.basis.frame.noise)), []
+    for (name, value, expected), (_, *before) in zip(finest, coarser, strict=True):
+        distance = abs((value - expected) - (before[0] - before[1]))
+        size = max(abs(value), abs(expected), scale)
+        error = MARGIN * SAFETY * distance + max(ladder.errors.values()) * size
+        out.append(Identity(name, value, expected, error))
+    return tuple(out)
+
+
+def _sides(e: Expansion) -> list[tuple[str, float, float]]:
+    """Names of the identities, and both sides of each."""
+    m, b, frame = moments(e), e.basis, e.basis.frame
+    n, y, w = frame.n, b.points, b.weights
+    K, c = frame.stiffness, frame.damping
+    second = m.covariance + np.outer(m.mean, m.mean)
+    power, virial, force = force_means(e)
+    # Of the contact and of the damping terms on the contact mass, given y, in the weights.
+    contact = w * e.functions(0, y)[0] * frame.contact_force(y)
+    left, right = float(np.sum(c * second[n:, n:]) + np.sum(power)), float(np.trace(frame.noise))
+    sides = [("Σ c_ij E v_i v_j", left, right)]
+    virial[0] += contact @ y
+    for i in range(n):
+        right = float(K[i] @ second[:n, i] + c[i] @ second[n:, i] + virial[i])
+        sides.append((f"E p{frame.order[i] + 1}²/m", float(second[n + i, n + i]), right))
+    s, first = float(np.sqrt(m.covariance[0, 0])), frame.contact + 1
+    sine, cosine = np.sin(y / s), np.cos(y / s) / s
+    mean_force = w * (K[0] @ m.given[:n] + c[0] @ m.given[n:]) + force[0] + contact
+    left, right = float(w @ (m.square * cosine)), float(sine @ mean_force)
+    sides.append((f"E v{first}² cos(q{first}/s)/s", left, right))
+    sides.append((f"E v{first} sin(q{first}/s)", float(w @ (m.given[n] * sine)), 0.0))
+    return sides

@@ -10,19 +10,28 @@ import numpy as np
 
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from averaging.phase_space.densities import density_of, settings_of
-from averaging.phase_space.dynamics.answer import Answer, Options
-from averaging.phase_space.dynamics.correlations import correlation, relaxation, spectrum
-from averaging.phase_space.dynamics.crossings import crossings
+from averaging.phase_space.densities import density_of, identities, settings_of
+from averaging.phase_space.dynamics.questions import (
+    Answer,
+    correlation,
+    crossings,
+    relaxation,
+    spectrum,
+)
 from averaging.phase_space.equation.basis import basis
+from averaging.phase_space.equation.degrees import finer, lowest
 from averaging.phase_space.equation.elimination import cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
-from averaging.phase_space.growth import finer, lowest
-from averaging.phase_space.identities import identities
 from averaging.phase_space.passage.first_passage import first_passage
-from averaging.phase_space.refinement import MEMORY, Bounds, solved_to
+from averaging.phase_space.refinement import (
+    MEMORY,
+    Ladder,
+    Options,
+    better,
+    ladder_of,
+    ladders,
+)
 from averaging.theory import Theory
-from fpk.arrays import Array
 from fpk.certificate import Measured, certify, tolerance
 from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
@@ -107,7 +116,7 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
             self,
             tol=max(self.tol, UNASKED_TOL),
             accepted=max(self.tol, UNASKED_ACCEPTED),
-            work=min(self._bounds.work, share * UNASKED_WORK),
+            work=min(self._options().work, share * UNASKED_WORK),
             threads=self.threads or 1,
         )
 
@@ -118,25 +127,24 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
         def solve(
             observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
         ) -> Result:
+            # For each observable the solution of the least error.
+            best: dict[Observable, Ladder] = {}
             with _breakdowns():
-                ladder, best = solved_to(
-                    frame,
-                    observables,
-                    tol=self.tol,
-                    bounds=self._bounds,
-                    threads=self.threads,
-                    progress=progress,
-                    reference=self.reference,
-                )
-            worst = max(own.errors[o] for o, own in best.items())
+                for ladder in ladders(frame, observables, self._options(progress)):
+                    best = {o: better(best.get(o, ladder), ladder, o) for o in observables}
+                    worst = max(own.errors[o] for o, own in best.items())
+                    if worst <= self.tol:
+                        break
             if self.accepted and worst > self.accepted:
                 raise NotCertified(f"an L1 error of {worst:.1g} was reached: {ladder.limit}")
+            tol, limit = self.accepted or self.tol, ladder.limit
+            others = ladder_of(ladder.finest, ladder.coarser, beside) if beside else ladder
             return Result(
                 self,
-                tuple(density_of(best[o], o, self.accepted or self.tol) for o in observables),
+                tuple(density_of(replace(best[o], limit=limit), o, tol) for o in observables),
                 identities=identities(ladder),
                 settings=settings_of(ladder),
-                beside=tuple(density_of(ladder.with_error_of(o), o, inf) for o in beside),
+                beside=tuple(density_of(others, o, inf) for o in beside),
             )
 
         return Plan(_refusal, lambda observables, p: solve(observables, (), p), solve)
@@ -158,27 +166,26 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
     ) -> Rates:
         """Return the slowest eigenvalues of the expansion's FPK operator."""
         require_held(system)
-        frame = self._frame(system)
-        options = self._options(tolerance(tol, RELAXATION_TOL), progress)
+        frame, wanted = self._frame(system), tolerance(tol, RELAXATION_TOL)
         with _breakdowns():
-            answer = relaxation(frame, count, options)
-        values = np.asarray(answer.last.values, dtype=complex)
+            answer = relaxation(frame, count, self._options(progress), tol=wanted)
+        values = np.asarray(answer.values, dtype=complex)
         momentum = (Coordinate("p", frame.contact),)
-        stationary = density_of(answer.ladder, momentum, options.tol).certificate
+        stationary = density_of(answer.ladder, momentum, wanted).certificate
         measured = Measured(
             l1_error=answer.relative,
             mass_defect=stationary.mass_defect,
             minimum=float(np.min(values.real / np.abs(values))),
             residual=stationary.residual,
             tail_mass=stationary.tail_mass,
-            failures=tuple(words for words in (answer.last.missing, answer.limit) if words),
+            failures=tuple(words for words in (answer.missing, answer.limit) if words),
         )
-        certificate = certify(measured, tol=options.tol)
+        certificate = certify(measured, tol=wanted)
         return Rates(values, answer.errors, certificate, settings_of(answer.ladder))
 
     def _curve(
         self,
-        route: Callable[[Frame, int, Array, Options], Answer],
+        route: Callable[..., Answer],
         asked: Question,
         default: float,
         *,
@@ -190,16 +197,16 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
         """
         tol, row = asked.tol or default, asked.row
         with _breakdowns():
-            options = self._options(tol, asked.progress)
-            answer = route(self._frame(asked.system), row, asked.at, options)
-        values, scale = np.asarray(answer.last.values, dtype=float), float(answer.last.scale)
+            options = self._options(asked.progress)
+            answer = route(self._frame(asked.system), row, asked.at, options, tol=tol)
+        values, scale = np.asarray(answer.values, dtype=float), float(answer.scale)
         return certified_curve(
             values,
             answer.errors,
             scale=scale,
             of=density_of(answer.ladder, (Coordinate("q", row),), inf),
             tol=tol,
-            residual=answer.last.residual,
+            residual=answer.residual,
             failures=(answer.limit,) if answer.limit else (),
             settings=settings_of(answer.ladder),
             positive=scale - np.abs(values) if signed else None,
@@ -209,12 +216,13 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
         """Return the first passage of one mass, by finite elements of the backward equation."""
         return first_passage(asked)
 
-    @property
-    def _bounds(self) -> Bounds:
-        return Bounds.of(self.memory, self.work)
-
-    def _options(self, tol: float, progress: Progress) -> Options:
-        return Options(tol, progress, self._bounds, self.threads, self.reference)
+    def _options(self, progress: Progress = silent) -> Options:
+        return replace(
+            Options.of(self.memory, self.work),
+            threads=self.threads,
+            reference=self.reference,
+            progress=progress,
+        )
 
     def _frame(self, system: System) -> Frame:
         """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""
@@ -227,7 +235,7 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
         about = gibbs_reference(frame)
         if system.damping_terms:
             second = finer(frame, lowest(frame), 0)
-            if words := self._bounds.refusal(*cost(basis(frame, about, second), second)):
+            if words := self._options().refusal(*cost(basis(frame, about, second))):
                 raise NotApplicable(f"the damping terms are of too high a degree: {words}")
         return frame
 

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 from scipy.linalg import solve_continuous_lyapunov
 
-from averaging.phase_space.equation.elimination import expanded
+from averaging.phase_space.equation.degrees import fitting
+from averaging.phase_space.equation.elimination import Expansion, expanded
 from averaging.phase_space.equation.frame import (
     Frame,
     Reference,
@@ -14,8 +15,7 @@ from averaging.phase_space.equation.frame import (
     reference_of,
     with_moments,
 )
-from averaging.phase_space.growth import fitting, size_of_top
-from averaging.phase_space.moments import refitted
+from averaging.phase_space.marginals import moments
 
 ROUNDS, CLOSE = 40, 1e-3
 """Most linear systems, each with the contact force of the Gaussian state before, and the relative
@@ -88,26 +88,27 @@ def fitted(frame: Frame, about: Reference) -> Reference:
     """
     best = about
     for _ in range(REFITS):
-        before, best = best, refitted(frame, expanded(frame, best, fitting(frame)))
+        before, best = best, refitted(expanded(frame, best, fitting(frame)))
         change = np.abs(best.covariance - before.covariance).max()
         if change <= SETTLED * before.covariance.max():
             return before
-    least = size_of_top(expanded(frame, best, fitting(frame)))
+    least = expanded(frame, best, fitting(frame)).top
+    # The correlations of the velocity with the other variables stay as they are.
+    scale = np.ones(len(best.covariance))
+    scale[0] = np.sqrt(NARROWER)
     for _ in range(MOST):
-        other = narrower(frame, best)
-        size = size_of_top(expanded(frame, other, fitting(frame)))
+        covariance = best.covariance * np.outer(scale, scale)
+        other = reference_of(frame, best.slope, best.offset, covariance)
+        size = expanded(frame, other, fitting(frame)).top
         if not size < BETTER * least:
             break
         best, least = other, size
     return best
 
 
-def narrower(frame: Frame, reference: Reference) -> Reference:
-    """Return the reference with ``NARROWER`` times the variance of the contact velocity.
-
-    Its correlations with the other variables stay as they are.
-    """
-    scale = np.ones(len(reference.covariance))
-    scale[0] = np.sqrt(NARROWER)
-    covariance = reference.covariance * np.outer(scale, scale)
-    return reference_of(frame, reference.slope, reference.offset, covariance)
+def refitted(e: Expansion) -> Reference:
+    """Return the reference with the first and second moments of a solution."""
+    m = moments(e)
+    # Of mirror images round-off is all that the means are.
+    mean = np.zeros_like(m.mean) if e.basis.mirrored else m.mean
+    return with_moments(e.basis.frame, mean, m.covariance)

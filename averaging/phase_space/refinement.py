@@ -8,15 +8,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.degrees import Degrees, finer, lowest
 from averaging.phase_space.equation.elimination import CONVERGED, Expansion, cost, expanded
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.growth import finer, lowest, rise_of
-from averaging.phase_space.marginals import marginal
-from averaging.phase_space.moments import moments
+from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.reference import fitted, start
 from fpk.machine import usable_cores
-from fpk.method import Progress
+from fpk.method import Progress, silent
 from fpk.observable import Coordinate, Observable
 from fpk.quadrature import gauss_grid, integral
 
@@ -51,49 +49,23 @@ WORK = 1.2e13
 """Operations that it may need where ``MEMORY`` is the bound: about a minute on two cores."""
 
 
-@dataclass(frozen=True, eq=False)
-class Ladder:
-    """A solution, the coarser one before it, and the L1 error of each observable.
-
-    ``errors`` is by observable, and ``factors`` the error over the distance of the two solutions;
-    ``limit`` says in words why no finer solution is made, empty where one may be.
-    ``solutions`` is how many were made.
-    """
-
-    frame: Frame
-    finest: Expansion
-    coarser: Expansion
-    errors: dict[Observable, float]
-    factors: dict[Observable, float]
-    limit: str
-    solutions: int
-
-    def with_error_of(self, observable: Observable) -> "Ladder":
-        """Return the ladder with the error of one more density, from these two solutions alone."""
-        solutions = self.frame, self.finest, self.coarser
-        own = _distance(*solutions, observable)
-        error = falling(max(own, least_distance(*solutions)), None, kept(self.frame)).error
-        return replace(
-            self,
-            errors={**self.errors, observable: error + ROUND_OFF},
-            factors={**self.factors, observable: error / own if own > 0.0 else 0.0},
-        )
-
-
 @dataclass(frozen=True)
-class Bounds:
-    """The most memory and work that one solution may need; one that needs more is not begun.
+class Options:
+    """How solutions are made: the most memory and work of one, and the settings of ``PhaseSpace``.
 
-    ``memory`` is in GB (1e9 bytes), ``work`` in operations on real numbers. The first two
-    solutions, without which there is no answer, are made whatever they need.
+    ``memory`` is in GB (1e9 bytes), ``work`` in operations on real numbers; a solution that needs
+    more is not begun. The first two, without which there is no answer, are made whatever they need.
     """
 
     memory: float
     work: float
+    threads: int | None = None
+    reference: Reference | None = None
+    progress: Progress = silent
 
     @classmethod
     def of(cls, memory: float, work: float | None = None) -> Self:
-        """Return the bounds of a memory and a work, None: the work that goes with the memory.
+        """Return the options for a memory and a work, None: the work that goes with the memory.
 
         Dense blocks of order N take N² numbers and N³ operations.
         """
@@ -109,13 +81,28 @@ class Bounds:
             return f"a finer solution needs {work:.1g} operations, at most {self.work:.1g}"
         return ""
 
+    def step(self, what: str, degrees: Degrees) -> Callable[[float], None]:
+        """Return the function that reports a share of the work on ``what``."""
+        words = f"{what}, degree {degrees.total}"
+        return lambda share: self.progress(int(100 * share), 100, words)
 
-@dataclass(frozen=True)
-class Falling:
-    """The ``distance`` between solutions that is believed, and the ``error`` of the finer one."""
 
-    distance: float
-    error: float
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """A solution, the coarser one before it, and the L1 error of each observable.
+
+    By observable: ``errors``, ``factors``, the error over the distance of the two solutions, and
+    ``believed``, the distance that the error follows from. ``limit`` says in words why no finer
+    solution is made, empty where one may be. ``solutions`` is how many were made.
+    """
+
+    finest: Expansion
+    coarser: Expansion
+    errors: dict[Observable, float]
+    factors: dict[Observable, float]
+    believed: dict[Observable, float]
+    limit: str
+    solutions: int
 
 
 def kept(frame: Frame) -> float:
@@ -127,103 +114,76 @@ def kept(frame: Frame) -> float:
     return KEPT_WHERE_LIGHT if np.any(own < 2.0 * LIGHT * np.sqrt(squares)) else KEPT
 
 
-def falling(last: float, earlier: Falling | None, share: float) -> Falling:
-    """Return what the distance ``last`` of two solutions says, after ``earlier`` ones.
+def falling(last: float, earlier: float | None, share: float) -> tuple[float, float]:
+    """Return the distance of two solutions that is believed, and the error of the finer one.
 
+    ``last`` is their distance, ``earlier`` what was believed before, ``share`` as of ``kept``.
     Distances d that fall by a factor r leave an error of d/(r − 1), which counts where it is more
-    than d: errors oscillate, so that one fast fall promises no other. ``share`` as of ``kept``.
+    than d: errors oscillate, so that one fast fall promises no other.
     """
     if earlier is None:
-        return Falling(last, FIRST * SAFETY * last)
-    distance = max(last, share * earlier.distance)
+        return last, FIRST * SAFETY * last
+    distance = max(last, share * earlier)
     if distance == 0.0:
-        return Falling(0.0, 0.0)
-    rate = max(earlier.distance / distance, SLOWEST)
-    return Falling(distance, SAFETY * distance * max(1.0, 1.0 / (rate - 1.0)))
+        return 0.0, 0.0
+    rate = max(earlier / distance, SLOWEST)
+    return distance, SAFETY * distance * max(1.0, 1.0 / (rate - 1.0))
 
 
-def ladders(
-    frame: Frame,
+def ladder_of(
+    finest: Expansion,
+    coarser: Expansion,
     observables: Sequence[Observable],
-    *,
-    bounds: Bounds,
-    threads: int | None,
-    progress: Progress,
-    reference: Reference | None,
-) -> Iterator[Ladder]:
+    before: Ladder | None = None,
+) -> Ladder:
+    """Return two solutions with their errors, by their distance and by those ``before``."""
+    least, share = least_distance(finest, coarser), kept(finest.basis.frame)
+    ladder = Ladder(finest, coarser, {}, {}, {}, "", before.solutions + 1 if before else 2)
+    for o in observables:
+        own = distance(finest, coarser, o)
+        earlier = before.believed[o] if before else None
+        ladder.believed[o], error = falling(max(own, least), earlier, share)
+        ladder.errors[o] = error + ROUND_OFF
+        ladder.factors[o] = error / own if own > 0.0 else 0.0
+    return ladder
+
+
+def ladders(frame: Frame, observables: Sequence[Observable], options: Options) -> Iterator[Ladder]:
     """Yield solutions of rising degrees, each with the one before it.
 
     They do not depend on the error that is wanted. The last one is yielded again with what ends
-    them. ``threads`` and ``reference`` as of ``PhaseSpace``.
+    them.
     """
-    about, memory = reference or start(frame), 1e9 * bounds.memory
-
-    def why_not(degrees: Degrees) -> str:
-        if degrees.outer > MOST_OUTER:
-            return f"a finer solution needs more than {MOST_OUTER} functions of a displacement"
-        return bounds.refusal(*cost(basis(frame, about, degrees), degrees))
-
-    with threadpool_limits(limits=threads or usable_cores(), user_api="blas"):
+    about, memory, degrees = options.reference or start(frame), 1e9 * options.memory, lowest(frame)
+    with threadpool_limits(limits=options.threads or usable_cores(), user_api="blas"):
         about = fitted(frame, about)
         coarser: Expansion | None = None
         ladder: Ladder | None = None
-        fall: dict[Observable, Falling] = {}
-        degrees, solutions, share = lowest(frame), 0, kept(frame)
         while True:
-            step = steps(progress, "phase space", degrees)
+            step = options.step("phase space", degrees)
             finest = expanded(frame, about, degrees, memory=memory, step=step)
             if not finest.residual < CONVERGED:
                 unsolved = f"the equations of degree {degrees.total} are not solved"
                 if ladder is None:
                     raise np.linalg.LinAlgError(unsolved)
-                if cost(finest.basis, degrees, number=8)[0] > memory:
+                if cost(finest.basis, numbers=float)[0] > memory:
                     unsolved += ": double precision needs more memory"
                 yield replace(ladder, limit=unsolved)
                 return
-            solutions += 1
-            degrees = finer(frame, degrees, rise_of(finest))
+            degrees = finer(frame, degrees, finest.rise)
             if coarser is not None:
-                least = least_distance(frame, finest, coarser)
-                own = {o: _distance(frame, finest, coarser, o) for o in observables}
-                fall = {o: falling(max(d, least), fall.get(o), share) for o, d in own.items()}
-                errors = {o: f.error + ROUND_OFF for o, f in fall.items()}
-                factors = {o: f.error / own[o] if own[o] > 0.0 else 0.0 for o, f in fall.items()}
-                ladder = Ladder(frame, finest, coarser, errors, factors, "", solutions)
+                ladder = ladder_of(finest, coarser, observables, ladder)
                 yield ladder
-                if limit := why_not(degrees):
+                if degrees.outer > MOST_OUTER:
+                    limit = (
+                        f"a finer solution needs more than {MOST_OUTER} functions of a displacement"
+                    )
+                else:
+                    limit = options.refusal(*cost(basis(frame, about, degrees)))
+                if limit:
                     yield replace(ladder, limit=limit)
                     return
             coarser = finest
-
-
-def solved_to(
-    frame: Frame,
-    observables: Sequence[Observable],
-    *,
-    tol: float,
-    bounds: Bounds,
-    threads: int | None = None,
-    progress: Progress,
-    reference: Reference | None = None,
-) -> tuple[Ladder, dict[Observable, Ladder]]:
-    """Return the last solution, and for each observable the one of the least L1 error.
-
-    Solutions end where these errors are at most ``tol``, or with the last one of ``ladders``.
-    """
-    best: dict[Observable, Ladder] = {}
-    for ladder in ladders(
-        frame,
-        observables,
-        bounds=bounds,
-        threads=threads,
-        progress=progress,
-        reference=reference,
-    ):
-        best = {o: better(best.get(o, ladder), ladder, o) for o in observables}
-        if max(best[o].errors[o] for o in observables) <= tol:
-            break
-    limit, solutions = ladder.limit, ladder.solutions
-    return ladder, {o: replace(own, limit=limit, solutions=solutions) for o, own in best.items()}
 
 
 def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
@@ -232,26 +192,21 @@ def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
     The density of the later solution, which is finer, is then within the error of the earlier one.
     """
     a, b = (ladder.errors[observable] for ladder in (earlier, later))
-    agreed = a <= b and _distance(later.frame, earlier.finest, later.finest, observable) <= a
+    agreed = a <= b and distance(earlier.finest, later.finest, observable) <= a
     return earlier if agreed else later
 
 
-def steps(progress: Progress, what: str, degrees: Degrees) -> Callable[[float], None]:
-    """Return the function that reports a share of the work on ``what``."""
-    return lambda share: progress(int(100 * share), 100, f"{what}, degree {degrees.total}")
-
-
-def least_distance(frame: Frame, a: Expansion, b: Expansion) -> float:
+def least_distance(a: Expansion, b: Expansion) -> float:
     """Return the least L1 distance that is believed of any density of two solutions."""
-    if not min(np.diag(moments(frame, e).covariance).min() for e in (a, b)) > 0.0:
+    if not min(np.diag(moments(e).covariance).min() for e in (a, b)) > 0.0:
         raise np.linalg.LinAlgError("a variance found is not positive")
-    single = [(Coordinate(kind, row),) for kind in ("q", "p") for row in range(frame.n)]
-    return COMMON * max(_distance(frame, a, b, o) for o in single)
+    single = [(Coordinate(kind, row),) for kind in ("q", "p") for row in range(a.basis.frame.n)]
+    return COMMON * max(distance(a, b, o) for o in single)
 
 
-def _distance(frame: Frame, a: Expansion, b: Expansion, observable: Observable) -> float:
-    """∫|p_a − p_b| on the support of both."""
-    first, p = marginal(frame, a, observable)
-    second, q = marginal(frame, b, observable)
+def distance(a: Expansion, b: Expansion, observable: Observable) -> float:
+    """Return ∫|p_a − p_b| on the support of both."""
+    first, p = marginal(a, observable)
+    second, q = marginal(b, observable)
     mesh, grids = gauss_grid(list(map(np.union1d, first, second)))
     return integral(np.abs(p(*mesh) - q(*mesh)), grids)

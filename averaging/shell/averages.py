@@ -12,19 +12,26 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import beta
 
-from averaging.shell.energy_shell import EnergyShell
+from averaging.shell.energy_shell import TARGET, EnergyShell
 from averaging.shell.laplace import PartitionLines, by_lines
 from averaging.shell.parts import ROUND_OFF, parts_of
-from averaging.shell.sums import TARGET, shell_integrals
-from averaging.shell.table import ShellTable
 from fpk.arrays import EPS, Array
+from fpk.piecewise import Piecewise, fit
+from fpk.quadrature import panel_rule
 from fpk.system import System
 
-ROUNDED = 4.0 * EPS
-"""Bound of H − V at a stop by a few roundings of H and of V, relative to H."""
 TARGETS = (8e-13, 3e-14)
 """Disagreement of two rules, for n = 1 and more, that ends the refinement of the power over one
 contact mass, near round-off: the power cancels against the noise, and its error adds up in ln p."""
+GRADING, LAYERS = 0.2, 5
+"""Panels of a table shrink by this ratio towards each contact energy from above, where (H − H_c)³
+or rougher terms begin, and as many times at first."""
+POINTS = 16
+"""Gauss points of a panel of a table."""
+FIT_TARGET = 1e-11
+"""Last Legendre coefficients of a panel, relative to the largest, above which it is split."""
+MOST_SPLITS = 8
+"""Splits of a panel at most: each leaves a fifth of it next to a contact energy."""
 
 
 class ShellAverages(NamedTuple):
@@ -61,27 +68,25 @@ def shell_averages(system: System, energy: Array) -> ShellAverages:
     polynomials for the power. For one contact mass it is integrated afresh, for two it is
     interpolated, for more it follows from the partition function of the chain.
     """
-    columns = shell_columns(system, energy)
-    states, volume, log_slope, error = columns[:, :4].T.copy()
-    if not system.damping_terms:
-        nothing = np.zeros(energy.size)
-        return ShellAverages(states, volume, log_slope, error, nothing, nothing)
+    values, errors = np.swapaxes(shell_columns(system, energy), 0, 1)
     powers = energy[:, None] ** (1.0 + 0.5 * system.fact(parts_of).degrees)
-    power, power_error = (np.sum(powers * x, axis=1) for x in np.split(columns[:, 4:], 2, axis=1))
-    return ShellAverages(states, volume, log_slope, error, power, power_error)
+    states, volume, log_slope = values[:, :3].T.copy()
+    power, power_error = (np.sum(powers * x[:, 3:], axis=1) for x in (values, errors))
+    return ShellAverages(states, volume, log_slope, errors[:, 0].copy(), power, power_error)
 
 
 def shell_columns(system: System, energy: Array) -> Array:
-    """Return T/T_lin, the same of the phase volume, H T'/T, the error of the first two, g, its own.
+    """Return T/T_lin, the same of the phase volume, H T'/T and the factors g_d, and their errors.
 
-    An array (energies, 4 + 2 degrees): Σ_d g_d H^(1 + d/2) is the power of the damping terms.
+    An array (energies, 2, 3 + degrees), values before errors: Σ_d g_d H^(1 + d/2) is the power of
+    the damping terms. The errors of the first two are equal and relative; H T'/T has none.
     """
-    shell = system.fact(EnergyShell)
-    without = system.fact(_without_contact)
-    columns = np.empty((energy.size, without.size))
-    columns[:] = without
+    shell, parts = system.fact(EnergyShell), system.fact(parts_of)
+    columns = np.zeros((energy.size, 2, 3 + parts.degrees.size))
+    columns[:, 0, :3] = 1.0, 1.0, system.n - 1.0
+    columns[:, 0, 3:] = parts.free
     first = shell.contact_energies[0] if shell.contact_energies else np.inf
-    slack = ROUNDED if system.n == 1 else 0.0
+    slack = 4.0 * EPS if system.n == 1 else 0.0  # a few roundings of H and of V at a stop
     touching = (energy > first * (1.0 - slack)).nonzero()[0]
     if touching.size:
         above = energy[touching]
@@ -91,55 +96,94 @@ def shell_columns(system: System, energy: Array) -> Array:
             columns[touching] = system.fact(PartitionLines)(above, shell_columns)
         else:
             columns[touching] = system.fact(_table)(above)
-        if system.damping_terms:  # whose parts have their round-off whatever is integrated of them
-            g_errors = slice(2 + without.size // 2, None)
-            columns[touching, g_errors] += without[g_errors]
+    columns[:, 1, 3:] += ROUND_OFF * parts.free_size  # of the parts, however they are integrated
     return columns
-
-
-def _without_contact(system: System) -> Array:
-    ratios = np.array([1.0, 1.0, system.n - 1.0, 0.0])
-    if not system.damping_terms:
-        return ratios
-    free, size = system.fact(parts_of).free_power(system)
-    return np.concatenate([ratios, free, ROUND_OFF * size])
-
-
-def _table(system: System) -> Callable[[Array], Array]:
-    """The columns over two contact masses, interpolated in units of the sizes of the power."""
-    size = system.fact(parts_of).free_power(system)[1]
-    unit = np.concatenate([np.ones(4), *2 * [np.where(size > 0.0, size, 1.0)]])
-    errors = np.r_[3, 4 + size.size : unit.size]
-    table = ShellTable(
-        lambda energy: _along_rays(system, energy) / unit, system.fact(EnergyShell), errors
-    )
-    return lambda energy: table(energy) * unit
 
 
 def _along_rays(system: System, energy: Array) -> Array:
     """The columns above the first contact energy, by quadrature over one or two contact masses."""
-    shell = system.fact(EnergyShell)
+    shell, parts = system.fact(EnergyShell), system.fact(parts_of)
     n, c = system.n, shell.count
     if not system.damping_terms:
-        sums, errors = shell_integrals(shell, energy)
+        sums, errors = shell.integrals(energy)
     else:
         target = TARGETS[min(n, 2) - 1] if c == 1 else TARGET
-        orders, combine = system.fact(parts_of).along_rays(shell)
-        sums, errors = shell_integrals(shell, energy, orders=orders, combine=combine, target=target)
+        orders, combine = parts.along_rays(shell)
+        sums, errors = shell.integrals(energy, orders=orders, combine=combine, target=target)
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(beta(a + 1.0, 0.5 * c)) / gamma(0.5 * c)
-    error, states = np.maximum(errors[:, 0], errors[:, 1]), sums[:, 0]
+    states = sums[:, :1]
+    columns = np.zeros((energy.size, 2, 3 + parts.degrees.size))
+    columns[:, 0, :2] = sums[:, :2] / [flat, flat * (a + 1.0) / n]
+    columns[:, 0, 2:3] = sums[:, 2:3] / states
+    columns[:, 1, :2] = np.maximum(errors[:, :1], errors[:, 1:2])
     if n == 1:
-        rises = energy[:, None] - shell.potential(shell.stops.clearance[:, None] / shell.stops.rows)
+        rises = energy[:, None] - shell.potential(shell.stops.touch[:, None] / shell.stops.reach)
         # The part of T_lin beyond a stop is up to √(1 − V/H)/π, V at the stop.
-        rises = rises / energy[:, None] + np.array([-ROUNDED, ROUNDED])[:, None, None]
-        parts = np.diff(np.sqrt(np.maximum(rises, 0.0)), axis=0)[0].sum(axis=1) / pi
-        error = error + parts * flat / states
-    ratios = states / flat, sums[:, 1] / (flat * (a + 1.0) / n), sums[:, 2] / states, error
-    if not system.damping_terms:
-        return np.array(ratios).T
-    # T again, refined with the power.
-    shifted, most = np.split(sums[:, 4:], 2, axis=1)
-    # The errors of shifted (at most 3 of most), of 2 most and of T (g is at most most).
-    g_error = 6.0 * errors[:, 3:].max(axis=1)[:, None] * most / sums[:, 3:4]
-    return np.column_stack([*ratios, (shifted - 2.0 * most) / sums[:, 3:4], g_error])
+        rises = rises / energy[:, None] + 4.0 * EPS * np.array([-1.0, 1.0])[:, None, None]
+        beyond = np.diff(np.sqrt(np.maximum(rises, 0.0)), axis=0)[0].sum(axis=1) / pi
+        columns[:, 1, :2] += beyond[:, None] * flat / states
+    if system.damping_terms:
+        shifted, most = np.split(sums[:, 3:], 2, axis=1)
+        columns[:, 0, 3:] = (shifted - 2.0 * most) / states
+        # The errors of shifted (at most 3 of most), of 2 most and of T (g is at most most).
+        largest = np.maximum(errors[:, :1], errors[:, 3:].max(axis=1, keepdims=True))
+        columns[:, 1, 3:] = 6.0 * largest * most / states
+    return columns
+
+
+def _table(system: System) -> Callable[[Array], Array]:
+    """The columns over two contact masses by panels that are fitted on demand.
+
+    One energy takes milliseconds, and a solver asks for thousands. Between contact energies the
+    columns are smooth: a panel is fitted once as many energies are asked for as a fit needs.
+    Powers are in units of their sizes.
+    """
+    parts, breaks = system.fact(parts_of), system.fact(EnergyShell).contact_energies
+    unit = np.append(np.ones(3), np.where(parts.free_size > 0.0, parts.free_size, 1.0))
+    ends = np.array([*breaks, 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0])
+    towards = ends[:-1, None] + np.diff(ends)[:, None] * GRADING ** np.arange(1.0, LAYERS + 1.0)
+    # Above the highest contact energy each panel is twice as long as the one below it.
+    edges = np.unique(np.concatenate([breaks, towards.ravel(), ends[-1] * 2.0 ** np.arange(60.0)]))
+    panels: dict[int, Piecewise] = {}
+    single: dict[float, Array] = {}  # solvers begin by asking for the same energies
+
+    def evaluate(energy: Array) -> Array:
+        return np.asarray(_along_rays(system, energy) / unit)
+
+    def fitted(ends: Array) -> Piecewise:
+        """The fit between two edges, with a constant bound of the error on each of its panels."""
+        values = fit(
+            evaluate,
+            ends,
+            FIT_TARGET,
+            degree=POINTS - 1,
+            cut=lambda left, right: left + GRADING * (right - left),
+            estimate=lambda _, c: np.abs(c[:, -2:, 0]).max(axis=(1, 2)),
+            rounds=MOST_SPLITS,
+        )
+        assert values.error is not None
+        # The fit goes through what was evaluated at the Gauss points.
+        largest = values(panel_rule(values.nodes, POINTS)[0])[:, :, 1].max(axis=1)
+        values.coefficients[:, :, 1] = 0.0
+        values.coefficients[:, 0, 1] = 2.0 * values.error[:, None] + largest
+        return values
+
+    def columns(energy: Array) -> Array:
+        index = np.searchsorted(edges, energy, side="right") - 1
+        used, count = np.unique(index, return_counts=True)
+        for k in used[count >= POINTS].tolist():
+            if k not in panels:
+                panels[k] = fitted(edges[k : k + 2])
+        result = np.empty((energy.size, 2, unit.size))
+        for k in panels.keys() & set(used.tolist()):
+            result[index == k] = panels[k](energy[index == k])
+        others = ~np.isin(index, list(panels))
+        new = np.array([H for H in energy[others].tolist() if H not in single])
+        if new.size:
+            single.update(zip(new.tolist(), evaluate(new), strict=True))
+        remembered = [single[H] for H in energy[others].tolist()]
+        result[others] = np.reshape(remembered, (-1, 2, unit.size))
+        return np.asarray(result * unit)
+
+    return columns

@@ -17,9 +17,6 @@ from fpk.arrays import Array, Integers
 from fpk.compiling import cached_njit, checksum, compiled_laws, inlined, law_files, of_law
 from fpk.quadrature import gauss_legendre
 
-RULES = (14, 18, 24, 48, 96, 192)
-"""Gauss points per panel of a ray, in the order in which an integral is refined. The first two are
-evaluated at once: 32 points fill four vectors, as fewer would."""
 NEAR = 0.01
 """Difference of overlap, relative to the overlap, below which that of the contact energy is taken
 from the force, as it would cancel: beyond a second stop, and next to the turning point."""
@@ -27,59 +24,27 @@ NEWTON_STEPS = 100
 
 
 class Stops(NamedTuple):
-    """One-sided stops of a system: the overlap at y is ``rows @ y − clearance``."""
+    """One-sided stops of a system: the overlap at y is ``reach @ y − touch``.
 
-    rows: Array  # (stops, c)
-    clearance: Array  # (stops,)
+    Of a ray, nearest first: the overlap at the distance r is ``reach`` (r − ``touch``).
+    """
+
+    reach: Array  # (stops, c); of a ray (stops,)
+    touch: Array  # (stops,)
     stiffness: Array  # (stops,)
     exponent: Array  # (stops,)
     law: Integers  # (stops,), of the laws in order of their names
 
 
-class Ray(NamedTuple):
-    """The stops that one ray reaches, nearest first, in arrays long enough for all stops."""
-
-    at: Array  # distance r at which each is touched
-    reach: Array  # overlap gained per length r
-    which: Integers  # its row in ``stops``
-    stops: Stops
-
-
-class Rules(NamedTuple):
-    """Gauss points of ``RULES`` one after another, rule k being ``first[k]:first[k + 1]``."""
-
-    first: Integers  # (rules + 1,)
-    share: Array  # of [0, 1], and
-    weight: Array  # their weights
-    sine2: Array  # sin²φ at φ = π/2 · share
-    cosine2: Array  # cos²φ
-    slope: Array  # 2 sin φ cos φ dφ
-
-
-class Work(NamedTuple):
-    """Numbers at the points of one panel, (points,) each."""
-
-    x: Array  # distance from the beginning of the panel
-    left: Array  # distance to the turning point
-    v: Array  # 1 − V/H
-    dx: Array
-    states: Array  # v^a r^(c−1) dx
-    change: Array  # its derivative by ln H
-
-
 @lru_cache
-def gauss_rules() -> Rules:
-    """Return the points of all rules."""
-    t, w = (np.concatenate(part) for part in zip(*map(gauss_legendre, RULES), strict=True))
+def gauss_rules(rules: tuple[int, ...]) -> tuple[Array, Integers]:
+    """Return the points of some rules one after another, and where each begins (rules + 1,).
+
+    (4, points): Gauss points of [0, 1], their weights, sin φ and cos φ at φ = π/2 of the point.
+    """
+    t, w = (np.concatenate(part) for part in zip(*map(gauss_legendre, rules), strict=True))
     phi = 0.25 * np.pi * (1.0 + t)
-    return Rules(
-        first=np.cumsum([0, *RULES]),
-        share=0.5 * (1.0 + t),
-        weight=0.5 * w,
-        sine2=np.sin(phi) ** 2,
-        cosine2=np.cos(phi) ** 2,
-        slope=0.25 * np.pi * np.sin(2.0 * phi) * w,
-    )
+    return np.array([0.5 * (1.0 + t), 0.5 * w, np.sin(phi), np.cos(phi)]), np.cumsum([0, *rules])
 
 
 @lru_cache
@@ -95,92 +60,104 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
 
     @cached_njit()
     def add_rays(
-        energy: Array, directions: Array, stops: Stops, n: int, orders: Integers, rules: Rules,
-        rule: int, out: Array,
+        energy: Array, directions: Array, stops: Stops, n: int, orders: Integers, rule: Array,
+        ends: Integers, out: Array,
     ) -> int:  # fmt: skip
-        """Add the integrals along rays to ``out``, (rules, rays, 3 + orders), from ``rule`` on.
+        """Add the integrals along rays to ``out``, (rules, rays, 3 + orders).
 
-        ``energy`` (rays,) and unit vectors ``directions`` (rays, c). With v = 1 − V/H and lengths
-        in units of √H the integrals are those of v^a r^(c−1) (1, v, w), which belong to T, the
-        phase volume and H T', then of v^(a+j) r^(c−1+k) for the rows (k, j) of ``orders``. For
-        a > 0, w = a/v is the derivative under the integral; otherwise that diverges, and
-        w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²) comes from differentiating with V as the
-        variable. Returns the checksum of the sources.
+        ``energy`` (rays,) and unit vectors ``directions`` (rays, c). ``rule`` as ``gauss_rules``
+        returns it; points of rule k are those from ``ends[k]`` to ``ends[k + 1]``. With
+        v = 1 − V/H and lengths in units of √H the integrals are those of v^a r^(c−1) (1, v, w),
+        which belong to T, the phase volume and H T', then of v^(a+j) r^(c−1+k) for the rows (k, j)
+        of ``orders``. For a > 0, w = a/v is the derivative under the integral; otherwise that
+        diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²) comes from differentiating with V as
+        the variable. Returns the checksum of the sources.
         """
-        c, total = stops.rows.shape[1], stops.clearance.size
-        ray = Ray(np.empty(total), np.empty(total), np.empty(total, dtype=np.int64), stops)
-        first, last = rules.first[rule], rules.first[rule + out.shape[0]]
-        w = np.empty((6, last - first))
-        work = Work(w[0], w[1], w[2], w[3], w[4], w[5])
+        total, c = stops.reach.shape
+        a = n - 0.5 * c - 1.0
+        whole, half = int(np.ceil(a)), a % 1.0 > 0.0
+        none, size = np.empty(total), rule.shape[1]
+        ray = Stops(none, none.copy(), none.copy(), none.copy(), np.empty(total, dtype=np.int64))
+        x, left, dx, v = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+        states, change = np.empty(size), np.empty(size)
         for i in range(energy.size):
-            H = energy[i]
-            count = _along(np.sqrt(2.0 * H), directions[i], ray)
+            H, scale = energy[i], 1.0 / np.sqrt(energy[i])
+            count = _along(np.sqrt(2.0 * H), directions[i], stops, ray)
             for k in range(count + 1):  # stops engaged
-                start = ray.at[k - 1] if k > 0 else 0.0
-                length = ray.at[k] - start if k < count else np.inf
-                height = H - _level(start, k, ray, U)
+                start = ray.touch[k - 1] if k > 0 else 0.0
+                length = ray.touch[k] - start if k < count else np.inf
+                height = H - 0.5 * start * start
+                for s in range(k):
+                    height -= _of_stop(U, ray, s, ray.reach[s] * (start - ray.touch[s]))
                 if height <= 0.0:
                     break
                 if length <= 0.0:
                     continue
                 X = _turning_point(height, start, k, ray, U, g)
-                _points(X, min(length, X), k, rules, first, work)
-                _heights(H, start, X, k, ray, work, U, g)
-                if singular:
-                    _lowest_degree(H, start, k, ray, work, U, g, bend)
-                else:
-                    _degrees(H, start, n, c, work)
+                _points(H, start, X, min(length, X), k, ray, rule, x, left, dx, v, U, g)
+                for j in range(x.size):
+                    r = start + x[j]
+                    states[j] = dx[j] * v[j] ** whole
+                    if half:
+                        states[j] /= np.sqrt(v[j])
+                    if c == 2:
+                        states[j] *= r * scale
+                    if singular:
+                        change[j] = states[j] * (a + 1.0 + _bent(r, k, c, ray, U, g, bend))
+                    else:
+                        change[j] = states[j] * a / v[j]
                 for m in range(out.shape[0]):
-                    begin, stop = rules.first[rule + m] - first, rules.first[rule + m + 1] - first
-                    _add(begin, stop, start, H, orders, work, out[m, i])
+                    first, last = ends[m], ends[m + 1]
+                    of_states, of_volume, of_change = 0.0, 0.0, 0.0
+                    for j in range(first, last):
+                        of_states += states[j]
+                        of_volume += states[j] * v[j]
+                        of_change += change[j]
+                    out[m, i, 0] += scale * of_states
+                    out[m, i, 1] += scale * of_volume
+                    out[m, i, 2] += scale * of_change
+                    for o in range(orders.shape[0]):
+                        value = 0.0
+                        for j in range(first, last):
+                            r = (start + x[j]) * scale
+                            value += states[j] * r ** orders[o, 0] * v[j] ** orders[o, 1]
+                        out[m, i, 3 + o] += scale * value
         return sources
 
     return add_rays
 
 
 @inlined
-def _along(span: float, direction: Array, ray: Ray) -> int:
+def _along(span: float, direction: Array, stops: Stops, ray: Stops) -> int:
     """Write the stops that the ray touches within ``span`` to ``ray``; return their number."""
-    count, stops = 0, ray.stops
-    for s in range(stops.clearance.size):
+    count = 0
+    for s in range(stops.touch.size):
         reach = 0.0
         for j in range(direction.size):
-            reach += stops.rows[s, j] * direction[j]
-        if reach <= 0.0 or stops.clearance[s] >= reach * span:
+            reach += stops.reach[s, j] * direction[j]
+        if reach <= 0.0 or stops.touch[s] >= reach * span:
             continue
-        at, k = stops.clearance[s] / reach, count
-        while k > 0 and ray.at[k - 1] > at:
-            ray.at[k], ray.reach[k], ray.which[k] = (
-                ray.at[k - 1],
-                ray.reach[k - 1],
-                ray.which[k - 1],
-            )
+        touch, k = stops.touch[s] / reach, count
+        while k > 0 and ray.touch[k - 1] > touch:
+            for part in (ray.reach, ray.touch, ray.stiffness, ray.exponent):
+                part[k] = part[k - 1]
+            ray.law[k] = ray.law[k - 1]
             k -= 1
-        ray.at[k], ray.reach[k], ray.which[k] = at, reach, s
+        ray.reach[k], ray.touch[k], ray.stiffness[k] = reach, touch, stops.stiffness[s]
+        ray.exponent[k], ray.law[k] = stops.exponent[s], stops.law[s]
         count += 1
     return count
 
 
 @inlined
-def _of_stop(part: Any, ray: Ray, s: int, overlap: float) -> float:
-    """Energy, force or slope, by ``part`` of the laws, of stop s of the ray over its stiffness."""
-    i = ray.which[s]
-    value: float = of_law(part, ray.stops.law[i], overlap, ray.stops.exponent[i])
+def _of_stop(part: Any, ray: Stops, s: int, overlap: float) -> float:
+    """Energy, force or slope, by ``part`` of the laws, of stop s of the ray."""
+    value: float = ray.stiffness[s] * of_law(part, ray.law[s], overlap, ray.exponent[s])
     return value
 
 
 @inlined
-def _level(start: float, k: int, ray: Ray, U: Any) -> float:
-    """V at the distance ``start`` where k stops are engaged."""
-    V: float = 0.5 * start * start
-    for s in range(k):
-        B = ray.stops.stiffness[ray.which[s]]
-        V += B * _of_stop(U, ray, s, ray.reach[s] * (start - ray.at[s]))
-    return V
-
-
-@inlined
-def _gain(low: float, width: float, top: float, ray: Ray, s: int, U: Any, g: Any) -> float:
+def _gain(low: float, width: float, top: float, ray: Stops, s: int, U: Any, g: Any) -> float:
     """U(low + width) − U(low) of stop s without cancellation, ``top`` being the first of the two.
 
     A small width is that times the mean force, for which three Gauss points are exact.
@@ -195,7 +172,7 @@ def _gain(low: float, width: float, top: float, ray: Ray, s: int, U: Any, g: Any
 
 
 @inlined
-def _turning_point(height: float, start: float, k: int, ray: Ray, U: Any, g: Any) -> float:
+def _turning_point(height: float, start: float, k: int, ray: Stops, U: Any, g: Any) -> float:
     """The x > 0 where V has risen by ``height`` from ``start`` on; NaN where the iteration fails.
 
     Newton's method in logarithms: the rise is a sum of positive powers of x, its logarithm convex
@@ -207,10 +184,9 @@ def _turning_point(height: float, start: float, k: int, ray: Ray, U: Any, g: Any
     for _ in range(NEWTON_STEPS):
         rise, steepness = x * (start + 0.5 * x), start + x
         for s in range(k):
-            B = ray.stops.stiffness[ray.which[s]]
-            begun, gained = ray.reach[s] * (start - ray.at[s]), ray.reach[s] * x
-            rise += B * _gain(begun, gained, _of_stop(U, ray, s, begun + gained), ray, s, U, g)
-            steepness += ray.reach[s] * B * _of_stop(g, ray, s, begun + gained)
+            begun, gained = ray.reach[s] * (start - ray.touch[s]), ray.reach[s] * x
+            rise += _gain(begun, gained, _of_stop(U, ray, s, begun + gained), ray, s, U, g)
+            steepness += ray.reach[s] * _of_stop(g, ray, s, begun + gained)
         # Where the rise is x^m, x (height/rise)^(1/m) is the root: near it by a Padé approximant.
         ratio, m = height / rise, x * steepness / rise
         if ratio > 0.5:
@@ -227,111 +203,49 @@ def _turning_point(height: float, start: float, k: int, ray: Ray, U: Any, g: Any
 
 
 @inlined
-def _points(X: float, span: float, k: int, rules: Rules, i: int, work: Work) -> None:
-    """Write x, what is left to X, and dx at the points from i on, of a panel of length ``span``."""
-    x, left, dx = work.x, work.left, work.dx
+def _points(
+    H: float, start: float, X: float, span: float, k: int, ray: Stops, rule: Array,
+    x: Array, left: Array, dx: Array, v: Array, U: Any, g: Any,
+) -> None:  # fmt: skip
+    """Write x, the rest of X, dx and v = 1 − V/H at the points of a panel of length ``span``.
+
+    v is the fall of springs and stops between X and x.
+    """
+    share, weight, sine, cosine = rule[0], rule[1], rule[2], rule[3]
     if k == 0:
         top = np.sqrt(X)
         width = span / (top + np.sqrt(X - span))
         for j in range(x.size):
-            fall = width * rules.share[i + j]  # of √(X − x) from its value at x = 0
-            x[j] = fall * (2.0 * top - fall)
-            left[j] = (top - fall) * (top - fall)
-            dx[j] = 2.0 * (top - fall) * width * rules.weight[i + j]
-    elif span == X:
-        for j in range(x.size):
-            x[j] = X * rules.sine2[i + j]
-            left[j] = X * rules.cosine2[i + j]
-            dx[j] = X * rules.slope[i + j]
+            fall = width * share[j]  # of √(X − x) from its value at x = 0
+            x[j], left[j] = fall * (2.0 * top - fall), (top - fall) * (top - fall)
+            dx[j] = 2.0 * (top - fall) * width * weight[j]
     else:
-        end = np.arctan2(np.sqrt(span), np.sqrt(X - span))
+        end = 0.5 * np.pi if span == X else np.arctan2(np.sqrt(span), np.sqrt(X - span))
         for j in range(x.size):
-            sine, cosine = np.sin(end * rules.share[i + j]), np.cos(end * rules.share[i + j])
-            x[j] = X * sine * sine
-            left[j] = X * cosine * cosine
-            dx[j] = 2.0 * X * end * sine * cosine * rules.weight[i + j]
-
-
-@inlined
-def _heights(
-    H: float, start: float, X: float, k: int, ray: Ray, work: Work, U: Any, g: Any
-) -> None:
-    """Write v = 1 − V/H from the fall of springs and stops between X and x."""
-    x, left, v = work.x, work.left, work.v
+            s, c = sine[j], cosine[j]
+            if span < X:
+                s, c = np.sin(end * share[j]), np.cos(end * share[j])
+            x[j], left[j] = X * s * s, X * c * c
+            dx[j] = 2.0 * X * end * s * c * weight[j]
     for j in range(x.size):
         v[j] = left[j] * (start + 0.5 * (X + x[j]))
-    for s in range(k):
-        reach, begun = ray.reach[s], ray.reach[s] * (start - ray.at[s])
-        last, B = _of_stop(U, ray, s, begun + reach * X), ray.stops.stiffness[ray.which[s]]
+    for i in range(k):
+        reach, begun = ray.reach[i], ray.reach[i] * (start - ray.touch[i])
+        last = _of_stop(U, ray, i, begun + reach * X)
         for j in range(x.size):
-            v[j] += B * _gain(begun + reach * x[j], reach * left[j], last, ray, s, U, g)
+            v[j] += _gain(begun + reach * x[j], reach * left[j], last, ray, i, U, g)
     for j in range(x.size):
         v[j] *= 1.0 / H
 
 
 @inlined
-def _degrees(H: float, start: float, n: int, c: int, work: Work) -> None:
-    """Write v^a r^(c−1) dx and a v^(a−1) r^(c−1) dx for a >= ½, a multiple of ½."""
-    v, states, change = work.v, work.states, work.change
-    a, twice = n - 0.5 * c - 1.0, 2 * n - c - 4
-    for j in range(v.size):
-        change[j] = a * work.dx[j]
-    if twice % 2:
-        for j in range(v.size):
-            change[j] /= np.sqrt(v[j])
-    for _ in range((twice + 1) // 2):
-        for j in range(v.size):
-            change[j] *= v[j]
-    for _ in range(c - 1):
-        for j in range(v.size):
-            change[j] *= (start + work.x[j]) / np.sqrt(H)
-    for j in range(v.size):
-        states[j] = change[j] * v[j] / a
-
-
-@inlined
-def _lowest_degree(
-    H: float, start: float, k: int, ray: Ray, work: Work, U: Any, g: Any, bend: Any
-) -> None:
-    """Write v^a r^(c−1) dx and w times that for a = −½ (c = 1) and a = 0 (c = 2)."""
-    c = ray.stops.rows.shape[1]
-    a = 0.5 * c - 1.0
-    for j in range(work.x.size):
-        r = start + work.x[j]
-        # Not H (1 − v), which cancels near rest.
-        V, steepness, curvature = 0.5 * r * r, r, 1.0
-        for s in range(k):
-            reach, overlap = ray.reach[s], ray.reach[s] * (r - ray.at[s])
-            B = ray.stops.stiffness[ray.which[s]]
-            V += B * _of_stop(U, ray, s, overlap)
-            steepness += reach * B * _of_stop(g, ray, s, overlap)
-            curvature += reach * reach * B * _of_stop(bend, ray, s, overlap)
-        work.states[j] = work.dx[j]
-        if a < 0.0:
-            work.states[j] /= np.sqrt(work.v[j])
-        if c == 2:
-            work.states[j] *= r / np.sqrt(H)
-        bent = (c - 1) / (r * steepness) - curvature / (steepness * steepness)
-        work.change[j] = work.states[j] * (a + 1.0 + V * bent)
-
-
-@inlined
-def _add(
-    first: int, last: int, start: float, H: float, orders: Integers, work: Work, out: Array
-) -> None:
-    """Add the sums over the points ``first`` to ``last`` of the integrands."""
-    states, volume, change = 0.0, 0.0, 0.0
-    for j in range(first, last):
-        states += work.states[j]
-        volume += work.states[j] * work.v[j]
-        change += work.change[j]
-    scale = 1.0 / np.sqrt(H)
-    out[0] += scale * states
-    out[1] += scale * volume
-    out[2] += scale * change
-    for o in range(orders.shape[0]):
-        value = 0.0
-        for j in range(first, last):
-            r = (start + work.x[j]) * scale
-            value += work.states[j] * r ** orders[o, 0] * work.v[j] ** orders[o, 1]
-        out[3 + o] += scale * value
+def _bent(r: float, k: int, c: int, ray: Stops, U: Any, g: Any, bend: Any) -> float:
+    """V ((c−1)/(r V_r) − V_rr/V_r²) at the distance r, V not as H (1 − v): that cancels at rest."""
+    V, steepness, curvature = 0.5 * r * r, r, 1.0
+    for s in range(k):
+        reach, overlap = ray.reach[s], ray.reach[s] * (r - ray.touch[s])
+        V += _of_stop(U, ray, s, overlap)
+        steepness += reach * _of_stop(g, ray, s, overlap)
+        curvature += reach * reach * _of_stop(bend, ray, s, overlap)
+    value: float = V * ((c - 1) / (r * steepness) - curvature / (steepness * steepness))
+    return value

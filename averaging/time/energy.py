@@ -1,140 +1,123 @@
-"""Transients, first passage and relaxation of one averaged energy of a system."""
+"""Transients, first passage and relaxation of the averaged total energy of a system.
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+No other energy acts on it. By finite elements, or, without contact, as a square-root process.
+"""
+
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.gaussian_state import state_rows
-from averaging.time.orbits import OrbitPart, orbit_transient
+from averaging.modal.time.closed_form import orbit_transient
 from averaging.time.start import FROM_NOISE, DensityQuestion, EnergyStart
 from averaging.time.states import state_transient
 from fpk.arrays import Array
 from fpk.dynamics import Rates
 from fpk.errors import NotApplicable
 from fpk.evolution import Passage, Transient, checked_times
-from fpk.line.time.modulated import modulated_transient, modulated_transition
-from fpk.line.time.modulated_passage import modulated_passage
-from fpk.line.time.passage import fem_passage
-from fpk.line.time.propagation import Source
+from fpk.line.time.modulated import Modulated, modulated_transient, modulated_transition
+from fpk.line.time.passage import fem_passage, modulated_passage
 from fpk.line.time.spectrum import spectrum
-from fpk.line.time.transition import transition
-from fpk.modulation import ROUND_OFF, Modulation, require_constant_noise
+from fpk.line.time.transition import Source, transition
+from fpk.modulation import ROUND_OFF, require_constant_noise
+from fpk.observable import Coordinate
 from fpk.process import Process
 from fpk.square_root import SquareRoot
 from fpk.system import System
 
-STATIONARY_ONLY = "quadrature gives stationary densities only; in time, use fem or closed-form"
-AFTER_THE_NOISE = "after the end of the noise fem gives densities of the energy only, not of q, p"
 
+def transient(system: System, solver: str, asked: DensityQuestion) -> Transient:
+    """Return the densities of the energy, or of one or two of (q, p).
 
-@dataclass(frozen=True)
-class OneEnergy:
-    """An averaged energy that no other acts on, and how its equation is solved in time.
-
-    ``under(F)`` is the process under F times the noise intensity. ``closed`` is the same process
-    where it is the square-root process, ``reason`` why it is not. ``modulation`` is of the noise.
+    Raises ``InvalidInput`` at the time 0 of an energy.
     """
-
-    under: Callable[[float], Process]
-    closed: SquareRoot | None
-    reason: str = ""
-    modulation: Modulation | None = None
-
-    def transient(self, solver: str, asked: DensityQuestion) -> Transient:
-        """Return the densities of the energy; ``InvalidInput`` at the time 0 of an energy."""
-        start, times, (at,), tol = asked.start, asked.times, asked.at, asked.tol
-        checked_times(times, positive=start.noise is None)
-        if solver == "fem" and self.modulation is not None:
-            return modulated_transient(
-                self.under, self.modulation, self._source(start), times, at, tol=tol
-            )
-        if solver == "fem":
-            solved = transition(self.under(1.0), self._source(start), times, tol=tol)
-            numbers = solved.density(at)
-            return Transient(times, *numbers, "numerical", solved.certificate, solved.settings)
-        closed = self._closed(solver)
-        return closed.transient(float(start.energies[0]), start.noise, times, at, tol=tol)
-
-    def state_transient(self, system: System, solver: str, asked: DensityQuestion) -> Transient:
-        """Return the densities of one or two of (q, p) of ``system``, whose energy this is."""
-        start, times, tol = asked.start, asked.times, asked.tol
-        checked_times(times, positive=start.noise is None or solver == "fem")
-        if solver == "fem":
-            source, e = self._source(start), self.modulation
-            if e is None:
-                solved = transition(self.under(1.0), source, times, tol=tol)
-            elif not e.last and times[-1] > e.times[-1]:
-                raise NotApplicable(AFTER_THE_NOISE)
-            else:
-                solved = modulated_transition(self.under, e, source, times, tol=tol)
-            return state_transient(system, solved, asked)
-        closed, rows = self._closed(solver), state_rows(asked.observable, system.n)
+    start, times, tol, modulation = asked.start, asked.times, asked.tol, system.modulation
+    of_energy = asked.observable == (Coordinate("H"),)
+    checked_times(times, positive=start.noise is None or (solver == "fem" and not of_energy))
+    energy = float(start.energies[0])
+    if solver != "fem":
+        closed = square_root(system, solver)
+        if of_energy:
+            return closed.transient(energy, start.noise, times, asked.at[0], tol=tol)
+        rows = state_rows(asked.observable, system.n)
         # At temperature 1; K and M are not coupled.
         shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]
-        part = OrbitPart(closed, float(start.energies[0]), shape)
-        return orbit_transient([part], asked)
+        return orbit_transient([(closed, energy, shape)], asked)
 
-    def passage(
-        self, solver: str, start: EnergyStart, limit: float, times: Array, *, tol: float
-    ) -> Passage:
-        """Return the first passage of ``limit`` from a start below it."""
-        checked_times(times)
-        if solver == "fem" and self.modulation is not None:
-            asked = self.under, self.modulation, limit, self._source(start), times
-            return modulated_passage(*asked, tol=tol)
-        if solver == "fem":
-            return fem_passage(self.under(1.0), limit, self._source(start), times, tol=tol)
-        closed = self._closed(solver)
-        if start.noise is not None:
-            raise NotApplicable(FROM_NOISE)
-        return closed.passage(limit, float(start.energies[0]), times, tol=tol)
-
-    def relaxation(self, solver: str, count: int, *, tol: float) -> Rates:
-        """Return the ``count`` least rates."""
-        require_constant_noise(self.modulation)
-        if solver == "fem":
-            return spectrum(self.under(1.0), count, tol=tol)
-        return self._closed(solver).rates(count, tol=tol)
-
-    def _source(self, start: EnergyStart) -> Source:
-        if start.noise is None:
-            return Source(float(start.energies[0]))
-        return Source(process=self.under(start.noise))
-
-    def _closed(self, solver: str) -> SquareRoot:
-        if solver != "closed-form":
-            raise NotApplicable(STATIONARY_ONLY)
-        if self.closed is None:
-            raise NotApplicable(f"{self.reason}: in time there is no closed form; use fem")
-        return self.closed
+    source = _source(system, start)
+    if modulation is None:
+        solved = transition(energy_process(system), source, times, tol=tol)
+    elif of_energy:
+        motion = Modulated(partial(_process, system), modulation, source)
+        return modulated_transient(motion, times, asked.at[0], tol=tol)
+    elif not modulation.last and times[-1] > modulation.times[-1]:
+        raise NotApplicable(
+            "after the end of the noise fem gives densities of the energy only, not of q, p"
+        )
+    else:
+        motion = Modulated(partial(_process, system), modulation, source)
+        solved = modulated_transition(motion, times, tol=tol)
+    if not of_energy:
+        return state_transient(system, solved, asked)
+    numbers = solved.density(asked.at[0])
+    return Transient(times, *numbers, "numerical", solved.certificate, solved.settings)
 
 
-def total_energy(system: System) -> OneEnergy:
-    """Return the averaged total energy, Eq. (24).
+def passage(
+    system: System, solver: str, start: EnergyStart, limit: float, times: Array, *, tol: float
+) -> Passage:
+    """Return the first passage of ``limit`` from a start below it."""
+    checked_times(times)
+    source, modulation = _source(system, start), system.modulation
+    if solver == "fem" and modulation is not None:
+        motion = Modulated(partial(_process, system), modulation, source)
+        return modulated_passage(motion, limit, times, tol=tol)
+    if solver == "fem":
+        return fem_passage(energy_process(system), limit, source, times, tol=tol)
+    closed = square_root(system, solver)
+    if start.noise is not None:
+        raise NotApplicable(FROM_NOISE)
+    return closed.passage(limit, source.energy, times, tol=tol)
 
-    Without contact τ = H/n, so that dH = (n d − c H) dt + √(2 d H) dB with c = Σ (c_ii/m_i)/n and
-    d = Σ (D_ii/m_i)/n: a square-root process.
+
+def relaxation(system: System, solver: str, count: int, *, tol: float) -> Rates:
+    """Return the ``count`` least rates."""
+    process = energy_process(system)
+    require_constant_noise(system.modulation)
+    if solver == "fem":
+        return spectrum(process, count, tol=tol)
+    return square_root(system, solver).rates(count, tol=tol)
+
+
+def square_root(system: System, solver: str) -> SquareRoot:
+    """Return the total energy without contact, where τ = H/n.
+
+    dH = (n d − c H) dt + √(2 d H) dB with c = Σ (c_ii/m_i)/n and d = Σ (D_ii/m_i)/n. Raises
+    ``NotApplicable`` where it is no such process, or the ``solver`` is none for questions of time.
     """
-
-    def under(factor: float) -> Process:
-        return energy_process(_with_noise(system, factor))
-
-    energy_process(system)  # it refuses what has no stationary density
+    if solver != "closed-form":
+        raise NotApplicable(
+            "quadrature gives stationary densities only; in time, use fem or closed-form"
+        )
     if system.contacts or system.damping_terms:
         what = "contacts" if system.contacts else "damping terms"
-        return OneEnergy(under, None, f"the system has {what}", system.modulation)
-    damping, noise = damping_and_noise(system)
-    n = system.n
-    modulation = system.modulation
-    error = ROUND_OFF if modulation else 0.0
-    closed = SquareRoot(n, damping / n, noise / n, error, modulation)
-    return OneEnergy(under, closed, modulation=modulation)
+        raise NotApplicable(f"the system has {what}: in time there is no closed form; use fem")
+    (damping, noise), n = damping_and_noise(system), system.n
+    error = ROUND_OFF if system.modulation else 0.0
+    return SquareRoot(n, damping / n, noise / n, error, system.modulation)
 
 
-def _with_noise(system: System, factor: float) -> System:
+def _process(system: System, factor: float) -> Process:
+    """The averaged energy under ``factor`` times the noise intensity."""
     if factor == 1.0:
-        return system
-    return replace(system, noise_intensity=factor * system.noise_intensity)
+        return energy_process(system)
+    return energy_process(replace(system, noise_intensity=factor * system.noise_intensity))
+
+
+def _source(system: System, start: EnergyStart) -> Source:
+    if start.noise is None:
+        return Source(float(start.energies[0]))
+    return Source(process=_process(system, start.noise))

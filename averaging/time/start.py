@@ -50,37 +50,30 @@ class DensityQuestion:
     tol: float
 
 
-def total_energy_start(system: System, start: Start) -> EnergyStart:
-    """Return where the total energy begins; raise ``NotApplicable`` for energies of the modes."""
-    if start.rest or start.kind == "noise":
-        return EnergyStart(np.zeros(1), start.values.get("noise") or None)
-    if start.kind == "modal":
-        raise NotApplicable("this theory knows the total energy only; start from H=.. or a state")
-    if start.kind == "energy":
-        return EnergyStart(np.array([start.values["H"]]))
-    return EnergyStart(np.array([float(system.hamiltonian(*start.state(system.n)))]))
+def energy_start(system: System, start: Start, modes: ModalAnalysis | None = None) -> EnergyStart:
+    """Return where the total energy begins, or the energies of the ``modes``.
 
-
-def modal_start(system: System, modes: ModalAnalysis, start: Start) -> EnergyStart:
-    """Return where the modal energies begin.
-
-    Raises ``NotApplicable`` for a total energy that the modes share in an unknown way.
+    Raises ``NotApplicable`` for energies of the modes where the total energy is asked for, and for
+    a total energy that several modes share in an unknown way.
     """
-    n = system.n
+    values, n = start.values, 1 if modes is None else modes.n
     if start.rest or start.kind == "noise":
-        return EnergyStart(np.zeros(n), start.values.get("noise") or None)
+        return EnergyStart(np.zeros(n), values.get("noise") or None)
     if start.kind == "modal":
-        return EnergyStart(np.array([start.values[f"H{i + 1}"] for i in range(n)]))
-    if start.kind == "energy" and n == 1:
-        return EnergyStart(np.array([start.values["H"]]))
+        if modes is None:
+            words = "this theory knows the total energy only; start from H=.. or a state"
+            raise NotApplicable(words)
+        return EnergyStart(np.array([values[f"H{i + 1}"] for i in range(n)]))
     if start.kind == "energy":
-        raise NotApplicable(
-            f"{start}: give every modal energy, H1=..,H2=..: their sum is not enough"
-        )
-    q, p = start.state(n)
-    T, omega = modes.mode_shapes, modes.natural_frequency
-    Q, P = T.T @ (system.mass * q), T.T @ p
-    return EnergyStart(0.5 * (P**2 + (omega * Q) ** 2))
+        if n > 1:
+            words = "give every modal energy, H1=..,H2=..: their sum is not enough"
+            raise NotApplicable(f"{start}: {words}")
+        return EnergyStart(np.array([values["H"]]))
+    q, p = start.state(system.n)
+    if modes is None:
+        return EnergyStart(np.array([float(system.hamiltonian(q, p))]))
+    Q, P = modes.mode_shapes.T @ (system.mass * q), modes.mode_shapes.T @ p
+    return EnergyStart(0.5 * (P**2 + (modes.natural_frequency * Q) ** 2))
 
 
 def observed_modes(observable: Observable) -> list[int]:

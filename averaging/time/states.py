@@ -5,24 +5,24 @@ Given the energy the state is distributed over its shell as in the stationary st
 by then: all integrals have panels that end where the elements of p(H, t) end.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
-from math import gamma
+from functools import cached_property, partial
 
 import numpy as np
 
-from averaging.back_transformation import hidden_quadratic
-from averaging.conditional import Conditional, conditionals
-from averaging.shell.averages import log_linear_states
+from averaging.back_transformation import observed_energy, reduced
+from averaging.conditional import Conditional
 from averaging.time.start import DensityQuestion
 from averaging.weyl import weyl_integral
-from fpk.arrays import CHUNK, EPS, SMALLEST, Array
+from fpk.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
 from fpk.certificate import certify
 from fpk.errors import NotApplicable
 from fpk.evolution import Transient
 from fpk.line.mesh import with_layers
-from fpk.line.time.transition import ROUND_OFF, SAFETY, Transition, common_error
+from fpk.line.time.elements import SAFETY
+from fpk.line.time.transition import Transition
 from fpk.observable import observable_name
 from fpk.piecewise import Piecewise, interpolated
 from fpk.quadrature import gauss_legendre, panel_rule
@@ -32,14 +32,10 @@ RULES = (10, 14)
 """Gauss points a panel over a hidden contact mass; the distance of the two is the error."""
 ERROR_POINTS = 4
 """Gauss points a panel of the integral of the error of Ψ, an estimate."""
-BISECTIONS = 50
-"""Halvings by which ends of panels are found: 1e-15 of the range."""
 LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
 """Ends of panels beyond a stop, as shares of the way to the end: (H − V) ~ overlap^2.5 there."""
 POINTS = (20, 24)
 """Gauss points an element of the coarser table of Ψ, and of the answer."""
-CHECKED = 21
-"""Points an element at which errors of u are measured, none of which is one of its table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +48,13 @@ class WeylInTime:
     @cached_property
     def nodes(self) -> Array:
         """Ends of halves of the enriched solution's elements, with layers at contact energies."""
-        nodes = self.solved.enriched.elements.nodes
-        halves = np.sort(np.append(nodes, 0.5 * (nodes[1:] + nodes[:-1])))
-        return with_layers(halves, self.solved.enriched.process.nonsmooth)
+        e = self.solved.enriched.elements
+        halves = np.sort(np.append(e.nodes, 0.5 * (e.nodes[1:] + e.nodes[:-1])))
+        return with_layers(halves, e.process.nonsmooth)
 
     def __call__(self, energy: Array) -> Array:
         """Return Ψ at ``energy``, (*shape, times)."""
-        return self._table(energy)
+        return self._tables[-1](energy)
 
     def error(self, energy: Array) -> Array:
         """Return the error of Ψ; beyond the last element Ψ is less than its error before."""
@@ -71,63 +67,61 @@ class WeylInTime:
         else:
             with np.errstate(invalid="ignore"):
                 powers = np.maximum(self.nodes - E[:, None], 0.0) ** self.order
-            total = total + np.diff(powers, axis=1) @ self._of_u / gamma(self.order + 1.0)
+            total = total + np.diff(powers, axis=1) @ self._of_u / math.gamma(self.order + 1.0)
         return np.asarray(total.reshape(*np.shape(energy), -1))
 
     @property
     def added(self) -> float:
         """The error of the table relative to the largest Ψ."""
-        return float(np.max(self._moved / np.max(np.abs(self._table.coefficients[:, 0]), axis=0)))
-
-    @cached_property
-    def _u(self) -> Piecewise:
-        """u at all times."""
-        return self._of_energy(lambda x: self._answer(x)[0], POINTS[1])
+        table = self._tables[-1]
+        return float(np.max(self._moved / np.max(np.abs(table.coefficients[:, 0]), axis=0)))
 
     def _answer(self, x: Array) -> tuple[Array, Array]:
         """u and the size of its terms (points, times); 0 beyond the last element of the answer."""
-        u, size = self.solved.solution.state_density(x)
+        u, size = self.solved.solution.density(x, of_states=True)
         inside = x <= self.solved.elements.right[-1]
         return (u * inside).T, (size * inside).T
+
+    def _table(self, f: Callable[[Array], Array], points: int) -> Piecewise:
+        left, right = self.nodes[:-1], self.nodes[1:]
+        return Piecewise(self.nodes, interpolated(f, left, right, points - 1))
+
+    @cached_property
+    def _tables(self) -> tuple[Piecewise, Piecewise, Piecewise]:
+        """u at all times; Ψ by a coarser table, and the answer."""
+        u = self._table(lambda x: self._answer(x)[0], POINTS[1])
+        if self.order == 0.0:
+            return u, self._table(u, POINTS[0]), u
+        integral = partial(weyl_integral, self.order, self.nodes, u)
+        coarse, fine = (self._table(partial(integral, points=k), k) for k in POINTS)
+        return u, coarse, fine
 
     @cached_property
     def _of_u(self) -> Array:
         """The largest error of u in each element (elements, times)."""
-        x = panel_rule(self.nodes, CHECKED)[0]
-        u, size = self._answer(x.ravel())
-        better, other = self.solved.enriched.state_density(x.ravel())
-        error = SAFETY * (np.abs(u - better.T) + np.abs(u - self._u(x.ravel())))
-        within = np.minimum(x.ravel(), self.solved.elements.right[-1])
-        question = self.solved.question
-        error += common_error(question, self.solved.elements, u.T, size.T + other, within).T
-        # What is left of larger numbers far from the peak, of u and of p = T u.
-        c = question.process.coefficients(x.ravel())
+        solved, e = self.solved, self.solved.elements
+        # None of the points is one of the table of u.
+        points = panel_rule(self.nodes, POINTS[0] + 1)[0]
+        x = points.ravel()
+        u, size = self._answer(x)
+        better, other = solved.enriched.density(x, of_states=True)
+        error = SAFETY * (np.abs(u - better.T) + np.abs(u - self._tables[0](x)))
+        within = np.minimum(x, e.right[-1])
+        error += solved.question.common_error(e, u.T, size.T + other, within).T
+        # Far from the peak u and p = T u are differences of larger numbers.
+        c = e.process.coefficients(x)
         with np.errstate(over="ignore"):
-            of_p = np.multiply.outer(np.exp(-c.log_density_of_states), self.solved.top)
-        error += ROUND_OFF * EPS * np.minimum(of_p, np.abs(u).max(axis=0))
-        return np.asarray(error.reshape(*x.shape, -1).max(axis=1))
-
-    @cached_property
-    def _table(self) -> Piecewise:
-        if self.order == 0.0:
-            return self._u
-        return self._of_energy(lambda E: self._integral(E, POINTS[1]), POINTS[1])
+            of_p = np.multiply.outer(np.exp(-c.log_density_of_states), solved.top)
+        error += ROUNDINGS * EPS * np.minimum(of_p, np.abs(u).max(axis=0))
+        return np.asarray(error.reshape(*points.shape, -1).max(axis=1))
 
     @cached_property
     def _moved(self) -> Array:
         """Largest distance of two tables in each element (elements, times)."""
-        f = self._u if self.order == 0.0 else lambda E: self._integral(E, POINTS[0])
-        coarse = self._of_energy(f, POINTS[0])
         x = panel_rule(self.nodes, sum(POINTS))[0]
-        distance = np.abs(coarse(x) - self._table(x)).max(axis=1)
-        return np.asarray(distance + ROUND_OFF * EPS * np.abs(self._table(x)).max(axis=1))
-
-    def _of_energy(self, f: Callable[[Array], Array], points: int) -> Piecewise:
-        left, right = self.nodes[:-1], self.nodes[1:]
-        return Piecewise(self.nodes, interpolated(f, left, right, points - 1))
-
-    def _integral(self, energy: Array, points: int) -> Array:
-        return weyl_integral(self.order, self.nodes, self._u, energy, points=points)
+        _, coarse, fine = (table(x) for table in self._tables)
+        distance = np.abs(coarse - fine).max(axis=1)
+        return np.asarray(distance + ROUNDINGS * EPS * np.abs(fine).max(axis=1))
 
 
 def state_transient(system: System, solved: Transition, asked: DensityQuestion) -> Transient:
@@ -138,31 +132,23 @@ def state_transient(system: System, solved: Transition, asked: DensityQuestion) 
     and what tables and quadrature add. Raises ``NotApplicable`` for more hidden contact masses.
     """
     observable, at = asked.observable, asked.at
-    q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
-    hidden = [i for i in system.contact_masses if i not in q]
+    seen = [c.row for c in observable if c.kind == "q"]
+    hidden = [i for i in system.contact_masses if i not in seen]
     if len(hidden) > 1:
         raise NotApplicable(
             f"{observable_name(observable)}: in time one contact mass at the most is integrated "
             f"out, here {len(hidden)} are not observed"
         )
-    laws = conditionals(system, [*q, *hidden])
-    order, log_factor = hidden_quadratic(system, p, laws)
+    # u is in the unit of T of the process.
+    unit = solved.elements.process.energy_scale
+    order, log_factor, laws = reduced(system, observable, hidden, unit)
     psi = WeylInTime(solved, order)
-    given = dict(zip(observable, at, strict=True))
-    Q = np.array([given[c] for c in observable if c.kind == "q"]).reshape(len(q), at[0].size)
-    energy = np.zeros(at[0].size)
-    for k, law in enumerate(laws[: len(q)]):
-        energy = energy + law.energy(Q[k], law.weights @ Q[:k])
-    for c in observable:
-        if c.kind == "p":
-            energy = energy + given[c] ** 2 / (2.0 * system.mass[c.row])
+    Q, energy = observed_energy(system, observable, laws, list(at))
     if hidden:
         values, errors, rule_error = _over_hidden(psi, laws[-1], energy, Q)
     else:
         values, errors, rule_error = psi(energy), psi.error(energy), np.zeros(1)
-    # u is in the unit of T of the process.
-    unit = solved.question.process.energy_scale
-    factor = float(np.exp(log_factor - log_linear_states(system, unit)))
+    factor = float(np.exp(log_factor))
     highest = max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
     # The largest error of the rule over hidden masses, everywhere that the last energy allows.
     own = [
@@ -175,46 +161,35 @@ def state_transient(system: System, solved: Transition, asked: DensityQuestion) 
         minimum=float(values.min(initial=0.0)) / highest,
         absolute_error=float(errors.max(initial=0.0)) / highest,
     )
-    return Transient(
-        asked.times,
-        factor * values.T,
-        factor * errors.T + SMALLEST,
-        "numerical",
-        certify(measured, tol=asked.tol),
-        solved.settings,
-    )
+    numbers = factor * values.T, factor * errors.T + SMALLEST
+    certificate = certify(measured, tol=asked.tol)
+    return Transient(asked.times, *numbers, "numerical", certificate, solved.settings)
 
 
 def _over_hidden(
     psi: WeylInTime, law: Conditional, energy: Array, given: Array
 ) -> tuple[Array, Array, Array]:
     """∫Ψ(E + V(hidden | observed)), its error, and that of the rule: (points, times) each."""
-    parts = []
     mean = law.weights @ given if given.size else np.zeros(energy.size)
+    # Beyond the panels V is above the last energy, where Ψ is less than this error and falls.
+    beyond = np.sqrt(2.0 * psi.nodes[-1] / law.precision) * psi.error(psi.nodes[-1:])
     size = max(1, CHUNK // (2 * psi.nodes.size**2 * ERROR_POINTS))
+    parts = []
     for start in range(0, energy.size, size):
-        part = slice(start, start + size)
-        nodes = _panels(psi.nodes, law, energy[part], mean[part])
-        parts.append(_integrals(psi, law, nodes, energy[part], mean[part]))
+        E, m = energy[start : start + size], mean[start : start + size]
+        nodes = _panels(psi.nodes, law, E, m)
+        half = 0.5 * np.diff(nodes, axis=1)[..., None]
+        answers = []
+        for points in (*RULES, ERROR_POINTS):
+            t, w = gauss_legendre(points)
+            q = nodes[:, :-1, None] + half * (1.0 + t)
+            total = E[:, None, None] + law.energy(q, m[:, None, None])
+            f = psi.error if points == ERROR_POINTS else psi
+            answers.append(np.einsum("xkg,xkgt->xt", half * w, f(total)))
+        coarse, fine, error = answers
+        parts.append((fine, error + beyond, np.abs(fine - coarse)))
     values, errors, rule = (np.concatenate(column) for column in zip(*parts, strict=True))
     return values, errors + rule, rule
-
-
-def _integrals(
-    psi: WeylInTime, law: Conditional, nodes: Array, energy: Array, mean: Array
-) -> tuple[Array, Array, Array]:
-    answers = []
-    for points in (*RULES, ERROR_POINTS):
-        t, w = gauss_legendre(points)
-        half = 0.5 * np.diff(nodes, axis=1)[..., None]
-        q = nodes[:, :-1, None] + half * (1.0 + t)
-        E = energy[:, None, None] + law.energy(q, mean[:, None, None])
-        f = psi.error if points == ERROR_POINTS else psi
-        answers.append(np.einsum("xkg,xkgt->xt", half * w, f(E)))
-    coarse, fine, error = answers
-    # Beyond the panels V is above the last energy, where Ψ is less than this error and falls.
-    reach = np.sqrt(2.0 * psi.nodes[-1] / law.precision)
-    return fine, error + reach * psi.error(psi.nodes[-1:]), np.abs(fine - coarse)
 
 
 def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Array:
@@ -222,29 +197,24 @@ def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Ar
 
     V is convex. Panels that would be beyond the last energy have no length.
     """
-
-    def V(q: Array) -> Array:
-        return law.energy(q, np.reshape(mean, (-1,) + (1,) * (q.ndim - 1)))
-
+    halvings = math.ceil(-math.log2(EPS))
     reach = np.sqrt(2.0 * np.maximum(energies[-1] - energy, 0.0) / law.precision)
     low, high = mean - reach, mean + reach
-    for _ in range(2 * BISECTIONS):
+    for _ in range(2 * halvings):
         third = (high - low) / 3.0
-        falls = V(low + third) > V(high - third)
+        falls = law.energy(low + third, mean) > law.energy(high - third, mean)
         low, high = np.where(falls, low + third, low), np.where(falls, high, high - third)
-    rest = 0.5 * (low + high)
-    ends = {}
-    for sign in (-1.0, 1.0):
-        inside = np.repeat(rest[:, None], energies.size, axis=1)
-        outside = np.repeat((mean + sign * reach)[:, None], energies.size, axis=1)
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (inside + outside)
-            below = energy[:, None] + V(middle) < energies
-            inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
-        ends[sign] = outside
-    low, high = (side[:, -1:] for side in ends.values())
+    # To the left of the least V and to its right: (sides, points, energies).
+    outside = np.stack([mean - reach, mean + reach])[..., None] + np.zeros(energies.size)
+    inside = 0.5 * (low + high)[:, None] + np.zeros(outside.shape)
+    for _ in range(halvings):
+        middle = 0.5 * (inside + outside)
+        below = energy[:, None] + law.energy(middle, mean[:, None]) < energies
+        inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
+    ends = outside[..., -1:]
     layers = [np.empty((energy.size, 0))]
     for stop in law.stops:
         at = stop.sign * stop.clearance
-        layers.append(np.clip(at + (ends[stop.sign][:, -1:] - at) * LAYERS, low, high))
-    return np.sort(np.hstack([*ends.values(), *layers]), axis=1)
+        beyond = at + (ends[int(stop.sign > 0.0)] - at) * LAYERS
+        layers.append(np.clip(beyond, *ends))
+    return np.sort(np.hstack([*outside, *layers]), axis=1)

@@ -155,7 +155,7 @@ def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     if settings["checkpoint"] is None:
         return
     from cases.output.claim import claimed
-    from sim.montecarlo import NOT_IN_STATE
+    from sim.settings import NOT_IN_STATE
 
     own = {key: v for key, v in settings.items() if f"MonteCarlo.{key}" not in NOT_IN_STATE}
     context = claimed(settings["checkpoint"], {"scene": scene.text, "settings": own})

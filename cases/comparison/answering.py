@@ -18,7 +18,7 @@ from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.evolution import Passage, Passages, Transients
 from fpk.method import Method, Progress, silent
 from fpk.system import System
-from sim.montecarlo import LEAST_PATHS
+from sim.settings import LEAST_PATHS
 
 LEAST_FAILURES = 400.0
 """Least expected number of failures by the last time for which a plain simulation is run, 5 % of

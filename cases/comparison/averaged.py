@@ -103,8 +103,8 @@ class AveragedSimulation(Transients, Passages, Method):
         ``tol``, the relative error wanted of the mean, makes more of the ``paths`` where needed.
         A state begins at its energies, H of the integrable theory anywhere on H1 + H2 + … = H.
         """
-        from sim.averaged.passage import energy_passage
-        from sim.motion.steps import require_times
+        from sim.averaged.paths import energy_passage
+        from sim.motion.limits import require_times
 
         require_times(asked.times)
         system, wanted = asked.system, self.tol if asked.tol is None else asked.tol
@@ -131,8 +131,8 @@ class AveragedSimulation(Transients, Passages, Method):
         ``tol``, the expected L1 error wanted at every time, makes more paths. Starts as of
         ``passage``.
         """
-        from sim.averaged.transient import energy_transient
-        from sim.motion.steps import require_times
+        from sim.averaged.paths import energy_transient
+        from sim.motion.limits import require_times
 
         system = asked.system
         require_held(system)
@@ -173,7 +173,7 @@ class AveragedSimulation(Transients, Passages, Method):
 
     def limits(self, form: Any, limit: Limit) -> Any:
         """Return the limit as one of X; raise ``NotApplicable`` where the theory knows it not."""
-        from sim.averaged.passage import EnergyLimits, from_energies
+        from sim.averaged.square_root import EnergyLimits, from_energies
 
         line, d = self.theory == "nonintegrable", form.scales.size
         if limit.kind == "q" or (limit.kind == "modal" and line):
@@ -203,7 +203,10 @@ class AveragedSimulation(Transients, Passages, Method):
             form = self._form(self._process(louder))
             slowest, steps = self._steps(form)
             interval, time = 0.5 * slowest, BURN_IN * slowest
-            begun = partial(burnt_in, form, interval=interval, steps=steps, time=time)
+            threads = self.threads or usable_cores()
+            begun = partial(
+                burnt_in, form, interval=interval, steps=steps, time=time, threads=threads
+            )
             return lambda paths, stream: form.energies(begun(paths, stream))
         if start.kind == "energy" and not line:
 

@@ -20,14 +20,13 @@ from cases.comparison.quantity import (
     shown_of,
 )
 from fpk.density import AnyDensity, Density
-from fpk.dynamics import CrossingsMethod
+from fpk.dynamics import CrossingsMethod, upcrossings
 from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Result, Route, silent
 from fpk.number import ErrorKind, Number
 from fpk.observable import Coordinate, Level, observable_name
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
-from fpk.upcrossings import upcrossings
 from sim.diagnostics import FALSE_ALARMS
 
 

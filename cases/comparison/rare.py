@@ -20,9 +20,8 @@ from fpk.system import System
 from sim.montecarlo import MonteCarlo
 from sim.motion.failure_times import LEAST_FAILURES
 from sim.motion.passage import horizon
-from sim.splitting.run import rare_failure
-from sim.splitting.score import ScoreFunction
-from sim.splitting.settings import Splitting
+from sim.splitting.problem import ScoreFunction
+from sim.splitting.run import Splitting, rare_failure
 
 SPLITTING = Route(
     "splitting", "splitting", "splitting", "(6)", "full", True, "#b50c01", make=MonteCarlo

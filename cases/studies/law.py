@@ -16,9 +16,10 @@ from fpk.errors import NotApplicable, NotCertified
 from fpk.method import Method, Progress, silent
 from fpk.observable import observable_name
 from fpk.system import System
-from sim.montecarlo import LEAST_PATHS, MonteCarlo
+from sim.montecarlo import MonteCarlo
 from sim.report import Report
 from sim.schemes import SCHEMES
+from sim.settings import LEAST_PATHS
 
 FULL = "full system (6)"
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)

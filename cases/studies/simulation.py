@@ -17,8 +17,9 @@ from fpk.method import Method, Result, Solves
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
-from sim.montecarlo import LEAST_PATHS, MonteCarlo
+from sim.montecarlo import MonteCarlo
 from sim.report import Report
+from sim.settings import LEAST_PATHS
 
 LARGEST, SMALLEST = 4.0, 2.0**-10
 """Steps tried, in units of the chosen one: beyond the largest no scheme is stable in contact."""

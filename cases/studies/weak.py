@@ -20,8 +20,9 @@ from cases.studies.simulation import (
 from fpk.arrays import Array
 from fpk.errors import NotCertified
 from fpk.system import System
-from sim.montecarlo import LEAST_PATHS, MonteCarlo
+from sim.montecarlo import MonteCarlo
 from sim.schemes import SCHEMES
+from sim.settings import LEAST_PATHS
 
 LEVELS, FEW_LEVELS = 5, 4
 """Number of steps of a study; the second where they are small, as each then takes long."""

@@ -1,146 +1,166 @@
-"""Paths of averaged energies, their histograms and sampling errors."""
+"""Averaged energies as an ensemble, and their questions: densities, first passage, transients."""
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil, inf, nan
+from typing import Any
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.arrays import Array, Integers
 from fpk.bins import BinAxis
 from fpk.errors import InvalidInput
-from fpk.machine import working_time
+from fpk.evolution import Passage, Transient
 from fpk.method import Progress, silent
+from fpk.modulation import Modulation
 from fpk.observable import Coordinate, Observable
 from fpk.sampled_density import SampledDensity
-from sim.averaged.square_root import SquareRootForm, advanced, never
+from sim.arrays import GROUPS, LANES, MAX_TRAJECTORIES, in_blocks
+from sim.averaged.square_root import EnergyLimits, SquareRootForm, from_energies, square_root_step
 from sim.histogram import MARGIN, binned, covering, log_states, sampled_density
+from sim.motion.failure_times import Times, followed_for, passage_of, settled_at
+from sim.motion.limits import AT_LIMIT, STEP_TO_LIMIT, first_step, stages
+from sim.motion.passage import AT_ONCE, Run, followed
+from sim.motion.passing import pass_under
+from sim.motion.rounds import Watch
+from sim.motion.transient import Counted, counted_in_rounds
 from sim.random import stream_of
+from sim.workers import workers_of
 
-BATCHES = 64
-"""Independent batches of paths, each with its own stream of random numbers."""
+GROUP = 4
+"""Blocks of paths that have one stream of random numbers, and are one task of a thread."""
 
-LEAST_PATHS = 4 * BATCHES
-"""Paths at the least: four a batch."""
+STARTS = 1 << 63
+"""Number of the first stream of a seed from which starts are drawn; steps have those before it."""
 
-PILOT_PATHS = 4096
-"""Paths whose largest energies choose the ranges of the histograms."""
+MOST_DRAWS = 3e7
+"""Random numbers at most where no wall time is given, some 20 s of one core: paths are followed for
+no longer than that allows."""
 
-PILOT_SHARE = 0.25
-"""Share of the time that a pilot may take: as many paths as half of those that follow it."""
+Starts = Callable[[int, np.random.Generator], Array]
+"""Energies (paths, d) at time 0, drawn from a stream."""
 
-BINS = (512, 64)
-"""Bins of each axis of a histogram of one and of two energies."""
+
+@dataclass(eq=False)
+class EnergyEnsemble:
+    """Paths of X (paths, d) that advance together from the time ``begin``: an ``Ensemble`` of them.
+
+    Each ``GROUP`` of blocks has a stream of its own of the ``seed``, from ``number`` · 2**32 on:
+    the result does not depend on the workers. Readers see the rows (paths, rows) ``observed``.
+    """
+
+    form: SquareRootForm
+    X: Array
+    dt: float
+    seed: int
+    number: int
+    workers: Any
+    observed: Callable[[Array], Array] = np.asarray
+    modulation: Modulation | None = None
+    begin: float = 0.0
+    streams: list[np.random.Generator] = field(default_factory=list)
+    done: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        """Make the streams."""
+        groups = range(len(self.streams), -(-len(self.X) // (GROUP * LANES)))
+        self.streams = self.streams + [
+            stream_of(self.seed, (self.number << 32) + group) for group in groups
+        ]
+
+    @property
+    def time(self) -> float:
+        """Time of the states."""
+        return self.begin + self.done * self.dt
+
+    def advance(self, steps: int, *arrays: Array, read: Any = None, **_: Any) -> None:
+        """Advance all paths; ``read`` sees each state, in windows of two steps, with its arrays."""
+
+        def advanced(group: int) -> None:
+            paths = slice(group * GROUP * LANES, (group + 1) * GROUP * LANES)
+            X, blocks = self.X[paths], slice(group * GROUP, (group + 1) * GROUP)
+            own, window = [a[blocks] for a in arrays], list[Array]()
+            for k in range(steps):
+                if read and not window:
+                    window = [in_blocks(self.observed(X))]
+                now, stream = self.begin + (self.done + k) * self.dt, self.streams[group]
+                X = square_root_step(self.form, X, self.dt, stream, self.modulation, now)
+                if read:
+                    window.append(in_blocks(self.observed(X)))
+                    if len(window) == 3 or k == steps - 1:
+                        many = len(window) - 1
+                        read(np.stack(window, axis=1), many, self.done + k + 1 - many, *own)
+                        window = window[-1:]
+            after[paths] = X
+
+        after = np.empty_like(self.X)
+        list(self.workers.executor.map(advanced, range(-(-len(self.X) // (GROUP * LANES)))))
+        self.X, self.done = after, self.done + steps
+
+    def onward(self, dt: float) -> "EnergyEnsemble":
+        """Return the motion from the last state on, in steps of another ``dt``."""
+        return replace(self, dt=dt, begin=self.time)
+
+    def keep(self, lanes: Integers) -> None:
+        """Go on with the paths ``lanes``."""
+        self.X = self.X[lanes]
 
 
 def simulate_energies(
-    form: SquareRootForm,
-    observables: Sequence[Observable],
-    *,
-    interval: float,
-    steps: int,
-    time: float,
-    burn_in: float,
-    paths: int = 16384,
-    seed: int = 1,
-    threads: int = 1,
-    seconds: float | None = None,
-    tol: float = inf,
-    failures: Sequence[str] = (),
+    form: SquareRootForm, observables: Sequence[Observable], *, interval: float, steps: int,
+    time: float, burn_in: float, paths: int = 16384, seed: int = 1, threads: int = 1,
+    seconds: float | None = None, tol: float = inf, failures: Sequence[str] = (),
     progress: Progress = silent,
-) -> tuple[SampledDensity, ...]:
+) -> tuple[SampledDensity, ...]:  # fmt: skip
     """Return sampled densities of energies H_i, pairs of them and H = Σ H_i, with their errors.
 
     ``paths`` in all are sampled every ``interval``, in ``steps`` steps, for ``time`` after
-    ``burn_in``. Streams belong to batches of paths: the answer does not depend on ``threads``.
-    Ranges come from a pilot with a stream of its own. ``seconds`` of wall time end it; nothing is
-    certified where they are over in the burn-in.
+    ``burn_in``, at whose end they give the ranges of the histograms. ``seconds`` of wall time end
+    it; nothing is certified where they are over in the burn-in.
 
     Raises ``InvalidInput`` for paths that fill no batches.
     """
-    if paths < LEAST_PATHS or paths % BATCHES:
-        raise InvalidInput("paths", paths, f"use a multiple of {BATCHES}, {LEAST_PATHS} or more")
-    own, samples = paths // BATCHES, max(1, round(time / interval))
-    begun = partial(burnt_in, form, interval=interval, steps=steps, time=burn_in)
-    pilot_ends = Shares(seconds and PILOT_SHARE * seconds, 1).ends(BATCHES)
-    shares = Shares(seconds, threads)
-    pilot = form.energies(begun(PILOT_PATHS, stream_of(seed, BATCHES), pilot_ends))
-    reached = np.array([(0.0, column(pilot, c).max()) for o in observables for c in o])
-    histograms = covering(observables, reached, partial(energy_axis, form), bins=BINS)
-    counts = [np.zeros((BATCHES, h.size + 1), dtype=np.int64) for h in histograms]
-    short, taken = np.zeros(BATCHES, dtype=bool), np.zeros(BATCHES, dtype=np.int64)
-
-    def sample(batch: int) -> None:
-        stream, ends = stream_of(seed, batch), shares.ends(batch)
-        X = begun(own, stream, ends)
-        short[batch] = ends()
-        for number in range(samples):
-            if number and ends():
-                break
-            taken[batch] += own
-            X = advanced(form, X, interval / steps, steps, stream, ends=ends)
-            H = form.energies(X)
+    if paths < 4 * GROUPS or paths % GROUPS:
+        raise InvalidInput("paths", paths, f"use a multiple of {GROUPS}, {4 * GROUPS} or more")
+    start = stream_of(seed, STARTS).exponential(form.scales, (paths, form.scales.size))
+    watch, samples, taken = Watch(seconds or inf, lambda: False), max(1, round(time / interval)), 0
+    with workers_of(None, threads) as workers:
+        ensemble = EnergyEnsemble(form, start, interval / steps, seed, 0, workers)
+        for _ in range(ceil(burn_in / interval)):
+            if not watch.ends():
+                ensemble.advance(steps)
+        failures = [*failures]
+        if watch.ends():
+            failures.append(f"{seconds or 0.0:.3g} s were over in the burn-in; give it more time")
+        H = form.energies(ensemble.X)
+        reached = np.array([(0.0, column(H, c).max()) for o in observables for c in o])
+        histograms = covering(observables, reached, partial(energy_axis, form))
+        counts = [np.zeros((GROUPS, h.size + 1), dtype=np.int64) for h in histograms]
+        while taken < samples and not (taken and watch.ends()):
+            ensemble.advance(steps)
+            H, taken = form.energies(ensemble.X), taken + 1
             for total, histogram in zip(counts, histograms, strict=True):
-                total[batch] += histogram.counted([column(H, c) for c in histogram.observable])[0]
-
-    with ThreadPoolExecutor(threads) as pool:
-        for done, _ in enumerate(pool.map(sample, range(BATCHES)), start=1):
-            progress(done, BATCHES, "averaged simulation")
-    over = f"{seconds or 0.0:.3g} s were over in the burn-in; give it more time"
-    too_short = [over] if short.any() else []
-    densities = []
-    for histogram, total in zip(histograms, counts, strict=True):
-        density = sampled_density(
-            histogram,
-            total,
-            taken=int(taken.sum()),
-            residual=nan,  # no identity of the averaged equations is evaluated
-            tol=tol,
-            failures=[*failures, *too_short],
-        )
-        densities.append(replace(density, values=density.batch_values.mean(axis=0)))
-    return tuple(densities)
+                total += histogram.counted([column(H, c) for c in histogram.observable], GROUPS)
+            progress(taken, samples, "averaged simulation")
+    # No identity of the averaged equations is evaluated.
+    known: dict[str, Any] = {"residual": nan, "tol": tol, "failures": failures}
+    return tuple(
+        sampled_density(histogram, total, taken=paths * taken, **known)
+        for histogram, total in zip(histograms, counts, strict=True)
+    )
 
 
 def burnt_in(
-    form: SquareRootForm,
-    paths: int,
-    stream: np.random.Generator,
-    ends: Callable[[], bool] = never,
-    *,
-    interval: float,
-    steps: int,
-    time: float,
-) -> Array:
-    """Return X (paths, d) after ``time``, in intervals of ``steps`` each, from exponential ones.
-
-    Or from the step on after which it ``ends()``.
-    """
-    X = stream.exponential(form.scales, (paths, form.scales.size))
-    return advanced(form, X, interval / steps, ceil(time / interval) * steps, stream, ends=ends)
-
-
-@dataclass(frozen=True)
-class Shares:
-    """The ``seconds`` of wall time from now on, None for ever, of batches in ``threads``."""
-
-    seconds: float | None
-    threads: int
-    begin: float = field(default_factory=working_time)
-
-    def ends(self, batch: int, part: float = 1.0) -> Callable[[], bool]:
-        """Return what says that a batch, which begins now, has had a ``part`` of its share.
-
-        Batches begin in order. What one takes less, or more, those that follow have more, or less.
-        """
-        if self.seconds is None:
-            return never
-        now, turns = working_time(), -(-BATCHES // self.threads)
-        end = self.begin + self.seconds * min(1.0, (batch // self.threads + 1) / turns)
-        end = now + part * (end - now)
-        return lambda: working_time() > end
+    form: SquareRootForm, paths: int, stream: np.random.Generator, *, interval: float, steps: int,
+    time: float, threads: int = 1,
+) -> Array:  # fmt: skip
+    """Return X (paths, d) after ``time``, in intervals of ``steps`` each, from exponential ones."""
+    start, seed = stream.exponential(form.scales, (paths, form.scales.size)), stream.integers(2**63)
+    with workers_of(None, threads) as workers:
+        ensemble = EnergyEnsemble(form, start, interval / steps, int(seed), 0, workers)
+        ensemble.advance(ceil(time / interval) * steps)
+    return ensemble.X
 
 
 def energy_axis(
@@ -158,3 +178,123 @@ def energy_axis(
 def column(H: Array, coordinate: Coordinate) -> Array:
     """Return one energy of the columns of H (paths, d), or their sum."""
     return np.asarray(H.sum(axis=1) if coordinate.index is None else H[:, coordinate.index])
+
+
+def energy_passage(
+    form: SquareRootForm, limits: EnergyLimits, starts: Starts, times: Array, *, dt: float,
+    memory: float, paths: int, seed: int, modulation: Modulation | None = None, threads: int = 1,
+    seconds: float | None = None, tol: float = inf, progress: Progress = silent,
+) -> Passage:  # fmt: skip
+    """Return the first passage of any of ``limits`` in steps of dt/2, beside steps of ``dt``.
+
+    Where steps are exact (``form.damping`` None) both see the same paths, else paths of their own.
+    Between steps each distance to a limit is a Brownian bridge. Paths are followed until they fail,
+    for the cost of ``MOST_DRAWS``, or for ``seconds`` of wall time; as ``followed_for`` says where
+    the noise ends. ``memory`` as of ``passage_of``.
+
+    Raises ``InvalidInput`` for starts that all lie beyond a limit.
+    """
+    own, exact = min(-(-paths // LANES) * LANES, AT_ONCE), form.damping is None
+    rounds, values = -(-paths // own), limits.values
+    # From rest the mean of Σ w X under the largest noise is the limit L at the time L/(w · d).
+    loudest = 1.0 if modulation is None else modulation.largest
+    dt = min(dt, STEP_TO_LIMIT / (loudest * float(np.max(limits.weights @ form.noise / values))))
+    first = first_step(dt, times)
+    most = MOST_DRAWS / ((2 if exact else 3) * rounds * own * form.noise.size)
+    most = (most if seconds is None else 2.0**40) * dt  # the wall time ends it before
+    horizon = followed_for(most, float(np.max(times, initial=0.0)), modulation)
+    see = partial(
+        pass_under, modulation=modulation, first=0, rows=form.noise.size + np.arange(values.size),
+        limits=values, diffusion=limits.diffusion(form),
+    )  # fmt: skip
+
+    def both(
+        trace: Array, samples: int, done: int, *arrays: Array, dt: float, begin: float
+    ) -> None:
+        """Read every step, and every second one, of the same paths."""
+        see(trace, samples, done, *arrays[:2], dt=dt, begin=begin)
+        half = np.ascontiguousarray(trace[:, ::2])
+        see(half, samples // 2, done // 2, *arrays[2:], dt=2.0 * dt, begin=begin)
+
+    rows: list[Array] = []
+
+    def failed(number: int) -> float:
+        stream = stream_of(seed, STARTS + number)
+        X = from_energies(form, starts(own, stream))
+        past = np.any(AT_LIMIT * values <= X @ limits.weights.T, axis=1)
+        chance = stream.exponential(size=(own, values.size))  # see ``pass_energies``
+        reads: Any = [(2, both, (0, 1))] if exact else [(2, see, (0,)), (1, see, (1,))]
+        runs: list[Run] = []
+        for k, (many, read, which) in enumerate(reads):
+            paths = EnergyEnsemble(
+                form, X, first / many, seed, 2 * number + k, workers, limits.rows, modulation
+            )
+            make = partial(lambda read, h, begin: partial(read, dt=h, begin=begin), read)
+            runs.append((paths, many, make, which))
+        steps = stages(first, dt, horizon, most=1)
+        rows.append(followed(runs, past, chance, steps, horizon, horizon, watch.ends, progress))
+        return 0.0
+
+    with workers_of(None, threads) as workers:
+        watch = Watch(seconds or inf, lambda: False)
+        watch.until(failed, least=rounds, most=rounds)
+    return passage_of(
+        Times(*np.hstack(rows)),
+        times,
+        limit=limits.name,
+        step=first,
+        memory=memory,
+        tol=tol,
+        settled=settled_at(modulation),
+        failures=(),
+        settings={
+            "dt": 0.5 * dt,
+            "coarse dt": dt,
+            "steps": "exact" if exact else "Strang splitting",
+            "seed": seed,
+        },
+    )
+
+
+def energy_transient(
+    form: SquareRootForm, observable: Observable, starts: Starts, times: Array,
+    at: tuple[Array, ...], *, dt: float, paths: int, seed: int,
+    modulation: Modulation | None = None, threads: int = 1, seconds: float | None = None,
+    tol: float | None = None, progress: Progress = silent,
+) -> Transient:  # fmt: skip
+    """Return the densities of energies at ``times`` at the points ``at``, with standard errors.
+
+    Where ``form.damping`` is None one exact step leads from time to time, and no error is that of a
+    step; else it is in the error, ``counted_in_rounds``, and both steps have paths of their own.
+    Two rounds of ``paths`` are made; with ``tol`` more until the expected L1 error is below it at
+    all times, or ``seconds`` of wall time have passed.
+    """
+    exact = form.damping is None
+    axis, gaps = partial(energy_axis, form), np.diff(times, prepend=0.0)
+    counted = Counted(observable, lambda H: [column(H, c) for c in observable], axis)
+
+    def states(number: int) -> Iterator[tuple[Array, Array | None]]:
+        start = from_energies(form, starts(paths, stream_of(seed, STARTS + number)))
+        runs = [
+            EnergyEnsemble(form, start, 0.0, seed, 2 * number + k, workers, modulation=modulation)
+            for k in range(1 if exact else 2)
+        ]
+        for gap in gaps.tolist():
+            for k, (run, longest) in enumerate(zip(runs, (0.5 * dt, dt), strict=False)):
+                steps = 0 if gap == 0.0 else 1 if exact else ceil(gap / longest * (1.0 - 1e-12))
+                runs[k] = run.onward(gap / max(1, steps))
+                runs[k].advance(steps)
+            if watch.ends():
+                if not number:
+                    raise InvalidInput("seconds", seconds, "are over in the first round; give more")
+                return
+            yield form.energies(runs[0].X), None if exact else form.energies(runs[1].X)
+
+    with workers_of(None, threads) as workers:
+        # Without an error that is wanted two rounds are enough, whatever the time.
+        watch = Watch(seconds or inf, lambda: False, inf if tol is None else tol)
+        return counted_in_rounds(
+            counted, states, times, at, watch, dt, rounds=2, least=2,
+            most=max(2, MAX_TRAJECTORIES // paths), what="transient, averaged", progress=progress,
+            settings={"seed": seed, "steps": "exact" if exact else "Strang splitting"},
+        )  # fmt: skip

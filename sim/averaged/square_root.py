@@ -1,4 +1,4 @@
-"""Averaged energies as square-root processes, Eqs. (9), (17): the form that exact steps need."""
+"""Averaged energies as square-root processes, Eqs. (9), (17): their form, exact steps, limits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,31 +10,18 @@ from fpk.errors import NotApplicable, NotCertified
 from fpk.modulation import Modulation
 from fpk.process import Process, log_density_slope
 from fpk.quadrature import panel_rule
+from sim.motion.passing import NATS, Diffusion
 
 Function = Callable[[Array], Array]
 
 NEAR_ZERO = 1e-7
 """Energy, in units of the process's scale, below which γ is that at this energy."""
 
-PROBES = 64
-"""Random energies at which coefficients are compared to see whether they are constants."""
-
 ALIKE = 1e-12
-"""Relative spread over the probes below which a coefficient counts as a constant."""
-
-NATS = 40.0
-"""Fall of ln p up to the last energy of the table: 4e-18 of the mass lies beyond."""
-
-CELLS = 4096
-"""Cells of the tables; linear interpolation between them is good to 1e-7."""
+"""Relative spread over random energies below which a coefficient counts as a constant."""
 
 FIRST = 8
 """Cells next to 0 with the γ of the next one: a difference of equal numbers is divided by X."""
-
-
-def never() -> bool:
-    """Return that it does not end."""
-    return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +66,7 @@ def square_root_form(process: Process) -> SquareRootForm:
     Raises ``NotApplicable`` where β_i or d_i depends on the energies, or b_ij ≠ 0.
     """
     scales = np.array(process.energy_scales)
-    probes = np.random.default_rng(0).exponential(scales, (PROBES, scales.size))
+    probes = np.random.default_rng(0).exponential(scales, (64, scales.size))
     d, b = process.at(np.zeros((1, scales.size))).drift[0], process.at(probes).diffusion
     for i in range(scales.size):
         edge = process.at(np.where(np.arange(scales.size) == i, 0.0, probes)).drift[:, i]
@@ -118,7 +105,14 @@ def line_form(process: Process) -> SquareRootForm:
     n degrees of freedom: steps are of weak order two, but where contact has no clearance, where γ
     is steep next to 0. Raises ``NotApplicable`` where the density does not fall off.
     """
-    nodes = _last_energy(process) * np.linspace(0.0, 1.0, CELLS + 1) ** 2
+    grid = process.energy_scale * np.logspace(-3.0, 3.0, 600)
+    slope = log_density_slope(process.coefficients(grid))
+    log_p = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(grid))])
+    deep = np.flatnonzero(np.maximum.accumulate(log_p) - log_p > NATS)
+    if not deep.size:
+        raise NotApplicable("the density of the energy does not fall off: nothing is stationary")
+    # Linear interpolation between 4096 cells is good to 1e-7.
+    nodes = float(grid[deep[0]]) * np.linspace(0.0, 1.0, 4097) ** 2
     # H = t²: the integrand 2 t/√b(t²) is smooth at 0, where b ~ H.
     t, w = panel_rule(np.sqrt(nodes), 4)
     b = process.coefficients((t**2).ravel()).diffusion.reshape(t.shape)
@@ -152,24 +146,45 @@ def line_form(process: Process) -> SquareRootForm:
     )
 
 
-def _last_energy(process: Process) -> float:
-    grid = process.energy_scale * np.logspace(-3.0, 3.0, 600)
-    slope = log_density_slope(process.coefficients(grid))
-    log_p = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(grid))])
-    deep = np.flatnonzero(np.maximum.accumulate(log_p) - log_p > NATS)
-    if not deep.size:
-        raise NotApplicable("the density of the energy does not fall off: nothing is stationary")
-    return float(grid[deep[0]])
+@dataclass(frozen=True, eq=False)
+class EnergyLimits:
+    """Limits of sums of X: ``weights`` (limits, d) · X reaches ``values`` (limits,).
+
+    A sum S of square-root processes has dS = … + σ dB, σ² = Σ w² β X; as the noise moves S by 1 it
+    moves σ² by Σ w³ β² X/σ². Both are forms of the momenta √X, as ``pass_energies`` has them.
+    """
+
+    weights: Array
+    values: Array
+    name: str
+
+    def diffusion(self, form: SquareRootForm) -> Diffusion:
+        """Return the forms of σ², and of its growth; at rest one energy alone begins to move."""
+        w, one = self.weights[:, :, None], np.eye(form.slope.size)
+        slope = form.slope[:, None]
+        return Diffusion(w**2 * slope * one, w**3 * slope**2 * one, np.max(w * slope, axis=(1, 2)))
+
+    def rows(self, X: Array) -> Array:
+        """Return √X and the sums, (paths, d + limits)."""
+        return np.hstack([np.sqrt(X), X @ self.weights.T])
+
+
+def from_energies(form: SquareRootForm, energies: Array) -> Array:
+    """Return X (paths, d) of ``energies``: by bisection, ``form.energies`` being monotone."""
+    low, high = np.zeros_like(energies), np.broadcast_to(form.scales, energies.shape).copy()
+    while np.any(below := form.energies(high) < energies):
+        high[below] *= 2.0
+    for _ in range(60):  # to the last digit
+        middle = 0.5 * (low + high)
+        below = form.energies(middle) < energies
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return np.asarray(high)
 
 
 def square_root_step(
-    form: SquareRootForm,
-    X: Array,
-    dt: float,
-    stream: np.random.Generator,
-    modulation: Modulation | None = None,
-    begin: float = 0.0,
-) -> Array:
+    form: SquareRootForm, X: Array, dt: float, stream: np.random.Generator,
+    modulation: Modulation | None = None, begin: float = 0.0,
+) -> Array:  # fmt: skip
     """Draw X (paths, d) one step later, by Strang splitting; it stays positive.
 
     Half a step of the damping beyond the linear, ``dX = −(γ(X) − γ₀) X dt`` by an exponential
@@ -183,47 +198,26 @@ def square_root_step(
     """
     factor = 1.0 if modulation is None else float(modulation.mean_square(np.array(begin), dt))
     form = form if modulation is None else form.under(factor)
-    X = _damped(form, X, 0.5 * dt)
+
+    def damped(X: Array) -> Array:
+        if form.damping is None:
+            return X
+        middle = X * np.exp(-0.25 * dt * form.damping(X))
+        return np.asarray(X * np.exp(-0.5 * dt * form.damping(middle)))
+
+    X = damped(X)
     # (1 − e^{−γt})/γ, also for γ = 0.
     nonzero = np.where(form.linear, form.linear, 1.0)
     grown = np.where(form.linear == 0.0, dt, -np.expm1(-form.linear * dt) / nonzero)
     decay = np.exp(-form.linear * dt)
     if factor == 0.0:
-        return _damped(form, X * decay, 0.5 * dt)
+        return damped(X * decay)
     if modulation is not None:
         grown = modulation.faded(begin, begin + dt, form.linear) / factor
     k = 0.25 * form.slope * grown
     freedom = 4.0 * form.noise / form.slope
-    X = _damped(form, k * stream.noncentral_chisquare(freedom, X * decay / k), 0.5 * dt)
+    X = damped(k * stream.noncentral_chisquare(freedom, X * decay / k))
     if not np.isfinite(X).all():
         words = "energies left the range of double precision: steps of"
         raise NotCertified(f"{words} {dt:g} are unstable; use a smaller step")
     return X
-
-
-def advanced(
-    form: SquareRootForm,
-    X: Array,
-    dt: float,
-    steps: int,
-    stream: np.random.Generator,
-    modulation: Modulation | None = None,
-    begin: float = 0.0,
-    ends: Callable[[], bool] = never,
-) -> Array:
-    """Draw X (paths, d) so many ``steps`` of ``dt`` later, or after that in which it ``ends()``.
-
-    The noise is as of ``square_root_step``.
-    """
-    for k in range(steps):
-        X = square_root_step(form, X, dt, stream, modulation, begin + k * dt)
-        if ends():
-            break
-    return X
-
-
-def _damped(form: SquareRootForm, X: Array, dt: float) -> Array:
-    if form.damping is None:
-        return X
-    middle = X * np.exp(-0.5 * dt * form.damping(X))
-    return np.asarray(X * np.exp(-dt * form.damping(middle)))

@@ -19,12 +19,10 @@ from fpk.system import System
 from sim.arrays import LANES, in_rows
 from sim.checkpoint import interruptible
 from sim.ensemble import Ensemble, Reader, ensemble_from
-from sim.montecarlo import LEAST_PATHS, MonteCarlo
 from sim.motion.starts import Origin
 from sim.random import OTHER_SEED
+from sim.settings import LEAST_PATHS, Settings
 from sim.workers import workers_of
-
-STATIONARY = Start("noise", {"noise": 1.0})
 
 MOST_STEPS, MOST_SAMPLES = 1 << 22, 64
 """Steps of all trajectories, and samples of each, after which the wall time is looked at: some ten
@@ -89,9 +87,10 @@ class Watch:
 
 @contextmanager
 def working(
-    method: MonteCarlo, system: System, tol: float | None, start: Start = STATIONARY
+    method: Settings, system: System, tol: float | None, start: Start | None = None
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield workers, the watch, and what draws states of the ``start``."""
+    """Yield workers, the watch, and what draws states of the ``start`` (None: stationary ones)."""
+    start = start or Start("noise", {"noise": 1.0})
     seconds = method.seconds or (method.longest if tol is not None else inf)
     with (
         workers_of(method.cluster, method.threads or usable_cores()) as workers,
@@ -99,6 +98,11 @@ def working(
     ):
         watch = Watch(seconds, stopped, tol)
         yield workers, watch, Origin(system, start, method.seed, method.burn_in, workers, watch)
+
+
+def seed_of(seed: int, number: int) -> int:
+    """Return the seed of round ``number`` of trajectories."""
+    return (seed + number * OTHER_SEED) % 2**64
 
 
 def both_steps(
@@ -112,18 +116,10 @@ def both_steps(
 
 
 def in_rounds(
-    method: MonteCarlo,
-    system: System,
-    wanted: float | None,
-    steps: Sequence[tuple[float, int, bool]],
-    samples: int,
-    numbers: tuple[int, ...],
-    read: Reader,
-    estimate: Callable[[list[Array], Array], float],
-    *,
-    what: str,
-    progress: Progress,
-) -> tuple[int, list[str]]:
+    method: Settings, system: System, wanted: float | None,
+    steps: Sequence[tuple[float, int, bool]], samples: int, numbers: tuple[int, ...], read: Reader,
+    estimate: Callable[[list[Array], Array], float], *, what: str, progress: Progress,
+) -> tuple[int, list[str]]:  # fmt: skip
     """Follow trajectories until ``estimate`` is content; return how many, and what went wrong.
 
     ``steps`` are those of simulations with the same random numbers: dt, how many lie between
@@ -141,7 +137,7 @@ def in_rounds(
 
     def followed(number: int) -> float | None:
         nonlocal rounds
-        seed = (method.seed + number * OTHER_SEED) % 2**64
+        seed = seed_of(method.seed, number)
         q, p = origin.drawn(own, number)
         with left_out():
             running = [

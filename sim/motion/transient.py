@@ -1,6 +1,6 @@
-"""Transient densities of the full system (6), counted in groups of trajectories at two steps."""
+"""Transient densities by simulation, counted in groups of trajectories at two steps."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from math import ceil, inf
@@ -13,83 +13,53 @@ from fpk.certificate import Measured, certify, outside, tolerance, worst
 from fpk.errors import InvalidInput
 from fpk.evolution import Transient, TransientAsked
 from fpk.machine import left_out
+from fpk.method import Progress
 from fpk.observable import Observable
 from fpk.sampled_density import SampledDensity
 from fpk.system import effects_of
-from sim.arrays import LANES, MAX_TRAJECTORIES, in_rows
-from sim.ensemble import ensemble_from
-from sim.histogram import (
-    Histogram,
-    axis_of,
-    covering,
-    rises,
-    sampled_density,
-    unresolved_words,
-    values_of,
-)
-from sim.montecarlo import MonteCarlo
-from sim.motion.limits import Reach, largest_energy, temperature_reached
-from sim.motion.rounds import working
+from sim import histogram
+from sim.arrays import GROUPS, LANES, MAX_TRAJECTORIES, in_rows
+from sim.ensemble import Ensemble, ensemble_from
+from sim.motion import limits
+from sim.motion.rounds import Watch, both_steps, seed_of, working
 from sim.motion.starts import Origin
-from sim.motion.steps import motion_step, needs_steps, require_times
-from sim.random import OTHER_SEED
 from sim.reachable import loudest
+from sim.settings import Settings
 from sim.step_size import REACHED
-
-GROUPS = 64
-"""Independent batches of trajectories, from which errors are taken."""
-
-ROUNDS = 8
-"""Rounds of ``paths`` trajectories where neither an error nor a time is wanted."""
 
 CHUNK = 512
 """Steps at most from one sample to the next, so that Ctrl-C comes through."""
 
 
-def transient(method: MonteCarlo, asked: TransientAsked) -> Transient:
+def transient(method: Settings, asked: TransientAsked) -> Transient:
     """Return the densities that are asked for with one standard error.
 
     In the error is, in quadrature, what changes at the step dt instead of dt/2, by the same random
-    numbers. ``asked.tol`` is the expected L1 error wanted at every time.
+    numbers. ``asked.tol`` is the expected L1 error wanted at every time; eight rounds of ``paths``
+    are made where neither it nor a time is given.
     """
     system, observable, start, times = asked.system, asked.observable, asked.start, asked.times
-    require_times(times)
+    limits.require_times(times)
     wanted = tolerance(asked.tol, method.tol)
     loud = loudest(system)
-    kT = temperature_reached(loud, start, float(np.max(times)))
-    reach = Reach(kT, largest_energy(system, start) + REACHED * kT)
-    dt, failures = motion_step(method, loud, reach, error=wanted)
+    kT = limits.temperature_reached(loud, start, float(np.max(times)))
+    reach = limits.Reach(kT, limits.largest_energy(system, start) + REACHED * kT)
+    dt, failures = limits.motion_step(method, loud, reach, error=wanted)
     mirror = effects_of(system).mirror and (start.kind != "state" or start.rest)
     paths = -(-method.paths // LANES) * LANES
 
     def read(states: Array) -> list[Array]:
         q, p = np.split(states, 2, axis=1)
-        return [values_of(system, c, q, p) for c in observable]
+        return [histogram.values_of(system, c, q, p) for c in observable]
 
-    axis = partial(axis_of, system)
-    histograms = Counted(observable, read, axis, mirror)
-
-    def counted(number: int) -> float:
-        rows = ensembles(origin, times, paths, number, dt)
-        for k, (fine, coarse) in enumerate(rows):
-            histograms.add(k, times[k], fine, coarse)
-            done = ROUNDS * len(times)
-            asked.progress(min(done, number * len(times) + k + 1), done, "transient")
-        return inf if wanted is None else histograms.error
-
+    counted = Counted(observable, read, partial(histogram.axis_of, system), mirror)
     with working(method, system, wanted, start) as (_, watch, origin):
-        least = ROUNDS if wanted is None else 1
-        watch.until(counted, least=least, most=MAX_TRAJECTORIES // paths)
-        failures += watch.interruption()
-    return answer_of(
-        histograms,
-        times,
-        asked.at,
-        dt,
-        settings={"seed": method.seed, "scheme": method.scheme},
-        failures=failures,
-        tol=inf if wanted is None else wanted,
-    )
+        return counted_in_rounds(
+            counted, lambda number: ensembles(origin, times, paths, number, dt), times, asked.at,
+            watch, dt, rounds=8, least=8 if wanted is None else 1, most=MAX_TRAJECTORIES // paths,
+            what="transient", progress=asked.progress, failures=failures,
+            settings={"seed": method.seed, "scheme": method.scheme},
+        )  # fmt: skip
 
 
 def ensembles(
@@ -100,35 +70,38 @@ def ensembles(
     The second is None where the step has no error: it is then as long as the time. Where the watch
     of the origin ends it there are no more; in the first round it raises ``InvalidInput``.
     """
-    system, seed = origin.system, (origin.seed + number * OTHER_SEED) % 2**64
-    stepped = needs_steps(system) or system.modulation is not None
-    q, p = origin.drawn(paths, number)
-    states = [np.hstack([q, p]) for _ in range(2 if stepped else 1)]
-    words, now = [0, 0], 0.0
-    for time in times:
+    system, seed, now, running = origin.system, seed_of(origin.seed, number), 0.0, list[Ensemble]()
+    stepped = limits.needs_steps(system) or system.modulation is not None
+    q, p, many = *origin.drawn(paths, number), (2, 1) if stepped else (1,)
+    for time in times.tolist():
         if time > now:
             steps = ceil((time - now) / dt) if stepped else 1
             parts = ceil(steps / CHUNK)
             stride = ceil(steps / parts)
             long = (time - now) / (parts * stride)
-            for k, many in enumerate((2, 1) if stepped else (1,)):
-                q, p = np.split(states[k], 2, axis=1)
-                with left_out():
-                    ensemble = ensemble_from(
-                        system, q, p, long / many, seed, halved=k == 1, word=words[k],
-                        workers=origin.workers, modulation=system.modulation, begin=now,
+            with left_out():
+                if running:
+                    pairs = zip(running, many, strict=True)
+                    running = [ensemble.onward(long / each) for ensemble, each in pairs]
+                elif stepped:
+                    running = both_steps(
+                        system, q, p, long, seed, workers=origin.workers,
+                        modulation=system.modulation,
                     )  # fmt: skip
+                else:
+                    running = [ensemble_from(system, q, p, long, seed, workers=origin.workers)]
+            for ensemble, each in zip(running, many, strict=True):
                 for done in range(parts):
-                    ensemble.advance(stride * many, stride=stride * many)
+                    ensemble.advance(stride * each, stride=stride * each)
                     if origin.watch and origin.watch.ends():
                         if number:  # what there is will do
                             return
                         share = (now + (time - now) * (done + 1) / parts) / times[-1]
                         origin.watch.require("the first round", share)
-                states[k] = in_rows(ensemble.last)[:, : 2 * system.n]
-                words[k] = ensemble.next_word
-        now = float(time)
-        yield states[0], states[1] if stepped else None
+        now = time
+        states = [in_rows(ensemble.last)[:, : 2 * system.n] for ensemble in running]
+        states = states or [np.hstack([q, p])]
+        yield states[0], states[-1] if stepped else None
 
 
 @dataclass(eq=False)
@@ -144,7 +117,7 @@ class Counted:
     read: Callable[[Array], Sequence[Array]]
     axis: Callable[..., BinAxis]
     mirror: bool = False
-    histograms: list[Histogram] = field(default_factory=list)
+    histograms: list[histogram.Histogram] = field(default_factory=list)
     counts: list[Integers] = field(default_factory=list)  # of each time: (2, GROUPS, bins + 1)
     paths: list[int] = field(default_factory=list)
     stepped: bool = False
@@ -163,8 +136,8 @@ class Counted:
                 energies = [
                     x for c, x in zip(self.observable, columns, strict=True) if c.kind == "H"
                 ]
-                axis = partial(self.axis, rises=any(map(rises, energies)))
-                self.histograms += covering([self.observable], reached, axis)
+                axis = partial(self.axis, rises=any(map(histogram.rises, energies)))
+                self.histograms += histogram.covering([self.observable], reached, axis)
                 self.counts.append(np.zeros((2, GROUPS, self.histograms[k].size + 1), np.int64))
                 self.paths.append(0)
             self.counts[k][which] += self.histograms[k].counted(columns, GROUPS)
@@ -173,29 +146,36 @@ class Counted:
     def densities(self, which: int = 0) -> list[SampledDensity]:
         """Return the densities at all times, of the finer simulation or the coarser one (1)."""
         return [
-            sampled_density(
-                histogram, counts[which], taken=paths, mirror=self.mirror, everywhere=False
+            histogram.sampled_density(
+                bins, counts[which], taken=paths, mirror=self.mirror, everywhere=False
             )
-            for histogram, counts, paths in zip(
-                self.histograms, self.counts, self.paths, strict=True
-            )
+            for bins, counts, paths in zip(self.histograms, self.counts, self.paths, strict=True)
         ]
 
-    @property
-    def error(self) -> float:
-        """Largest expected L1 error of the densities at all times, of the finer simulation."""
-        return max(density.l1_error for density in self.densities())
 
-
-def answer_of(
-    counted: Counted, times: Array, at: tuple[Array, ...], dt: float, *,
-    settings: Mapping[str, str | float | int], failures: Sequence[str] = (), tol: float,
+def counted_in_rounds(
+    counted: Counted, states: Callable[[int], Iterable[tuple[Array, Array | None]]], times: Array,
+    at: tuple[Array, ...], watch: Watch, dt: float, *, rounds: int, least: int, most: int,
+    what: str, progress: Progress, settings: Mapping[str, str | float | int],
+    failures: Sequence[str] = (),
 ) -> Transient:  # fmt: skip
     """Return the densities at ``times`` at the points ``at``, ``dt`` being the longer step.
 
-    In the error are, in quadrature, one standard error by the groups and what changes at the longer
-    step. Where the bins do not show the density errors are inf and nothing is certified.
+    ``states(number)`` yields those at each time in a round of trajectories, at half the step and at
+    the step; rounds follow, ``least`` to ``most``, until the ``watch`` ends them; ``progress`` is
+    shown for so many ``rounds``. In the error are, in quadrature, one standard error by the groups
+    and what changes at the longer step. Where the bins do not show the density errors are inf and
+    nothing is certified.
     """
+
+    def error_after(number: int) -> float:
+        done = rounds * len(times)
+        for k, (fine, coarse) in enumerate(states(number)):
+            counted.add(k, times[k], fine, coarse)
+            progress(min(done, number * len(times) + k + 1), done, what)
+        return inf if watch.tol in (None, inf) else max(d.l1_error for d in counted.densities())
+
+    watch.until(error_after, least=least, most=most)
     fine = counted.densities()
     coarse = counted.densities(1) if counted.stepped else fine
     values, errors, bias, wide = [], [], 0.0, list[str]()
@@ -205,7 +185,7 @@ def answer_of(
         values.append(value)
         errors.append(np.where(lost, inf, np.hypot(error, step)))
         if lost.any():
-            wide.append(f"at t = {time:g} {unresolved_words(a)[0]}; ask for later times")
+            wide.append(f"at t = {time:g} {histogram.unresolved_words(a)[0]}; ask for later times")
         bias = max(bias, float(np.max(np.abs(step), initial=0.0)))
     certificates = [density.certificate for density in fine]
     own = dict.fromkeys(words for c in certificates for words in c.failures)
@@ -215,7 +195,7 @@ def answer_of(
         minimum=min((x for c in certificates if (x := c.minimum) is not None), default=None),
         residual=worst(c.residual for c in certificates),
         tail_mass=max(map(outside, certificates)),
-        failures=(*failures, *own, *wide[:1]),
+        failures=(*failures, *watch.interruption(), *own, *wide[:1]),
     )
     settings = {
         "trajectories": min(counted.paths),
@@ -224,5 +204,5 @@ def answer_of(
     }
     if counted.stepped:
         settings |= {"dt": 0.5 * dt, "coarse dt": dt, "largest difference of both": bias}
-    certificate = certify(measured, tol=tol, sampled=True)
+    certificate = certify(measured, tol=inf if watch.tol is None else watch.tol, sampled=True)
     return Transient(times, np.array(values), np.array(errors), "sampling", certificate, settings)

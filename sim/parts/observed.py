@@ -7,11 +7,9 @@ from numba import njit
 
 from fpk.arrays import Array, Integers
 from fpk.compiling import inlined
-from sim.arrays import LANES as W
-from sim.arrays import StepArrays, WatchArrays
+from sim.arrays import StepArrays, W, WatchArrays
 from sim.lanes import add, add_matrix, add_product, copy, fill, kick, row
-from sim.parts.contact import add_contact
-from sim.parts.damping import damping_forces, processed_by_terms, whole_energy
+from sim.parts.forces import add_contact, damping_forces, processed_by_terms, whole_energy
 
 FOLDED = 16
 """Sums of one product over a block of which each lane has no sum of its own: a vector or two."""
@@ -27,12 +25,8 @@ def observed_state(
     for i in range(n):
         copy(row(s, q0 + i, 1, width), row(s, i, 1, width), width)
     for slot in range(slots):
-        add(
-            row(s, q0 + step.slot_mass[slot], 1, width),
-            row(s, g0 + 2 * slot, 1, width),
-            -step.slot_shift[slot],
-            width,
-        )
+        q, g = row(s, q0 + step.slot_mass[slot], 1, width), row(s, g0 + 2 * slot, 1, width)
+        add(q, g, -step.slot_shift[slot], width)
     if momenta:
         for i in range(n):
             copy(row(s, p0 + i, 1, width), row(s, n + i, 1, width), width)
@@ -45,32 +39,8 @@ def observed_state(
                 p[k] *= 1.0 + shift * g[width + k]
         for i in range(n):
             for slot in range(slots):
-                add(
-                    row(s, p0 + i, 1, width),
-                    row(s, g0 + 2 * slot, 1, width),
-                    watch.cross[i, slot],
-                    width,
-                )
-
-
-@inlined
-def observed_energy(s: Array, step: StepArrays, watch: WatchArrays, width: int = W) -> None:
-    """Write kinetic energy and that of the springs of (q*, p*); contact is added elsewhere."""
-    H = row(s, watch.at.energy, 1, width)
-    fill(H, 0.0, width)
-    n = step.half_inverse_mass.size
-    for i in range(n):
-        p = row(s, watch.at.p + i, 1, width)
-        add_product(H, p, p, step.half_inverse_mass[i], width)
-        for j in range(n):
-            K = step.stiffness_matrix[i, j]
-            add_product(
-                H,
-                row(s, watch.at.q + i, 1, width),
-                row(s, watch.at.q + j, 1, width),
-                0.5 * K,
-                width,
-            )
+                force = row(s, g0 + 2 * slot, 1, width)
+                add(row(s, p0 + i, 1, width), force, watch.cross[i, slot], width)
 
 
 @inlined
@@ -107,7 +77,14 @@ def observe(
             whole_energy(s, H, V, step, width)
         processed_by_terms(s, H, at, watch.term_shift, step, width)
     if energy:
-        observed_energy(s, step, watch, width)
+        whole, n = row(s, at.energy, 1, width), step.half_inverse_mass.size
+        fill(whole, 0.0, width)
+        for i in range(n):
+            p = row(s, at.p + i, 1, width)
+            add_product(whole, p, p, step.half_inverse_mass[i], width)
+            for j in range(n):
+                u, v = row(s, at.q + i, 1, width), row(s, at.q + j, 1, width)
+                add_product(whole, u, v, 0.5 * step.stiffness_matrix[i, j], width)
         if contact:
             add_contact(s, at.q, at.energy, step, potential, False, width)
     if modes:
@@ -185,11 +162,3 @@ def count_all(
         own = counts[watch.start[m] :]
         for k in range(live):
             own[index[k]] += 1
-
-
-@inlined
-def trace_state(s: Array, trace: Array, watch: WatchArrays, sample: int) -> None:
-    """Copy the rows ``watch.traced`` of a block to number ``sample`` of its ``trace``."""
-    rows = watch.traced.size
-    for r in range(rows):
-        copy(row(trace, sample * rows + r), row(s, watch.traced[r]))

@@ -24,7 +24,7 @@ class Scheme:
 
     Damping terms act for h/2 before the kicks and, in reverse order, for h/2 after them; where the
     kick is not first for h by Euler's rule. With ``small`` > 1 a step is a long one of so many
-    small ones (``sim.substeps``).
+    small ones (``sim.plan``).
     """
 
     name: str

@@ -4,7 +4,6 @@
 it returns.
 """
 
-from sim.splitting.run import rare_failure
-from sim.splitting.settings import RareFailure, Splitting
+from sim.splitting.run import RareFailure, Splitting, rare_failure
 
 __all__ = ["RareFailure", "Splitting", "rare_failure"]

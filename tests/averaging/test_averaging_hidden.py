@@ -8,10 +8,14 @@ from averaging_systems import TWO_MASSES, chain, exact_system
 from scipy.integrate import cubature
 
 from averaging.closed_form import averaged_density, log_gibbs_norm
-from averaging.conditional import bridge_covariance, conditionals
+from averaging.conditional import (
+    bridge_covariance,
+    conditionals,
+    gibbs_integral,
+    hidden_integral,
+)
 from averaging.energy_process import energy_process
 from averaging.exact import Exact
-from averaging.hidden import HiddenIntegral, gibbs_integral
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import flux_residual
 from fpk.contact import Contact
@@ -138,8 +142,10 @@ def test_conditional_laws_are_those_of_the_stiffness_matrix():
 def test_a_hidden_integral_of_a_gaussian_is_its_determinant():
     system = chain(3)
     laws = conditionals(system, [1, 2])
-    hidden = HiddenIntegral(laws, 0.5, 20.0)
-    total = hidden(lambda E: np.exp(-2.0 * E), np.array([0.3]), np.zeros((0, 1)), points=10)[0]
+    given = np.array([0.3]), np.zeros((0, 1))
+    total = hidden_integral(
+        lambda E: np.exp(-2.0 * E), *given, laws, temperature=0.5, end=20.0, points=10
+    )[0]
     det = np.prod([law.precision for law in laws])
     assert total == pytest.approx(np.exp(-0.6) * np.pi / np.sqrt(det), rel=1e-13)
 
@@ -154,8 +160,9 @@ def test_passes_along_the_chain_are_the_integral_over_all_hidden_masses_at_once(
     at = np.linspace(-0.5, 0.9, 3 * len(observed)).reshape(len(observed), 3)
     laws = conditionals(system, [*observed, *hidden])[len(observed) :]
     T = 0.5
-    direct = HiddenIntegral(laws, T, 40.0 * T)(
-        lambda V: np.exp(-V / T), np.zeros(at.shape[1]), at, points=12
+    zero = np.zeros(at.shape[1])
+    direct = hidden_integral(
+        lambda V: np.exp(-V / T), zero, at, laws, temperature=T, end=40.0 * T, points=12
     )
     scale = np.prod([np.sqrt(2.0 * np.pi * T / law.precision) for law in laws])
     value, error = gibbs_integral(system, observed, at, temperature=T, points=12)

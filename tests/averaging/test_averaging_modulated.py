@@ -12,7 +12,7 @@ from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.limit import parse_limit
-from fpk.line.time.stepping import Matrices, steps_of
+from fpk.line.time.modulated import steps_of
 from fpk.method import silent
 from fpk.modulation import Modulation
 from fpk.observable import parse_observable
@@ -184,12 +184,12 @@ def test_the_tolerance_that_is_asked_for_is_the_one_that_judges(name, monkeypatc
 
 
 def test_steps_of_nothing_have_no_residual_and_one_that_is_no_number_stays(recwarn):
-    m = Matrices(*[csc_array(np.eye(2))] * 4)
+    m = (csc_array(np.eye(2)),) * 3
     always, times = Modulation([0.0], [1.0]), np.array([1.0])
-    for step in steps_of(m, np.zeros(2), always, 1.0, times, level=0):
-        assert step.residual == 0.0 and not step.stages.any() and not recwarn.list
-    for step in steps_of(m, np.array([np.nan, 1.0]), always, 1.0, times, level=0):
-        assert np.isnan(step.residual)
+    for _, _, stages, residual in steps_of(m, np.zeros(2), always, 1.0, times, level=0):
+        assert residual == 0.0 and not stages.any() and not recwarn.list
+    for *_, residual in steps_of(m, np.array([np.nan, 1.0]), always, 1.0, times, level=0):
+        assert np.isnan(residual)
 
 
 def test_after_the_noise_none_fails():

@@ -13,9 +13,8 @@ from averaging.integrable import Integrable
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import LEAF, expanded, inverted
 from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference
-from averaging.phase_space.marginals import marginal
+from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.moments import moments
 from averaging.phase_space.reference import start
 from averaging.phase_space.refinement import least_distance
 from cases.comparison.compare import compared
@@ -67,8 +66,8 @@ def wrong(frame, factor):
     return Reference(right.slope, right.offset, factor * right.covariance, right.weight / factor)
 
 
-def true_error(frame, expansion, exact):
-    panels, pdf = marginal(frame, expansion, exact.observable)
+def true_error(expansion, exact):
+    panels, pdf = marginal(expansion, exact.observable)
     mesh, grids = gauss_grid(panels)
     return integral(np.abs(pdf(*mesh) - exact(*mesh)), grids)
 
@@ -108,7 +107,6 @@ def test_the_expansion_converges_to_gibbs_about_a_wrong_temperature(factor):
     (exact,) = Exact().solve(system, [parse_observable("q2", 2)]).densities
     errors = [
         true_error(
-            frame,
             expanded(frame, wrong(frame, factor), Degrees(N, 6, N + 4)),
             exact,
         )
@@ -125,7 +123,7 @@ def test_moments_of_a_linear_system_are_those_of_the_lyapunov_equation():
     expansion = expanded(frame, gibbs_reference(frame), Degrees(8, 6, 8))
     order = [*frame.order, *(2 + i for i in frame.order)]
     exact = stationary_covariance(system)[np.ix_(order, order)]
-    assert moments(frame, expansion).covariance == pytest.approx(exact, rel=1e-10, abs=1e-12)
+    assert moments(expansion).covariance == pytest.approx(exact, rel=1e-10, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -242,7 +240,7 @@ def test_errors_between_two_stops_on_a_side_fall_with_the_degrees():
     errors = []
     for degrees in (Degrees(17, 6, 18), Degrees(25, 7, 22), Degrees(25, 7, 34)):
         e = expanded(frame, wrong(frame, 1.3), degrees)
-        panels, pdf = marginal(frame, e, observable)
+        panels, pdf = marginal(e, observable)
         mesh, grids = gauss_grid(list(map(np.union1d, panels, exact.panels)))
         errors.append(integral(np.abs(pdf(*mesh) - exact.pdf(*mesh)), grids))
     assert errors[1] < 0.2 * errors[0] and errors[2] < 0.5 * errors[1]
@@ -289,7 +287,7 @@ def test_a_variance_that_is_not_positive_is_no_answer():
     wrong_sign = replace(right, levels=tuple(levels))
     for pair in ((right, wrong_sign), (wrong_sign, right)):
         with pytest.raises(np.linalg.LinAlgError, match="variance"):
-            least_distance(frame, *pair)
+            least_distance(*pair)
 
 
 def test_a_tolerance_out_of_reach_gives_the_best_answer_that_work_allows():

@@ -7,13 +7,13 @@ from asked import TURNED, ask
 import fpk
 from averaging.exact import Exact
 from averaging.gaussian import Linear
-from averaging.phase_space.dynamics import correlations, resolvent
-from averaging.phase_space.dynamics.resolvent import Generator, transforms
+from averaging.phase_space.dynamics import resolvent
+from averaging.phase_space.dynamics.resolvent import displaced, generator, transforms
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.refinement import Bounds
+from averaging.phase_space.refinement import Options
 from fpk.errors import NotApplicable
 from fpk.method import silent
 from fpk.observable import Coordinate, parse_observable
@@ -110,11 +110,11 @@ def test_autocovariances_keep_to_their_error_against_a_finer_solution():
 def test_what_the_space_leaves_of_a_correlation_is_in_its_error(monkeypatch):
     frame, lags = contact_frame(GIBBS), np.linspace(0.0, 20.0, 41)
     e = expanded(frame, gibbs_reference(frame), Degrees(24, 0, 22))
-    A = Generator.of(frame, e, odd=False)
-    c, b = correlations._displaced(frame, e, 0, A)
+    A = generator(e, odd=False)
+    c, b = displaced(e, 0, A)
 
     def correlation(most):
-        monkeypatch.setattr(resolvent, "RITZ_VECTORS", most)
+        monkeypatch.setattr(resolvent, "VECTORS", most)
         values, error = resolvent.decays(A, c, b, lags, 1.0, lambda share: None, tol=1e-12)
         return values[0], error
 
@@ -128,14 +128,14 @@ def test_what_the_space_leaves_of_a_correlation_is_in_its_error(monkeypatch):
 def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
     frame = contact_frame(GIBBS)
     e = expanded(frame, gibbs_reference(frame), Degrees(14, 0, 14))
-    A = Generator.of(frame, e, odd=False)
-    b = np.random.default_rng(20261123).normal(size=A.chain.ends[-1])
-    b[: A.one.size] -= A.one * (A.one @ b[: A.one.size])
+    A, one = generator(e, odd=False), e.basis.of_one
+    b = np.random.default_rng(20261123).normal(size=A.ends[-1])
+    b[: one.size] -= one * (one @ b[: one.size])
     w = np.array([0.0, 0.2, 0.9, 1.0, 3.0])
     shifts = []
-    solve = Generator.resolvent
+    solve = resolvent.resolvent
     monkeypatch.setattr(
-        Generator, "resolvent", lambda A, s, step: shifts.append(s) or solve(A, s, step)
+        resolvent, "resolvent", lambda A, s, step: shifts.append(s) or solve(A, s, step)
     )
     values, residual = transforms(A, b, b, w, lambda share: None)
     assert residual <= resolvent.RESIDUAL and shifts[0] == 0.0 and len(shifts) <= 3
@@ -146,16 +146,16 @@ def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
 
 def test_the_memory_that_a_spectrum_is_judged_by_holds_its_inverses(monkeypatch):
     judged, used = [], []
-    refuse, eliminate = Bounds.refusal, resolvent.factored
+    refuse, eliminate = Options.refusal, resolvent.factored
 
     def factored(*chain, **options):
-        factors, scale = eliminate(*chain, **options)
+        factors = eliminate(*chain, **options)
         used.append(sum(inverse.nbytes for inverse in factors.inverses))
-        return factors, scale
+        return factors
 
     monkeypatch.setattr(resolvent, "factored", factored)
     monkeypatch.setattr(
-        Bounds, "refusal", lambda b, size, work: judged.append(size) or refuse(b, size, work)
+        Options, "refusal", lambda b, size, work: judged.append(size) or refuse(b, size, work)
     )
     PhaseSpace().spectrum(
         GIBBS, (Coordinate("q", 0),), np.array([0.5, 3.0]), tol=1e-6, progress=silent

@@ -6,9 +6,9 @@ import pytest
 import fpk
 from averaging.phase_space.equation import elimination
 from averaging.phase_space.equation.basis import basis
+from averaging.phase_space.equation.chain import chain_of
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
-from averaging.phase_space.equation.equations import chain_of
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
 from averaging.phase_space.reference import start
 
@@ -41,25 +41,24 @@ def test_an_elimination_in_single_precision_is_refined_to_double(frame, monkeypa
 @pytest.mark.parametrize("frame", [frame_of(), light(10.0)])
 def test_pairs_left_out_of_the_elimination_are_in_the_solution(frame):
     about = start(frame)
-    functions = basis(frame, about, DEGREES)
-    chain = chain_of(frame, about, functions, DEGREES)
-    one = functions.of_one()[: chain.size(0)]
+    chain = chain_of(basis(frame, about, DEGREES))
+    one = chain.basis.of_one
     answers = []
     for paired in (True, False):
-        factors, scale = elimination.factored(chain, one=one, paired=paired)
-        answers.append(elimination._refined(factors, scale * one, one))
+        factors = elimination.factored(chain, paired=paired)
+        answers.append(elimination._refined(factors))
     for u, residual in answers:
         assert residual < 1e-13
         assert u == pytest.approx(answers[0][0], abs=1e-9)
     # Without the Krylov space it would be that of other equations.
-    right = np.concatenate([scale * one, np.zeros(chain.ends[-1] - one.size)])
+    right = np.concatenate([factors.scale * one, np.zeros(chain.ends[-1] - one.size)])
     assert np.abs(factors.solve(right) - answers[0][0]).max() > 1e-3
 
 
 def test_stages_of_a_chain_meet_only_the_one_above_and_two_below():
     frame = frame_of()
     about = gibbs_reference(frame)
-    chain = chain_of(frame, about, basis(frame, about, DEGREES), DEGREES)
+    chain = chain_of(basis(frame, about, DEGREES))
     rng = np.random.default_rng(20261125)
     u = rng.normal(size=chain.ends[-1])
     parts = chain.split(u)
@@ -77,9 +76,9 @@ def test_stages_of_a_chain_meet_only_the_one_above_and_two_below():
 def test_where_refinement_fails_the_elimination_is_repeated_in_double(monkeypatch):
     kinds, refined = [], elimination._refined
 
-    def failing(factors, *rest):
+    def failing(factors):
         kinds.append(factors.inverses[1].dtype)
-        u, residual = refined(factors, *rest)
+        u, residual = refined(factors)
         return u, residual if kinds[-1] == np.float64 else np.nan
 
     monkeypatch.setattr(elimination, "_refined", failing)

@@ -12,17 +12,16 @@ from test_averaging_phase_space import FIG6, STOP, common, drawn, stop
 import fpk
 from averaging.phase_space import refinement
 from averaging.phase_space.densities import density_of
-from averaging.phase_space.dynamics import answer
+from averaging.phase_space.dynamics import questions
 from averaging.phase_space.equation import elimination
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.refinement import WORK, Bounds, Ladder, ladders
+from averaging.phase_space.refinement import WORK, Ladder, Options, ladders
 from fpk.density import l1_distance
 from fpk.errors import InvalidInput, NotCertified
-from fpk.method import silent
 from fpk.observable import parse_observable
 
 SINGLE = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]
@@ -38,14 +37,8 @@ def lighter(B, clearance, factor):
 
 def solutions(system, work, *, observables=SINGLE, threads=None) -> Iterator[Ladder]:
     """Solutions of rising degrees, whatever their errors."""
-    found = ladders(
-        contact_frame(system),
-        observables,
-        bounds=Bounds.of(4.0, work),
-        threads=threads,
-        progress=silent,
-        reference=None,
-    )
+    options = replace(Options.of(4.0, work), threads=threads)
+    found = ladders(contact_frame(system), observables, options)
     # The last one comes again with what ends them.
     return (ladder for ladder in found if not ladder.limit)
 
@@ -53,11 +46,10 @@ def solutions(system, work, *, observables=SINGLE, threads=None) -> Iterator[Lad
 def understated(coarser, finest):
     """Where the distance to the finest solution is more than the stated error, and how much."""
     return [
-        (ladder.finest.degrees, o, error / ladder.errors[o])
+        (ladder.finest.basis.degrees, o, error / ladder.errors[o])
         for ladder in coarser
         for o in finest.errors
-        if (error := refinement._distance(ladder.frame, ladder.finest, finest.finest, o))
-        > ladder.errors[o]
+        if (error := refinement.distance(ladder.finest, finest.finest, o)) > ladder.errors[o]
     ]
 
 
@@ -74,7 +66,7 @@ def test_errors_of_random_systems_are_within_the_stated_ones(seed, count, coldes
 @pytest.mark.slow
 def test_errors_of_figure_6_are_within_the_stated_ones_where_distances_no_longer_fall():
     *coarser, finest = solutions(SYSTEM, 1.2e13)
-    assert finest.finest.degrees.total >= 47
+    assert finest.finest.basis.degrees.total >= 47
     assert not understated(coarser, finest)
 
 
@@ -152,8 +144,8 @@ def test_a_smaller_tolerance_gives_no_larger_error_and_none_below_the_true_one(
 
 def test_an_earlier_density_is_kept_unless_a_later_one_contradicts_it(monkeypatch):
     coarse, fine = islice(solutions(SYSTEM, 1e11, observables=SINGLE[:1]), 2)
-    (o,), distance = SINGLE[:1], refinement._distance
-    own = distance(coarse.frame, coarse.finest, fine.finest, o)
+    (o,), distance = SINGLE[:1], refinement.distance
+    own = distance(coarse.finest, fine.finest, o)
     for error, kept in ((1.01 * own, coarse), (0.99 * own, fine)):
         first = replace(coarse, errors={o: error})
         worse, better = (replace(fine, errors={o: x * error}) for x in (2.0, 0.5))
@@ -173,7 +165,7 @@ def test_a_solution_takes_no_more_memory_than_stated(n, side, degrees, kind, mon
     frame, degrees = contact_frame(system), Degrees(*degrees)
     about = gibbs_reference(frame)
     functions = basis(frame, about, degrees)
-    stated, _ = elimination.cost(functions, degrees, number=np.dtype(kind).itemsize)
+    stated, _ = elimination.cost(functions, numbers=kind)
     monkeypatch.setattr(elimination, "ELIMINATED_IN", kind)
     tracemalloc.start()
     try:
@@ -186,12 +178,12 @@ def test_a_solution_takes_no_more_memory_than_stated(n, side, degrees, kind, mon
 
 
 def test_more_memory_is_more_work_too():
-    assert Bounds.of(4.0) == Bounds(4.0, WORK) and Bounds.of(16.0) == Bounds(16.0, 8.0 * WORK)
-    assert Bounds.of(16.0, 1e9).refusal(1.7e10, 1.0) == (
+    assert Options.of(4.0) == Options(4.0, WORK) and Options.of(16.0) == Options(16.0, 8.0 * WORK)
+    assert Options.of(16.0, 1e9).refusal(1.7e10, 1.0) == (
         "a finer solution needs 17 GB of memory, at most 16"
     )
-    assert "2e+09 operations, at most 1e+09" in Bounds.of(16.0, 1e9).refusal(1.6e10, 2e9)
-    assert not Bounds.of(16.0, 1e9).refusal(1.6e10, 1e9)
+    assert "2e+09 operations, at most 1e+09" in Options.of(16.0, 1e9).refusal(1.6e10, 2e9)
+    assert not Options.of(16.0, 1e9).refusal(1.6e10, 1e9)
     for memory in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(InvalidInput, match="positive number of GB"):
             PhaseSpace(memory=memory)
@@ -201,11 +193,11 @@ def test_where_damping_is_light_one_small_distance_says_less():
     one = contact_frame(fpk.System([1], [1], [0.6], [0.3]))
     half, light = (refinement.kept(contact_frame(lighter(10.0, 0.5, x))) for x in (2, 10))
     assert refinement.kept(one) == half == 0.25 and light == 0.6
-    first = refinement.falling(1e-3, None, light)
+    first, _ = refinement.falling(1e-3, None, light)
     # Distances that are believed to fall by 1/0.6 leave 1/(1/0.6 − 1) = 1.5 of the last one.
-    second = refinement.falling(1e-5, first, light)
-    assert second.distance == pytest.approx(6e-4)
-    assert second.error == pytest.approx(1.5 * refinement.SAFETY * 6e-4)
+    believed, error = refinement.falling(1e-5, first, light)
+    assert believed == pytest.approx(6e-4)
+    assert error == pytest.approx(1.5 * refinement.SAFETY * 6e-4)
 
 
 @pytest.fixture
@@ -237,22 +229,30 @@ def test_without_two_solutions_whose_equations_are_solved_there_is_no_answer(
 def test_a_solution_whose_equations_are_not_solved_is_not_used(failing):
     made = failing(3)
     result = PhaseSpace(tol=1e-6).solve(SYSTEM, SINGLE)
-    assert result.settings["highest degree"] == made[1].degrees.total
+    assert result.settings["highest degree"] == made[1].basis.degrees.total
     (why,) = [f for f in result.densities[0].certificate.failures if "not solved" in f]
-    assert why == f"the equations of degree {made[2].degrees.total} are not solved"
+    assert why == f"the equations of degree {made[2].basis.degrees.total} are not solved"
 
 
 def test_an_answer_ends_with_the_last_solution_whose_equations_are_solved(failing):
     made, compared = failing(3), []
 
-    def compare(ladder, progress):
-        compared.append(ladder.finest)
-        return answer.Compared(np.ones(1), np.array([0.1 ** len(compared)]), np.ones(1))
+    def compare(ladder, fine, coarse):
+        assert (fine, coarse) == (ladder.finest, ladder.coarser)
+        compared.append(fine)
+        return questions.Answer(ladder, np.ones(1), np.array([0.1 ** len(compared)]), np.ones(1))
 
-    options = answer.Options(1e-2, silent, Bounds.of(4.0), None, None)
-    found = answer.adapted(contact_frame(SYSTEM), SINGLE, compare, options)
+    found = questions.adapted(
+        contact_frame(SYSTEM),
+        SINGLE,
+        lambda e, step: e,
+        compare,
+        Options.of(4.0),
+        tol=1e-2,
+        what="",
+    )
     # No two solutions are compared twice, which would look as if distances no longer fell.
     assert compared == made[1:2] and found.ladder.finest is made[1]
-    assert found.limit == f"the equations of degree {made[2].degrees.total} are not solved"
+    assert found.limit == f"the equations of degree {made[2].basis.degrees.total} are not solved"
     first = refinement.FIRST * refinement.SAFETY * 0.1
     assert found.errors == pytest.approx(first, rel=1e-6)

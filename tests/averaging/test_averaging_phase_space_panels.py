@@ -8,14 +8,12 @@ import pytest
 import fpk
 from averaging.phase_space.equation import degrees as degrees_module
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.degrees import Degrees, fitting
 from averaging.phase_space.equation.elimination import expanded, inverted
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
-from averaging.phase_space.equation.others import lowered, others_to, raised
-from averaging.phase_space.growth import fitting, rise_of, size_of_top
+from averaging.phase_space.equation.space import space_to
 from averaging.phase_space.marginals import marginal
-from averaging.phase_space.moments import refitted
-from averaging.phase_space.reference import fitted, start
+from averaging.phase_space.reference import fitted, refitted, start
 from fpk.observable import parse_observable
 from fpk.quadrature import gauss_grid, integral
 
@@ -61,8 +59,8 @@ def test_derivatives_map_one_set_of_functions_onto_the_other(frame, odd):
     length = b.nodes[-1] - b.nodes[0]
     assert sizes[-1] > 1.0 / length
     if kernel:
-        assert b.of_one() @ b.of_one() == pytest.approx(1.0, abs=1e-12)
-        assert D @ b.of_one() == pytest.approx(0.0, abs=1e-9)
+        assert b.of_one @ b.of_one == pytest.approx(1.0, abs=1e-12)
+        assert D @ b.of_one == pytest.approx(0.0, abs=1e-9)
 
 
 def test_sets_with_fewer_polynomials_are_the_front_of_larger_ones():
@@ -80,7 +78,7 @@ def test_more_polynomials_between_stops_change_nothing(monkeypatch):
     """With continuous functions in levels of all degrees the change was some 1e-3."""
     frame, about = frame_of(clearance=1.5), gibbs_reference(frame_of(clearance=1.5))
     for _ in range(2):
-        about = refitted(frame, expanded(frame, about, DEGREES))
+        about = refitted(expanded(frame, about, DEGREES))
     densities = []
     for more in (0, 2, 4, 8):
         monkeypatch.setattr(
@@ -89,7 +87,7 @@ def test_more_polynomials_between_stops_change_nothing(monkeypatch):
             lambda self, width, beyond, more=more: 2 * (self.outer // 2) + 1 + more,
         )
         e = expanded(frame, about, Degrees(40, 6, 20))
-        densities.append(marginal(frame, e, parse_observable("q2", 2)))
+        densities.append(marginal(e, parse_observable("q2", 2)))
     mesh, grids = gauss_grid(densities[0][0])
     last = densities[-1][1](*mesh)
     distances = [integral(np.abs(pdf(*mesh) - last), grids) for _, pdf in densities[:-1]]
@@ -98,35 +96,27 @@ def test_more_polynomials_between_stops_change_nothing(monkeypatch):
     assert max(distances) < 1e-5
 
 
-def test_raising_is_the_adjoint_of_lowering():
-    rng, others = np.random.default_rng(20261123), others_to(4, 5)
-    e = rng.normal(size=5)
-    for level in range(7):
-        counts = [sum(o.count for o in others[: n + 1]) for n in (level, level + 1)]
-        below, above = rng.normal(size=counts[0]), rng.normal(size=counts[1])
-        up, down = raised(others, level, below, e), lowered(others, level, above, e)
-        assert up @ above == pytest.approx(below @ down, rel=1e-12)
-
-
 @pytest.mark.parametrize(("d", "most"), [(3, 4), (5, 2)])
 def test_the_others_count_by_the_larger_degree_in_an_amplitude_or_its_conjugate(d, most):
-    others = others_to(most, d)
+    total = 2 * most + 2
+    space = space_to(total, most, d)
     degrees = list(product(range(most + 1), repeat=d - 1))
     counted = [sum(map(max, zip(k[::2], k[1::2], strict=True))) for k in degrees]
-    assert sum(o.count for o in others) == sum(c <= most for c in counted)
-    assert len(others) == 2 * most + 1
-    for below, at in pairwise(others[:-1]):
-        inside = at.counted < most
-        for i, j in product(range(d - 1), repeat=2):
-            # a_i a_j⁺ − a_j⁺ a_i = δ_ij wherever raising does not lead out of the set.
-            commutator = at.raising[i].T @ at.raising[j] - below.raising[j] @ below.raising[i].T
-            expected = np.eye(at.count)[inside] * (i == j)
-            assert commutator[inside] == pytest.approx(expected, abs=1e-12)
-        for mode in range(0, d - 1, 2):
-            # What turns an oscillator leaves what a product counts.
-            v, x = below.raising[mode], below.raising[mode + 1]
-            turned = v @ x.T - x @ v.T
-            assert np.all(turned[at.counted[:, None] != at.counted] == 0.0)
+    # At levels as high as all sums of degrees in the others, each product stands once.
+    own = space.counted[space.span(total)]
+    assert own.size == sum(c <= most for c in counted)
+    assert space.others[space.span(total)].max() == 2 * most
+    up = [A.toarray() for A in space.up]
+    inside = (space.level < total) & (space.counted < most)
+    for i, j in product(range(d), repeat=2):
+        # a_i a_j⁺ − a_j⁺ a_i = δ_ij wherever raising does not lead out of the set.
+        commutator = (up[i].T @ up[j] - up[j] @ up[i].T)[inside]
+        assert commutator == pytest.approx(np.eye(space.level.size)[inside] * (i == j), abs=1e-12)
+    for mode in range(1, d, 2):
+        # What turns an oscillator leaves what a product counts.
+        v, x = up[mode], up[mode + 1]
+        turned = v @ x.T - x @ v.T
+        assert np.all(turned[space.counted[:, None] != space.counted] == 0.0)
 
 
 def test_the_degree_in_the_others_rises_where_something_is_left():
@@ -135,8 +125,8 @@ def test_the_degree_in_the_others_rises_where_something_is_left():
         stop = fpk.Contact(mass=2, side="both", stiffness=stiffness, clearance=clearance)
         system = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))
         frame = contact_frame(system)
-        about = refitted(frame, expanded(frame, gibbs_reference(frame), Degrees(14, 5, 16)))
-        rises.append(rise_of(expanded(frame, about, Degrees(20, 8, 20))))
+        about = refitted(expanded(frame, gibbs_reference(frame), Degrees(14, 5, 16)))
+        rises.append(expanded(frame, about, Degrees(20, 8, 20)).rise)
     assert rises == [2, 0]
 
 
@@ -166,8 +156,8 @@ def test_a_reference_that_is_no_distribution_is_refused():
 def test_a_near_stop_makes_the_reference_narrower(clearance, narrowed):
     frame = frame_of(clearance=clearance)
     found = fitted(frame, start(frame))
-    plain = refitted(frame, expanded(frame, start(frame), fitting(frame)))
+    plain = refitted(expanded(frame, start(frame), fitting(frame)))
     ratio = found.covariance[0, 0] / plain.covariance[0, 0]
     assert ratio < 0.9 if narrowed else ratio == pytest.approx(1.0, rel=1e-2)
-    tops = [size_of_top(expanded(frame, r, fitting(frame))) for r in (found, plain)]
+    tops = [expanded(frame, r, fitting(frame)).top for r in (found, plain)]
     assert tops[0] < 0.9 * tops[1] if narrowed else tops[0] == pytest.approx(tops[1], rel=0.05)

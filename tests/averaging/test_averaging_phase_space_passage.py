@@ -8,9 +8,12 @@ import pytest
 
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.passage.elements import elements
-from averaging.phase_space.passage.mesh import displacement_mesh, energy_mesh
-from averaging.phase_space.passage.oscillator import Oscillator, oscillator_of
-from averaging.phase_space.passage.solution import Solution
+from averaging.phase_space.passage.mesh import (
+    Oscillator,
+    displacement_mesh,
+    energy_mesh,
+    oscillator_of,
+)
 from fpk import Contact, System
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
@@ -37,7 +40,7 @@ def ask(system, limit, start="rest", times=NONE, *, tol=None, method=None) -> Pa
 
 def mean_on(mesh, q=0.0, v=0.0):
     e = elements(mesh)
-    return Solution(e).moments(e.at(np.array([q]), np.array([v]), np.ones(1)))[0]
+    return e.moments(e.at(np.array([q]), np.array([v]), np.ones(1)))[0]
 
 
 def free_exit(x):
@@ -161,8 +164,8 @@ def test_rare_failure_keeps_its_digits():
 def test_mass_is_conserved_and_a_loss_is_seen():
     e = elements(energy_mesh(oscillator_of(HERTZ), 1.5, 0))
     start = e.at(np.zeros(1), np.array([1.7]), np.ones(1))  # H = 1.445
-    assert Solution(e).mass_defect(start) < 1e-13  # some hundred roundings
-    leaky = Solution(replace(e, exit=0.5 * e.exit))
+    assert e.mass_defect(start) < 1e-13  # some hundred roundings
+    leaky = replace(e, exit=0.5 * e.exit)
     # Half of what has left by 1/σ, in which noise moves H by √(2D/σ) v = 0.28, five times as far
     # as the limit is away: some tens of per cent have.
     assert 0.05 < leaky.mass_defect(start) < 0.5
@@ -254,10 +257,10 @@ def test_a_mesh_ends_where_a_steep_stop_turns_motion_and_its_equations_are_solve
     system = System([0.856], [6.83], [0.903], [0.498], contacts=(stop,))
     mesh = displacement_mesh(oscillator_of(system), 0.2, 0.0, 1)
     assert mesh.x[0] == -0.2 and 0.0853 < mesh.x[-1] < 0.15
-    solution = Solution(elements(mesh))
-    matrix = solution.elements.K + solution.sigma * solution.elements.M
-    right = matrix @ np.ones(solution.elements.load.size)
-    x = solution.shifted.solve(right)
+    e = elements(mesh)
+    matrix = e.K + e.sigma * e.M
+    right = matrix @ np.ones(e.load.size)
+    x = e.shifted.solve(right)
     assert np.max(np.abs(matrix @ x - right)) < 1e-10 * np.max(abs(matrix) @ np.abs(x))
 
 

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import eigs
 
 import fpk
 from averaging.gaussian import Linear
-from averaging.phase_space.dynamics import correlations, resolvent
+from averaging.phase_space.dynamics import questions, resolvent
 from averaging.phase_space.method import PhaseSpace
 from fpk.method import silent
 
@@ -137,8 +137,8 @@ def test_a_spectrum_has_a_peak_at_the_slowest_rate_that_turns():
 
 
 def test_what_is_not_sought_is_said(monkeypatch):
-    monkeypatch.setattr(correlations, "DISCS", 1)
-    monkeypatch.setattr(resolvent, "RITZ_VECTORS", 50)
+    monkeypatch.setattr(questions, "DISCS", 1)
+    monkeypatch.setattr(resolvent, "VECTORS", 50)
     answer = PhaseSpace().relaxation(LIGHT, 12, tol=0.5, progress=silent)
     (words,) = [x for x in answer.certificate.failures if "not sought" in x]
     assert words.startswith(f"{len(answer.values)} of 12 rates are found: rates of angular freq")

@@ -10,11 +10,13 @@ from test_averaging_phase_space_errors import solutions, understated
 import fpk
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
-from averaging.phase_space.equation.damping import reach, stages_to
+from averaging.phase_space.densities import force_means
+from averaging.phase_space.equation.basis import basis
+from averaging.phase_space.equation.chain import chain_of
+from averaging.phase_space.equation.damping import levels_per_stage, reach
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
-from averaging.phase_space.identities import force_means
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.compare import compared
 from fpk.damping import gaussian_moment
@@ -157,7 +159,8 @@ def test_means_of_forces_are_gaussian_moments_in_a_gaussian_state():
     frame = contact_frame(constant)
     T = 0.4  # D_i/c_i
     e = expanded(frame, gibbs_reference(frame), Degrees(10, 8, 10))
-    means = force_means(contact_frame(system), e)
+    damped = replace(e, basis=replace(e.basis, frame=contact_frame(system)))
+    mean_power, mean_virial, _ = force_means(damped)
     C = np.linalg.inv(constant.stiffness_matrix) * T
     V = np.diag(T / constant.mass)
     energy = 2.0 * T  # E H of two masses
@@ -166,10 +169,10 @@ def test_means_of_forces_are_gaussian_moments_in_a_gaussian_state():
     # E H^1 X over E X for X of degree 4 is 2 T + 2 T.
     power[1] = 0.2 * gaussian_moment(V, (2, 2)) * (energy + 2.0 * T)
     power[1] -= 0.4 * gaussian_moment(C, (0, 2)) * gaussian_moment(V, (1, 1))
-    assert means.power == pytest.approx(power[list(frame.order)], rel=1e-10, abs=1e-12)
+    assert mean_power == pytest.approx(power[list(frame.order)], rel=1e-10, abs=1e-12)
     # Odd in the velocities, but for v_2 v_2 of the first.
     virial = np.array([0.3 * gaussian_moment(C, (3, 1)) * V[1, 1], 0.0])
-    assert means.virial == pytest.approx(virial[list(frame.order)], rel=1e-10, abs=1e-12)
+    assert mean_virial == pytest.approx(virial[list(frame.order)], rel=1e-10, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -185,9 +188,19 @@ def test_stages_are_as_wide_as_the_terms_of_other_coordinates_need(powers, apart
     constant = fpk.System([1, 1], [1, 1], [0.1, 0.1], [0.1, 0.1], contacts=stop(1))
     frame = contact_frame(replace(constant, damping_terms=(Term(1, 1, 0.1, **powers),)))
     assert reach(frame) == apart
-    ranges = stages_to(frame, 7)
-    assert [n for levels in ranges for n in levels] == list(range(8))
-    assert len(ranges[0]) == 1 and len(ranges[1]) == stages
+    assert levels_per_stage(frame) == stages
+    b = basis(frame, gibbs_reference(frame), Degrees(7, 3, 8))
+    chain = chain_of(b)
+    held = [
+        set(
+            chain.space.level[
+                (chain.functions > 0) & (chain.start >= s.start) & (chain.start < s.stop)
+            ]
+        )
+        for s in map(chain.span, range(chain.top + 1))
+    ]
+    assert held[0] == {0} and held[1] == set(range(1, stages + 1))
+    assert sorted(n for levels in held for n in levels) == list(range(8))
 
 
 def test_sums_over_the_spectrum_of_one_mass_damped_by_its_energy_are_exact():

@@ -16,10 +16,8 @@ from fpk.limit import parse_limit
 from fpk.method import silent
 from fpk.observable import parse_observable
 from fpk.start import REST
-from sim.averaged import paths
 from sim.montecarlo import MonteCarlo
-from sim.splitting.run import rare_failure
-from sim.splitting.settings import Splitting
+from sim.splitting.run import Splitting, rare_failure
 
 SCENE = """
 [system]
@@ -120,17 +118,3 @@ def test_too_little_time_is_said_in_one_line(tmp_path: Any) -> None:
     assert not averaged.passage(system, limit, REST, later, **quiet).certificate.certified
     with pytest.raises(NotCertified, match="0 repetitions were finished"):
         rare_failure(plain, limit, REST, 5.0, settings=Splitting(seconds=NO_TIME))
-
-
-def test_batches_have_absolute_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [0.0]
-    monkeypatch.setattr(paths, "working_time", lambda: now[0])
-    shares = paths.Shares(64.0, 2, 0.0)  # 32 turns of two batches each, 2 s a turn
-    now[0] = 1.0
-    ends, part = shares.ends(1), shares.ends(3, 0.5)  # until 2 s; half of what is left until 4 s
-    now[0] = 2.4
-    assert ends() and not part()
-    now[0] = 2.6
-    assert part() and shares.ends(63)() is False
-    now[0] = 64.1
-    assert shares.ends(63)()

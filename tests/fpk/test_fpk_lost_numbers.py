@@ -13,12 +13,11 @@ from averaging.energy_process import energy_process
 from fpk.line.elements import _residual
 from fpk.line.time import resolvent
 from fpk.line.time.elements import degree_for, meshed
-from fpk.line.time.propagation import Source
+from fpk.line.time.transition import Source
 from fpk.plane.solution import graded
 from fpk.plane.time import exponential, passage
-from fpk.plane.time.domain import Rectangle
+from fpk.plane.time.levels import PlaneStart
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.view import PointStart
 
 TIMES = np.array([1.0, 100.0])
 """Apart by more than one contour and one Krylov space serve."""
@@ -44,9 +43,9 @@ def test_of_contours(monkeypatch, k):
 @pytest.mark.parametrize("k", range(5))
 def test_of_krylov_spaces(monkeypatch, k):
     nodes = graded((5.0, 5.0), 3)
-    op = PlaneOperator(square_root_process((0.1, 0.2), (0.1, 0.2)), Rectangle(), nodes, 5)
+    op = PlaneOperator(square_root_process((0.1, 0.2), (0.1, 0.2)), nodes, 5)
     A, M, _ = op.matrices
-    dual = PointStart(np.zeros(2)).dual(op)
+    dual = PlaneStart(np.zeros(2)).dual(op)
     made = []
     residual = nan_at(k)
     monkeypatch.setattr(
@@ -62,7 +61,7 @@ def test_of_a_reliability(monkeypatch):
 
     monkeypatch.setattr(passage, "evolved", without)
     answer = passage.first_passage(
-        frame(square_root_process((0.1, 0.1), (0.05, 0.05))), PointStart(np.zeros(2)),
+        frame(square_root_process((0.1, 0.1), (0.05, 0.05))), PlaneStart(np.zeros(2)),
         passage.PlaneLimit(total=1.0), TIMES, tol=1e-2,
     )  # fmt: skip
     assert np.isnan(answer.certificate.residual) and not answer.certificate.certified

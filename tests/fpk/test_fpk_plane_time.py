@@ -12,14 +12,11 @@ from fpk.errors import InvalidInput
 from fpk.operator import Operator
 from fpk.plane.solution import graded
 from fpk.plane.stationary import solve_plane
-from fpk.plane.time.domain import Rectangle, Triangle
 from fpk.plane.time.exponential import evolved
-from fpk.plane.time.levels import Frame
+from fpk.plane.time.levels import Frame, PlaneStart
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.passage import PlaneLimit, _hopeless, first_passage
-from fpk.plane.time.relaxation import relaxation_rates
+from fpk.plane.time.passage import PlaneLimit, _hopeless, first_passage, relaxation_rates
 from fpk.plane.time.transient import transient_densities
-from fpk.plane.time.view import PointStart, View
 from fpk.quadrature import panel_rule
 
 
@@ -44,7 +41,7 @@ def assert_within(seed):
     x, y = (theta * rng.exponential(1.5, 40) for theta in d / c)
     tol = 10.0 ** rng.uniform(-8, -3)
     answer, _ = transient_densities(
-        frame(square_root_process(tuple(c), tuple(d))), PointStart(start), View("pair"),
+        frame(square_root_process(tuple(c), tuple(d))), PlaneStart(start), "pair",
         np.array([t]), (x, y), tol=tol,
     )  # fmt: skip
     exact = np.prod(
@@ -68,7 +65,7 @@ def test_a_hundred_random_transients():
 def test_one_equation_written_twice(limit):
     # The process as it is, and with a weight: the matrices differ, u and T do not.
     process, _ = manufactured(0.4, 0.2)
-    start, times = PointStart(np.array([0.2, 0.1])), np.array([0.1, 0.4])
+    start, times = PlaneStart(np.array([0.2, 0.1])), np.array([0.1, 0.4])
     by_weight = first_passage(frame(process), start, limit, times, tol=1e-9)
     assert by_weight.certificate.certified, by_weight.certificate.failures
     nodes = (
@@ -76,7 +73,7 @@ def test_one_equation_written_twice(limit):
         if limit.total is None
         else (graded((0.7, 1.0), 4)[0], np.linspace(0, 1, 5))
     )
-    op = PlaneOperator(process, limit.domain, nodes, 14, absorbing=limit.absorbing)
+    op = PlaneOperator(process, nodes, 14, absorbing=limit.absorbing, collapsed=limit.collapsed)
     A, M, shares = op.matrices
     forward = evolved(A, M, start.dual(op), times, tol=1e-13)
     assert_allclose(forward.values @ shares, by_weight.survival, atol=1e-9)
@@ -96,7 +93,7 @@ def test_reliability_is_the_mass_that_the_absorbing_forward_equation_keeps(degre
     at = forward.basis.probes(np.array([[0.2], [0.15]])).toarray()[0][forward.free]
     step = expm(0.2 * np.linalg.solve(forward.M.toarray(), forward.A.toarray()))
     p = step @ np.linalg.solve(forward.M.toarray(), at)
-    start, times = PointStart(np.array([0.2, 0.15])), np.array([0.2])
+    start, times = PlaneStart(np.array([0.2, 0.15])), np.array([0.2])
     answer = first_passage(frame(process), start, PlaneLimit(0.6, 0.5), times, tol=tol)
     assert answer.certificate.certified, answer.certificate.failures
     assert abs(answer.survival[0] - forward.shares @ p) <= gap
@@ -104,7 +101,7 @@ def test_reliability_is_the_mass_that_the_absorbing_forward_equation_keeps(degre
 
 def test_a_time_by_which_all_have_failed_spoils_no_other():
     process, _ = manufactured(0.4, 0.2)
-    start, limit = PointStart(np.array([0.2, 0.15])), PlaneLimit(0.6, 0.5)
+    start, limit = PlaneStart(np.array([0.2, 0.15])), PlaneLimit(0.6, 0.5)
     alone, late = (
         first_passage(frame(process), start, limit, np.array(times), tol=1e-8)
         for times in ([0.2], [0.2, 1e6])
@@ -138,8 +135,8 @@ def test_coupled_transients_relax_to_the_exact_density(name, seen):
     of = frame(process)
     x = np.linspace(0.05, 1.0, 5)
     at = (x, x) if seen == "pair" else (x,)
-    start = PointStart(0.5 * np.array(process.energy_scales))
-    answer, _ = transient_densities(of, start, View(seen), np.array([600.0]), at, tol=1e-8)
+    start = PlaneStart(0.5 * np.array(process.energy_scales))
+    answer, _ = transient_densities(of, start, seen, np.array([600.0]), at, tol=1e-8)
     assert answer.certificate.certified, answer.certificate.failures
     nodes = np.linspace(0.0, 1.0, 41)
     ends = (x[-1] for x in of.stationary.nodes)
@@ -161,7 +158,7 @@ def test_coupled_passage_at_a_loose_tolerance_is_within_its_error():
     of, times = frame(process), np.array([5.0, 50.0])
     for limit in (PlaneLimit(total=2.0), PlaneLimit(1.8, None)):
         loose, tight = (
-            first_passage(of, PointStart(np.array([0.1, 0.3])), limit, times, tol=tol)
+            first_passage(of, PlaneStart(np.array([0.1, 0.3])), limit, times, tol=tol)
             for tol in (1e-3, 1e-8)
         )
         assert tight.certificate.certified, tight.certificate.failures
@@ -175,7 +172,7 @@ def test_coupled_passage_at_a_loose_tolerance_is_within_its_error():
 def test_a_failure_of_probability_1e_17_keeps_its_digits():
     c, d = 0.1, 0.05
     answer = first_passage(
-        frame(square_root_process((c, c), (d, d))), PointStart(np.zeros(2)),
+        frame(square_root_process((c, c), (d, d))), PlaneStart(np.zeros(2)),
         PlaneLimit(total=40.0 * d / c), np.array([1.0, 1e15, 1e17]), tol=1e-8,
     )  # fmt: skip
     assert answer.certificate.certified, answer.certificate.failures
@@ -197,7 +194,7 @@ def test_a_tiny_limit_is_passed_as_by_the_same_motion_without_damping(small):
     # Below it dH = 2 d dt + √(2 d H) dB: E T = H_f/(2 d), E T² − (E T)² = H_f²/(12 d²).
     c, d = 0.1, 0.05
     answer = first_passage(
-        frame(square_root_process((c, c), (d, d))), PointStart(np.zeros(2)),
+        frame(square_root_process((c, c), (d, d))), PlaneStart(np.zeros(2)),
         PlaneLimit(total=small), np.zeros(0), tol=1e-8,
     )  # fmt: skip
     assert answer.certificate.certified, answer.certificate.failures
@@ -212,7 +209,7 @@ def test_a_limit_that_nobody_reaches_is_refused():
     c, d = FIG8
     with pytest.raises(InvalidInput, match="beyond the range"):
         first_passage(
-            frame(square_root_process(c, d)), PointStart(np.zeros(2)), PlaneLimit(total=1e4),
+            frame(square_root_process(c, d)), PlaneStart(np.zeros(2)), PlaneLimit(total=1e4),
             np.zeros(0), tol=1e-8,
         )  # fmt: skip
 
@@ -220,13 +217,15 @@ def test_a_limit_that_nobody_reaches_is_refused():
 def test_a_failure_too_rare_for_memory_is_refused_before_any_work():
     with pytest.raises(InvalidInput, match="more equations than fit into memory"):
         first_passage(
-            frame(square_root_process((0.1, 0.1), (0.05, 0.025))), PointStart(np.zeros(2)),
+            frame(square_root_process((0.1, 0.1), (0.05, 0.025))), PlaneStart(np.zeros(2)),
             PlaneLimit(total=140.0), np.zeros(0), tol=1e-8,
         )  # fmt: skip
 
 
-@pytest.mark.parametrize("domain", [Rectangle(), Triangle()])
-def test_coordinates_and_energies_are_inverse(domain):
+@pytest.mark.parametrize("collapsed", [False, True])
+def test_coordinates_and_energies_are_inverse(collapsed):
+    process, _ = manufactured(0.4, 0.2)
+    domain = PlaneOperator(process, graded((0.6, 0.5), 4), 3, collapsed=collapsed)
     H = np.array([[0.2, 0.7], [0.0, 0.4], [0.3, 0.0]]).T
     back = domain.energies(*domain.coordinates(*H))
     assert_allclose(back, H, atol=1e-15)
@@ -237,7 +236,7 @@ def test_coordinates_and_energies_are_inverse(domain):
         for a, b in ((1.0, 0.0), (0.0, 1.0))
     ]
     jacobian = np.stack([z[:, 0] for z in columns], axis=1)
-    F, _ = domain.pulled_back(y, np.array([[1.0, 2.0]]), np.eye(2)[None])
+    F, _ = domain.pulled_back(*y, np.array([[1.0, 2.0]]), np.eye(2)[None])
     assert_allclose(jacobian @ F[0], [1.0, 2.0], rtol=1e-5)
     assert_allclose(abs(np.linalg.det(jacobian)), domain.jacobian(*y)[0], rtol=1e-5)
 

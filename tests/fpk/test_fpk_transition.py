@@ -12,9 +12,8 @@ from fpk.contour import contours
 from fpk.errors import InvalidInput
 from fpk.line.stationary import solve_stationary
 from fpk.line.time.passage import fem_passage
-from fpk.line.time.propagation import Source
 from fpk.line.time.spectrum import eigenvalues_below, spectrum
-from fpk.line.time.transition import transition
+from fpk.line.time.transition import Source, transition
 from fpk.operator import Operator
 from fpk.square_root import SquareRoot
 
@@ -26,7 +25,7 @@ def test_the_contour_gives_exponentials_at_all_times(rate):
     times = np.geomspace(1e-3, 1e3, 40)[::-1]
     value = np.empty(40)
     for c in contours(times):
-        value[c.index] = (c.factors @ (1.0 / (c.z + rate))).imag
+        value[c.places] = (c.factors @ (1.0 / (c.z + rate))).imag
     # Some seventy terms of the size e^3.
     np.testing.assert_allclose(value, np.exp(-rate * times), atol=1e-14)
 
@@ -127,7 +126,7 @@ def test_the_forward_matrices_of_the_operator_agree():
                 splu((z * operator.M - operator.A).tocsc()).solve(point.astype(complex))
                 for z in c.z
             ]
-            u[c.index] = (c.factors @ np.array(solutions)).imag
+            u[c.places] = (c.factors @ np.array(solutions)).imag
         carried[absorbing] = operator, u
     operator, u = carried[()]
     values, _ = transition(process, Source(start), times).density(x)

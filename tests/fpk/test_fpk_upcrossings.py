@@ -6,8 +6,8 @@ from scipy.special import erfc
 
 from fpk.certificate import Measured
 from fpk.density import certified_density
+from fpk.dynamics import upcrossings
 from fpk.observable import parse_observable
-from fpk.upcrossings import upcrossings
 
 AT = np.array([-2.0, 0.0, 0.7, 5.0])
 

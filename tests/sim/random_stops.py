@@ -5,9 +5,9 @@ from sim_gibbs import Gibbs
 
 from fpk.contact import Contact
 from fpk.contact_quantities import contact_quantities
+from fpk.dynamics import upcrossings
 from fpk.observable import parse_observable
 from fpk.system import System
-from fpk.upcrossings import upcrossings
 from sim.montecarlo import MonteCarlo
 
 Array = np.ndarray

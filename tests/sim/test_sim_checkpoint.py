@@ -151,16 +151,6 @@ def stopped_after(pieces: int) -> Callable[[], bool]:
     return stopped
 
 
-class Saved:
-    """Stands for an ensemble whose state are these arrays."""
-
-    def __init__(self, **arrays: Any) -> None:
-        self.arrays = arrays
-
-    def saved(self) -> dict[str, Any]:
-        return self.arrays
-
-
 def test_the_state_goes_to_disk_and_comes_back(tmp_path: Path) -> None:
     ensembles = [Ensemble(fig6(), SCHEMES["exact_flow"], 0.2, 3 * LANES, 1, 1) for _ in range(2)]
     checkpoint = Checkpoint(tmp_path / "state.checkpoint", "one", stopped_after(0))
@@ -180,7 +170,7 @@ def test_no_damaged_state_and_no_other_identity_is_ever_read(tmp_path: Path) -> 
     arrays = {"a": np.arange(5), "b": np.ones((6, 6))}
     path = tmp_path / "state.checkpoint"
     checkpoint, refused = Checkpoint(path, "one"), 0
-    checkpoint.save(Saved(**arrays))
+    checkpoint.save(arrays)
     whole = path.read_bytes()
     for place in range(len(whole)):
         damaged = bytearray(whole)
@@ -206,17 +196,17 @@ def test_where_nothing_can_be_written_it_is_one_line_and_what_was_there_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checkpoint = Checkpoint(tmp_path / "state.checkpoint", "one")
-    checkpoint.save(Saved(a=np.arange(5)))
+    checkpoint.save({"a": np.arange(5)})
 
     def full(number: int) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(Unavailable, match="No space left"):
-        checkpoint.save(Saved(a=np.arange(6)))
+        checkpoint.save({"a": np.arange(6)})
     assert checkpoint.load()["a"].size == 5
     with pytest.raises(Unavailable, match="cannot be written"):
-        Checkpoint(tmp_path / "none" / "state.checkpoint", "one").save(Saved())
+        Checkpoint(tmp_path / "none" / "state.checkpoint", "one").save({})
 
     assert [p.name for p in tmp_path.iterdir()] == ["state.checkpoint"]  # no .part of a full disk
 
@@ -229,7 +219,7 @@ def test_two_writers_of_one_state_never_damage_it(tmp_path: Path) -> None:
     def write(number: int) -> None:
         try:
             for _ in range(30):
-                Checkpoint(path, "one").save(Saved(a=np.full(size, number)))
+                Checkpoint(path, "one").save({"a": np.full(size, number)})
                 saved = Checkpoint(path, "one").load()["a"]
                 assert saved.size == size and saved.min() == saved.max()
         except BaseException as failure:

@@ -16,10 +16,10 @@ from sim_systems import fig6, ranged
 from fpk.errors import NotCertified, Unavailable
 from fpk.observable import parse_observable
 from sim.arrays import LANES
+from sim.diagnostics import moment_products
 from sim.ensemble import Ensemble
 from sim.histogram import Histogram
 from sim.schemes import SCHEMES
-from sim.statistics import moment_products
 from sim.workers import Workers, workers_of
 
 dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")

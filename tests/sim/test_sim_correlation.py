@@ -14,7 +14,7 @@ from fpk.method import silent
 from fpk.observable import Coordinate
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
-from sim.motion.correlation import BEYOND, _curve, _products, _spline_error
+from sim.motion.curves import BEYOND, _curve, _products, _spline_error
 
 Z = 4.5
 """|z| of 31 degrees of freedom and more that chance explains: of 12 lags 1e-3."""
@@ -100,7 +100,7 @@ def test_the_same_for_any_threads_and_a_tolerance_is_met_or_not_certified() -> N
 
 def test_products_begin_in_less_time_where_memory_ends_them(monkeypatch: Any) -> None:
     system = System([1.0], [1.0], [0.002], [0.001])
-    monkeypatch.setattr("sim.motion.correlation.MOST_SUMS", 1 << 16)
+    monkeypatch.setattr("sim.motion.curves.MOST_SUMS", 1 << 16)
     answer, expected = sampled(system, 0, AT, time=None), by_method("linear", system, 0, AT)
     assert answer.settings["time"] < 200.0 < 20.0 / 0.001
     assert np.all(np.abs(answer.values - expected.values) < Z * answer.errors)

@@ -17,15 +17,14 @@ from fpk.method import Result, silent
 from fpk.observable import parse_observable
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
+from sim.diagnostics import moment_identities, moment_products
 from sim.ensemble import Ensemble
 from sim.flow import lower_trapezoidal
 from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
 from sim.random import normals
-from sim.relaxation import relaxation_time
 from sim.schemes import SCHEMES
-from sim.statistics import moment_identities, moment_products
-from sim.step_size import temperature
+from sim.step_size import relaxation_time, temperature
 
 
 def hardened(h1: float = 1.5) -> System:

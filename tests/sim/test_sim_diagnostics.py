@@ -12,12 +12,12 @@ from sim_systems import exact, fig6, ranged
 from fpk.observable import parse_observable
 from sim.arrays import LANES
 from sim.diagnostics import (
-    Effective,
     diagnosis,
     drift_limit,
     drifts,
     effective_of_paths,
     effective_of_shares,
+    moment_products,
     split_r_hat,
     variance_error,
 )
@@ -26,7 +26,6 @@ from sim.histogram import mirrored, sampled_density
 from sim.montecarlo import MonteCarlo
 from sim.record import Record, octiles
 from sim.schemes import SCHEMES
-from sim.statistics import moment_products
 
 
 def autoregression(phi: float, chains: int, draws: int, seed: int) -> np.ndarray:
@@ -95,18 +94,18 @@ def test_error_of_trajectories_is_that_of_the_correlogram_and_of_arviz() -> None
         if len(draws) % 20 == 0:
             record.chunk_ends()
     x = np.array(draws).T
-    found = next(e for e in record.effective() if e.name == "q2²")
-    assert found.relative_error < 0.12
+    found = next(e for e in record.effective() if e[0] == "q2²")
+    assert found[2] < 0.12
     y = x - x.mean()
     lags = range(1, 120)
     rho = [float(np.mean(y[:, :-k] * y[:, k:])) / float(np.mean(y * y)) for k in lags]
     summed = x.size / (1.0 + 2.0 * sum(rho))
     # Both are one variance over 1024 trajectories; 120 of 400 lags are summed.
-    assert abs(found.samples / summed - 1.0) < 4.0 * found.relative_error + 0.05
-    error = np.sqrt(np.mean(record.variances, axis=0)[1] / found.samples)
+    assert abs(found[1] / summed - 1.0) < 4.0 * found[2] + 0.05
+    error = np.sqrt(np.mean(record.variances, axis=0)[1] / found[1])
     theirs = float(array_stats.mcse(x.reshape(1024, 20, 20).mean(axis=2), method="mean"))
-    assert abs(error / theirs - 1.0) < 4.0 * 0.5 * found.relative_error + 0.05
-    assert float(array_stats.ess(x, method="mean")) > 2.0 * found.samples
+    assert abs(error / theirs - 1.0) < 4.0 * 0.5 * found[2] + 0.05
+    assert float(array_stats.ess(x, method="mean")) > 2.0 * found[1]
     # And the chunks of the record are means of these draws.
     column = record.names.index("q2²")
     chunk_means = x.reshape(-1, LANES, 20, 20).mean(axis=(1, 3))
@@ -129,22 +128,20 @@ def test_drift_is_found_where_it_is_and_seldom_where_it_is_not() -> None:
 def test_a_short_run_is_refused() -> None:
     few, _ = effective_of_shares(np.random.default_rng(2).normal(0.5, 0.1, (64, 1)))
     assert few * 64 > 50 and few < 64 * 50
-    one = Effective("x", 49.0, 0.1)
+    one = ("x", 49.0, 0.1)
     means = np.random.default_rng(4).normal(size=(1, 64, 20))
     found = diagnosis([one], ["x"], means, time=98.0, paths=1, burn_in=10.0)
     assert found.autocorrelation_time == 1.0
     (words,) = found.failures
     assert "fewer than 50" in words and "sample for longer" in words
-    (words,) = diagnosis(
-        [Effective("x", 1e4, 0.1)], ["x"], means, time=2e4, paths=1, burn_in=4.0
-    ).failures
+    (words,) = diagnosis([("x", 1e4, 0.1)], ["x"], means, time=2e4, paths=1, burn_in=4.0).failures
     assert "burn-in of 4" in words
 
 
 def test_a_sample_without_any_effective_sample_is_refused() -> None:
     """The squares of tiny numbers have a variance that underflows, their means may not."""
     means = np.random.default_rng(4).normal(size=(1, 64, 20))
-    found = diagnosis([Effective("x", 0.0, 0.1)], ["x"], means, time=98.0, paths=1, burn_in=10.0)
+    found = diagnosis([("x", 0.0, 0.1)], ["x"], means, time=98.0, paths=1, burn_in=10.0)
     assert found.autocorrelation_time == inf and found.times_per_path == 0.0
     assert "fewer than 50" in found.failures[0] and "longer burn_in" in found.failures[1]
 

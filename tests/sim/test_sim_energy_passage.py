@@ -15,9 +15,14 @@ from fpk.limit import parse_limit
 from fpk.method import silent
 from fpk.start import parse_start
 from fpk.system import System
-from sim.averaged.passage import EnergyLimits, from_energies
-from sim.averaged.square_root import square_root_form, square_root_step
-from sim.motion.between import distance_to
+from sim.averaged.square_root import (
+    EnergyLimits,
+    from_energies,
+    square_root_form,
+    square_root_step,
+)
+from sim.motion.passing import distance_to
+from sim.motion.rounds import Watch
 
 
 def passed(theory: Any, system: System, limit: str, start: str = "rest", times: Any = (),
@@ -163,14 +168,24 @@ def test_seconds_end_it_and_enough_of_them_change_nothing(contact: bool) -> None
 
 
 def test_an_end_by_the_wall_time_has_no_bias(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Each batch ends after another number of steps, 50 to 199.
-    numbers = iter(range(10**6))
+    # Each round of 512 paths ends after another number of looks at the time, 4 to 13.
+    monkeypatch.setattr("sim.averaged.paths.AT_ONCE", 512)
+    numbers, left = iter(range(10**6)), [0]
 
-    def ends(*_: Any) -> Any:
-        left = iter([False] * (50 + 37 * next(numbers) % 150))
-        return lambda: next(left, True)
+    def ends(_: Any) -> bool:
+        left[0] -= 1
+        if left[0] < 0:
+            left[0] = 4 + 7 * next(numbers) % 10
+        return left[0] == 0
 
-    monkeypatch.setattr("sim.averaged.passage.Shares.ends", ends)
-    answer = passed("integrable", oscillator(0.1), "H=1.5", paths=4096)
+    monkeypatch.setattr("sim.motion.rounds.Watch.ends", ends)
+    monkeypatch.setattr("sim.motion.rounds.Watch.until", until_the_last)
+    answer = passed("integrable", oscillator(0.1), "H=1.5", paths=8192)
     assert int(answer.settings["not failed"]) > 200 and answer.certificate.certified
     assert abs(answer.mean.value - CIR_MEAN / 0.1) < 4.0 * answer.mean.error
+
+
+def until_the_last(watch: Watch, answer: Any, *, least: int, most: int) -> None:
+    """Every round, whatever the time."""
+    for number in range(most):
+        answer(number)

@@ -9,10 +9,10 @@ from sim_gibbs import Gibbs
 from test_sim_transient import sampled as transient
 
 from fpk.contact import Contact
+from fpk.dynamics import upcrossings
 from fpk.observable import parse_observable
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
-from fpk.upcrossings import upcrossings
 from sim.montecarlo import MonteCarlo
 
 Z = 5.0

@@ -20,11 +20,10 @@ from fpk.system import System
 from sim.arrays import LANES, in_blocks, in_rows
 from sim.ensemble import ensemble_from
 from sim.montecarlo import MonteCarlo
-from sim.motion.failure_times import Times, estimates, tail_begin
+from sim.motion.failure_times import Times, estimates, passage_of, tail_begin
 from sim.motion.limits import energies_of
 from sim.motion.passing import reader_of
 from sim.motion.starts import on_shell
-from sim.motion.survival import passage_of
 
 CIR_RATE = 0.13742123052434
 """Failure rate of dH = (kT − H) dt + √(2 kT H) dB at 3 kT: 1F1(−λ; 1; 3) = 0, per decay time."""
@@ -309,7 +308,8 @@ def test_errors_of_exponential_times_hold_with_and_without_an_end() -> None:
         for _ in range(60):
             time = stream.exponential(size=1024)
             until = np.full(1024, end if end < np.inf else 1e9)
-            sampled = Times(np.where(time > until, np.inf, time), None, until)
+            failed = np.where(time > until, np.inf, time)
+            sampled = Times(failed, failed, until)
             answer = passage_of(
                 sampled, times, limit="H=1", step=0.0, memory=0.0, tol=1.0, failures=(), settings={}
             )
@@ -370,7 +370,7 @@ def test_starts_that_are_all_beyond_the_limit_are_refused() -> None:
 def test_the_bound_of_a_rate_is_that_of_poisson(events: int, bound: float) -> None:
     # Garwood: half the 95 % quantile of χ² with 2 (events + 1) degrees of freedom, by tables.
     time = np.where(np.arange(4096) < events, 1.0, np.inf)
-    sampled = Times(time, None, np.full(4096, 10.0))
+    sampled = Times(time, time, np.full(4096, 10.0))
     answer = passage_of(
         sampled,
         np.zeros(0),

@@ -16,9 +16,9 @@ from averaging.exact import Exact
 from fpk.arrays import Array
 from fpk.contact import Contact
 from fpk.density import Density
+from fpk.dynamics import upcrossings
 from fpk.observable import parse_observable
 from fpk.system import System
-from fpk.upcrossings import upcrossings
 from sim.montecarlo import MonteCarlo
 from sim.setup import default_step
 from sim.step_size import JOINT_BIAS, chosen_step, expected_error, samples_in, step_for

@@ -16,14 +16,13 @@ from fpk.linear import diffusion_matrix, drift_matrix
 from fpk.observable import parse_observable
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
+from sim.diagnostics import batch_moments, moment_identities, moment_products
 from sim.ensemble import Ensemble
 from sim.montecarlo import MonteCarlo
 from sim.record import Record
-from sim.relaxation import relaxation_time
 from sim.report import Moment, Report
 from sim.schemes import SCHEMES
-from sim.statistics import batch_moments, moment_identities, moment_products
-from sim.step_size import chosen_step
+from sim.step_size import chosen_step, relaxation_time
 
 Q2 = [parse_observable("q2", 2)]
 

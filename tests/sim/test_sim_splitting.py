@@ -20,15 +20,13 @@ from fpk.linear import natural_modes
 from fpk.start import REST, Start, parse_start
 from sim.averaged.square_root import SquareRootForm
 from sim.flow import exact_flow
-from sim.motion.between import cubic_of, largest_of
+from sim.motion.passing import cubic_of, largest_of
 from sim.motion.starts import on_shell
 from sim.random import GOLDEN, mixed_seed
 from sim.splitting import RareFailure, Splitting, rare_failure
-from sim.splitting.algorithm import split
-from sim.splitting.arrays import LEVELS
-from sim.splitting.full import system_problem
-from sim.splitting.parts import draw_normals
-from sim.splitting.run import mean_and_error
+from sim.splitting.kernel import LEVELS, draw_normals
+from sim.splitting.problem import system_problem
+from sim.splitting.run import mean_and_error, split
 from sim.workers import workers_of
 
 QUICK = Splitting(replicas=64, killed=4, repetitions=8, threads=1)

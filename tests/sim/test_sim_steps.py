@@ -25,11 +25,9 @@ from fpk.start import REST, Start, parse_start
 from fpk.system import System
 from sim.flow import flow_covariance
 from sim.montecarlo import MonteCarlo
-from sim.motion.failure_times import Times
-from sim.motion.steps import STEPS_SINCE_START, stages
-from sim.motion.survival import passage_of
-from sim.splitting.run import rare_failure
-from sim.splitting.settings import Splitting
+from sim.motion.failure_times import Times, passage_of
+from sim.motion.limits import STEPS_SINCE_START, stages
+from sim.splitting.run import Splitting, rare_failure
 
 LOOSE = System([1.0], [1e-4], [1e-4], [0.5])
 """A mass whose own period is 628: noise alone moves it by 0.6 in the time 1."""

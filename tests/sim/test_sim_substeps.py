@@ -18,23 +18,24 @@ from fpk.method import Identity
 from fpk.observable import parse_observable
 from fpk.system import System
 from sim.arrays import LANES
+from sim.diagnostics import batch_moments, moment_identities, moment_products
 from sim.ensemble import Ensemble
 from sim.flow import exact_flow, flow_covariance, lower_trapezoidal
 from sim.histogram import Histogram
 from sim.montecarlo import MonteCarlo
-from sim.plan import step_arrays, watched
-from sim.random import normals
-from sim.schemes import SCHEMES, Scheme
-from sim.statistics import batch_moments, moment_identities, moment_products
-from sim.step_size import chosen_step, sampling_interval
-from sim.substeps import (
+from sim.plan import (
     LARGEST_NORMAL,
     LONG_COST,
     bends,
     cost,
     noise_reach,
+    step_arrays,
+    watched,
     with_long_steps,
 )
+from sim.random import normals
+from sim.schemes import SCHEMES, Scheme
+from sim.step_size import chosen_step, sampling_interval
 
 Array = NDArray[np.float64]
 EXACT_FLOW = SCHEMES["exact_flow"]

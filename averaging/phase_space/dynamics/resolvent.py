@@ -7,35 +7,23 @@ images are equally likely A does not mix what keeps its sign under them with wha
 displacements do: each has a chain of its own, of half the size.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from averaging.phase_space.equation.basis import Basis, basis
-from averaging.phase_space.equation.chain import Chain
+from averaging.phase_space.equation.basis import basis
+from averaging.phase_space.equation.chain import Chain, chain_of
 from averaging.phase_space.equation.elimination import Expansion, factored
-from averaging.phase_space.equation.equations import chain_of
-from averaging.phase_space.equation.frame import Frame
-from averaging.phase_space.equation.others import lowered, raised
-from averaging.phase_space.marginals import Form
+from averaging.phase_space.krylov import EVERY, RESIDUAL, VECTORS, krylov
+from averaging.phase_space.marginals import form_of, moments
 from fpk.arrays import EPS, Array, Complexes
+from fpk.observable import Coordinate
 
-VECTORS = 120
-"""Most vectors of a Krylov space: with more, making them orthogonal takes as long as an elimination
-at another shift."""
-CHECKED = 10
-"""Vectors after which the residuals of all frequencies are looked at."""
-RESIDUAL = 1e-13
-"""Residual, relative to the solution, at which a frequency is solved."""
-
-RITZ_VECTORS = 160
-"""Vectors of the Krylov space in which eigenvalues are sought."""
 CONVERGED = 1e-8
 """Relative residual of an eigenvalue that counts as one of A."""
 BLOCK = 4
-"""Random vectors that such a space begins with: eigenvalues of a multiplicity of up to as many are
-found as often as they occur."""
+"""Random vectors of the first block: eigenvalues of a multiplicity of up to as many are found as
+often as they occur."""
 SAME = 1e-6
 """Relative distance of two eigenvalues that are one of a multiplicity."""
 OVERLAP = 0.9
@@ -48,70 +36,55 @@ Step = Callable[[float], None]
 """Called with the share of an elimination that is done."""
 
 
-@dataclass(frozen=True, eq=False)
-class Generator:
-    """A on the functions of one parity (``odd`` or not; all of them where there is no mirror).
+def generator(e: Expansion, *, odd: bool, closed: bool = False) -> Chain:
+    """Return A on the functions of one parity (``odd`` or not; all where there is no mirror).
 
-    ``one`` are the coefficients of the function 1 in level 0: its product with A vanishes, as mass
-    is conserved, and it is 0 itself where all functions of level 0 are odd.
+    It has the degrees and the reference of ``e``. ``closed`` as of ``chain_of``: for eigenvalues.
     """
-
-    functions: Basis
-    chain: Chain
-    one: Array
-
-    @classmethod
-    def of(cls, frame: Frame, e: Expansion, *, odd: bool, closed: bool = False) -> "Generator":
-        """Return A of the degrees and the reference of an expansion with all levels.
-
-        ``closed`` as of ``chain_of``: for eigenvalues.
-        """
-        functions = basis(frame, e.basis.reference, e.degrees, odd=odd)
-        chain = chain_of(frame, e.basis.reference, functions, e.degrees, closed=closed)
-        return cls(functions, chain, functions.of_one())
-
-    def shaped(self, u: Array) -> list[Array]:
-        """Return the parts of a vector as ``levels`` of an ``Expansion``."""
-        return self.chain.shaped(u)
-
-    def packed(self, levels: Sequence[Array]) -> Array:
-        """Return ``levels`` of an ``Expansion`` as a vector."""
-        return self.chain.packed(levels)
-
-    def resolvent(self, shift: complex, step: Step) -> Callable[[Array], Array]:
-        """Return the function b → (s − A)⁻¹ b for s = ``shift``, b a vector or columns of them.
-
-        Of b, which has no mass, what round-off left of it is removed: A is singular at s = 0.
-        """
-        factors, _ = factored(self.chain, one=self.one, shift=shift, step=step)
-
-        def solve(b: Array) -> Array:
-            right = b.copy()
-            right[: self.one.size] -= np.multiply.outer(self.one, self.one @ b[: self.one.size])
-            return -factors.solve(right)
-
-        return solve
+    b = e.basis
+    return chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
 
 
-def times(b: Basis, levels: Sequence[Array], form: Form, to: Generator) -> Array:
-    """Return the product of a coordinate with an expansion, as a vector of ``to``.
+def resolvent(A: Chain, shift: complex, step: Step) -> Callable[[Array], Array]:
+    """Return the function b → (s − A)⁻¹ b for s = ``shift``, b a vector or columns of them.
 
-    ``levels`` as of an ``Expansion``, with the functions ``b``; what the product has beyond the
-    functions of ``to`` is orthogonal to them and left out. The coordinate is
-    ``offset + slope y + direction·ζ``, and ζ_j He_k = √k_j He_(k−e_j) + √(k_j + 1) He_(k+e_j).
+    The product of A with the function 1 vanishes, as mass is conserved, and A is singular at s = 0.
+    Of b and of the solution, which have no mass, what round-off left of it is removed.
     """
-    new, others, e = to.functions, to.chain.others, form.direction
-    values, _ = b.at_points
-    by_y = values.T @ ((b.weights * (form.offset + form.slope * b.points))[:, None] * values)
-    old = [u @ b.of_level(n)[:, : u.shape[1]].T for n, u in enumerate(levels)]
-    product = [u @ by_y @ new.of_level(n) for n, u in enumerate(old)]
-    for n in range(len(levels) - 1):
-        product[n + 1] += raised(others, n, old[n] @ new.of_level(n + 1), e)
-        product[n] += lowered(others, n, old[n + 1] @ new.of_level(n), e)
-    return to.packed(product)
+    factors, one = factored(A, shift=shift, step=step), A.basis.of_one
+
+    def massless(u: Array) -> Array:
+        u = u.copy()
+        u[: one.size] -= np.multiply.outer(one, one @ u[: one.size])
+        return u
+
+    return lambda b: -massless(factors.solve(massless(b)))
 
 
-def transforms(A: Generator, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:
+def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
+    """Return q' of a mass times the reference alone, 1 in level 0, and times p, as vectors of A.
+
+    q' is q less its mean; a product with the first is ∫ q' …. With the coordinate
+    ``offset + slope y + direction·ζ``, ζ_j He_k = √k_j He_(k−e_j) + √(k_j + 1) He_(k+e_j). What the
+    products have beyond the functions of A is orthogonal to them and left out.
+    """
+    b, space = e.basis, e.space
+    q = Coordinate("q", row)
+    (offset, slope, direction), (at, unit) = form_of(e, q), b.frame.place(q)
+    offset -= unit * moments(e).mean[at]
+    values, up = b.at_points[0], space.raising(direction)
+    by_y = values.T @ ((b.weights * (offset + slope * b.points))[:, None] * values)
+    density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])
+    reference = np.zeros_like(density)
+    reference[0] = b.continuous @ b.of_one
+    first, second = (
+        A.packed([product[space.span(n)] @ A.basis.of_level(n) for n in range(len(e.levels))])
+        for product in (u @ by_y + (up + up.T) @ u for u in (reference, density))
+    )
+    return first, second
+
+
+def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:
     """Return c·(iω − A)⁻¹ b at the ascending frequencies ω >= 0 of ``at``, and the residual.
 
     One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the solution
@@ -126,7 +99,8 @@ def transforms(A: Generator, c: Array, b: Array, at: Array, step: Step) -> tuple
     while groups:
         group = groups.pop()
         away = np.asarray(1j * (at[group] - shift))
-        found, residuals = _near(A.resolvent(1j * shift, step), c, b, away)
+        solve = resolvent(A, 1j * shift if shift else 0.0, step)
+        found, residuals = _near(solve, c, b, away)
         if not np.all(np.isfinite(residuals)):
             raise np.linalg.LinAlgError(f"no resolvent at the frequency {shift:.3g}")
         solved = residuals <= RESIDUAL
@@ -143,16 +117,13 @@ def transforms(A: Generator, c: Array, b: Array, at: Array, step: Step) -> tuple
 def _near(
     solve: Callable[[Array], Array], c: Array, b: Array, away: Complexes
 ) -> tuple[Complexes, Array]:
-    """Return c·u of (1 + a B) u = B b for all a of ``away``, and the residuals of each.
-
-    ``solve`` is B. The space grows until all residuals are small or it has ``VECTORS`` vectors.
-    """
+    """Return c·u of (1 + a B) u = B b, B = ``solve``, for all a of ``away``, and residuals."""
     first = solve(b)
     size = float(np.linalg.norm(first))
     found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)
-    for V, H, closed in _krylov(solve, first[:, None], VECTORS):
+    for V, H, closed in krylov(solve, first[:, None], VECTORS):
         m = len(V)
-        if m % CHECKED in (0, 1) or closed:
+        if m % EVERY in (0, 1) or closed:
             for k in np.flatnonzero(residuals > RESIDUAL):
                 y = np.linalg.solve(np.eye(m) + away[k] * H[:m], size * np.eye(m)[0])
                 residuals[k] = abs(away[k]) * np.linalg.norm(H[m:] @ y) / np.linalg.norm(y)
@@ -163,20 +134,20 @@ def _near(
 
 
 def decays(
-    A: Generator, c: Array, b: Array, at: Array, rate: float, step: Step, *, tol: float
+    A: Chain, c: Array, b: Array, at: Array, rate: float, step: Step, *, tol: float
 ) -> tuple[Array, float]:
     """Return C(t) = c·e^(At) b and its derivative over ``rate`` at the lags ``at``, (2, lags).
 
     Beside them the error of C that is left of its calculation. One elimination in real numbers, at
     s = ``rate``, which is to be that of a motion, serves all lags: e^(At) b is taken from the
-    Krylov space of b and (s − A)⁻¹, in which A is s − H⁻¹. The space grows until ``CHECKED`` more
-    vectors change nothing by more than ``tol`` C(0), or it has ``RITZ_VECTORS``; the error is the
+    Krylov space of b and (s − A)⁻¹, in which A is s − H⁻¹. The space grows until ``EVERY`` more
+    vectors change nothing by more than ``tol`` C(0), or it has ``VECTORS``; the error is the
     larger one of the last two changes. Raises ``LinAlgError`` where it grows without bound.
     """
     values, changes = np.zeros((2, at.size)), [np.inf, np.inf]
-    for V, H, closed in _krylov(A.resolvent(rate, step), b[:, None], RITZ_VECTORS):
+    for V, H, closed in krylov(resolvent(A, rate, step), b[:, None], VECTORS):
         m = len(V)
-        if not (m % CHECKED == 0 or closed):
+        if not (m % EVERY == 0 or closed):
             continue
         theta, W = np.linalg.eig(H[:m])
         parts = (V @ c) @ W * np.linalg.solve(W, np.eye(m)[0]) * np.linalg.norm(b)
@@ -196,44 +167,15 @@ def decays(
     return values, 0.0 if closed else max(changes[-2:])
 
 
-def _krylov(
-    solve: Callable[[Array], Array], first: Array, most: int
-) -> Iterator[tuple[Array, Array, bool]]:
-    """Yield orthonormal V (m, size) and H (rows, m) of Arnoldi's method, up to m = ``most``.
-
-    V spans the b columns of ``first`` (size, b), the first vector that of the first column, then
-    those of B ``first``, …, with B = ``solve``, b more in each step. H[:m] is B in V, and the rows
-    behind are what leads out of V. The last item is whether nothing does, after which there are no
-    more.
-    """
-    b, rows, m = first.shape[1], first.shape[1], 0
-    V = np.zeros((most + b, len(first)), dtype=first.dtype)
-    H = np.zeros((most + b, most), dtype=first.dtype)
-    Q, R = np.linalg.qr(first)
-    V[:b] = (Q * np.sign(np.diag(R).real)).T
-    while m < min(rows, most):
-        for new in solve(V[m : min(rows, most)].T).T:
-            for _ in range(2):
-                part = V[:rows].conj() @ new
-                new = new - part @ V[:rows]
-                H[:rows, m] += part
-            length = float(np.linalg.norm(new))
-            if length > RESIDUAL * float(np.linalg.norm(H[:rows, m])):
-                H[rows, m], V[rows] = length, new / length
-                rows += 1
-            m += 1
-        yield V[:m], H[:rows, :m], m == rows
-
-
-def eigenvalues(A: Generator, at: float, step: Step) -> tuple[Complexes, float]:
+def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
     """Return eigenvalues λ of −A, and the |λ − iω| up to which all are among them, ω = ``at``.
 
     Each as often as it occurs, up to ``BLOCK`` times, by Arnoldi's method with (iω − A)⁻¹ from as
     many random vectors: eigenvalues nearest to iω converge first.
     """
-    solve = A.resolvent(1j * at if at else 0.0, step)
-    random = np.random.default_rng(0).normal(size=(A.chain.ends[-1], BLOCK))
-    *_, (V, H, _) = _krylov(solve, solve(random), RITZ_VECTORS)
+    solve = resolvent(A, 1j * at if at else 0.0, step)
+    random = np.random.default_rng(0).normal(size=(A.ends[-1], BLOCK))
+    *_, (V, H, _) = krylov(solve, solve(random), VECTORS)
     theta, W = np.linalg.eig(H[: len(V)])
     rounding = EPS * np.max(np.abs(theta))
     known = np.abs(theta) > rounding
@@ -245,7 +187,7 @@ def eigenvalues(A: Generator, at: float, step: Step) -> tuple[Complexes, float]:
 
 
 def slowest_rates(
-    parts: Sequence[Generator], count: int, fastest: float, *, most: int, step: Step
+    parts: Sequence[Chain], count: int, fastest: float, *, most: int, step: Step
 ) -> tuple[Complexes, str]:
     """Return eigenvalues λ of −A of all ``parts``, Im λ >= 0, in ascending order of Re λ.
 

@@ -1,24 +1,69 @@
-"""Functions of the contact displacement over all panels: continuous ones and their derivatives."""
+"""Functions of the displacement y of the contact mass: polynomials on panels between its stops."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import null_space
+from scipy.optimize import brentq
 
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.equation.panels import (
-    RULE_POINTS,
-    Panel,
-    bare_panels,
-    coordinate,
-    log_weight,
-    orthonormal,
-)
-from fpk.arrays import Array
+from averaging.phase_space.krylov import krylov
+from fpk.arrays import SMALLEST, Array
+from fpk.quadrature import gauss_legendre
+
+DEEP = 75.0
+"""−ln w at the ends of the support: w is 3e-33 of its largest value there."""
+RULE_POINTS = 160
+"""Gauss points of a panel: products of polynomials of degree 60 with w and the contact force."""
+SAME = 1e-3
+"""Distance of two stops, in widths of the support, below which there is no panel between them: what
+is not smooth at the second of them, (y − δ)^(5/2) in ln w, is 3e-8 there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Polynomials in t(y) between ``low`` and ``high``, orthonormal with the weight of the basis.
+
+    Between stops (``direction`` 0) t is y. Beyond a stop at ``anchor``, on the right (1) or left
+    (−1), t² = |y − anchor|/``length`` + 2 w₃ (U(y) − U(anchor)), where 2 w₃ U is 1 one ``length``
+    beyond: so a polynomial in the energy is one of the same degree in t as in a velocity, and the
+    contact force, which starts as (y − anchor)^e, is smooth in t for half-integer e. ``last`` says
+    that no other stop follows.
+    ``recurrence`` (degree + 1, degree) makes the polynomials: t P_j = Σ_i recurrence[i, j] P_i,
+    and P_0 is ``first``.
+    """
+
+    low: float
+    high: float
+    direction: int
+    last: bool
+    anchor: float
+    length: float
+    degree: int
+    first: float
+    recurrence: Array
+
+    def rule(self, count: int) -> tuple[Array, Array]:
+        """``count`` Gauss points y, in |y − anchor|^½ beyond a stop, and weights that integrate."""
+        x, weight = gauss_legendre(count)
+        x, weight, length = 0.5 * (1.0 + x), 0.5 * weight, self.high - self.low
+        if self.direction == 0:
+            return self.low + length * x, length * weight
+        return self.anchor + self.direction * length * x**2, 2.0 * length * weight * x
+
+    def polynomials(self, t: Array) -> tuple[Array, Array]:
+        """P_j(t) and dP_j/dt, shapes (points, degree)."""
+        P, dP = np.zeros((t.size, self.degree)), np.zeros((t.size, self.degree))
+        P[:, 0] = self.first
+        for j in range(1, self.degree):
+            H = self.recurrence[: j + 1, j - 1]
+            P[:, j] = (t * P[:, j - 1] - P[:, :j] @ H[:j]) / H[j]
+            dP[:, j] = (P[:, j - 1] + t * dP[:, j - 1] - dP[:, :j] @ H[:j]) / H[j]
+        return P, dP
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +86,9 @@ class Basis:
     second are odd, or the other way round.
     """
 
-    reference: Reference
     frame: Frame
+    reference: Reference
+    degrees: Degrees
     panels: tuple[Panel, ...]
     nodes: Array
     points: Array
@@ -57,31 +103,29 @@ class Basis:
         """The functions of level n by their coefficients, (functions of all panels, functions)."""
         return self.broken if n % 2 else self.continuous
 
-    def log_slope(self) -> Array:
-        """d ln w/dy at the points."""
-        linear, square, contact = self.reference.weight
-        force = self.frame.contact_force(self.points)
-        return np.asarray(-(linear + square * self.points + contact * force))
-
+    @cached_property
     def of_one(self) -> Array:
-        """Coefficients of the function 1 in the continuous functions."""
-        values, _ = self.at_points
-        return np.asarray(self.continuous.T @ (values.T @ self.weights))
+        """Coefficients of the function 1 in the continuous functions; 0 where these are odd."""
+        return np.asarray(self.continuous.T @ (self.at_points[0].T @ self.weights))
 
     def density(self, y: Array) -> Array:
         """w(y), 0 outside the support."""
         inside = (y >= self.nodes[0]) & (y <= self.nodes[-1])
-        log_w = log_weight(self.frame, self.reference, np.clip(y, *self.nodes[[0, -1]]))
+        log_w = _log_weight(self.frame, self.reference, np.clip(y, *self.nodes[[0, -1]]))
         return np.where(inside, np.exp(log_w - self.log_norm), 0.0)
 
     def rule(self, count: int) -> tuple[Array, Array]:
         """Points y, ``count`` a panel, and weights that integrate over y."""
-        rules = [panel.rule(count) for panel in self.panels]
-        return tuple(np.concatenate(x) for x in zip(*rules, strict=True))  # type: ignore[return-value]
+        y, w = zip(*(panel.rule(count) for panel in self.panels), strict=True)
+        return np.concatenate(y), np.concatenate(w)
 
     def fine_nodes(self, count: int) -> Array:
-        """Ends of ``count`` parts of each panel."""
-        return np.unique(np.concatenate([p.parts(count) for p in self.panels]))
+        """Ends of ``count`` parts of each panel, graded towards a stop, where y is not smooth."""
+        share, parts = np.linspace(0.0, 1.0, count + 1), []
+        for p in self.panels:
+            length = (p.high - p.low) * (share**4 if p.direction else share)
+            parts.append(p.high - length if p.direction < 0 else p.low + length)
+        return np.unique(np.concatenate(parts))
 
     @cached_property
     def at_points(self) -> tuple[Array, Array]:
@@ -95,7 +139,7 @@ class Basis:
         which = np.clip(np.searchsorted(self.nodes, y, side="right") - 1, 0, len(self.panels) - 1)
         for k, panel in enumerate(self.panels):
             at = np.flatnonzero(which == k)
-            t, rate = coordinate(self.frame, self.reference, panel, y[at])
+            t, rate = _coordinate(self.frame, self.reference, panel, y[at])
             P, dP = panel.polynomials(t)
             values[at, starts[k] : starts[k + 1]] = P
             slopes[at, starts[k] : starts[k + 1]] = dP * rate[:, None]
@@ -108,27 +152,64 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
     ``odd``: those of what changes its sign with the mirror image, odd ones for even ones and even
     ones for odd ones.
     """
-    panels = bare_panels(frame, reference, degrees)
-    y, dy = (np.concatenate(x) for x in zip(*(p.rule(RULE_POINTS) for p in panels), strict=True))
-    w = dy * np.exp(log_weight(frame, reference, y))
-    w /= (total := float(w.sum()))
-    for k, panel in enumerate(panels):
-        at = slice(k * RULE_POINTS, (k + 1) * RULE_POINTS)
-        t, _ = coordinate(frame, reference, panel, y[at])
-        first, recurrence = orthonormal(t, w[at], panel.degree)
-        panels[k] = replace(panel, first=first, recurrence=recurrence)
+    panels, points, weights = [], [], []
+    for panel in _panels(frame, reference):
+        width = float((panel.high - panel.low) * np.sqrt(reference.weight[1]))
+        touched = panel.direction != 0
+        degree = degrees.outer if panel.last else degrees.between(width, beyond=touched)
+        panels.append(replace(panel, degree=degree))
+        y, dy = panel.rule(RULE_POINTS)
+        points.append(y)
+        weights.append(dy * np.exp(_log_weight(frame, reference, y)))
+    total = float(np.sum(weights))
+    for k, (panel, y, w) in enumerate(zip(panels, points, weights, strict=True)):
+        t, _ = _coordinate(frame, reference, panel, y)
+        root = np.sqrt(w / total)
+        *_, (_, H, _) = krylov(partial(np.multiply, t[:, None]), root[:, None], panel.degree)
+        # The first vector is √w P_0.
+        panels[k] = replace(panel, first=1.0 / float(np.linalg.norm(root)), recurrence=H)
+    starts, last = np.cumsum([0, *(p.degree for p in panels)]), len(panels) - 1
+
+    def row(*parts: tuple[int, Array]) -> Array:
+        """Row on the functions of all panels, by the numbers of panels and its entries there."""
+        out = np.zeros(starts[-1])
+        for k, entries in parts:
+            out[starts[k] : starts[k + 1]] += entries
+        return out
+
+    def at_end(panel: Panel, y: float) -> Array:
+        t, _ = _coordinate(frame, reference, panel, np.array([y]))
+        return np.asarray(panel.polynomials(t)[0][0])
+
+    # Rows that vanish on functions that are continuous and have no slope in t at a stop: panels
+    # meet at a stop of at least one of them, where t of that one is 0.
+    rows = [
+        row((k, at_end(a, a.high)), (k + 1, -at_end(b, a.high)))
+        for k, (a, b) in enumerate(pairwise(panels))
+    ]
+    rows += [
+        row((k, p.polynomials(np.zeros(1))[1][0])) for k, p in enumerate(panels) if p.direction
+    ]
     mirrored = frame.symmetric and not reference.weight[0]
-    rows = _continuity(frame, reference, panels)
-    parity = [_of_parity(panels, sign) if mirrored else rows[:0] for sign in (1, -1)]
-    continuous = _nested(panels, degrees, np.vstack([rows, parity[odd]]), fewer=0)
+    parity: list[list[Array]] = [[], []]
+    if mirrored:
+        # Rows that vanish on even and on odd functions: P_j(−t) = (−1)^j P_j(t) in the middle;
+        # beyond stops t is the same on both sides.
+        for only, sign in zip(parity, (1.0, -1.0), strict=True):
+            for k, p in enumerate(panels[: (len(panels) + 1) // 2]):
+                for j, unit in enumerate(np.eye(p.degree)):
+                    image = sign * (1.0 if p.direction else (-1.0) ** j)
+                    only.append(row((k, unit), (last - k, -image * unit)))
+    continuous = _nested(panels, degrees, [*rows, *parity[odd]], fewer=0)
     broken = _nested(panels, degrees, parity[not odd], fewer=1)
     return Basis(
-        reference,
         frame,
+        reference,
+        degrees,
         tuple(panels),
         np.array([panels[0].low, *(p.high for p in panels)]),
-        y,
-        w,
+        np.concatenate(points),
+        np.concatenate(weights) / total,
         float(np.log(total)),
         mirrored,
         continuous[0],
@@ -138,7 +219,7 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
 
 
 def _nested(
-    panels: Sequence[Panel], degrees: Degrees, rows: Array, *, fewer: int
+    panels: Sequence[Panel], degrees: Degrees, rows: Sequence[Array], *, fewer: int
 ) -> tuple[Array, tuple[int, ...]]:
     """Return orthonormal functions on which ``rows`` vanish, and how many come with each count.
 
@@ -147,6 +228,7 @@ def _nested(
     between stops and, as t² is linear in y there, by two beyond one.
     """
     degree = np.concatenate([np.arange(p.degree) for p in panels])
+    every = np.array([row for row in rows if row.any()]).reshape(-1, degree.size)
     columns, counts = np.zeros((degree.size, 0)), []
     for count in range(degrees.outer + 1):
         if count < degrees.least:
@@ -158,7 +240,7 @@ def _nested(
             for p in panels
         ]
         used = degree < np.repeat(numbers, [p.degree for p in panels])
-        C = rows[:, used]
+        C = every[:, used]
         solution = null_space(C) if C.size else np.eye(C.shape[1])
         space = np.zeros((degree.size, solution.shape[1]))
         space[used] = solution
@@ -169,36 +251,61 @@ def _nested(
     return columns, tuple(counts)
 
 
-def _continuity(frame: Frame, reference: Reference, panels: Sequence[Panel]) -> Array:
-    """Rows that vanish on functions that are continuous and have no slope in t at a stop.
-
-    Panels meet at a stop of at least one of them, where t of that one is 0.
-    """
-    starts = np.cumsum([0, *(p.degree for p in panels)])
-    rows = []
-    for k, (a, b) in enumerate(pairwise(panels)):
-        row = np.zeros(starts[-1])
-        for panel, at, sign in ((a, starts[k], 1.0), (b, starts[k + 1], -1.0)):
-            t, _ = coordinate(frame, reference, panel, np.array([a.high]))
-            row[at : at + panel.degree] = sign * panel.polynomials(t)[0][0]
-        rows.append(row)
-    for k, panel in enumerate(panels):
-        if panel.direction:
-            row = np.zeros(starts[-1])
-            row[starts[k] : starts[k + 1]] = panel.polynomials(np.zeros(1))[1][0]
-            rows.append(row)
-    return np.array(rows).reshape(len(rows), starts[-1])
+def _coordinate(frame: Frame, reference: Reference, panel: Panel, y: Array) -> tuple[Array, Array]:
+    """t at y of a panel, and dt/dy; 0 at a stop, where no function has a slope in t."""
+    if panel.direction == 0:
+        return y, np.ones(y.size)
+    contact, sign = 2.0 * reference.weight[2], panel.direction
+    beyond = np.maximum(sign * (y - panel.anchor), 0.0)
+    energy = frame.contact_energy(y) - frame.contact_energy(np.array([panel.anchor]))[0]
+    t = np.sqrt(np.maximum(beyond / panel.length + contact * energy, 0.0))
+    square_rate = sign / panel.length + contact * frame.contact_force(y)
+    return t, np.where(t > 0.0, 0.5 * square_rate / np.where(t > 0.0, t, 1.0), 0.0)
 
 
-def _of_parity(panels: Sequence[Panel], sign: int) -> Array:
-    """Rows that vanish on functions that are even (``sign`` 1) or odd (−1) in y."""
-    starts = np.cumsum([0, *(p.degree for p in panels)])
-    rows, last = [], len(panels) - 1
-    for k in range((len(panels) + 1) // 2):
-        for j in range(panels[k].degree):
-            row = np.zeros(starts[-1])
-            # P_j(−t) = (−1)^j P_j(t) in the middle; beyond stops t is the same on both sides.
-            row[starts[k] + j] = 1.0
-            row[starts[last - k] + j] -= sign * (1.0 if panels[k].direction else (-1.0) ** j)
-            rows.append(row)
-    return np.array([row for row in rows if row.any()]).reshape(-1, starts[-1])
+def _log_weight(frame: Frame, reference: Reference, y: Array) -> Array:
+    """Return ln w(y) of the reference, up to a constant."""
+    linear, square, contact = reference.weight
+    return np.asarray(-(linear * y + 0.5 * square * y**2 + contact * frame.contact_energy(y)))
+
+
+@lru_cache(maxsize=4)
+def _panels(frame: Frame, reference: Reference) -> tuple[Panel, ...]:
+    """Panels without polynomials, between the ends at which ln w is ``DEEP`` below its maximum."""
+
+    def root(f: Callable[[Array], Array], value: float, a: float, b: float) -> float:
+        return float(brentq(lambda y: float(f(np.array([y]))[0]) - value, a, b, xtol=SMALLEST))
+
+    linear, square, contact = reference.weight
+    # Stops only narrow the Gaussian that is left without them.
+    reach = 2.0 * (np.sqrt(2.0 * DEEP / square) + abs(linear / square))
+    y = np.linspace(-reach, reach, 4001)
+    log_w = _log_weight(frame, reference, y)
+    top, lowest = y[log_w.argmax()], log_w.max() - DEEP
+    low, high = (
+        root(partial(_log_weight, frame, reference), lowest, *ends)
+        for ends in ((-reach, top), (top, reach))
+    )
+    left, right = (x[(x > low) & (x < high)] for x in frame.stops)
+    near = SAME * (high - low)
+    if left.size and right.size and right[0] - left[-1] <= near:
+        left[-1] = right[0] = 0.5 * (left[-1] + right[0])
+    nodes = np.concatenate([[low], left, right, [high]])
+    nodes = nodes[np.concatenate([[True], np.diff(nodes) > near])]
+    panels = []
+    for a, b in pairwise(map(float, nodes)):
+        # A left stop anchors what is left of it, a right stop what is right of it.
+        direction = -1 if np.any(np.abs(left - b) <= near) else 0
+        direction = 1 if np.any(np.abs(right - a) <= near) else direction
+        anchor, end = (b, a) if direction < 0 else (a, b)
+        length = 1.0
+        if direction:
+            # Where 2 w₃ (U − U(anchor)) is 1, at the most at the other end.
+            most = 0.5 / contact + frame.contact_energy(np.array([anchor]))[0]
+            if frame.contact_energy(np.array([end]))[0] > most:
+                end = root(frame.contact_energy, most, anchor, end)
+            length = abs(end - anchor)
+        last = bool(direction) and (a == nodes[0] or b == nodes[-1])
+        nothing = 0, 1.0, np.zeros((1, 0))
+        panels.append(Panel(a, b, direction, last, anchor, length, *nothing))
+    return tuple(panels)

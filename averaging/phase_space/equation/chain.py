@@ -1,14 +1,35 @@
-"""The equations as a chain of stages of levels: their matrix, and its unknowns in order."""
+"""The FPK equation in Hermite functions: the matrix of its equations, level by level.
 
-from collections.abc import Sequence
+The density is p = w(y) N(z; 0, S) Σ_k u_k(y) He_k(C⁻¹ z)/√k!, S = C Cᵀ, z = (v, x) as in ``frame``.
+With a_i He_k = √k_i He_(k−e_i) and a_i⁺ its adjoint, Galerkin's method in L²(w N) turns Eq. (6)
+into
+
+    Σ_ij F'_ij a_i⁺ a_j u + Σ_ij (½ (F' + F'ᵀ) + G')_ij a_i⁺ a_j⁺ u
+        + Σ_i h'_i(y) a_i⁺ u + Σ_i l_i (a_i + a_i⁺) ∂* u = 0,
+
+F' = C⁻¹ F C, G' = C⁻¹ G C⁻ᵀ, h' = C⁻¹ h, z₁ = l·C⁻¹ z, ∂* the adjoint of ∂/∂y in L²(w). The first
+row of C has one entry, so that z₁ has one term. A level is all k of one sum: it meets itself, the
+two below and the one above. Where S is not that of the linear part alone the second term is not
+zero. The Hermite polynomials of the others come in other combinations (``space``).
+
+Levels of even degree have continuous functions of y, those of odd degree broken ones (``Basis``).
+∂* connects the two only; for a broken f and a continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
+
+Damping terms (``damping``) may connect a level with others beyond its neighbours, too. Levels are
+then eliminated in stages of several: so many that each stage meets the two below and the one above.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
-from averaging.phase_space.equation.others import Matrix, Others
-from averaging.phase_space.equation.terms import Group
+from averaging.phase_space.equation.basis import Basis
+from averaging.phase_space.equation.damping import damped, levels_per_stage
+from averaging.phase_space.equation.frame import linear_part
+from averaging.phase_space.equation.space import Matrix, Space, combined, space_to
 from fpk.arrays import Array, Integers
 
 
@@ -16,42 +37,36 @@ from fpk.arrays import Array, Integers
 class Chain:
     """The equations between stages: of each one what it meets in itself and in the others.
 
-    ``factor`` C. ``groups[level]`` are the unknowns of a level by their degree in the others, and
-    ``stages[n]`` the levels of stage n, one each unless damping terms connect more of them; the
-    highest one of a stage stands first. ``matrix`` is that of all equations and all unknowns:
-    stage n meets itself, stages n + 1, n − 1 and n − 2. The highest level of each degree in the
-    others meets itself by l₁ (∂* ∂)^½, too, which stands for the levels above it.
+    ``factor`` is C. Of each degree of ``space`` (degrees,) there are ``functions`` of y, 0 where it
+    is left out, the first of them at ``start`` in a vector of all unknowns; stage n ends at
+    ``ends[n]`` there, its highest level in front. ``matrix`` is that of all equations and all
+    unknowns: stage n meets itself, stages n + 1, n − 1 and n − 2. The highest level of each degree
+    in the others meets itself by l₁ (∂* ∂)^½, too, which stands for the levels above it.
     """
 
+    basis: Basis
     factor: Array
-    others: tuple[Others, ...]
-    stages: tuple[range, ...]
-    groups: tuple[tuple[Group, ...], ...]
+    space: Space
+    functions: Integers
+    start: Integers
+    ends: Integers
     matrix: Matrix
 
     @property
     def top(self) -> int:
         """The highest stage."""
-        return len(self.stages) - 1
-
-    @cached_property
-    def ends(self) -> Integers:
-        """Where each stage ends in a vector of all unknowns, lowest first."""
-        return ends_of(self.stages, self.groups)
-
-    def size(self, n: int) -> int:
-        """Number of unknowns of stage n."""
-        return int(np.diff(self.ends, prepend=0)[n])
+        return len(self.ends) - 1
 
     def span(self, n: int) -> slice:
         """Where stage n stands in a vector of all unknowns."""
-        return slice(self.ends[n] - self.size(n), self.ends[n])
+        return slice(int(self.ends[n - 1]) if n else 0, int(self.ends[n]))
 
-    def starts(self, n: int) -> list[int]:
-        """Where the groups of stage n begin among its unknowns, ascending."""
-        first = self.span(n).start
-        levels = self.stages[n][::-1]
-        return [group.start - first for level in levels for group in self.groups[level]]
+    def cuts(self, n: int) -> Integers:
+        """Where another degree in the others begins among the unknowns of stage n, ascending."""
+        group = self.space.level * (self.space.others.max() + 1) + self.space.others
+        first = (np.diff(group, prepend=-1) > 0) & (self.functions > 0)
+        starts, span = np.sort(self.start[first]), self.span(n)
+        return np.asarray(starts[(starts > span.start) & (starts < span.stop)] - span.start)
 
     def within(self, n: int, *, shift: complex = 0.0, kind: type = np.float64) -> Array:
         """Return the equations of stage n in itself, less ``shift`` times its unknowns.
@@ -77,29 +92,170 @@ class Chain:
         stages = range(max(-away, 0), self.top + 1 - max(away, 0))
         return [matrix[self.span(n), self.span(n + away)] for n in stages]
 
+    @cached_property
+    def _places(self) -> Integers:
+        """Unknowns of each degree (degrees, most functions), −1 beyond its own."""
+        j = np.arange(self.functions.max())
+        return np.where(j < self.functions[:, None], self.start[:, None] + j, -1)
+
     def packed(self, levels: Sequence[Array]) -> Array:
-        """Return the vector of all unknowns of ``levels`` (count, functions)."""
-        out = np.zeros(self.ends[-1], levels[0].dtype)
-        for u, groups in zip(levels, self.groups, strict=True):
-            row = 0
-            for g in groups:
-                out[g.span] = u[row : row + g.count, : g.functions].ravel()
-                row += g.count
-        return out
+        """Return the vector of all unknowns of ``levels`` (degrees of the level, functions)."""
+        out = np.zeros(self.ends[-1] + 1, levels[0].dtype)
+        for n, u in enumerate(levels):
+            out[self._places[self.space.span(n), : u.shape[1]]] = u
+        return out[:-1]
 
     def shaped(self, u: Array) -> list[Array]:
-        """Return the levels of a vector as (count, functions), 0 where a degree has no function."""
-        levels = []
-        for n, groups in enumerate(self.groups):
-            count = sum(o.count for o in self.others[: n + 1])
-            out, row = np.zeros((count, max(g.functions for g in groups)), u.dtype), 0
-            for g in groups:
-                out[row : row + g.count, : g.functions] = u[g.span].reshape(g.count, g.functions)
-                row += g.count
-            levels.append(out)
+        """Return the levels of a vector (degrees, functions), 0 where a degree has no function."""
+        every, levels = np.append(u, np.zeros(1, u.dtype))[self._places], []
+        for n in range(self.space.level[-1] + 1):
+            at = self.space.span(n)
+            levels.append(every[at, : self.functions[at].max()])
         return levels
 
 
-def ends_of(stages: Sequence[range], groups: Sequence[tuple[Group, ...]]) -> Integers:
-    """Return where each stage ends among all unknowns: with the last group of its lowest level."""
-    return np.array([groups[stage[0]][-1].span.stop for stage in stages])
+def placed(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers]:
+    """Return ``functions``, ``start`` and ``ends`` of a ``Chain``, for the degrees of ``space``.
+
+    What ``space`` has beyond the degrees of the basis is left out.
+    """
+    degrees = functions.degrees
+    table = np.zeros((space.level[-1] + 1, space.others.max() + 1), dtype=np.int64)
+    for n in range(degrees.total + 1):
+        for m in range(degrees.others_at(n) + 1):
+            table[n, m] = functions.counts[n % 2][degrees.beyond(n, m)]
+    count = np.where(space.counted <= degrees.others, table[space.level, space.others], 0)
+    # Level 0 is a stage of its own.
+    stage = -(-space.level // levels_per_stage(functions.frame))
+    order = np.lexsort((-space.level, stage))
+    start = np.empty_like(count)
+    start[order] = np.cumsum(count[order]) - count[order]
+    sizes = np.bincount(stage[space.level <= degrees.total], count[space.level <= degrees.total])
+    return count, start, np.cumsum(sizes).astype(np.int64)
+
+
+def sizes(functions: Basis) -> Array:
+    """Return how many unknowns each stage of the equations in a basis has."""
+    degrees, d = functions.degrees, 2 * functions.frame.n - 1
+    _, _, ends = placed(functions, space_to(degrees.total, degrees.others, d))
+    return np.diff(ends, prepend=0).astype(float)
+
+
+Entries = tuple[Integers, Integers, Array]
+"""Rows, columns and values of entries of a matrix."""
+Between = Sequence[Sequence[Array | None]]
+"""Matrices on functions of y by the parities of the level to which and of which they lead.
+
+None where functions that both levels have stay as they are."""
+
+
+def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
+    """Return the equations in the functions of a basis, about its reference.
+
+    ``closed``: levels meet themselves by l₁ (∂* ∂)^½ (``Chain``) of all functions that the level
+    above lacks, not only where there is none above. Else functions of the highest degrees in y are
+    hardly damped, and A has slow eigenvalues that are none of L; stationary densities hardly do.
+    """
+    frame, reference, degrees = functions.frame, functions.reference, functions.degrees
+    F, G, h = linear_part(frame, reference)
+    C = _factor(F, reference.covariance)
+    inverse = np.linalg.inv(C)
+    drift, noise = inverse @ F @ C, inverse @ G @ inverse.T
+    pair = 0.5 * (drift + drift.T) + noise
+    y, w = functions.points, functions.weights
+    force = frame.contact_force(y)
+    # l₁ ∂*, between continuous functions and broken ones.
+    value, slope = functions.at_points
+    continuous, broken = value @ functions.continuous, value @ functions.broken
+    to_continuous = (slope @ functions.continuous).T @ (w[:, None] * broken)
+    # The derivative of 1 is 0: with round-off in its place mass would not be conserved.
+    one = functions.of_one
+    to_continuous -= np.outer(one, one @ to_continuous)
+    linear, square, contact = reference.weight
+    log_slope = -(linear + square * y + contact * force)
+    descent = slope @ functions.continuous + log_slope[:, None] * continuous
+    adjoint = C[0, 0] * to_continuous, -C[0, 0] * broken.T @ (w[:, None] * descent)
+    # h', which stands with a_i⁺.
+    given = h[0][:, None] + h[1][:, None] * y
+    given[0] -= force
+    weighted = [continuous.T @ (f[:, None] * broken) for f in w * (inverse @ given)]
+    forces = [(H, H.T) for H in weighted]
+    forces[0] = weighted[0] + adjoint[0], weighted[0].T + adjoint[1]
+    space = space_to(degrees.total, degrees.others, len(drift))
+    up, down = space.up, [A.T.tocsr() for A in space.up]
+    constant = [
+        A @ (combined(down, f) + combined(up, g)) for A, f, g in zip(up, drift, pair, strict=True)
+    ]
+    parts: list[tuple[Matrix, Between]] = [
+        (combined(constant, np.ones(len(up))), ((None, None), (None, None))),
+        (down[0], ((None, adjoint[0]), (adjoint[1], None))),
+    ]
+    parts += [
+        (A, ((None, H[0]), (H[1], None))) for A, H in zip(up, forces, strict=True) if np.any(H[0])
+    ]
+    count, start, ends = placed(functions, space)
+    entries = [e for A, matrices in parts for e in _blocks(A, matrices, space, count, start)]
+    if frame.system.damping_terms:
+        wider, terms = damped(functions, C)
+        places = placed(functions, wider)[:2]
+        entries += [e for A, F in terms for e in _blocks(A, F, wider, *places)]
+    table = np.zeros((degrees.total + 2, space.others.max() + 1), dtype=np.int64)
+    table[space.level[count > 0], space.others[count > 0]] = count[count > 0]
+    for n, m in zip(*np.nonzero(table), strict=True):
+        if n == 0:
+            continue
+        # What the level above n lacks of the functions that the one below n has.
+        wanted = functions.counts[(n - 1) % 2][degrees.beyond(n - 1, m)]
+        E = adjoint[n % 2][: table[n, m], table[n + 1, m] : wanted]
+        if E.size and (closed or not table[n + 1, m]):
+            U, s, _ = np.linalg.svd(E, full_matrices=False)
+            at = start[(space.level == n) & (space.others == m) & (count > 0)]
+            root = np.full(at.size, -np.sqrt(n - m + 1.0))
+            entries.append(_entries(at, at, root, (U * s) @ U.T))
+    row, column, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+    matrix = Matrix((values, (row, column)), shape=2 * (int(ends[-1]),))
+    return Chain(functions, C, space, count, start, ends, matrix)
+
+
+def _factor(F: Array, covariance: Array) -> Array:
+    """Return C of S = C Cᵀ, the other variables of ζ in pairs of one oscillator each.
+
+    These are the planes that the antisymmetric part of F', which turns ζ, has for the others.
+    """
+    C = np.asarray(np.linalg.cholesky(covariance), dtype=float)
+    drift = np.linalg.solve(C, F @ C)[1:, 1:]
+    _, vectors = np.linalg.eigh(0.5j * (drift - drift.T))
+    turning = vectors[:, len(drift) // 2 :].T
+    planes = np.stack([turning.real, turning.imag], axis=1).reshape(drift.shape)
+    # Orthogonal but for frequencies of 0, whose planes are any.
+    C[:, 1:] = C[:, 1:] @ np.linalg.qr(planes.T)[0]
+    return C
+
+
+def _blocks(
+    A: Matrix, functions: Between, space: Space, count: Integers, start: Integers
+) -> Iterator[Entries]:
+    """Yield the entries of Σ A ⊗ ``functions``, of equal numbers of functions at a time."""
+    X, parity = A.tocoo(), space.level % 2
+    inside = (count[X.row] > 0) & (count[X.col] > 0) & (X.data != 0.0)
+    to, of, factor = X.row[inside], X.col[inside], X.data[inside]
+    kind = ((count[to] * (count.max() + 1) + count[of]) * 2 + parity[to]) * 2 + parity[of]
+    order = np.argsort(kind, kind="stable")
+    for at in np.split(order, np.flatnonzero(np.diff(kind[order])) + 1) if order.size else ():
+        first, second = to[at[0]], of[at[0]]
+        F = functions[parity[first]][parity[second]]
+        rows, columns = count[first], count[second]
+        F = np.ones(min(rows, columns)) if F is None else F[:rows, :columns]
+        yield _entries(start[to[at]], start[of[at]], factor[at], F)
+
+
+def _entries(to: Integers, of: Integers, factor: Array, F: Array) -> Entries:
+    """Return the entries of ``factor`` (pairs,) times F, from unknowns ``of`` to ``to`` and on.
+
+    F is (functions, functions), or (functions,) where it is diagonal.
+    """
+    index = np.indices(F.shape, dtype=np.int32)
+    row, column = (
+        np.add.outer(x.astype(np.int32), i).ravel() for x, i in ((to, index[0]), (of, index[-1]))
+    )
+    return row, column, np.multiply.outer(factor, F).ravel()

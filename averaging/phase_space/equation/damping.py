@@ -3,22 +3,17 @@
 A term adds the force −κ Π q_a^m Π v_a^n H^l v_j to mass i; f_i is the sum of all such forces, with
 the sign turned. Displacements are y and x + a y + x₀, and z = C ζ, ζ_j = a_j + a_j⁺, so that f_i is
 a polynomial in y and U(y) whose coefficients are matrices that act on the degrees k. In the weak
-form of ``equations`` it makes −Σ_j C⁻¹_ji a_j⁺ f_i u: of degree r in z beside its v_j, it connects
-a level with those from r below to r + 2 above. Galerkin's method takes the product with exact
+form of ``chain`` it makes −Σ_j C⁻¹_ji a_j⁺ f_i u: of degree r in z beside its v_j, it connects a
+level with those from r below to r + 2 above. Galerkin's method takes the product with exact
 integrals, so what a term leaves of dissipation is not lost in the truncation.
 """
-
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
 from averaging.phase_space.equation.basis import Basis
-from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.equation.others import Matrix, Space, combined
-from averaging.phase_space.equation.terms import Entries, Group, blocks_of
+from averaging.phase_space.equation.frame import Frame
+from averaging.phase_space.equation.space import Matrix, Space, combined, space_to
 from fpk.arrays import Array
 
 Polynomial = dict[tuple[int, int], Matrix]
@@ -27,49 +22,40 @@ Polynomial = dict[tuple[int, int], Matrix]
 
 def reach(frame: Frame) -> int:
     """Highest degree in z of what a damping term multiplies a velocity by, 0 without terms."""
+    contact = frame.contact + 1
     return max(
-        (
-            term.degree - dict(term.q).get(frame.contact + 1, 0)
-            for term in frame.system.damping_terms
-        ),
-        default=0,
+        (t.degree - dict(t.q).get(contact, 0) for t in frame.system.damping_terms), default=0
     )
 
 
-def stages_to(frame: Frame, top: int) -> tuple[range, ...]:
-    """Return the levels of each stage of the elimination, up to level ``top``.
+def levels_per_stage(frame: Frame) -> int:
+    """Return how many levels a stage of the elimination has; level 0 is a stage of its own.
 
-    Level 0 is alone. A stage of s levels is to meet the two below it and the one above: s >= r and
-    2 s >= r + 2, r = ``reach``. Without damping terms it is one.
+    A stage of s levels is to meet the two below it and the one above: s >= r and 2 s >= r + 2,
+    r = ``reach``. Without damping terms it is one.
     """
-    r = reach(frame)
-    size = max(r, (r + 3) // 2)
-    starts = range(1, top + 1, size)
-    return (range(1), *(range(n, min(n + size, top + 1)) for n in starts))
+    return max(reach(frame), (reach(frame) + 3) // 2)
 
 
-@dataclass(frozen=True, eq=False)
-class State:
-    """Displacements ``r`` (y the first of them) and velocities ``v`` times √m, and the forces f."""
+def state(
+    functions: Basis, C: Array, space: Space
+) -> tuple[list[Polynomial], list[Polynomial], list[Polynomial]]:
+    """Return displacements r (y the first of them) and velocities v times √m, and the forces f.
 
-    r: tuple[Polynomial, ...]
-    v: tuple[Polynomial, ...]
-    forces: tuple[Polynomial, ...]
-
-
-def state(frame: Frame, reference: Reference, C: Array, space: Space) -> State:
-    """Return the state as matrices on the degrees of ``space``, exact but at its end."""
+    They are matrices on the degrees of ``space``, exact but at its end.
+    """
+    frame, reference = functions.frame, functions.reference
     n, place = frame.n, frame.order.index
     one: Matrix = sparse.eye_array(len(space.level), format="csr")
     z = [combined([up + up.T for up in space.up], row) for row in C]
-    v = tuple({(0, 0): x} for x in z[:n])
-    r = (
+    v: list[Polynomial] = [{(0, 0): x} for x in z[:n]]
+    r: list[Polynomial] = [
         {(1, 0): one},
         *(
             {(0, 0): x + x0 * one, (1, 0): a * one}
             for x, a, x0 in zip(z[n:], reference.slope, reference.offset, strict=True)
         ),
-    )
+    ]
     energy: Polynomial = {(0, 1): one}
     for i in range(n):
         energy = added(energy, product(v[i], v[i]), 0.5)
@@ -88,7 +74,7 @@ def state(frame: Frame, reference: Reference, C: Array, space: Space) -> State:
         for factor in (*factors, *[energy] * term.energy):
             force = product(force, factor)
         forces[place(term.row)] = added(forces[place(term.row)], force)
-    return State(r, v, tuple(forces))
+    return r, v, forces
 
 
 def product(a: Polynomial, b: Polynomial) -> Polynomial:
@@ -108,31 +94,32 @@ def added(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynomial:
 
 
 def damped(
-    frame: Frame,
-    functions: Basis,
-    degrees: Degrees,
-    C: Array,
-    groups: Sequence[Sequence[Group]],
-) -> Iterator[Entries]:
-    """Yield the entries of −Σ_ij C⁻¹_ji a_j⁺ f_i in the matrix of the equations."""
+    functions: Basis, C: Array
+) -> tuple[Space, list[tuple[Matrix, list[list[Array | None]]]]]:
+    """Return the terms A ⊗ F of −Σ_ij C⁻¹_ji a_j⁺ f_i, and the degrees that A acts on.
+
+    F are matrices on functions of y by the parities of two levels, as in ``chain``.
+    """
+    frame, degrees = functions.frame, functions.degrees
     beyond, d = reach(frame) + 1, 2 * frame.n - 1
-    space = Space.to(degrees.total + beyond, degrees.others + beyond, d)
+    space = space_to(degrees.total + beyond, degrees.others + beyond, d)
     inverse: Array = np.asarray(np.linalg.inv(C), dtype=float)
     operator: Polynomial = {}
-    for i, force in enumerate(state(frame, functions.reference, C, space).forces):
-        up = combined(space.up, inverse[:, i])
+    for i, force in enumerate(state(functions, C, space)[2]):
+        up = space.raising(inverse[:, i])
         operator = added(operator, {powers: up @ X for powers, X in force.items()}, -1.0)
-    values, _ = functions.functions(functions.points)
-    sets = [values @ functions.of_level(n) for n in range(2)]
+    values, _ = functions.at_points
+    sets, terms = [values @ functions.of_level(n) for n in range(2)], []
     for powers, A in operator.items():
-        weights = by_y(frame, functions, powers)[:, None]
+        weights = by_y(functions, powers)[:, None]
         F: list[list[Array | None]] = [[to.T @ (weights * of) for of in sets] for to in sets]
         if powers == (0, 0):
             F[0][0] = F[1][1] = None
-        yield from blocks_of(A, F, space, groups)
+        terms.append((A, F))
+    return space, terms
 
 
-def by_y(frame: Frame, functions: Basis, powers: tuple[int, int]) -> Array:
+def by_y(functions: Basis, powers: tuple[int, int]) -> Array:
     """Weights of the points times the powers of y and of U(y)."""
-    y = functions.points
-    return np.asarray(functions.weights * y ** powers[0] * frame.contact_energy(y) ** powers[1])
+    y, energy = functions.points, functions.frame.contact_energy(functions.points)
+    return np.asarray(functions.weights * y ** powers[0] * energy ** powers[1])

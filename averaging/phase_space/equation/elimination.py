@@ -1,6 +1,6 @@
 """Elimination of the chain of stages from the highest down, and the stationary expansion.
 
-``equations`` has the chain. Each stage costs the inverse of one dense block, and as much again
+``chain`` has the equations. Each stage costs the inverse of one dense block, and as much again
 where what stages meet two below them is eliminated, too. That is of the size of the damping:
 without it the elimination is a preconditioner, with which a few dozen vectors solve all equations.
 """
@@ -12,12 +12,12 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from averaging.phase_space.equation.basis import Basis, basis
-from averaging.phase_space.equation.chain import Chain
+from averaging.phase_space.equation.chain import Chain, chain_of, sizes
 from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.equations import chain_of, sizes
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.equation.others import Matrix, Others
-from fpk.arrays import Array
+from averaging.phase_space.equation.space import Matrix, Space
+from averaging.phase_space.krylov import RESIDUAL
+from fpk.arrays import Array, Integers
 
 ELIMINATED_IN: type = np.float32
 """Numbers of the first elimination, before any in double precision."""
@@ -25,10 +25,6 @@ SMALL = 1e8
 """Sum of the cubes of the levels' sizes up to which double precision takes no longer at once."""
 CONVERGED = 1e-12
 """Residual, relative to the terms that cancel, of a solution in double precision: it has 1e-15."""
-MOST_REFINEMENTS = 20
-"""Corrections by the residual; each takes the error down by the error of the elimination."""
-REFINED = 1e-13
-"""Residual, in the same units, at which there is no other correction."""
 CORRECTED, VECTORS = 1e-4, 30
 """Residual, relative to the one before, that a correction by a Krylov space leaves, in which single
 precision has not yet its say, and the vectors of the space at the most."""
@@ -38,26 +34,32 @@ and Krylov vectors take for each unknown. Seven solutions of two and three masse
 less memory than follows from both."""
 LEAF = 200
 """Order of a matrix up to which LAPACK inverts it; above, by quarters: products are faster."""
+TOP_LEVELS = 4
+"""Highest levels whose size is that of what the levels above them would have."""
+LARGE, NEGLIGIBLE = 0.5, 0.2
+"""Size of the highest degrees in the others, relative to that of the highest levels, from which the
+degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with eight
+other stops two degrees more in the others changed densities by 0.03 or less of what ten levels more
+changed them by at sizes below 0.2, by 0.25 or less below 0.5, and by 0.07 to 4.6 beyond. The
+size is small where a near stiff stop turns the contact mass round faster than the others move."""
 
 
 @dataclass(frozen=True, eq=False)
 class Expansion:
-    """Coefficients of a solution: ``levels[n]`` is (count, functions) of level n.
+    """Coefficients of a solution: ``levels[n]`` is (degrees, functions) of level n.
 
-    ``basis`` has the functions of y, ``factor`` C; ``others`` the products of degrees in the
-    variables other than the contact velocity. ``residual`` is that of the equations, relative to
-    the terms that cancel in them.
+    ``basis`` has the functions of y, ``factor`` C, ``space`` the degrees. ``residual`` is that of
+    the equations, relative to the terms that cancel in them.
     """
 
     basis: Basis
     factor: Array
-    degrees: Degrees
+    space: Space
     levels: tuple[Array, ...]
-    others: tuple[Others, ...]
     residual: float
 
     def functions(self, n: int, y: Array) -> Array:
-        """u_k(y) of all k of level n, (count, points)."""
+        """u_k(y) of all k of level n, (degrees, points)."""
         b = self.basis
         values, _ = b.at_points if y is b.points else b.functions(y)
         return np.asarray(self.of_panels(n) @ values.T)
@@ -66,18 +68,33 @@ class Expansion:
         """Coefficients of level n in the functions of all panels."""
         return np.asarray(self.levels[n] @ self.basis.of_level(n)[:, : self.levels[n].shape[1]].T)
 
+    @property
+    def top(self) -> float:
+        """Size of the highest levels, for a mass of 1."""
+        return float(np.sqrt(sum(float(np.sum(u**2)) for u in self.levels[-TOP_LEVELS:])))
 
-def cost(functions: Basis, degrees: Degrees, *, number: int = 4) -> tuple[float, float]:
+    @property
+    def rise(self) -> int:
+        """By how much the degree in the others is to rise: 2, 1 or 0 where little is there."""
+        edge, square = self.space.counted == self.basis.degrees.others, 0.0
+        for n, u in enumerate(self.levels):
+            square += float(np.sum(u[edge[self.space.span(n)]] ** 2))
+        return sum(bool(square**0.5 > share * self.top) for share in (LARGE, NEGLIGIBLE))
+
+
+def cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]:
     """Return the bytes and the operations, on real numbers, that a solution in a basis takes.
 
-    ``number`` is how many bytes a number of the elimination has. The inverse of one block a level
-    is kept, and while one is made there are some more matrices of its size. In more than single
-    precision and with damping terms pairs of levels are eliminated, too, which takes as much again.
+    ``numbers`` are those of the elimination; a product of complex ones takes four of real ones. The
+    inverse of one block a level is kept, and while one is made there are some more matrices of its
+    size. In more than single precision and with damping terms pairs of levels are eliminated, too,
+    which takes as much again.
     """
-    size = sizes(functions, degrees)
+    size = sizes(functions)
     blocks = float(np.sum(size**2) + WHILE_INVERTED * np.max(size) ** 2)
+    number = np.dtype(numbers).itemsize
     paired = number > 4 or bool(functions.frame.system.damping_terms)
-    operations = (6.0 if paired else 3.0) * float(np.sum(size**3))
+    operations = (6.0 if paired else 3.0) * float(np.sum(size**3)) * (4.0 if number > 8 else 1.0)
     return number * blocks + OF_EQUATIONS * float(np.sum(size)), operations
 
 
@@ -98,17 +115,14 @@ def expanded(
     ``memory`` bytes.
     """
     functions = basis(frame, reference, degrees)
-    chain = chain_of(frame, reference, functions, degrees)
-    one = functions.of_one()[: chain.size(0)]
-    small = sum(chain.size(n) ** 3 for n in range(chain.top + 1)) < SMALL
+    chain = chain_of(functions)
+    small = float(np.sum(np.diff(chain.ends, prepend=0).astype(float) ** 3)) < SMALL
     for kind in (np.float64,) if small else (ELIMINATED_IN, np.float64):
         paired = kind is np.float64 or bool(frame.system.damping_terms)
-        factors, scale = factored(chain, kind=kind, one=one, paired=paired, step=step)
-        u, residual = _refined(factors, scale * one, one)
-        if residual < CONVERGED or cost(functions, degrees, number=8)[0] > memory:
+        u, residual = _refined(factored(chain, kind=kind, paired=paired, step=step))
+        if residual < CONVERGED or cost(functions, numbers=float)[0] > memory:
             break
-    levels = tuple(chain.shaped(u))
-    return Expansion(functions, chain.factor, degrees, levels, chain.others, residual)
+    return Expansion(functions, chain.factor, chain.space, tuple(chain.shaped(u)), residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +132,7 @@ class Factors:
     ``inverses[n]`` is that of what stage n meets in itself after the stages above it. By
     ``above[n]`` it meets the one above, by ``forced[n - 1]`` the one below, and by
     ``paired[n - 2]`` that two below; without these the solution is that of other equations.
+    ``scale`` stands before the mass in the equation of the function 1; it is 0 with a shift.
     """
 
     chain: Chain
@@ -125,6 +140,7 @@ class Factors:
     above: Sequence[Matrix]
     forced: Sequence[Matrix]
     paired: Sequence[Matrix]
+    scale: float
 
     def solve(self, right: Array) -> Array:
         """Return u of A u = right, vectors of all unknowns."""
@@ -146,13 +162,14 @@ class Factors:
         return np.concatenate(u)
 
 
-def _refined(factors: Factors, given: Array, one: Array) -> tuple[Array, float]:
-    """Return the stationary solution and its residual, relative to what cancels in it.
+def _refined(factors: Factors) -> tuple[Array, float]:
+    """Return the stationary solution and its residual, relative to the terms that cancel in it.
 
-    ``given`` is the right side of level 0, the others have none. The equation of the mass, which
-    ``factors`` have, is added to those of the chain.
+    The equation of the mass, as ``factors`` have it, is added to those of the chain.
     """
     chain, matrix = factors.chain, factors.chain.matrix
+    one = chain.basis.of_one
+    given = factors.scale * one
 
     def times(u: Array) -> Array:
         product = matrix @ u
@@ -162,8 +179,8 @@ def _refined(factors: Factors, given: Array, one: Array) -> tuple[Array, float]:
     right = np.zeros(chain.ends[-1])
     right[: one.size] = given
     A, M = (LinearOperator(2 * right.shape, f, dtype=float) for f in (times, factors.solve))
-    u, rest, before, magnitude = np.zeros(right.size), right, 2.0, abs(matrix)
-    for _ in range(MOST_REFINEMENTS):
+    u, rest, before, magnitude = np.zeros(right.size), right, np.inf, abs(matrix)
+    while True:
         # Where single precision is too coarse the corrections grow out of its range.
         with np.errstate(over="ignore", invalid="ignore"):
             if factors.paired:
@@ -176,40 +193,30 @@ def _refined(factors: Factors, given: Array, one: Array) -> tuple[Array, float]:
         # The terms of the function 1 are those in the equation of the mass.
         size = max(np.max(magnitude @ np.abs(u)), np.max(np.abs(given)))
         residual = float(np.max(np.abs(rest)) / size)
-        if not changed < before or residual <= REFINED:
-            break
+        # A correction takes the error down by that of the elimination.
+        if not changed < 0.5 * before or residual <= RESIDUAL:
+            return u, residual
         before = changed
-    return u, residual
-
-
-def with_mass(A: Array, one: Array) -> tuple[Array, float]:
-    """Return the equations of level 0 with that of the mass, and what stands before the mass in it.
-
-    The equation of the function 1 is 0 = 0 in ``A``; here it is that the mass, ``one`` times the
-    unknowns, is given. Its size is that of the terms of 1, which is nearly the solution: were it
-    the largest entry, their round-off would be a thousand times as large as they.
-    """
-    scale = float(np.max(np.abs(A) @ np.abs(one)))
-    return A + scale * np.outer(one, one), scale
 
 
 def factored(
     chain: Chain,
     *,
-    one: Array,
     shift: complex = 0.0,
     kind: type = np.float64,
     paired: bool = True,
     step: Callable[[float], None] = lambda share: None,
-) -> tuple[Factors, float]:
+) -> Factors:
     """Eliminate the stages of the equations less ``shift`` times the unknowns, from the top down.
 
-    Without a shift the equation of the mass, ``one`` times the unknowns of level 0, is added as
-    ``with_mass`` does; returned is what stands before the mass in it, too. ``paired`` says whether
-    what a stage meets two below it counts. ``step`` is called with the share of the work done.
+    Without a shift the equation of the function 1, 0 = 0, is replaced by that of the mass, ``one``
+    times the unknowns of level 0, and of the size of the terms of 1, which is nearly the solution:
+    were it the largest entry, their round-off would be a thousand times as large as they.
+    ``paired`` says whether what a stage meets two below it counts. ``step`` is called with the
+    share of the work done.
     """
     top = chain.top
-    work = np.cumsum([float(chain.size(n)) ** 3 for n in range(top, -1, -1)])
+    work = np.cumsum(np.diff(chain.ends, prepend=0)[::-1].astype(float) ** 3)
     inverses: list[Array] = []
     two_below = np.zeros((0, 0))
     A = chain.within(top, shift=shift, kind=kind)
@@ -217,7 +224,7 @@ def factored(
     above, forced = (chain.blocks(matrix, away) for away in (1, -1))
     pairs = chain.blocks(matrix, -2) if paired else []
     for n in range(top, 0, -1):
-        inverse = inverted(A, chain.starts(n))
+        inverse = inverted(A, chain.cuts(n))
         A = chain.within(n - 1, shift=shift, kind=kind)
         # What the two stages below n make of stage n comes back to the one below it.
         back = above[n - 1] @ inverse
@@ -230,12 +237,14 @@ def factored(
         step(work[top - n] / work[-1])
     scale = 0.0
     if not shift:
-        A, scale = with_mass(A, one.astype(kind, copy=False))
+        one: Array = chain.basis.of_one.astype(kind, copy=False)
+        scale = float(np.max(np.abs(A) @ np.abs(one)))
+        A = A + scale * np.outer(one, one)
     inverses.insert(0, np.asarray(np.linalg.inv(A), dtype=A.dtype))
-    return Factors(chain, inverses, above, forced, pairs), scale
+    return Factors(chain, inverses, above, forced, pairs, scale)
 
 
-def inverted(A: Array, cuts: Sequence[int]) -> Array:
+def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
 
     Two thirds of the work are products, several times as fast as triangular solutions. What is in

@@ -7,6 +7,7 @@ import numpy as np
 from fpk.arrays import Array
 from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
+from fpk.observable import Coordinate
 from fpk.system import System, looks_the_same_mirrored
 
 
@@ -51,6 +52,11 @@ class Frame:
     def symmetric(self) -> bool:
         """Whether (q, p) and (−q, −p) are equally likely."""
         return looks_the_same_mirrored(self.system)
+
+    def place(self, c: Coordinate) -> tuple[int, float]:
+        """Return where a displacement or momentum stands in (y, r, v), and its unit there."""
+        at, root = self.order.index(c.row), float(np.sqrt(self.system.mass[c.row]))
+        return (at + self.n, root) if c.kind == "p" else (at, 1.0 / root)
 
     def contact_energy(self, y: Array) -> Array:
         """Contact energy U at displacements y."""
@@ -100,6 +106,16 @@ class Reference:
     covariance: Array
     weight: Array
 
+    @property
+    def to_state(self) -> tuple[Array, Array]:
+        """Matrix and vector that make (y, r, v) of (y, v, x): r = x + a y + x₀."""
+        n = self.slope.size + 1
+        to = np.zeros((2 * n, 2 * n))
+        to[0, 0] = 1.0
+        to[1:n, 0], to[1:n, n + 1 :] = self.slope, np.eye(n - 1)
+        to[n:, 1 : n + 1] = np.eye(n)
+        return to, np.concatenate([[0.0], self.offset, np.zeros(n)])
+
 
 def reference_of(frame: Frame, slope: Array, offset: Array, covariance: Array) -> Reference:
     """Return the reference of these moments; raise ``LinAlgError`` where they are of none."""
@@ -118,11 +134,9 @@ def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
     """
     n = frame.n
     slope = covariance[1:n, 0] / covariance[0, 0]
-    # (y, r, v) to z = (v, x): x = r − a y.
-    to = np.zeros((2 * n - 1, 2 * n))
-    to[:n, n:] = np.eye(n)
-    to[n:, 0], to[n:, 1:n] = -slope, np.eye(n - 1)
-    return reference_of(frame, slope, mean[1:n] - slope * mean[0], to @ covariance @ to.T)
+    offset = mean[1:n] - slope * mean[0]
+    to_z = np.linalg.inv(Reference(slope, offset, covariance, np.zeros(3)).to_state[0])[1:]
+    return reference_of(frame, slope, offset, to_z @ covariance @ to_z.T)
 
 
 def gibbs_reference(frame: Frame) -> Reference:

@@ -1,44 +1,70 @@
-"""Finite elements of −L u = f on a mesh of states, with u = 0 where the limit is passed."""
+"""Finite elements of −L u = f on a mesh of states, u = 0 where the limit is passed, and answers."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from math import pi
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import Legendre, legder, legval, legvander
-from scipy.sparse import coo_array, csc_array
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from scipy.sparse import coo_array, csc_array, csr_array, eye_array, kron
+from scipy.sparse.linalg import LinearOperator, eigs, splu
 
+from averaging.phase_space.krylov import EVERY, VECTORS, krylov
 from averaging.phase_space.passage.mesh import Mesh
-from fpk.arrays import Array, Integers
+from fpk.arrays import Array
+from fpk.errors import NotCertified
 from fpk.quadrature import gauss_legendre
 
 MORE_POINTS = 12
 """Gauss points in each direction beyond the degree: over a panel of large velocities, and of a
 steep stop, the weight falls by up to e⁴⁰. With 4, K + Kᵀ had negative eigenvalues there."""
+PIVOTS = (1e-3, 1e-2, 1.0)
+"""Least diagonal pivots relative to their columns, tried in this order: lower ones keep more of the
+symmetric ordering, and entries may grow by their inverse in each step."""
+GROWN = 1e-10
+"""Residual of a solution, relative to the terms that cancel in it, by which entries have grown."""
+SHIFT = 4.0
+"""Shift of the Krylov space of the reliability in units of the frequency: 2 to 8 take equally many
+vectors."""
+KRYLOV = 0.05
+"""Fraction of the tolerance to which that space gives the reliability."""
 
 
-@lru_cache
-def lobatto(degree: int) -> Array:
-    """Return the Gauss-Lobatto nodes (degree + 1,) of [−1, 1]."""
-    inner = Legendre.basis(degree).deriv().roots()
-    return np.concatenate([[-1.0], np.sort(np.real(inner)), [1.0]])
+Indices = NDArray[np.integer]
 
 
-def lagrange(degree: int, t: Array) -> tuple[Array, Array]:
-    """Return values and slopes (points, degree + 1) of the polynomials of the Lobatto nodes."""
-    inverse = np.linalg.inv(legvander(lobatto(degree), degree))
-    slopes = legval(t, legder(np.eye(degree + 1))).T
-    return legvander(t, degree) @ inverse, slopes @ inverse
+def factorised(matrix: csc_array) -> Any:
+    """Return the factors; raise ``NotCertified`` where the elimination breaks down."""
+    right = matrix @ np.ones(matrix.shape[0])
+    for pivot in PIVOTS:
+        try:
+            factors = splu(
+                matrix,
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=pivot,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise NotCertified(f"the elimination breaks down: {error}") from None
+        x = factors.solve(right)
+        if np.max(np.abs(right - matrix @ x)) <= GROWN * np.max(abs(matrix) @ np.abs(x)):
+            break
+    return factors
 
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """The matrices K of −L and M of 1 in L²(exp(−c H/D)), and vectors (unknowns,) of the weak form.
+    """Backward equation, L T = −1, L T₂ = −2 T, ∂u/∂t = L u, on a mesh.
 
+    Matrices K of −L and M of 1 in L²(exp(−c H/D)), and vectors (unknowns,) of the weak form.
     Functions may jump between panels of x, where the side that motion goes to decides, and are
-    continuous in s. ``load`` tests the function 1. ``exit`` tests −L 1, which is what is lost at
-    the limit: as K times the coefficients of 1 it would be lost to round-off where failure is rare.
-    Functions are divided by their norms: ``scale`` is what a coefficient is multiplied by to give
-    the value at its node. ``free`` are the places of the unknowns among all nodes.
+    continuous in s. ``load`` tests the function 1, whose coefficients are ``one``. ``exit`` tests
+    −L 1, which is what is lost at the limit: as K ``one`` it would be lost to round-off where
+    failure is rare. Functions are divided by their norms, which therefore are ``one``. ``free`` are
+    the places of the unknowns among all functions.
     """
 
     mesh: Mesh
@@ -46,21 +72,146 @@ class Elements:
     M: csc_array
     load: Array
     exit: Array
-    scale: Array
-    free: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
+    one: Array
+    free: Indices
 
     def at(self, q: Array, v: Array, weights: Array) -> Array:
         """Return the coefficients of the functional Σ weights u(q, v) of states within."""
         m, n = self.mesh, self.mesh.degree + 1
-        x, s = m.coordinates(q, v)
-        (i, X), (j, S) = _values(m.x, m.degree, x), _values(m.s, m.degree, s)
-        rows = i[:, None] * n + np.arange(n)
-        columns = j[:, None] * m.degree + np.arange(n)
+        places, values = [], []
+        for nodes, t in zip((m.x, m.s), m.coordinates(q, v), strict=True):
+            k = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, nodes.size - 2)
+            local = 2.0 * (t - nodes[k]) / (nodes[k + 1] - nodes[k]) - 1.0
+            places.append(k[:, None] * (n if nodes is m.x else m.degree) + np.arange(n))
+            values.append(_shapes(m.degree, local)[0])
         size = (m.s.size - 1) * m.degree + 1
         functional = np.zeros((m.x.size - 1) * n * size)
-        place = rows[:, :, None] * size + columns[:, None, :]
-        np.add.at(functional, place, weights[:, None, None] * X[:, :, None] * S[:, None, :])
-        return np.asarray(functional[self.free] * self.scale)
+        place = places[0][:, :, None] * size + places[1][:, None, :]
+        np.add.at(
+            functional, place, weights[:, None, None] * values[0][:, :, None] * values[1][:, None]
+        )
+        return np.asarray(functional[self.free] / self.one)
+
+    @cached_property
+    def factors(self) -> Any:
+        """The factors of K."""
+        return factorised(self.K)
+
+    def solved(self, right: Array, trans: str = "N") -> Array:
+        """Return the solution with K, or with Kᵀ where ``trans`` is "T", refined once."""
+        K = self.K if trans == "N" else self.K.T
+        x = self.factors.solve(right, trans)
+        return np.asarray(x + self.factors.solve(right - K @ x, trans))
+
+    @cached_property
+    def mean(self) -> Array:
+        """Coefficients of T up to a factor that is 1 but for round-off where failure is rare."""
+        return self.solved(self.load)
+
+    def residual(self) -> float:
+        """Return the largest residual of T relative to the largest of its terms."""
+        defect = np.abs(self.load - self.K @ self.mean)
+        return float(np.max(defect) / np.max(abs(self.K) @ np.abs(self.mean)))
+
+    def moments(self, start: Array) -> tuple[float, float, float]:
+        """Return E T and E T² of the functional ``start``, and the mass that round-off lost.
+
+        All that starts fails in the end: y'(−L 1) = start'1 with the density y = K⁻ᵀ start of the
+        time spent. Where failure is rare K is nearly singular, and y is right up to a factor, that
+        this identity gives back. What it is off from 1 is the mass lost, relative to all.
+        """
+        y = self.solved(start, "T")
+        kept = float(y @ self.exit) / float(start @ self.one)
+        y /= kept
+        mean = float(y @ self.load)
+        second = 2.0 * float(y @ (self.M @ self.mean)) * mean / float(start @ self.mean)
+        return mean, second, abs(kept - 1.0)
+
+    def rate(self) -> float:
+        """Return the least eigenvalue of −L, by the flow out of its left eigenvector."""
+        inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
+        options: dict[str, Any] = {"v0": self.load, "ncv": min(12, self.load.size - 1)}
+        _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
+        y = y[:, 0] / y[np.argmax(np.abs(y[:, 0])), 0]
+        return float(np.real(y @ self.exit) / np.real(y @ self.load))
+
+    @cached_property
+    def sigma(self) -> float:
+        """A rate of the order of the frequency, less where damping outdoes it."""
+        o = self.mesh.oscillator
+        frequency = pi / o.travel(self.mesh.radius)
+        return SHIFT * frequency / (1.0 + o.damping / (o.mass * frequency))
+
+    @cached_property
+    def shifted(self) -> Any:
+        """The factors of K + σM."""
+        return factorised(csc_array(self.K + self.sigma * self.M))
+
+    def mass_defect(self, start: Array) -> float:
+        """Return what is wrong with the mass at a time of exponential distribution, the mean 1/σ.
+
+        By its density σ (K + σM)⁻ᵀ start, what is within and what has left add up to ``start``.
+        """
+        y = self.shifted.solve(start, "T")
+        mass = y @ (self.sigma * (self.M @ self.one) + self.exit)
+        return abs(float(mass - start @ self.one))
+
+    def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
+        """Return P(T <= t) at ascending times > 0, and what the last vectors changed.
+
+        M F' = −K F + exit from F = 0, so that what is small keeps its digits. Galerkin's method on
+        the Krylov space of (K + σM)⁻¹M from the function 1, which F tends to, orthonormal in M: as
+        K + Kᵀ is not negative, neither is its projection, and nothing grows. At H = E, where there
+        are no unknowns, F is 1: what that adds within the last panels is constant.
+        """
+        at_limit = 1.0 - float(start @ self.one)
+        last = np.full(times.size, np.inf)
+        change = before = last
+        images, system = np.zeros((0, start.size)), np.zeros((VECTORS + 1, VECTORS + 1))
+        for V, _, closed in krylov(
+            lambda x: self.shifted.solve(self.M @ x),
+            self.one[:, None],
+            VECTORS,
+            metric=self.M.__matmul__,
+        ):
+            if len(V) % EVERY and not closed:
+                continue
+            images = np.vstack([images, (self.K @ V[len(images) :].T).T])
+            m, values, g = len(V), np.empty(times.size), V @ start
+            # g'F of F' = −H F + source from F = 0, step by step from one time to the next.
+            system = np.zeros((m + 1, m + 1))
+            system[:m, :m], system[:m, m] = -V @ images.T, V @ self.exit
+            F, now, step, propagator = np.eye(m + 1)[m], 0.0, 0.0, system
+            for k, t in enumerate(times):
+                if k == 0 or abs(t - now - step) > 1e-13 * t:
+                    step = t - now
+                    propagator = expm(step * system)
+                F, now = propagator @ F, t
+                values[k] = at_limit + g @ F[:m]
+            before, change, last = change, np.abs(values - last), values
+            enough = tol * min(1.0, float(np.max(np.abs(values))))
+            if np.max(change) <= KRYLOV * enough and np.max(before) <= enough:
+                break
+        return last, np.maximum(change, KRYLOV * before)
+
+
+@lru_cache
+def _to_lagrange(degree: int) -> Array:
+    """Polynomials of the Gauss-Lobatto nodes of [−1, 1] by the coefficients of Legendre's."""
+    inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
+    nodes = np.concatenate([[-1.0], inner, [1.0]])
+    return np.linalg.inv(legvander(nodes, degree))
+
+
+def _shapes(degree: int, t: Array) -> tuple[Array, Array]:
+    """Values and slopes (points, degree + 1) of the polynomials of the Lobatto nodes.
+
+    Each belongs to a node: where the weight falls by e²⁰ over a panel, scaled hierarchical
+    polynomials lose all digits of rare failure to round-off.
+    """
+    inverse = _to_lagrange(degree)
+    slopes = legval(t, legder(np.eye(degree + 1))).T
+    return legvander(t, degree) @ inverse, slopes @ inverse
 
 
 def elements(mesh: Mesh) -> Elements:
@@ -72,10 +223,10 @@ def elements(mesh: Mesh) -> Elements:
     """
     o, n = mesh.oscillator, mesh.degree + 1
     t, weight = gauss_legendre(mesh.degree + MORE_POINTS)
-    B, D = lagrange(mesh.degree, t)
-    BB = np.einsum("gi,gk->gik", B, B).reshape(t.size, -1)
-    BD = np.einsum("gi,gk->gik", B, D).reshape(t.size, -1)
-    DD = np.einsum("gi,gk->gik", D, D).reshape(t.size, -1)
+    B, D = _shapes(mesh.degree, t)
+    BB, BD, DD = (
+        np.einsum("gi,gk->gik", a, b).reshape(t.size, -1) for a, b in ((B, B), (B, D), (D, D))
+    )
     hx, hs = 0.5 * np.diff(mesh.x), 0.5 * np.diff(mesh.s)
     x = 0.5 * (mesh.x[1:] + mesh.x[:-1])[:, None] + hx[:, None] * t
     s = 0.5 * (mesh.s[1:] + mesh.s[:-1])[:, None] + hs[:, None] * t
@@ -83,34 +234,59 @@ def elements(mesh: Mesh) -> Elements:
     w, force = mesh.w(q), o.force(q)
     bend = np.ones_like(s) if mesh.energy is None else 1.0 - s * s
     q, slope, w, force = (a[:, None, :, None] for a in (q, slope, w, force))
-    s, bend = s[None, :, None, :], bend[None, :, None, :]
+    along, bend = s[None, :, None, :], bend[None, :, None, :]
     widths = hx[:, None, None, None] * hs[None, :, None, None]
-    density = np.exp(-o.inverse_temperature * o.energy(q, s * w))
-    area = density * weight[:, None] * weight
-    flow = area * hs[None, :, None, None] * (s * w * w)  # dq/dx cancels
+    area = np.exp(-o.inverse_temperature * o.energy(q, along * w)) * weight[:, None] * weight
+    flow = area * hs[None, :, None, None] * (along * w * w)  # dq/dx cancels
     turn = area * hx[:, None, None, None] * slope * force / o.mass * bend
     spread = area * (hx[:, None] / hs)[:, :, None, None] * slope * o.diffusion / w
     local = BB.T @ turn @ BD + BB.T @ spread @ DD - BD.T @ flow @ BB
     mass = BB.T @ (area * widths * slope * w) @ BB
     panels, across = mesh.x.size - 1, mesh.s.size - 1
     size = across * mesh.degree + 1
-    row_x = np.arange(panels * n, dtype=np.int32).reshape(panels, 1, n, 1, 1, 1)
-    column_s = np.add.outer(
+    total = panels * n * size
+    # Functions of x, panel by panel, times functions of s, of which neighbours share one.
+    of_x = np.arange(panels * n, dtype=np.int32).reshape(panels, 1, n, 1, 1, 1) * size
+    of_s = np.add.outer(
         np.arange(across, dtype=np.int32) * mesh.degree, np.arange(n, dtype=np.int32)
     )
-    shape = (panels, across, n, n, n, n)
-    place = [
-        np.broadcast_to(row_x * size + column_s[None, :, None, None, :, None], shape),
-        np.broadcast_to(
-            row_x.transpose(0, 1, 3, 2, 4, 5) * size + column_s[None, :, None, None, None, :], shape
-        ),
-    ]
-    total = panels * n * size
-    index = tuple(p.ravel() for p in place)
+    places = of_x + of_s[None, :, None, None, :, None], of_x + of_s[None, :, None, None, None]
+    shape = panels, across, n, n, n, n
+    row = np.broadcast_to(places[0], shape).ravel()
+    column = np.broadcast_to(places[1].swapaxes(2, 3), shape).ravel()
     # Both matrices at once, M as the imaginary part: the sorting is half of the work.
-    pair = coo_array(((local + 1j * mass).ravel(), index), shape=(total, total)).tocsc()
-    faces, lost = _faces(mesh, BB, column_s, total, s[0, :, 0, :], weight, hs)
-    K, M = pair.real + faces, pair.imag.copy()
+    pair = coo_array(((local + 1j * mass).ravel(), (row, column)), shape=(total, total)).tocsc()
+    # Traces at the left and right ends of panels, and ∫ |v| … of functions of s at all ends.
+    left, right = (
+        kron(eye_array(panels), kron(np.eye(1, n, k), eye_array(size)), format="csr")
+        for k in (0, n - 1)
+    )
+    ends, _ = mesh.q(mesh.x)
+    w = mesh.w(ends)[:, None, None]
+    density = np.exp(-o.inverse_temperature * o.energy(ends[:, None, None], s * w))
+    block = ((np.abs(s) * w * w * density * weight * hs[:, None]) @ BB).reshape(-1, across, n, n)
+    first = np.arange(panels + 1, dtype=np.int32)[:, None, None, None] * size
+    index = [
+        np.broadcast_to(first + at, block.shape).ravel()
+        for at in (of_s[:, :, None], of_s[:, None, :])
+    ]
+    forwards = (np.arange(across) >= across // 2)[:, None, None]
+    fluxes = [csr_array((np.ravel(block * way), index)) for way in (forwards, ~forwards)]
+    for flux in fluxes:
+        flux.eliminate_zeros()
+    # u − u of where motion goes: the next panel, the one before, or the limit, where u is 0.
+    beyond = eye_array(panels * size, k=size, format="csr")
+    before = beyond.T @ right
+    if mesh.folded:
+        mirror = csr_array(np.eye(size)[::-1])
+        before = before + kron(np.eye(panels, 1), mirror, format="csr") @ left[:size]
+    faces = (
+        (right.T @ fluxes[0][size:, size:], right - beyond @ left),
+        (left.T @ fluxes[1][:-size, :-size], left - before),
+    )
+    K, M = pair.real + sum(flux @ jump for flux, jump in faces), pair.imag.copy()
+    # Without the terms of the panels, which vanish, and between them, which cancel exactly.
+    lost = sum(flux @ (jump @ np.ones(total)) for flux, jump in faces)
     inner = np.ones((panels * n, size), dtype=bool)
     if mesh.energy is not None:
         inner[:, [0, -1]] = False
@@ -122,54 +298,4 @@ def elements(mesh: Mesh) -> Elements:
     scale = 1.0 / np.sqrt(M.diagonal())
     for A in (K, M):
         A.data *= scale[A.indices] * np.repeat(scale, np.diff(A.indptr))
-    return Elements(mesh, K, M, load * scale, lost[free] * scale, scale, free)
-
-
-def _faces(
-    mesh: Mesh, BB: Array, column_s: Integers, total: int, s: Array, weight: Array, hs: Array
-) -> tuple[csc_array, Array]:
-    """Return the matrix of |v| (u − u of where motion goes) at the panels' ends, and its exit."""
-    o, n = mesh.oscillator, mesh.degree + 1
-    size, panels = (mesh.s.size - 1) * mesh.degree + 1, mesh.x.size - 1
-    q, _ = mesh.q(mesh.x)
-    w = mesh.w(q)[:, None, None]
-    density = np.exp(-o.inverse_temperature * o.energy(q[:, None, None], s * w))
-    block = (np.abs(s) * w * w * density * weight * hs[:, None]) @ BB  # (nodes, across, n n)
-    parts: list[tuple[Array, Integers, Integers]] = []
-
-    def add(values: Array, row: Integers, column: Integers, flipped: bool = False) -> None:
-        across = np.arange(values.shape[1])
-        ahead = column_s[first : first + across.size]
-        other = size - 1 - ahead if flipped else ahead
-        shape = (row.size, across.size, n, n)
-        rows = np.broadcast_to(row[:, None, None, None] * size + ahead[None, :, :, None], shape)
-        columns = np.broadcast_to(
-            column[:, None, None, None] * size + other[None, :, None, :], shape
-        )
-        parts.append((values.ravel(), rows.ravel(), columns.ravel()))
-
-    half = (mesh.s.size - 1) // 2
-    k = np.arange(panels)
-    # v > 0 goes to the right: the right end of each panel; what is beyond the last one has failed.
-    first = half
-    add(block[1:, half:], k * n + n - 1, k * n + n - 1)
-    add(-block[1:-1, half:], k[:-1] * n + n - 1, k[1:] * n)
-    first = 0
-    add(block[:-1, :half], k * n, k * n)
-    add(-block[1:-1, :half], k[1:] * n, k[:-1] * n + n - 1)
-    if mesh.folded:
-        add(-block[:1, :half], k[:1] * n, k[:1] * n, flipped=True)
-    values, rows, columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-    lost = np.zeros(total)
-    ends = block.reshape(*block.shape[:2], n, n).sum(axis=3)
-    np.add.at(lost, ((panels - 1) * n + n - 1) * size + column_s[half:], ends[-1, half:])
-    if not mesh.folded:
-        np.add.at(lost, column_s[:half], ends[0, :half])
-    return coo_array((values, (rows, columns)), shape=(total, total)).tocsc(), lost
-
-
-def _values(nodes: Array, degree: int, t: Array) -> tuple[Integers, Array]:
-    """Panels and values (points, degree + 1) of the functions at t."""
-    k = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, nodes.size - 2)
-    local = 2.0 * (t - nodes[k]) / (nodes[k + 1] - nodes[k]) - 1.0
-    return k, lagrange(degree, local)[0]
+    return Elements(mesh, K, M, load * scale, lost[free] * scale, 1.0 / scale, free)

@@ -1,26 +1,31 @@
 """First passage of one mass, refined until two levels of meshes agree."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from averaging.phase_space.passage.elements import elements
-from averaging.phase_space.passage.mesh import DEGREES
-from averaging.phase_space.passage.oscillator import oscillator_of
-from averaging.phase_space.passage.solution import Solution
-from averaging.phase_space.passage.states import Region, Source, region_of, source_of
+from averaging.phase_space.passage.elements import Elements, elements
+from averaging.phase_space.passage.mesh import (
+    Oscillator,
+    displacement_mesh,
+    energy_mesh,
+    oscillator_of,
+)
 from fpk.arrays import EPS, Array
 from fpk.certificate import tolerance
-from fpk.errors import NotCertified
+from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.evolution import Passage, PassageAsked, certified_passage, checked_times
 from fpk.number import Number
+from fpk.quadrature import panel_rule
 
 TOL, GLANCING_TOL = 1e-6, 1e-5
 """Error wanted where none is asked for: of an energy; of a displacement, which takes ten times as
 many unknowns."""
 HIGHEST = 36.0
 """Largest fall of −ln p up to the limit: beyond it mean times are lost to round-off."""
-LEVELS = len(DEGREES)
+LEVELS = 6
 """Levels of meshes; unknowns double from one to the next, errors fall by 15 to 1000."""
 MOST_UNKNOWNS = 110_000
 """Unknowns beyond which no level is solved: a minute and a gigabyte."""
@@ -31,8 +36,14 @@ SHARE = 0.5
 """Share of the largest relative distance that is in each error: levels agree by chance, too."""
 POINTS = 24
 """Gauss points of a piece of a start of given energy on the first level; 8 more on each later."""
-ROUNDING = 16.0
-"""Roundings of a sum that are always stated."""
+ROUNDING = 16.0 * EPS
+"""Relative round-off that is always stated."""
+AT_LIMIT = 1.0 - 1e-12
+"""Share of an energy limit at which a start counts as beyond it, as in the simulation."""
+MODAL = "the energy of a mode is that of one mass without stops; ask for H"
+
+States = tuple[Array, Array, Array]
+"""Displacements, velocities and weights of states."""
 
 
 class Level(NamedTuple):
@@ -60,24 +71,57 @@ def first_passage(asked: PassageAsked) -> Passage:
 
     Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,
     absolute in the reliability; the answer is that of the finer one. Raises as the module
-    ``fpk.evolution`` says, and ``NotCertified`` for a limit that is beyond what double precision
-    reaches.
+    ``fpk.evolution`` says, ``NotApplicable`` for other limits and starts than the method knows, and
+    ``NotCertified`` for a limit that is beyond what double precision reaches.
     """
-    times = checked_times(asked.times)
-    oscillator = oscillator_of(asked.system)
-    region = region_of(asked.system, oscillator, asked.limit)
-    source = source_of(asked.system, region, asked.start)
-    tol = tolerance(asked.tol, TOL if region.of_energy else GLANCING_TOL)
-    for what, height in (("limit", region.height), ("energy of the start", source.height)):
-        if (fall := oscillator.inverse_temperature * height) > HIGHEST:
+    times, o = checked_times(asked.times), oscillator_of(asked.system)
+    limit, start, contacts = asked.limit, asked.start, asked.system.contacts
+    if limit.kind == "modal" and contacts:
+        raise NotApplicable(f"limit {limit}: {MODAL}")
+    if start.kind == "noise" and start.values["noise"] > 0.0:
+        raise NotApplicable("a stationary start is not solved for in phase space; use montecarlo")
+    if start.kind == "modal" and contacts:
+        raise NotApplicable(f"start {start}: {MODAL}")
+    most, of_energy = limit.value, limit.kind != "q"
+    states: Callable[[int], States]
+    if start.kind in ("energy", "modal") and not start.rest:
+        (energy,) = start.values.values()
+        beyond = of_energy and not energy < AT_LIMIT * most
+        states = partial(orbit, o, energy, None if of_energy else most)
+    else:
+        q, p = (x[:1] for x in start.state(1)) if start.kind == "state" else np.zeros((2, 1))
+        energy = float(o.energy(q, p / o.mass)[0])
+        beyond = not (energy < AT_LIMIT * most if of_energy else abs(float(q[0])) < most)
+        state = np.asarray(q, dtype=float), np.asarray(p / o.mass, dtype=float), np.ones(1)
+
+        def states(points: int) -> States:
+            return state
+
+    if beyond:
+        raise InvalidInput("start", str(start), "is at or beyond the limit")
+    tol = tolerance(asked.tol, TOL if of_energy else GLANCING_TOL)
+    top = most if of_energy else float(o.potential(np.array([-most, most])).min())
+    for what, height in (("limit", top), ("energy of the start", energy)):
+        if (fall := o.inverse_temperature * height) > HIGHEST:
             words = f"up to it the density falls by exp(−{fall:.0f})"
             raise NotCertified(f"the {what} is hardly ever passed: {words}; take a lower one")
+    # States halfway to the limit, in eight directions.
+    left, right = o.turning_points(0.25 * top)
+    angle = 0.25 * np.pi * np.arange(8)
+    q = np.where(np.cos(angle) > 0.0, right, -left) * np.cos(angle)
+    probes = q, np.sqrt(0.5 * top / o.mass) * np.sin(angle)
+    fastest = float(np.sqrt(2.0 * energy / o.mass))
     previous: Level | None = None
     answer: Passage | None = None
     for level in range(LEVELS):
-        solved = _solved(region, source, times, level, tol)
-        if solved is None:
+        if of_energy:
+            mesh = energy_mesh(o, most, level)
+        else:
+            mesh = displacement_mesh(o, most, fastest, level)
+        across = (mesh.s.size - 1) * mesh.degree
+        if (mesh.x.size - 1) * (mesh.degree + 1) * across > MOST_UNKNOWNS:
             break
+        solved = _solved(elements(mesh), states(POINTS + 8 * level), probes, times, tol)
         if previous is not None:
             later = _compared(previous, solved, times, tol)
             answer = later if answer is None else _better(answer, later)
@@ -90,43 +134,52 @@ def first_passage(asked: PassageAsked) -> Passage:
     return answer
 
 
-def _solved(region: Region, source: Source, times: Array, level: int, tol: float) -> Level | None:
-    mesh = region.mesh(source.fastest, level)
-    if (mesh.x.size - 1) * (mesh.degree + 1) * (mesh.s.size - 1) * mesh.degree > MOST_UNKNOWNS:
-        return None
-    e = elements(mesh)
-    solution = Solution(e)
-    states = source.states(POINTS + 8 * level)
+def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> States:
+    """Return the states of an energy with |q| < ``within``, each as long as motion stays in it.
+
+    By ``points`` of Gauss on each piece between turning points, stops and limit: dt = dq/|v|,
+    smooth in θ, q = centre + radius sin θ. Weights add up to less than 1 where part of the motion
+    is beyond the limit; None: no limit of displacements.
+    """
+    left, right = o.turning_points(energy)
+    centre, radius = 0.5 * (left + right), 0.5 * (right - left)
+    cuts = [*(q for q, _ in o.stops), 0.0, *((-within, within) if within else ())]
+    angles = np.arcsin([(q - centre) / radius for q in cuts if left < q < right])
+    # Weights near a turning point need more digits than E − V has: pieces do not begin there.
+    edges = np.unique(np.concatenate([[-0.5 * np.pi, 0.5 * np.pi], angles]))
+    theta, w = (a.ravel() for a in panel_rule(edges, points))
+    q = centre + radius * np.sin(theta)
+    v = o.speed(q, energy)
+    weights = w * radius * np.cos(theta) / v
+    weights = 0.5 * weights / weights.sum()
+    q, v, weights = np.tile(q, 2), np.concatenate([v, -v]), np.tile(weights, 2)
+    inside = np.abs(q) < (within or np.inf)
+    return q[inside], v[inside], weights[inside]
+
+
+def _solved(
+    e: Elements, states: States, probes: tuple[Array, Array], times: Array, tol: float
+) -> Level:
     start = e.at(*states)
-    mean, second, lost = solution.moments(start)
-    beyond = 1.0 - float(states[2].sum()) if source.energy is not None else 0.0
-    failure, krylov = np.full(times.size, beyond), np.zeros(times.size)
+    mean, second, lost = e.moments(start)
+    own = float(start @ e.mean)
+    failure, krylov = np.full(times.size, 1.0 - float(states[2].sum())), np.zeros(times.size)
     if np.any(later := times > 0.0):
-        failure[later], krylov[later] = solution.failure(start, times[later], tol=tol)
-    own = float(start @ solution.mean)
+        failure[later], krylov[later] = e.failure(start, times[later], tol=tol)
+    one = np.ones(1)
+    others = [e.at(q[None], v[None], one) @ e.mean for q, v in zip(*probes, strict=True)]
     return Level(
-        np.array([mean, second, solution.rate()]),
-        _probes(region, solution) / own,
+        np.array([mean, second, e.rate()]),
+        np.array(others) / own,
         failure,
         krylov,
-        rounding=ROUNDING * EPS + (own / mean - 1.0) ** 2,
+        rounding=ROUNDING + (own / mean - 1.0) ** 2,
         lost=lost,
-        defect=solution.mass_defect(start),
-        residual=solution.residual(),
+        defect=e.mass_defect(start),
+        residual=e.residual(),
         unknowns=e.load.size,
-        degree=mesh.degree,
+        degree=e.mesh.degree,
     )
-
-
-def _probes(region: Region, solution: Solution) -> Array:
-    """Mean times from states halfway to the limit, in eight directions."""
-    o, height = region.oscillator, 0.25 * region.height
-    sides = o.turning_points(height)
-    angle = 0.25 * np.pi * np.arange(8)
-    q = np.where(np.cos(angle) > 0.0, sides[1], -sides[0]) * np.cos(angle)
-    v = np.sqrt(2.0 * height / o.mass) * np.sin(angle)
-    at, one = solution.elements.at, np.ones(1)
-    return np.array([at(q[k : k + 1], v[k : k + 1], one) @ solution.mean for k in range(8)])
 
 
 def _better(earlier: Passage, later: Passage) -> Passage:
@@ -151,7 +204,7 @@ def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
     errors = SAFETY * np.maximum(off, SHARE * worst * np.abs(values)) + fine.rounding * scale
     apart = np.abs(fine.failure - coarse.failure)
     lost = SAFETY * np.maximum(apart, SHARE * np.max(apart, initial=0.0))
-    lost += fine.krylov + coarse.krylov + ROUNDING * EPS * (times > 0.0)
+    lost += fine.krylov + coarse.krylov + ROUNDING * (times > 0.0)
     numbers = [Number(float(x), float(e)) for x, e in zip(values, errors, strict=True)]
     return certified_passage(
         (numbers[0], numbers[1], numbers[2]),

@@ -1,18 +1,22 @@
-"""Meshes of the states within a limit: |q| < b, or H < E."""
+"""One mass and the meshes of its states within a limit: |q| < b, or H < E."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from math import asin, ceil, pi, sqrt
+from math import asin, ceil, inf, pi, sqrt
 
 import numpy as np
+from scipy.optimize import brentq
 
-from averaging.phase_space.passage.oscillator import Oscillator
-from fpk.arrays import Array
+from averaging.phase_space.equation.frame import contact_frame
+from fpk.arrays import SMALLEST, Array
+from fpk.errors import NotApplicable
+from fpk.modulation import require_constant_noise
+from fpk.system import System
 
 BEYOND = 8.5
 """Kicks of noise by which velocities are followed beyond the one that reaches the limit."""
-GLANCING_Q, GLANCING_V, TIP = 1.1, 1.1, 1.1
+GRADED = 1.1
 """Panels over their distance to a glancing point (q scales as v³ there) or a turning point."""
 PANEL, FINER = 1.6, 0.93
 """Panels of the first level in kicks of noise, and the ratio of those of successive levels."""
@@ -20,10 +24,101 @@ LEAST, CLOSER = 0.15, 0.45
 """The least panel at a glancing point in units of the speed where noise outdoes the pull."""
 STOP = 1.5
 """Panels over their distance to a stop whose force is a fractional power of the overlap."""
-DEGREES = (5, 7, 9, 11, 13, 15)
-"""Degree of each level."""
 SAMPLES = 401
 """Points at which the lengths of panels are sampled, on each half of an interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class Oscillator:
+    """dq = v dt, m dv = −(c v + V'(q)) dt + √(2D) dB: Eq. (6) of one mass, v = p/m.
+
+    ``potential`` V has its only minimum, 0, at q = 0; ``force`` is V'. ``stops`` are where V' is
+    not smooth, as (q, side on which it is a fractional power; 0: on neither). ``even``: V(−q) =
+    V(q). ``frequency`` is that of small motion between the stops.
+    """
+
+    mass: float
+    damping: float
+    noise: float
+    potential: Callable[[Array], Array]
+    force: Callable[[Array], Array]
+    stops: tuple[tuple[float, float], ...] = ()
+    even: bool = True
+    frequency: float = 0.0
+
+    @property
+    def inverse_temperature(self) -> float:
+        """c/D: the stationary density is exp(−c H/D)."""
+        return self.damping / self.noise
+
+    @property
+    def diffusion(self) -> float:
+        """D/m², the diffusion of the velocity."""
+        return self.noise / self.mass**2
+
+    def energy(self, q: Array, v: Array) -> Array:
+        """Return H."""
+        return np.asarray(0.5 * self.mass * v * v + self.potential(q))
+
+    def speed(self, q: Array, energy: float) -> Array:
+        """Return |v| at q of motion of an energy, 0 beyond its turning points."""
+        left = np.maximum(energy - self.potential(q), 0.0)
+        return np.asarray(np.sqrt(2.0 / self.mass * left))
+
+    def turning_points(self, energy: float) -> tuple[float, float]:
+        """Return where V = ``energy`` > 0, on the left and on the right."""
+        return self.turning_point(energy, -1.0), self.turning_point(energy, 1.0)
+
+    def turning_point(self, energy: float, side: float) -> float:
+        """Return where V = ``energy`` > 0, on the left (``side`` −1) or on the right (1)."""
+
+        def excess(q: float) -> float:
+            return float(self.potential(np.array(q))) - energy
+
+        far = side
+        while excess(far) < 0.0:
+            far *= 2.0
+        return float(brentq(excess, 0.0, far, xtol=SMALLEST))
+
+    def travel(self, length: float) -> float:
+        """Return the time that motion takes over ``length``.
+
+        It is half a period, or the time in which noise alone gets so far, whichever is less.
+        """
+        cycle = pi / self.frequency if self.frequency else inf
+        return min(cycle, float((6.0 * length**2 / self.diffusion) ** (1.0 / 3.0)))
+
+    def kick(self, length: float) -> float:
+        """Return the change of v by noise in that time, or in that in which v is forgotten."""
+        memory = 0.5 * self.mass / self.damping if self.damping else inf
+        return sqrt(2.0 * self.diffusion * min(self.travel(length), memory))
+
+
+def oscillator_of(system: System) -> Oscillator:
+    """Return the one mass of ``system``; raise ``NotApplicable`` where it is not for the method."""
+    require_constant_noise(system.modulation)
+    if system.n != 1:
+        raise NotApplicable(
+            f"first passage in phase space is solved for one mass, and there are {system.n}"
+        )
+    if system.damping_terms:
+        raise NotApplicable("first passage in phase space is solved for constant damping only")
+    noise = float(system.noise_matrix[0, 0])
+    if not noise > 0.0:
+        raise NotApplicable("there is no noise, and first passage is not random")
+    frame, stiffness, mass = contact_frame(system), system.stiffness_matrix[0, 0], system.mass[0]
+    return Oscillator(
+        float(mass),
+        float(system.damping[0, 0]),
+        noise,
+        lambda q: np.asarray(0.5 * stiffness * q * q + system.contact_energy(0, q)),
+        lambda q: np.asarray(stiffness * q + frame.root * frame.contact_force(frame.root * q)),
+        tuple(
+            (s.sign * s.clearance, 0.0 if s.power == int(s.power) else s.sign) for s in system.stops
+        ),
+        frame.symmetric,
+        sqrt(stiffness / mass),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +150,7 @@ class Mesh:
         """Return the unit of velocity at q."""
         if self.energy is None:
             return np.ones_like(q)
-        left = np.maximum(self.energy - self.oscillator.potential(q), 0.0)
-        return np.asarray(np.sqrt(2.0 / self.oscillator.mass * left))
+        return self.oscillator.speed(q, self.energy)
 
     def coordinates(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return x and s of states (points,) within the limit."""
@@ -91,23 +185,20 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
     # Where noise outdoes the pull, on either side: the scale of what is singular.
     slow = np.minimum(2.0 * o.diffusion / np.maximum(pull, 2.0 * o.diffusion / kick), kick)
     least = LEAST * CLOSER**level * slow
-    end = swift + beyond
 
     def across(v: Array) -> Array:
-        graded = GLANCING_V * (v + float(least.min()))
         longest = np.where(v < swift + 3.0 * kick, step, 2.0 * step)
-        return np.asarray(np.minimum(longest, graded))
+        return np.asarray(np.minimum(longest, GRADED * (v + float(least.min()))))
 
     def along(q: Array) -> Array:
-        graded = np.min([GLANCING_Q * np.abs(q - at) for at in ends[met]], axis=0)
+        graded = np.min([GRADED * np.abs(q - at) for at in ends[met]], axis=0)
         return np.asarray(np.minimum(_smooth_step(o, q, step, swift, level), graded))
 
-    half = _equidistributed(0.0, end, across, float(least.min()))
-    first, last = 0.0 if o.even else float(ends[0]), float(ends[1])
-    nodes = [first, *_inside(o, first, last), last]
+    s = _nodes([0.0, swift + beyond], across, {0.0: float(least.min())})
     closest = dict(zip(ends[met].tolist(), (least**3 / o.diffusion).tolist(), strict=True))
-    x = _joined(nodes, along, closest)
-    return Mesh(o, x, _mirrored(half), DEGREES[level], None, 0.0, b, o.even)
+    first, last = 0.0 if o.even else float(ends[0]), float(ends[1])
+    x = _nodes([first, *(q for q, _ in o.stops if first < q < last), last], along, closest)
+    return Mesh(o, x, np.concatenate([-s[:0:-1], s]), 5 + 2 * level, None, 0.0, b, o.even)
 
 
 def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
@@ -116,22 +207,21 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
     centre, radius = (0.0, right) if o.even else (0.5 * (left + right), 0.5 * (right - left))
     swift = sqrt(2.0 * energy / o.mass)
     step = PANEL * FINER**level * o.kick(radius)
-    s = np.linspace(0.0, 1.0, 1 + ceil(swift / step))
     pull = float(np.abs(o.force(np.array([left, right]))).max()) / o.mass
     slow = min(2.0 * o.diffusion / (pull * swift), 1.0)
-    ends = np.array([-0.5 * pi, 0.5 * pi])
 
     def along(x: Array) -> Array:
         q = centre + radius * np.sin(x)
         slope = radius * np.maximum(np.cos(x), 1e-3)
         smooth = _smooth_step(o, q, step, swift, level) / slope
-        graded = np.minimum(*(TIP * (np.abs(x - at) + 0.3 * slow) for at in ends))
-        return np.asarray(np.minimum(smooth, graded))
+        return np.asarray(np.minimum(smooth, GRADED * (0.5 * pi - np.abs(x) + 0.3 * slow)))
 
-    inside = [asin((q - centre) / radius) for q in _inside(o, left, right)]
-    first = 0.0 if o.even else float(ends[0])
-    x = _joined([first, *(a for a in inside if a > first), float(ends[1])], along, {})
-    return Mesh(o, x, _mirrored(s), DEGREES[level], energy, centre, radius, o.even)
+    inside = [asin((q - centre) / radius) for q, _ in o.stops if left < q < right]
+    first, last = 0.0 if o.even else -0.5 * pi, 0.5 * pi
+    x = _nodes([first, *(a for a in inside if a > first), last], along, {})
+    s = np.linspace(0.0, 1.0, 1 + ceil(swift / step))
+    s = np.concatenate([-s[:0:-1], s])
+    return Mesh(o, x, s, 5 + 2 * level, energy, centre, radius, o.even)
 
 
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
@@ -141,7 +231,7 @@ def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int)
     most the overlap that stops the speed ``step``.
     """
     slope = np.maximum(np.abs(o.force(q)) / (o.mass * max(swift, step)), o.frequency)
-    length = np.minimum(step / np.maximum(slope, 1e-300), 0.5 * np.ptp(q))
+    length = np.minimum(step / np.maximum(slope, SMALLEST), 0.5 * np.ptp(q))
     for at, side in o.stops:
         if side:
             overlap = np.maximum((q - at) * side, 0.0)
@@ -152,43 +242,24 @@ def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int)
     return np.asarray(length)
 
 
-def _inside(o: Oscillator, left: float, right: float) -> list[float]:
-    """Stops between ``left`` and ``right``, ascending."""
-    return [q for q, _ in sorted(o.stops) if left < q < right]
+def _nodes(given: list[float], h: Callable[[Array], Array], closest: dict[float, float]) -> Array:
+    """Nodes about h(x) apart that hold those ``given``, with the least panel ``closest`` at some.
 
-
-def _mirrored(half: Array) -> Array:
-    return np.concatenate([-half[:0:-1], half])
-
-
-def _joined(nodes: list[float], h: Callable[[Array], Array], closest: dict[float, float]) -> Array:
-    """Nodes about h(x) apart that hold ``nodes``, with the least panel ``closest`` at some."""
-    return np.unique(
-        np.concatenate(
-            [
-                _equidistributed(a, b, h, closest.get(a, 0.0), closest.get(b, 0.0))
-                for a, b in pairwise(sorted(set(nodes)))
-            ]
+    Samples of h are nearer to each other towards such a one, by equal ratios.
+    """
+    t, nodes = np.linspace(0.0, 1.0, SAMPLES), [np.array(given)]
+    for a, b in pairwise(sorted(set(given))):
+        middle, half = 0.5 * (a + b), 0.5 * (b - a)
+        near, far = (
+            least * (half / least) ** t if (least := closest.get(end, 0.0)) else half * t
+            for end in (a, b)
         )
-    )
-
-
-def _equidistributed(
-    a: float, b: float, h: Callable[[Array], Array], near: float = 0.0, far: float = 0.0
-) -> Array:
-    """Nodes from ``a`` to ``b`` about h(x) apart; the ends hold panels of ``near`` and ``far``."""
-    t = np.linspace(0.0, 1.0, SAMPLES)
-    middle, length = 0.5 * (a + b), b - a
-    low = a + _ramp(near, 0.5 * length, t)
-    high = b - _ramp(far, 0.5 * length, t)[::-1]
-    x = np.unique(np.concatenate([low[low < middle], [middle], high[high > middle]]))
-    density = 1.0 / h(x)
-    number = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(x))])
-    count = max(1, ceil(number[-1]))
-    nodes = np.interp(np.linspace(0.0, number[-1], count + 1), number, x)
-    return np.unique(np.concatenate([[a], nodes[(nodes > a) & (nodes < b)], [b]]))
-
-
-def _ramp(least: float, length: float, t: Array) -> Array:
-    """Distances from ``least`` to ``length``, by equal ratios where ``least`` is not 0."""
-    return np.asarray(least * (length / least) ** t if least else length * t)
+        x = np.concatenate([(a + near)[a + near < middle], [middle], (b - far)[b - far > middle]])
+        x = np.unique(x)
+        density = 1.0 / h(x)
+        number = np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(x))
+        number = np.concatenate([[0.0], number])
+        count = max(1, ceil(number[-1]))
+        inside = np.interp(np.linspace(0.0, number[-1], count + 1), number, x)
+        nodes.append(inside[(inside > a) & (inside < b)])
+    return np.unique(np.concatenate(nodes))

@@ -28,7 +28,8 @@ from fpk.observable import observable_name
 from fpk.recognition import canonical
 from fpk.system import System
 from sim.checkpoint import PROGRAM, program_checksum
-from sim.montecarlo import ANYWHERE, MonteCarlo
+from sim.montecarlo import MonteCarlo
+from sim.settings import ANYWHERE
 from sim.workers import workers_of
 
 METHODS = ("exact", "linear", "nonintegrable", "integrable")

@@ -4,38 +4,40 @@ With the stationary density π and m = ½ b π the generator is L f = (m f')'/π
 −∫ m f' v' is symmetric. From the hierarchical functions of an element two kinds are made (Craig
 and Bampton, AIAA J. 6 (1968) 1313): h_0 and h_1 = 1 − h_0, one at its left and right end, and v_j,
 zero at both, orthogonal to these in m and to each other in m and in π. The elements are then
-conductances 1/∫dx/m in a chain, and every sum along it has positive terms only: what is as rare
-as 1e-200 keeps its relative digits.
+conductances 1/∫dx/m in a chain, and every sum along it has positive terms only: a probability of
+1e-200 keeps its relative digits.
 They come in pairs: the elements of the answer, and those of the enriched solution that judges it.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
+from numpy.polynomial.legendre import legint, legvander
+from scipy.special import roots_jacobi
 
 from fpk.arrays import Array, Flags, Integers
 from fpk.line.mesh import split_points
-from fpk.line.time.mesh import HIGHEST, NONE, first_degree, rule
+from fpk.line.time.mesh import HIGHEST, NONE, first_degree
 from fpk.plane.elements import shape_functions
 from fpk.process import Coefficients, Process, log_density_slope_error
+from fpk.quadrature import gauss_legendre
 
-BEYOND_BULK = 1e-6
-"""Share of the mass beyond the bulk, which ends where errors are weighted."""
 ENRICHMENT = 2
 """Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
-FEWEST_DIGITS, MORE = 4, 4
-"""Digits below which elements have no lower degree, and degrees beyond the digits wanted."""
-MOST_ROUNDS = 12
-"""Most rounds of cutting elements in two."""
+SAFETY = 3.0
+"""Factor on the distance to the enriched solution, of densities, first passage and rates."""
+MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
+"""Most rounds of cutting elements in two, and elements beyond which none is cut."""
+Settings = dict[str, str | float | int]
 
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """Elements of one ``degree``; every array has one entry for each of them, from H = 0 up.
+    """Elements of one degree of a ``process``; every array has one entry for each, from H = 0 up.
 
     π is e^``log_scale`` times the local density in which the integrals are given. ``shapes`` (…,
     degree + 1, functions) has in its columns the coefficients of h_0, h_1 and the v_j in the
@@ -45,10 +47,11 @@ class Elements:
     free; it may have fewer v_j, and the others are 0. ``x`` and ``weight`` (…, points) integrate π
     times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln u, u = π/T, less its
     value at the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from
-    0 to 1. ``relative_error`` is that of π and m by the coefficients; ``slope_error`` what it
-    leaves in ln π from one end to the other.
+    0 to 1. ``relative_error`` is the error of π and m by the coefficients; ``slope_error`` the
+    error that it leaves in ln π from one end to the other.
     """
 
+    process: Process
     left: Array
     right: Array
     contact: Flags
@@ -104,29 +107,24 @@ class Elements:
         return np.asarray(np.einsum("eii->ei", self.mass)[:, 2:])
 
     @cached_property
-    def local_mass(self) -> Array:
-        """∫π over each element in its unit."""
-        return np.asarray(self.load[:, :2].sum(axis=1))
-
-    @cached_property
     def log_mass(self) -> Array:
         """ln ∫π over each element."""
-        return np.asarray(self.log_scale + np.log(self.local_mass))
+        return np.asarray(self.log_scale + np.log(self.load[:, :2].sum(axis=1)))
 
-    @cached_property
-    def log_total(self) -> float:
-        """ln ∫π over all."""
-        return float(np.logaddexp.reduce(self.log_mass))
+    @property
+    def log_range(self) -> float:
+        """ln of the largest ratio of the units of π in two elements."""
+        return float(np.ptp(self.log_scale))
 
     def coefficient_error(self, upto: float = 0.0) -> float:
         """Relative error that the coefficients leave in densities and rates.
 
         An element counts by its share of the mass and of the way through the bulk, in units of
-        √b: near a contact energy errors are large on very short elements. ``upto`` is an energy
-        that the way reaches at least.
+        √b: near a contact energy errors are large on very short elements. Beyond the bulk is 1e-6
+        of the mass. ``upto`` is an energy that the way reaches at least.
         """
-        mass = np.exp(self.log_mass - self.log_total)
-        bulk = (mass[::-1].cumsum()[::-1] > BEYOND_BULK) | (self.left < upto)
+        mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
+        bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
         way = np.sqrt(self.relaxation.sum(axis=1))
         weights = mass + way / way[bulk].sum()
         return float(weights @ self.relative_error + self.slope_error.sum())
@@ -161,9 +159,9 @@ class Elements:
         series = legvander(2.0 * s - 1.0, self.log_rise.shape[1] - 1)
         return np.asarray(self.log_u[k] + (series * self.log_rise[k]).sum(axis=1))
 
-    def log_density(self, process: Process, x: Array) -> Array:
+    def log_density(self, x: Array) -> Array:
         """Return ln π at points x > 0, in the unit of ``log_scale``."""
-        log_T = process.coefficients(x).log_density_of_states
+        log_T = self.process.coefficients(x).log_density_of_states
         return np.asarray(log_T + self.log_phase_density(x))
 
     def _within(self, x: Array) -> tuple[Integers, Array]:
@@ -172,8 +170,64 @@ class Elements:
         return k, np.clip((x - self.left[k]) / (self.right[k] - self.left[k]), 0.0, 1.0)
 
 
+Answer = TypeVar("Answer")
 Pair = tuple[Elements, Elements]
 """The elements of the answer and of the enriched solution."""
+
+
+class Evolved(NamedTuple):
+    """A density of ``elements`` at several times: the coefficients ``values`` of p/π.
+
+    They are in the units 1/e^``log_scale`` of the elements, ``size`` the sizes of the terms that
+    cancel in them; both are (times, elements, functions). ``residual`` is the largest one of the
+    equations solved, relative to the terms that cancel. What is no density has no such units.
+    """
+
+    elements: Elements
+    values: Array
+    size: Array
+    residual: float
+
+    def density(self, x: Array, *, of_states: bool = False) -> tuple[Array, Array]:
+        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms.
+
+        Or u = p/T ``of_states``, by its own: T vanishes at H = 0.
+        """
+        e = self.elements
+        log_factor = e.log_phase_density(x) if of_states else e.log_density(x)
+        p, size = e.at(x, self.values, self.size)
+        factor = np.exp(log_factor - e.log_scale[e.element_of(x)])
+        return p * factor, size * factor
+
+
+@lru_cache
+def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
+    """Return points t on [0, 1] of an element of ``degree``, which may begin at ``contact``.
+
+    With their weights; Legendre polynomials of s there (points, terms), s = ∛t at contact and t
+    elsewhere; the coefficients (terms, points) of such a series of ∫_0^t; the ``shape_functions``
+    and their slopes (points, degree + 1). Where π ~ t^``steepness`` with more than a few powers
+    the points are Gauss and Jacobi's; over such an element, which is short, what else varies is
+    linear.
+    """
+    # π is no polynomial, and above a contact energy it is smooth in the cubic root of H − H_c.
+    count = 3 * degree + 8 if contact else degree + 6
+    if steepness > 7 and not contact:
+        x, w = roots_jacobi(count, 0, steepness)
+        t = 0.5 * (1.0 + x)
+        weight = np.exp(np.log(w) - (steepness + 1) * np.log(2.0) - steepness * np.log(t))
+        integral = np.zeros((count + 1, count))
+        integral[:2] = 0.5 / count
+    else:
+        x, w = gauss_legendre(count)
+        s = 0.5 * (1.0 + x)
+        t, stretch = (s**3, 3.0 * s**2) if contact else (s, np.ones(count))
+        project = (np.arange(count) + 0.5)[:, None] * (legvander(x, count - 1).T * w)
+        integral = 0.5 * np.asarray(legint(project, lbnd=-1.0)) * stretch
+        weight = 0.5 * w * stretch
+    values, slopes = shape_functions(degree, t)
+    series = np.asarray(legvander(x, count), dtype=float)
+    return t, weight, series, integral, values.T, slopes.T
 
 
 def elements(
@@ -188,42 +242,50 @@ def elements(
     for kind in ((True, True), (True, False), (False, True), (False, False)):
         k = np.flatnonzero((first == kind[0]) & (contact == kind[1]))
         if k.size:
-            parts.append(_batch(process, left[k], right[k], degree, *kind, enriched))
-    return joined(parts)
+            parts.append(_alike(process, left[k], right[k], degree, *kind, enriched))
+    return _joined(*parts)
 
 
-def joined(parts: Sequence[Elements]) -> Elements:
-    """Return all elements in one record, ascending."""
-    order = np.argsort(np.concatenate([part.left for part in parts]))
-    arrays = (np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Elements))
-    return Elements(*(array[order] for array in arrays))
+def _joined(*parts: Elements, chosen: Flags | slice = slice(None)) -> Elements:
+    """The elements of all parts in one record, ascending; of the first part the ``chosen`` ones."""
+
+    def every(name: str) -> Array:
+        first, *others = (getattr(part, name) for part in parts)
+        return np.concatenate([first[chosen], *others])
+
+    order = np.argsort(every("left"))
+    arrays: dict[str, Any] = {
+        x.name: every(x.name)[order] for x in fields(Elements) if x.name != "process"
+    }
+    return replace(parts[0], **arrays)
 
 
-def _batch(
+def _alike(
     process: Process, left: Array, right: Array, degree: int, first: bool, contact: bool,
     enriched: bool,
 ) -> Elements:  # fmt: skip
+    """Elements that all begin at H = 0, or at contact, or all do not."""
     n = process.degrees_of_freedom
-    r = rule(degree, contact, n - 1 if first else 0)
+    t, w, series, integral, values, derivatives = rule(degree, contact, n - 1 if first else 0)
     h = (right - left)[:, None]
-    x = left[:, None] + h * r.t
+    x = left[:, None] + h * t
     flat = process.coefficients(x.ravel())
     c = Coefficients(*(np.broadcast_to(a, x.size).reshape(x.shape) for a in flat))
     slope = 2.0 * c.dissipation / c.diffusion
     if not process.state_damping:
         slope = np.broadcast_to(np.median(slope, axis=1, keepdims=True), x.shape)
-    log_rise = h * (slope @ r.integral.T)
-    log_density = c.log_density_of_states + log_rise @ r.series.T
+    log_rise = h * (slope @ integral.T)
+    log_density = c.log_density_of_states + log_rise @ series.T
     log_local = log_density.max(axis=1)
-    weight = h * r.weight * np.exp(log_density - log_local[:, None])
+    weight = h * w * np.exp(log_density - log_local[:, None])
     # The functions that vanish at both ends, and behind them the one of the right end.
     own = min(first_degree(degree - 1, n) + enriched, degree - 1) if first else degree - 1
     inner = [0, *range(2, own + 1)] if first else [*range(2, degree + 1)]
-    slopes = r.slopes[:, [*inner, 1]] / h[:, :, None]
+    slopes = derivatives[:, [*inner, 1]] / h[:, :, None]
     half = np.sqrt(0.5 * c.diffusion * weight)
     R: Array = np.asarray(np.linalg.qr(half[:, :, None] * slopes, mode="r"), dtype=float)
     inverse = np.linalg.inv(R[:, :own, :own])
-    v = r.values[:, inner] @ inverse
+    v = values[:, inner] @ inverse
     turn = np.linalg.eigh(np.swapaxes(v, 1, 2) @ (weight[:, :, None] * v))[1]
     shapes = np.zeros((left.size, degree + 1, degree + 1))
     shapes[:, inner, 2 : 2 + own] = inverse @ turn
@@ -232,15 +294,16 @@ def _batch(
     shapes[:, inner, 1] = np.eye(1, own) if first else -(inverse @ R[:, :own, own:])[:, :, 0]
     shapes[:, :2, 0] = 1.0
     shapes[:, :, 0] -= shapes[:, :, 1]
-    f = r.values @ shapes
-    slopes = np.swapaxes(r.slopes @ shapes / h[:, :, None], 1, 2)
+    f = values @ shapes
+    slopes = np.swapaxes(derivatives @ shapes / h[:, :, None], 1, 2)
     steps = np.zeros(left.size)
     if process.state_damping:
-        steps = (h * log_density_slope_error(c)) @ r.integral.sum(axis=0)
+        steps = (h * log_density_slope_error(c)) @ integral.sum(axis=0)
     # All kinds of elements have as many points and terms as the kind that has the most.
-    more = rule(degree, bool(process.nonsmooth), 0).t.size - r.t.size
+    more = rule(degree, bool(process.nonsmooth), 0)[0].size - t.size
     behind = np.zeros((left.size, max(more, 0)))
     return Elements(
+        process=process,
         left=left,
         right=right,
         contact=np.full(left.size, contact),
@@ -249,7 +312,7 @@ def _batch(
         drift=slopes @ ((weight * c.dissipation)[:, :, None] * f),
         conductance=np.zeros(left.size) if first else R[:, own, own] ** 2,
         x=np.hstack([x, behind + x[:, -1:]]),
-        weight=np.hstack([h * r.weight, behind]),
+        weight=np.hstack([h * w, behind]),
         log_local=log_local,
         log_rise=np.hstack([log_rise, behind]),
         relative_error=c.relative_error.max(axis=1),
@@ -258,8 +321,8 @@ def _batch(
 
 
 def degree_for(tol: float) -> int:
-    """Return the degree of the elements of an answer to the tolerance ``tol``."""
-    return int(np.clip(round(-math.log10(tol)), FEWEST_DIGITS, HIGHEST - MORE)) + MORE
+    """Return the degree of elements for the tolerance ``tol``: four more than its digits."""
+    return int(np.clip(round(-math.log10(tol)), 4, HIGHEST - 4)) + 4
 
 
 def meshed(process: Process, nodes: Array, degree: int, *, beyond: Array = NONE) -> Pair:
@@ -271,19 +334,23 @@ def meshed(process: Process, nodes: Array, degree: int, *, beyond: Array = NONE)
     )
 
 
-def cut(process: Process, pair: Pair, marked: Flags) -> Pair:
-    """Return a pair with the elements of the answer that are ``marked`` cut in two in both.
+def refined(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
+    """Return the answer of ``solve`` on a pair whose elements are cut until it marks none.
 
-    Elements are cut towards a point that is singular.
+    Elements of the answer that it marks are cut in two in both, towards a singular point if they
+    begin there.
     """
-    own, finer = pair
-    left, right = own.left[marked], own.right[marked]
-    at = split_points(left, right, np.array([0.0, *process.nonsmooth]))
-    ends, finest = (np.append(left, at), np.append(at, right)), finer.count - marked.size
-    kept = ~marked, np.append(~marked, np.ones(finest, dtype=bool))
-    new = [elements(process, *ends, e.degree, enriched=e is finer) for e in pair]
-    parts = [
-        Elements(*(getattr(e, f.name)[k] for f in fields(Elements)))
-        for e, k in zip(pair, kept, strict=True)
-    ]
-    return joined([parts[0], new[0]]), joined([parts[1], new[1]])
+    for _ in range(MOST_ROUNDS):
+        answer, marked = solve(pair)
+        if not marked.any() or marked.size > MOST_ELEMENTS:
+            break
+        process, left, right = pair[0].process, pair[0].left[marked], pair[0].right[marked]
+        at = split_points(left, right, np.array([0.0, *process.nonsmooth]))
+        ends = np.append(left, at), np.append(at, right)
+        kept = [np.append(~marked, np.ones(e.count - marked.size, dtype=bool)) for e in pair]
+        halves = [elements(process, *ends, e.degree, enriched=e is pair[1]) for e in pair]
+        own, enriched = (
+            _joined(*parts, chosen=k) for *parts, k in zip(pair, halves, kept, strict=True)
+        )
+        pair = own, enriched
+    return answer

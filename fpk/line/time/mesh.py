@@ -1,22 +1,13 @@
-"""Meshes of one energy for questions of time: fine where a motion starts and where it ends.
+"""Meshes of one energy for questions of time: fine where a motion starts and where it ends."""
 
-And the points of integrals over one element, where π is no polynomial.
-"""
-
-from functools import lru_cache
 from math import comb, exp, sqrt
-from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.legendre import legint, legvander
-from scipy.special import roots_jacobi
 
 from fpk.arrays import Array
 from fpk.line.mesh import SMOOTH_NATS, initial_nodes
-from fpk.plane.elements import shape_functions
 from fpk.probe import probed
 from fpk.process import Process
-from fpk.quadrature import gauss_legendre
 
 HIGHEST = 16
 """Highest degree of elements."""
@@ -31,24 +22,11 @@ first time."""
 THINNEST = 1e-12
 """Least length of the elements at a limit, relative to it: in shorter ones energies are not told
 apart. Whoever starts farther from it has not failed at times for which these are too long."""
-FEWEST = 4
-"""Elements that there are at least."""
-STEEP_NATS = 4.0
-"""Rise of ln T ~ (n − 1) ln H over one element, beyond the first."""
 FAST = 20.0
 """Laplace variables on a contour times t, as far as they count."""
-DIGITS = 16.0
-"""Digits that the first element has to give, whatever its degree."""
 LARGEST_VALUE = 100.0
 """Largest value at H = 0, relative to the norm in π ~ H^(n−1), of a polynomial that is taken: it
 multiplies round-off."""
-MORE_POINTS = 6
-"""Gauss points of an element beyond its degree: π is no polynomial."""
-CONTACT_POINTS = 8
-"""Points beyond three times the degree, in the cubic root of H − H_c, above a contact energy."""
-MOST_POWERS = 7
-"""Powers of H in π that the points of Gauss and Legendre integrate beside a polynomial."""
-
 NONE: Array = np.zeros(0)
 
 
@@ -82,14 +60,15 @@ def time_nodes(
     """
     n = process.degrees_of_freedom
     nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)
-    nodes = _with(nodes, end * np.arange(1.0, FEWEST) / FEWEST)
+    nodes = _with(nodes, end * np.array([0.25, 0.5, 0.75]))  # four elements at least
     kept = [0.0, end, *(H for H in process.nonsmooth if end > H)]
     beside_zero = [length for energy, length in fine if energy == 0.0]
     if n > 2:
         # Of degree k the first element gives k + 2 times as many digits as its share of the scale.
         scale = min([process.energy_scale, end, *(n * length / FAST for length in beside_zero)])
-        first = 10.0 ** (-DIGITS / (first_degree(degree - 1, n) + 2)) * scale
-        ratio = min(exp(STEEP_NATS / (n - 1)), GROWTH if beside_zero else np.inf)
+        first = 10.0 ** (-16.0 / (first_degree(degree - 1, n) + 2)) * scale
+        # ln T ~ (n − 1) ln H.
+        ratio = min(exp(SMOOTH_NATS / (n - 1)), GROWTH if beside_zero else np.inf)
         if first < 0.5 * nodes[1]:
             steps = int(np.log(end / first) / np.log(ratio))
             nodes = _with(nodes, first * ratio ** np.arange(steps + 1.0))
@@ -102,7 +81,17 @@ def time_nodes(
         gaps = np.diff(nodes)
         above, below = _growing(gaps[k:], length), _growing(gaps[:k][::-1], length)
         nodes = _with(nodes, np.concatenate([energy + above, energy - below]))
-    return _distinct(_with(nodes, more), np.array(kept))
+    nodes = _with(nodes, more)
+    while True:
+        gaps = np.diff(nodes)
+        wide = np.maximum(np.append(gaps[1:], 0.0), np.append(0.0, gaps[:-1]))
+        close = np.flatnonzero(gaps < SAME * wide)
+        # Of two nodes that are nearly the same the right one is left out, or else the left one.
+        either = np.stack([close + 1, close], axis=1).ravel()
+        either = either[~np.isin(nodes[either], kept)]
+        if not either.size:
+            return nodes
+        nodes = np.delete(nodes, either[0])
 
 
 def _growing(gaps: Array, length: float) -> Array:
@@ -119,63 +108,3 @@ def _growing(gaps: Array, length: float) -> Array:
 def _with(nodes: Array, more: Array) -> Array:
     inside = more[(more > 0.0) & (more < nodes[-1])]
     return np.unique(np.concatenate([nodes, inside]))
-
-
-def _distinct(nodes: Array, kept: Array) -> Array:
-    """Leave out nodes that are nearly another one, but for those to be kept."""
-    while True:
-        gaps = np.diff(nodes)
-        wide = np.maximum(np.append(gaps[1:], 0.0), np.append(0.0, gaps[:-1]))
-        close = np.flatnonzero(gaps < SAME * wide)
-        drop = []
-        for k in close:
-            for node in (k + 1, k):
-                if not np.isin(nodes[node], kept):
-                    drop.append(node)
-                    break
-        if not drop:
-            return nodes
-        nodes = np.delete(nodes, drop[:1])
-
-
-class Rule(NamedTuple):
-    """Points ``t`` and weights on [0, 1], shape functions there, and what integrates from 0 to t.
-
-    ``series`` (points, terms) are Legendre polynomials of s at the points, ``integral`` (terms,
-    points) the coefficients of such a series of ∫_0^t, where s = ∛t in an element that begins at
-    contact and t elsewhere. ``values`` and ``slopes`` (points, degree + 1) are the
-    ``shape_functions``.
-    """
-
-    t: Array
-    weight: Array
-    series: Array
-    integral: Array
-    values: Array
-    slopes: Array
-
-
-@lru_cache
-def rule(degree: int, contact: bool, steepness: int) -> Rule:
-    """Return the points of an element of ``degree``; ``contact`` of one that begins at contact.
-
-    Where π ~ t^``steepness`` with more than a few powers they are those of Gauss and Jacobi; over
-    such an element, which is short, what else varies is linear.
-    """
-    count = 3 * degree + CONTACT_POINTS if contact else degree + MORE_POINTS
-    if steepness > MOST_POWERS and not contact:
-        x, w = roots_jacobi(count, 0, steepness)
-        t = 0.5 * (1.0 + x)
-        weight = np.exp(np.log(w) - (steepness + 1) * np.log(2.0) - steepness * np.log(t))
-        integral = np.zeros((count + 1, count))
-        integral[:2] = 0.5 / count
-    else:
-        x, w = gauss_legendre(count)
-        s = 0.5 * (1.0 + x)
-        t, stretch = (s**3, 3.0 * s**2) if contact else (s, np.ones(count))
-        project = (np.arange(count) + 0.5)[:, None] * (legvander(x, count - 1).T * w)
-        integral = 0.5 * np.asarray(legint(project, lbnd=-1.0)) * stretch
-        weight = 0.5 * w * stretch
-    values, slopes = shape_functions(degree, t)
-    series = np.asarray(legvander(x, count), dtype=float)
-    return Rule(t, weight, series, integral, values.T, slopes.T)

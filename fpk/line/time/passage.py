@@ -1,40 +1,48 @@
-"""First passage of one energy through a limit: moments, failure rate and probability of failure."""
+"""First passage of one energy through a limit: moments, failure rate and probability of failure.
+
+Under constant noise by the backward equation, for all starts at once; under modulated noise by the
+forward equation, whose mass is P(T > t).
+"""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from fpk.arrays import EPS, SMALLEST, Array, Flags
-from fpk.errors import InvalidInput
+from fpk.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
+from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import BEYOND_RANGE, STARTS, Passage, StartCurve, certified_passage
-from fpk.line.time.elements import ENRICHMENT, MOST_ROUNDS, Elements, cut, degree_for, meshed
+from fpk.line.time.elements import (
+    ENRICHMENT,
+    SAFETY,
+    Elements,
+    Evolved,
+    Pair,
+    Settings,
+    degree_for,
+    meshed,
+    refined,
+)
 from fpk.line.time.mesh import HIGHEST, NONE, layer_at, time_nodes
-from fpk.line.time.propagation import Source
+from fpk.line.time.modulated import LEVELS, Modulated, halved, stepped
 from fpk.line.time.resolvent import evolved, moment
+from fpk.line.time.transition import Source, adapted, posed
 from fpk.number import Number
 from fpk.probe import probed
 from fpk.process import Process
 
-SAFETY = 3.0
-"""Factor on the distance to the enriched solution."""
-ROUND_OFF = 8.0
-"""Roundings of sums along the chain, for each element and each unit of ln π from end to end."""
-MOST_ELEMENTS = 3_000
-"""Elements beyond which none is cut any more."""
 FARTHEST = 900.0
 """Fall of ln(π H) from its maximum to the limit beyond which none is solved for: e^900 times."""
 LARGEST_MEAN = 1e300
 """Mean times beyond it are out of the range of double precision in what is made of them."""
-BRACKET = 1e-9
-"""Relative distance of the two bounds of the failure rate that ends the iteration: the Rayleigh
-quotient is then known to the square of it."""
 MOST_STEPS = 2_000
 """Most iterations for the failure rate; a hundred do for a hundred masses."""
 SAMPLES = np.array([0.0, 0.1, 0.35, 0.65, 0.9])
 """Points of an element, as shares of its length, at which the answer is compared."""
+SHARE = 0.1
+"""Share of the tolerance for the mesh, and for the steps of modulated noise: variances have more
+error than p."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +73,8 @@ class Answers:
         """The least eigenvalue λ of −L, and an error of the iteration.
 
         By powers of (−L)⁻¹, which is positive: f/(−L)⁻¹f, at its largest and least, are bounds of
-        λ (Barta), whatever its size; of the Rayleigh quotient the error is of second order.
+        λ (Barta), whatever its size; the error of the Rayleigh quotient is the square of their
+        relative distance, which is round-off where that is 1e-9.
         """
         e, f = self.elements, self.mean
         share = np.exp(e.log_scale - e.log_mass.max())  # what underflows counts nothing
@@ -76,7 +85,7 @@ class Answers:
             g = moment(e, load)
             quotient = float(share @ (load * f).sum(axis=1) / (share @ (load * g).sum(axis=1)))
             before, bracket = bracket, float(np.ptp(f[:, 0] / g[:, 0])) / quotient
-            if bracket < BRACKET or (bracket < 1e-6 and not bracket < before):
+            if bracket < 1e-9 or (bracket < 1e-6 and not bracket < before):
                 break
             f = g
         return quotient, quotient * bracket**2
@@ -88,9 +97,8 @@ class Answers:
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t) (times, points) from the starts x, and its round-off."""
         e, later = self.elements, times > 0.0
-        f = evolved(
-            e, np.zeros(e.load.shape), times[later], held=1.0, more=self.more, density=False
-        )
+        nothing = np.zeros(e.load.shape)
+        f = evolved(e, nothing, times[later], held=1.0, more=self.more, density=False)
         p, size = np.zeros((2, times.size, x.size))
         p[later], size[later] = e.at(x, f.values, f.size)
         return p, EPS * size
@@ -108,7 +116,7 @@ class FirstPassage:
     def round_off(self) -> float:
         """Relative round-off of sums along the chain."""
         e = self.answer.elements
-        return ROUND_OFF * EPS * (e.count + float(np.ptp(e.log_scale)) + e.degree)
+        return ROUNDINGS * EPS * (e.count + e.log_range + e.degree)
 
     @cached_property
     def _coefficients(self) -> Array:
@@ -129,34 +137,29 @@ class FirstPassage:
         """Relative error of the mean time from H = 0 by coefficients and round-off."""
         return float(self._coefficients[0]) / self.longest + self.round_off
 
-    def mean(self, x: Array) -> tuple[Array, Array]:
-        """Return the mean time from the starts x and its error."""
-        a, b = self.answer, self.enriched
-        (T, size), (better, _) = a.elements.at(x, a.mean), b.elements.at(x, b.mean)
-        rounding = self._rounding(x) * T + self.round_off * size
-        by_coefficients = self._coefficients[a.elements.element_of(x)]
-        return T, SAFETY * np.abs(T - better) + rounding + by_coefficients
-
-    def _rounding(self, x: Array) -> Array:
-        """Relative round-off by that of the energies: T is about linear in H_f − x."""
-        return ROUND_OFF * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
-
     @property
     def longest(self) -> float:
         """Mean time from H = 0."""
         return self.answer.longest
 
-    def variance(self, x: Array) -> tuple[Array, Array]:
-        """Return the variance of the time from the starts x in ``longest``², and its error."""
-        a, b, unit = self.answer, self.enriched, self.longest
-        (T, of_T), (U, of_U) = a.elements.at(x, a.mean / unit), a.elements.at(x, a.second)
-        (better, _), (half, _) = b.elements.at(x, b.mean / unit), b.elements.at(x, b.second)
-        value = 2.0 * U - T**2
-        distance = np.abs(value - 2.0 * half * (b.longest / unit) ** 2 + better**2)
+    def moments(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """Return mean and variance of the time from the starts x, each with its error after it.
+
+        In units of the ``longest`` mean time and of its square.
+        """
+        (T, of_T, U, of_U), (better, _, half, _) = (
+            (*a.elements.at(x, a.mean / self.longest), *a.elements.at(x, a.second))
+            for a in (self.answer, self.enriched)
+        )
+        # T is about linear in H_f − x, and has the round-off of energies.
+        rounding = ROUNDINGS * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
+        error = SAFETY * np.abs(T - better) + rounding * T + self.round_off * of_T
+        error += self._coefficients[self.answer.elements.element_of(x)] / self.longest
+        V = 2.0 * U - T**2
+        distance = np.abs(V - 2.0 * half * (self.enriched.longest / self.longest) ** 2 + better**2)
         # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
-        error = SAFETY * distance + (3.0 * self.relative + self._rounding(x)) * value
-        error += self.round_off * 2.0 * (value + of_U + T * of_T)
-        return value, error
+        V_error = SAFETY * distance + (3.0 * self.relative + rounding) * V
+        return T, error, V, V_error + self.round_off * 2.0 * (V + of_U + T * of_T)
 
     def rate(self) -> tuple[float, float]:
         """Return the failure rate and its error."""
@@ -166,14 +169,15 @@ class FirstPassage:
 
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t), (times, points), from the starts x and its error."""
-        (p, rounding), (better, other) = (
-            self.answer.failure(times, x),
-            self.enriched.failure(times, x),
-        )
-        # At short times ln P ~ −(distance)²/(2 b t): so much more the coefficients count.
-        steep = 2.0 - np.log(np.clip(np.abs(p), 1e-300, 1.0))
-        error = SAFETY * np.abs(p - better) + 2.0 * self.relative * steep * np.abs(p)
-        return p, error + ROUND_OFF * (rounding + other) + EPS**2
+        (p, own), (better, other) = (a.failure(times, x) for a in (self.answer, self.enriched))
+        error = SAFETY * np.abs(p - better) + _by_coefficients(2.0 * self.relative, p)
+        return p, error + ROUNDINGS * (own + other) + EPS**2
+
+
+def _by_coefficients(relative: float, failure: Array) -> Array:
+    """Error of P(T <= t) by a relative one: at short times ln P ~ −(distance)²/(2 b t)."""
+    steep = 2.0 - np.log(np.clip(np.abs(failure), SMALLEST, 1.0))
+    return np.asarray(relative * steep * np.abs(failure))
 
 
 def first_passage(
@@ -185,7 +189,7 @@ def first_passage(
     failure at ``times`` >= 0. The mesh adapts; elements end at ``nodes``, too. Raises
     ``InvalidInput`` for a limit whose mean time is beyond double precision.
     """
-    degree = degree_for(tol)
+    degree, wanted = degree_for(tol), 0.25 * tol
     beyond = InvalidInput("limit", limit, BEYOND_RANGE)
     later = times[times > 0.0]
     fine = (layer_at(process, limit, float(later.min())),) if later.size else ()
@@ -194,34 +198,28 @@ def first_passage(
     if not probe.log_mass.max() - log_mass < FARTHEST:
         raise beyond
     nodes = time_nodes(process, limit, degree, fine=fine, more=nodes)
-    pair = meshed(process, nodes, degree)
-    for _ in range(MOST_ROUNDS):
+
+    def solved(pair: Pair) -> tuple[FirstPassage, Flags]:
         # Sums to beyond the range are judged below.
         with np.errstate(over="ignore", invalid="ignore"):
-            solved = FirstPassage(limit, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT))
-            longest = solved.longest
+            answer = FirstPassage(limit, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT))
+            longest = answer.longest
         if not longest < LARGEST_MEAN:
             raise beyond
-        marked = _marked(solved, times, 0.25 * tol)
-        if not marked.any() or marked.size > MOST_ELEMENTS:
-            break
-        pair = cut(process, pair, marked)
-    return solved
+        a, b = pair
+        unit = np.exp(a.log_local - b.log_local)
+        marked = np.zeros(a.count, dtype=bool)
+        masses = (e.load[:, :2].sum(axis=1) for e in pair)
+        for own, better in ((a.conductance, b.conductance), masses):
+            marked |= np.abs(own * unit - better) > wanted * better
+        if times.size:
+            x = (a.left[:, None] + (a.right - a.left)[:, None] * SAMPLES).ravel()
+            p, better = (each.failure(times, x)[0] for each in (answer.answer, answer.enriched))
+            distance = np.abs(p - better)
+            marked |= (distance.max(axis=0) > wanted).reshape(a.count, -1).any(axis=1)
+        return answer, marked
 
-
-def _marked(solved: FirstPassage, times: Array, wanted: float) -> Flags:
-    """Elements whose part of the answer is not known to ``wanted``."""
-    a, b = solved.answer.elements, solved.enriched.elements
-    unit = np.exp(a.log_local - b.log_local)
-    marked = np.zeros(a.count, dtype=bool)
-    for own, better in ((a.conductance, b.conductance), (a.local_mass, b.local_mass)):
-        marked |= np.abs(own * unit - better) > wanted * better
-    if times.size:
-        x = (a.left[:, None] + (a.right - a.left)[:, None] * SAMPLES).ravel()
-        p, better = (a.failure(times, x)[0] for a in (solved.answer, solved.enriched))
-        distance = np.abs(p - better)
-        marked |= (distance.max(axis=0) > wanted).reshape(a.count, -1).any(axis=1)
-    return np.asarray(marked)
+    return refined(meshed(process, nodes, degree), solved)
 
 
 def fem_passage(
@@ -240,59 +238,131 @@ def fem_passage(
     y, better = source.samples(solved.enriched.elements)
     unit, beyond = solved.longest, float(1.0 - weights.sum())
     off = 0.0 if source.process is None else solved.round_off
+    starts, both = np.linspace(0.0, limit, STARTS), x.size + y.size
 
-    def over(f: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
-        values, errors = f(np.append(x, y))
-        mean, finer = values[..., : x.size] @ weights, values[..., x.size :] @ better
+    def over(values: Array, errors: Array) -> tuple[Array, Array]:
+        mean, finer = values[..., : x.size] @ weights, values[..., x.size : both] @ better
         distance = SAFETY * np.abs(mean - finer) + off * np.abs(mean)
         return mean, errors[..., : x.size] @ weights + distance
 
-    mean, mean_error = map(float, over(solved.mean))
-    share = mean / unit
-
-    def spread(x: Array) -> tuple[Array, Array]:
-        """(E T − mean)² − mean² of a start in units of the square of the longest mean time."""
-        T, T_error = (a / unit for a in solved.mean(x))
-        return T * (T - 2.0 * share), 2.0 * np.abs(T - share) * T_error
-
-    (V, V_error), (W, W_error) = over(solved.variance), over(spread)
-    starts = np.linspace(0.0, limit, STARTS)
+    T, T_error, V, V_error = solved.moments(np.concatenate([x, y, starts]))
+    share, share_error = map(float, over(T, T_error))
+    mean = share * unit
+    # The variance is that of each start, and of their means: (E T − mean)² − mean² + mean².
+    own, own_error = over(V, V_error)
+    spread, spread_error = over(T * (T - 2.0 * share), 2.0 * np.abs(T - share) * T_error)
     with np.errstate(over="ignore"):
-        variance, variance_error, *variances = (
-            a * unit * unit
-            for a in (V + (W + share**2), V_error + W_error, *solved.variance(starts))
+        variance, variance_error = (
+            float(a * unit * unit) for a in (own + (spread + share**2), own_error + spread_error)
         )
-    rate, rate_error = solved.rate()
+        curves = T * unit, T_error * unit, V * unit * unit, V_error * unit * unit
+    numbers = Number(mean, share_error * unit), Number(variance, variance_error)
     # Forward and backward equation are compared at the mean time where no other is asked for.
     compared = times if times.size else np.array([mean])
-    failure, failure_error = over(partial(solved.failure, compared))
+    failure, failure_error = over(*solved.failure(compared, np.append(x, y)))
     failure = failure + beyond
     failure_error = failure_error + SAFETY * np.abs(weights.sum() - better.sum()) + off
-    kept, residual = _forward(e, source, compared)
-    settings: dict[str, str | float | int] = {
-        "degree": e.degree, "elements": e.count, "tol": tol
-    }  # fmt: skip
+    # ∫p where the limit absorbs, by the forward equation.
+    load, later = source.load(e), compared > 0.0
+    g = evolved(e, load, compared[later], held=0.0)
+    kept = np.full(compared.size, load[:, :2].sum())
+    kept[later] = np.einsum("tei,ei->t", g.values, e.load)
+    settings: Settings = {"degree": e.degree, "elements": e.count, "tol": tol}
     if source.process is not None:
         settings["beyond the limit at the start"] = float(beyond)
-    numbers = Number(mean, mean_error), Number(float(variance), float(variance_error))
     return certified_passage(
-        (*numbers, Number(rate, rate_error)),
+        (*numbers, Number(*solved.rate())),
         times,
         failure[: times.size],
         failure_error[: times.size],
         tol=tol,
         mass_defect=float(np.abs(kept + failure - 1.0).max()),
-        residual=residual,
-        starts=StartCurve(starts, *solved.mean(starts), *variances),
+        residual=g.residual,
+        starts=StartCurve(starts, *(a[both:] for a in curves)),
         settings=settings,
     )
 
 
-def _forward(e: Elements, source: Source, times: Array) -> tuple[Array, float]:
-    """Return ∫p at ``times`` where the limit absorbs, by the forward equation, and its residual."""
-    later = times > 0.0
-    load = source.load(e)
-    g = evolved(e, load, times[later], held=0.0)
-    mass = np.full(times.size, load[:, :2].sum())
-    mass[later] = np.einsum("tei,ei->t", g.values, e.load)
-    return mass, g.residual
+def modulated_passage(motion: Modulated, limit: float, times: Array, *, tol: float) -> Passage:
+    """Return the first passage of ``limit`` under modulated noise.
+
+    P(T > t) is the mass that the forward equation with p = 0 at the limit keeps; mean, variance
+    and failure rate are those of the noise that the modulation ends with. Where it ends with 0 who
+    lives then never fails: moments are infinite, and there is no failure rate. Errors as of
+    ``modulated_transition``, in probabilities and in the moments. Raises ``NotApplicable`` where
+    damping feeds energy in at the limit while there is no noise, and as ``first_passage`` does.
+    """
+    under, modulation, source = motion.under, motion.modulation, motion.source
+    unit, last, quiet = modulation.largest, modulation.last, motion.quiet
+    if unit == 0.0:
+        raise NotApplicable("there is no noise at any time: nothing passes a limit")
+    if modulation.times.size == 1:
+        return fem_passage(under(last), limit, source, times, tol=tol)
+    process = under(unit)
+    at_limit = process.coefficients(np.array([limit]))
+    if float(modulation.factor.min()) == 0.0 and at_limit.dissipation[0] > 0.0:
+        raise NotApplicable(
+            "damping feeds energy in at the limit: while there is no noise, no mesh sees it"
+        )
+    modulation = modulation.after(quiet)
+    end = float(modulation.times[-1])
+    asked = np.maximum(times - quiet, 0.0)
+    asked = asked if last else np.minimum(asked, end)
+    stops = np.unique([0.0, *asked, end])
+    later = first_passage(under(last), limit, times=NONE, tol=0.01 * tol) if last else None
+    first = float(modulation.energy(stops[1])) / unit
+    question, pair = posed(process, source, first, SHARE * tol, limit=limit)
+
+    @lru_cache(maxsize=len(pair))
+    def solve(e: Elements, level: int) -> tuple[Evolved, Array, Array]:
+        """p at the stops > 0; P(T > t) at all stops, E T and E T², and errors by ``later``.
+
+        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end, and those of the time that
+        is left, E(t_e + τ)², over the density of then; the errors are of the two moments.
+        """
+        load = source.load(e)
+        g, t, weight, mass = stepped(
+            e, load, modulation, unit, stops[1:], level=level, absorbing=True
+        )
+        kept = np.append(load[:, :2].sum(), np.einsum("tei,ei->t", g.values, e.load))
+        density = weight * mass * (t <= end)
+        moments, lost = np.array([density.sum(), 2.0 * density @ t]), np.zeros(2)
+        if later is not None:
+            x, longest = e.x.ravel(), later.longest
+            p = g.density(x)[0][np.searchsorted(stops[1:], end)] * e.weight.ravel()
+            T, T_error, V, V_error = later.moments(x)
+            of_square = 2.0 * T * T_error + V_error
+            with np.errstate(over="ignore"):
+                one = np.array([p @ T, np.abs(p) @ T_error]) * longest
+                two = np.array([p @ (T**2 + V), np.abs(p) @ of_square]) * longest * longest
+            moments += [one[0], 2.0 * end * one[0] + two[0]]
+            lost += [one[1], 2.0 * end * one[1] + two[1]]
+        return g, np.append(kept, moments), lost
+
+    solved = adapted(question, pair, lambda e, **_: solve(e, LEVELS[0])[0])
+    e, finer = solved.elements, solved.enriched.elements
+    off = np.abs(solve(e, LEVELS[0])[1] - solve(finer, LEVELS[0])[1])
+
+    def size(moved: Array, numbers: Array) -> float:
+        return float(np.max(moved / np.maximum(numbers, 1.0)))
+
+    level, numbers, moved, settings = halved(e, lambda k: solve(e, k)[1], size, SHARE * tol, tol)
+    g, _, lost = solve(e, level)
+    error, failure, at = SAFETY * (off + moved), 1.0 - numbers[:-2], np.searchsorted(stops, asked)
+    relative = 2.0 * e.coefficient_error(source.energy)
+    relative += ROUNDINGS * EPS * (e.count + e.log_range)
+    failure_error = error[:-2] + _by_coefficients(relative, failure) + ROUNDINGS * EPS
+    never = Number(np.inf, np.inf)
+    moments: tuple[Number, Number, Number | None] = (never, never, None)
+    if later is not None:
+        mean, square = numbers[-2:].tolist()
+        mean_error, square_error = (error[-2:] + lost + 2.0 * relative * numbers[-2:]).tolist()
+        moments = (
+            Number(mean + quiet, mean_error),
+            Number(square - mean**2, square_error + 2.0 * mean * mean_error),
+            Number(*later.rate()),
+        )
+    answer = failure[at], failure_error[at]
+    return certified_passage(
+        moments, times, *answer, tol=tol, residual=g.residual, settings=settings
+    )

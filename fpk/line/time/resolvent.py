@@ -12,61 +12,47 @@ import numpy as np
 
 from fpk.arrays import EPS, SMALLEST, Array
 from fpk.contour import contours
-from fpk.line.time.elements import Elements
+from fpk.line.time.elements import Elements, Evolved
 
 Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 """Real numbers, or complex ones where the Laplace variables are."""
-UNDERFLOW = SMALLEST / EPS
-"""Smallest number whose products with EPS are normal doubles; those below it lose precision."""
 
 
-class Admittances(NamedTuple):
-    """Elements at the Laplace variables z: every array (elements, …, points).
+class Chain(NamedTuple):
+    """The elements at the Laplace variables z, each with all below it eliminated.
 
-    ``series`` is the conductance of an element from end to end and ``shunt`` (elements, 2, …) what
-    flows off at each of its ends; ``damped`` is 1 + zν of its own functions.
+    Every array is (elements, …, points). ``series`` is the conductance of an element from end to
+    end, ``shunt`` (elements, 2, …) what flows off at each of its ends, ``damped`` 1 + zν of its own
+    functions. ``total`` is the admittance at its left end, its own conductance included, ``ratio``
+    the share of that conductance in it, by which the right end acts on the left one, and ``passed``
+    what of the rest is seen through it from the right. The first element conducts nothing.
     """
 
     series: Numbers
     shunt: Numbers
     damped: Numbers
+    total: Numbers
+    ratio: Numbers
+    passed: Numbers
 
 
-def admittances(e: Elements, z: Numbers) -> Admittances:
-    """Return the elements at the Laplace variables ``z`` (points,)."""
+def eliminated(e: Elements, z: Numbers) -> Chain:
+    """Return the chain at the Laplace variables ``z`` (points,)."""
     coupling, own = e.mass[:, 2:, :2], e.load[:, 2:]
     damped = 1.0 + e.relaxation[:, :, None] * z
     pairs = np.stack([coupling[:, :, 0] * coupling[:, :, 1], *np.moveaxis(coupling, 2, 0) * own])
     sums = np.einsum("aev,evz->aez", pairs, 1.0 / damped)
     series = e.conductance[:, None] - z * (e.mass[:, 0, 1, None] - z * sums[0])
     shunt = z * (e.load[:, :2, None] - z * np.moveaxis(sums[1:], 0, 1))
-    return Admittances(series, shunt, damped)
-
-
-class Eliminated(NamedTuple):
-    """The chain below each element eliminated; every array (elements, points).
-
-    ``total`` is the admittance at its left end, its own conductance included, ``ratio`` the share
-    of that conductance in it, by which the right end acts on the left one, and ``passed`` what of
-    the rest is seen through it from the right. The first element conducts nothing.
-    """
-
-    total: Numbers
-    ratio: Numbers
-    passed: Numbers
-
-
-def eliminated(e: Elements, y: Admittances) -> Eliminated:
-    """Return the elements of the chain, each with all below it eliminated."""
-    s = Eliminated(np.ones_like(y.series), np.zeros_like(y.series), np.zeros_like(y.series))
+    total, ratio, passed = np.ones_like(series), np.zeros_like(series), np.zeros_like(series)
     for k in range(1, e.count):
-        below = (s.passed[k - 1] + y.shunt[k - 1, 1]) * e.steps[k - 1] + y.shunt[k, 0]
-        s.total[k] = below + y.series[k]
-        zero = s.total[k] == 0.0  # at an eigenvalue of the part below
-        s.total[k, zero] = EPS * y.series[k, zero]
-        s.ratio[k] = y.series[k] / s.total[k]
-        s.passed[k] = below * s.ratio[k]
-    return s
+        below = (passed[k - 1] + shunt[k - 1, 1]) * e.steps[k - 1] + shunt[k, 0]
+        total[k] = below + series[k]
+        zero = total[k] == 0.0  # at an eigenvalue of the part below
+        total[k, zero] = EPS * series[k, zero]
+        ratio[k] = series[k] / total[k]
+        passed[k] = below * ratio[k]
+    return Chain(series, shunt, damped, total, ratio, passed)
 
 
 def resolvent(
@@ -77,46 +63,35 @@ def resolvent(
     ``end`` (points,) is f at the right end of the last element; None: no flux leaves there. A
     ``density`` is f = p/π of the unit 1/e^``log_scale`` in each element, its load (elements,
     functions) physical; otherwise f has one unit, and the load is ∫π f_i … in the units of the
-    elements. Of a density is returned, too, what is left of the equations at the nodes, relative to
+    elements. Of a density is returned, too, the residual of the equations at the nodes, relative to
     their terms.
     """
-    y = admittances(e, z)
-    s, coupling = eliminated(e, y), e.mass[:, 2:, :2]
+    c, coupling = eliminated(e, z), e.mass[:, 2:, :2]
     up, down = (np.ones(e.count - 1), e.steps) if density else (e.steps, np.ones(e.count - 1))
-    inner = load[:, 2:, None] / y.damped
+    inner = load[:, 2:, None] / c.damped
     source = load[:, :2, None] - z * np.einsum("eva,evz->eaz", coupling, inner)
-    current = np.zeros_like(s.total)
+    current = np.zeros_like(c.total)
     for k in range(1, e.count):
-        current[k] = (s.ratio[k - 1] * current[k - 1] + source[k - 1, 1]) * up[k - 1] + source[k, 0]
-    f = np.empty((e.count, e.degree + 1, z.size), dtype=s.total.dtype)
+        current[k] = (c.ratio[k - 1] * current[k - 1] + source[k - 1, 1]) * up[k - 1] + source[k, 0]
+    f = np.empty((e.count, e.degree + 1, z.size), dtype=c.total.dtype)
     low, high = f[:, 0], f[:, 1]
     if end is None:
-        end = (s.ratio[-1] * current[-1] + source[-1, 1]) / (s.passed[-1] + y.shunt[-1, 1])
+        end = (c.ratio[-1] * current[-1] + source[-1, 1]) / (c.passed[-1] + c.shunt[-1, 1])
     high[-1] = end
     for k in range(e.count - 1, 0, -1):
-        low[k] = s.ratio[k] * high[k] + current[k] / s.total[k]
+        low[k] = c.ratio[k] * high[k] + current[k] / c.total[k]
         high[k - 1] = low[k] * down[k - 1]
     low[0] = high[0]
-    f[:, 2:] = inner - z * np.einsum("eva,eaz->evz", coupling, f[:, :2]) / y.damped
+    f[:, 2:] = inner - z * np.einsum("eva,eaz->evz", coupling, f[:, :2]) / c.damped
     if not density:
         return f, 0.0
-    flux = y.series * high, y.series * low
-    right = np.array([flux[0], -flux[1], y.shunt[:, 1] * high, -source[:, 1]])[:, :-1]
-    left = np.array([flux[1], -flux[0], y.shunt[:, 0] * low, -source[:, 0]])[:, 1:]
+    flux = c.series * high, c.series * low
+    right = np.array([flux[0], -flux[1], c.shunt[:, 1] * high, -source[:, 1]])[:, :-1]
+    left = np.array([flux[1], -flux[0], c.shunt[:, 0] * low, -source[:, 0]])[:, 1:]
     terms = np.concatenate([right, left])
-    size = np.maximum(np.abs(terms).sum(axis=0), UNDERFLOW)
+    # Smaller numbers lose precision in their products with EPS.
+    size = np.maximum(np.abs(terms).sum(axis=0), SMALLEST / EPS)
     return f, float((np.abs(terms.sum(axis=0)) / size).max())
-
-
-class Evolved(NamedTuple):
-    """Coefficients at several times, the sizes of the terms that cancel in them, and a residual.
-
-    Both arrays are (times, elements, functions).
-    """
-
-    values: Array
-    size: Array
-    residual: float
 
 
 def evolved(
@@ -133,10 +108,10 @@ def evolved(
     for c in contours(times, more=more):
         end = None if held is None else held / c.z
         f, residual = resolvent(e, c.z, load, end, density=density)
-        values[c.index] = np.einsum("tz,eiz->tei", c.factors, f).imag
-        size[c.index] = np.einsum("tz,eiz->tei", np.abs(c.factors), np.abs(f))
+        values[c.places] = np.einsum("tz,eiz->tei", c.factors, f).imag
+        size[c.places] = np.einsum("tz,eiz->tei", np.abs(c.factors), np.abs(f))
         residuals.append(residual)
-    return Evolved(values, size, float(np.max(residuals)))
+    return Evolved(e, values, size, float(np.max(residuals)))
 
 
 def moment(e: Elements, load: Array) -> Array:

@@ -3,63 +3,113 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
-from fpk.arrays import EPS, SMALLEST, Array
+from fpk.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.certificate import Certificate, Measured, certify
 from fpk.errors import InvalidInput
 from fpk.line.time.elements import (
     ENRICHMENT,
-    MOST_ROUNDS,
+    SAFETY,
     Elements,
+    Evolved,
     Pair,
-    cut,
+    Settings,
     degree_for,
+    elements,
     meshed,
+    refined,
 )
-from fpk.line.time.mesh import LAYER, NONE, layer_at, time_nodes
-from fpk.line.time.propagation import Solution, Source, propagated
+from fpk.line.time.mesh import GROWTH, HIGHEST, LAYER, NONE, layer_at, time_nodes
+from fpk.line.time.resolvent import evolved
 from fpk.observable import number_text
-from fpk.probe import Probe, probed
+from fpk.probe import probed
 from fpk.process import Process
 
-SAFETY = 3.0
-"""Factor on the distance to the enriched solution."""
-ROUND_OFF = 8.0
-"""Roundings of the terms that cancel in the rule of the inverse transform."""
 TAIL = (1e-3, 1e-8)
 """Share of the tolerance that may lie beyond the mesh: of the answer, and of the enriched one."""
-NEAR_ZERO = 1e-9
-"""Energy, in units of the scale, that stands for H = 0 where b' is wanted there."""
-LENGTHENED = 1.02
-"""Least ratio of the last energy of the enriched solution to that of the answer."""
 FARTHEST = -600.0
-"""ln of the least stationary probability beyond a start that double precision can relate to one."""
-FARTHEST_EXTENT = 4.0 * FARTHEST
-"""ln of the least stationary probability where the start is a density and not one energy; at −5000
-errors exceed the answer."""
-MOST_ELEMENTS = 1_000
-"""Elements beyond which none is cut."""
+"""ln of the least stationary probability beyond a start that double precision can relate to one;
+four times as much where the start is a density and not one energy (at −5000 errors exceed it)."""
 STALLED = 0.9
 """Ratio of the error to that of the round before that shows that finer elements do not help."""
-CHECKED_TIMES = 6
-"""Times at which the mesh is adapted first, then at all."""
-Settings = dict[str, str | float | int]
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Initial density of a transient: at one energy, or the stationary one of another process."""
+
+    energy: float = 0.0
+    process: Process | None = None
+
+    def load(self, e: Elements) -> Array:
+        """Return its moments with the functions of each element, (elements, functions)."""
+        x, weights = self.samples(e)
+        k, values = e.functions(x)
+        load = np.zeros(e.load.shape)
+        np.add.at(load, k, weights[:, None] * values)
+        return load
+
+    def nodes(self, end: float, degree: int) -> Array:
+        """Return energies up to ``end`` at which elements have to end to see the source.
+
+        Beyond its extent they grow: it spreads from there.
+        """
+        if self.process is None:
+            return NONE
+        last = min(end, self.extent)
+        steps = np.arange(1.0, np.log(end / last) / np.log(GROWTH))
+        return np.append(time_nodes(self.process, last, degree), last * GROWTH**steps)
+
+    def samples(self, e: Elements) -> tuple[Array, Array]:
+        """Return energies within the elements, and their weights in a mean over the source."""
+        if self.process is None:
+            return np.array([self.energy]), np.ones(1)
+        k = int(np.searchsorted(e.left, self.extent))
+        own, x = elements(self.process, e.left[:k], e.right[:k], e.degree), e.x[:k]
+        log = own.log_density(x.ravel()) - self._log_total
+        return x.ravel(), (e.weight[:k] * np.exp(log).reshape(x.shape)).ravel()
+
+    @cached_property
+    def extent(self) -> float:
+        """Energy above which no more than the round-off of the source is."""
+        return self.energy if self.process is None else float(probed(self.process).extent(EPS))
+
+    @cached_property
+    def _log_total(self) -> float:
+        """ln ∫π of the process, in the unit in which u = 1 at H = 0."""
+        assert self.process is not None
+        nodes = time_nodes(self.process, self.extent, HIGHEST)
+        mass = elements(self.process, nodes[:-1], nodes[1:], HIGHEST).log_mass
+        return float(np.logaddexp.reduce(mass))
 
 
 @dataclass(frozen=True)
 class Question:
-    """A density that begins with ``source``, as it is at certain times and to ``tol`` in L1.
+    """A density that begins with ``source``, to the L1 tolerance ``tol``.
 
     ``width`` is that of the density at the first of the times.
     """
 
-    process: Process
     source: Source
     width: float
     tol: float
+
+    def common_error(self, e: Elements, p: Array, size: Array, x: Array) -> Array:
+        """Return errors that the densities ``p`` at x have in common on any elements.
+
+        By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more
+        the smaller p is. By the rounding of energies: p changes over the width of the density at
+        the first time. By what cancels in p, of which ``size`` is that of the terms.
+        """
+        rounding = ROUNDINGS * EPS * (1.0 + x / self.width + e.log_range)
+        top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
+        steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
+        coefficients = 2.0 * e.coefficient_error(self.source.energy) * steep
+        coefficients += e.relative_error[e.element_of(x)]
+        return np.asarray((coefficients + rounding) * np.abs(p) + ROUNDINGS * EPS * size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +121,11 @@ class Transition:
     """
 
     question: Question
-    solution: Solution
-    enriched: Solution
+    solution: Evolved
+    enriched: Evolved
     distance: Array
     top: Array
     measured: Measured
-    certificate: Certificate
     settings: Settings
 
     @property
@@ -85,9 +134,9 @@ class Transition:
         return self.solution.elements
 
     @property
-    def pair(self) -> Pair:
-        """The elements of the answer and of the enriched solution."""
-        return self.solution.elements, self.enriched.elements
+    def certificate(self) -> Certificate:
+        """The certificate by the tolerance that was asked for."""
+        return certify(self.measured, tol=self.question.tol)
 
     def density(self, x: Array) -> tuple[Array, Array]:
         """Return p and its error at energies x (points,): two arrays (times, points).
@@ -96,12 +145,12 @@ class Transition:
         """
         e = self.elements
         end = float(e.right[-1])
-        inside, positive = self.question.process.on_mesh(x, end)
+        inside, positive = e.process.on_mesh(x, end)
         p, size = self.solution.density(inside)
         error = SAFETY * self.distance.max(axis=2)[:, e.element_of(inside)]
-        error = error + common_error(self.question, e, p, size, inside)
-        # What is left of larger numbers far from the peak.
-        error += ROUND_OFF * EPS * self.top[:, None]
+        error = error + self.question.common_error(e, p, size, inside)
+        # Far from the peak p is a difference of larger numbers.
+        error += ROUNDINGS * EPS * self.top[:, None]
         error = np.where(x > end, error + np.abs(p), error)
         return np.where(positive, p, 0.0), np.where(x >= 0.0, error + SMALLEST, 0.0)
 
@@ -112,12 +161,16 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     The mesh adapts, fine at the start; what is not met is said in the certificate. Raises
     ``InvalidInput`` for a start beyond the range of double precision.
     """
+
+    def propagated(times: Array, e: Elements, more: int) -> Evolved:
+        return evolved(e, source.load(e), times, more=more)
+
     question, pair = posed(process, source, float(times.min()), tol)
-    few = np.unique(np.linspace(0, times.size - 1, CHECKED_TIMES).astype(int))
+    # The mesh is adapted at six of the times first, then at all.
+    few = np.unique(np.linspace(0, times.size - 1, 6).astype(int))
     for chosen in (times[few], times) if few.size < times.size else (times,):
-        solve = partial(propagated, process, source=source, times=chosen)
-        solved = adapted(question, pair, solve)
-        pair = solved.pair
+        solved = adapted(question, pair, partial(propagated, chosen))
+        pair = solved.elements, solved.enriched.elements
     return solved
 
 
@@ -127,53 +180,68 @@ def posed(
     """Return the question, ``time`` the first one asked for, and the meshes to begin with.
 
     Those of the answer and of the enriched solution, which reaches farther where there is no
-    absorbing ``limit``. Raises ``InvalidInput`` for a start beyond the range of double precision.
+    absorbing ``limit``: beyond it is no more than ``TAIL`` at any time. From a start in the
+    stationary state beyond the energy H_0 it is not more, at any energy, than the stationary tail
+    over that beyond H_0; and from H_0 itself still less. Raises ``InvalidInput`` for a start beyond
+    the range of double precision.
     """
     degree, start = degree_for(tol), source.energy
     width, fine, beyond = process.energy_scale, [], NONE
     if source.process is None:
-        width = width_of(process, start, time)
+        # √(b t), b ~ H at H = 0, where b' is wanted beside it.
+        c = process.coefficients(np.array([max(start, 1e-9 * process.energy_scale)]))
+        spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0
+        width = max(spread, 0.5 * float(c.divergence[0]) * time)
         fine.append((start, LAYER * width))
     if limit is not None:
         fine.append(layer_at(process, limit, time))
         end = limit
     else:
-        end, last = _ends(process, source, tol)
+        probe = probed(process)
+        top, shares = int(probe.log_mass.argmax()), [0.0, 0.0]
+        for k, energy in enumerate((start, source.extent)):
+            if energy > probe.energy[top]:
+                above = np.interp(np.log(energy), np.log(probe.energy), probe.log_mass)
+                shares[k] = float(above - probe.log_mass[top])
+        if shares[0] < FARTHEST or shares[1] < 4.0 * FARTHEST:
+            remedy = "the stationary probability beyond it is out of the range of double precision"
+            raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
+        ends = []
+        for tail in TAIL:
+            extents = [probe.extent(math.exp(math.log(tail * tol) + shares[0])), 1.05 * start]
+            if source.process is not None:
+                extents.append(probed(source.process).extent(tail * tol))
+            ends.append(max(extents))
+        # The enriched solution reaches farther, by a fiftieth at least.
+        end, last = ends[0], max(ends[1], 1.02 * ends[0])
     nodes = time_nodes(process, end, degree, fine=tuple(fine), more=source.nodes(end, degree))
     if limit is None:
         length = float(nodes[-1] - nodes[-2])
         beyond = np.linspace(end, last, 1 + max(1, math.ceil((last - end) / length)))[1:]
-    pair = meshed(process, nodes, degree, beyond=beyond)
-    return Question(process, source, width, tol), pair
+    return Question(source, width, tol), meshed(process, nodes, degree, beyond=beyond)
 
 
-def adapted(question: Question, pair: Pair, solve: Callable[..., Solution]) -> Transition:
-    """Return what ``solve(elements, more=0)`` gives on meshes cut where they have to be, judged.
+def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Transition:
+    """Return what ``solve(e=elements, more=0)`` gives on meshes cut where they have to be, judged.
 
     For the enriched solution ``more`` is ``ENRICHMENT``.
     """
-    before, tol, process = math.inf, question.tol, question.process
-    for _ in range(MOST_ROUNDS):
-        solutions = solve(pair[0], more=0), solve(pair[1], more=ENRICHMENT)
-        solved, own, rounding = judged(question, *solutions)
+    before, tol = math.inf, question.tol
+
+    def solved(pair: Pair) -> tuple[Transition, Flags]:
+        nonlocal before
+        solutions = solve(e=pair[0], more=0), solve(e=pair[1], more=ENRICHMENT)
+        answer, own, rounding = judged(question, *solutions)
         marked = own > np.maximum(0.1 * tol / own.size, rounding)
         small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < STALLED * before
-        if small or not marked.any() or marked.size > MOST_ELEMENTS:
-            break
         before = own.sum()
-        pair = cut(process, pair, marked)
-    return solved
+        return answer, marked & (not small)
 
-
-def width_of(process: Process, start: float, time: float) -> float:
-    """Width of the density at a short ``time`` after an energy: √(b t), b ~ H at H = 0."""
-    c = process.coefficients(np.array([max(start, NEAR_ZERO * process.energy_scale)]))
-    spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0
-    return max(spread, 0.5 * float(c.divergence[0]) * time)
+    return refined(pair, solved)
 
 
 def judged(
-    question: Question, own: Solution, finer: Solution, *, distance: Array | None = None
+    question: Question, own: Evolved, finer: Evolved, *, distance: Array | None = None
 ) -> tuple[Transition, Array, Array]:
     """Return the solution, judged, each element's part of its error, and of its round-off.
 
@@ -191,8 +259,8 @@ def judged(
     far, far_w = enriched.x[answer.count :], enriched.weight[answer.count :]
     beyond = np.abs(finer.density(np.append(far.ravel(), last))[0])
     tail = (beyond[:, :-1] @ far_w.ravel()).max()
-    tail += probed(question.process).tail_bound(last, float(beyond[:, -1].max()))
-    common = common_error(question, answer, p, size, x.ravel())
+    tail += probed(answer.process).tail_bound(last, float(beyond[:, -1].max()))
+    common = question.common_error(answer, p, size, x.ravel())
     pointwise = SAFETY * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w
     top = p.max(axis=1)
@@ -200,60 +268,14 @@ def judged(
         l1_error=float(((SAFETY * distance * w) + common).sum(axis=(1, 2)).max() + 2.0 * tail),
         mass_defect=float(np.abs(p @ w.ravel() - 1.0).max()),
         minimum=float((p.min(axis=1) / top).min()),
-        residual=own.g.residual,
+        residual=own.residual,
         tail_mass=float(tail),
         absolute_error=float((pointwise.max(axis=1) / top).max()),
     )
-    certificate = certify(measured, tol=question.tol)
     settings: Settings = {
         "degree": answer.degree, "elements": answer.count, "last energy": float(answer.right[-1]),
         "tol": question.tol,
     }  # fmt: skip
-    solved = Transition(question, own, finer, distance, top, measured, certificate, settings)
+    solved = Transition(question, own, finer, distance, top, measured, settings)
     each = (distance * w).sum(axis=2).max(axis=0)
     return solved, each, common.sum(axis=2).max(axis=0)
-
-
-def _log_share_above(probe: Probe, energy: float) -> float:
-    """About ln of the stationary probability above ``energy``."""
-    if energy <= 0.0:
-        return 0.0
-    top = int(probe.log_mass.argmax())
-    at = np.interp(np.log(energy), np.log(probe.energy), probe.log_mass)
-    return float(min(at - probe.log_mass[top], 0.0)) if energy > probe.energy[top] else 0.0
-
-
-def _ends(process: Process, source: Source, tol: float) -> tuple[float, float]:
-    """Return energies above which no more than ``TAIL`` is at any time after the start.
-
-    From a start in the stationary state beyond the energy H_0 it is not more, at any energy, than
-    the stationary tail over that beyond H_0; and from H_0 itself still less.
-    """
-    probe, start = probed(process), source.energy
-    log_share = _log_share_above(probe, start)
-    if log_share < FARTHEST or _log_share_above(probe, source.extent) < FARTHEST_EXTENT:
-        remedy = "the stationary probability beyond it is out of the range of double precision"
-        raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
-    ends = []
-    for tail in TAIL:
-        end = probe.extent(math.exp(math.log(tail * tol) + log_share))
-        if source.process is not None:
-            end = max(end, probed(source.process).extent(tail * tol))
-        ends.append(max(end, 1.05 * start))
-    return ends[0], max(ends[1], LENGTHENED * ends[0])
-
-
-def common_error(question: Question, e: Elements, p: Array, size: Array, x: Array) -> Array:
-    """Errors that the answer and the enriched solution have in common.
-
-    By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more
-    the smaller p is. By the rounding of energies: p changes over the width of the density at
-    the first time. By what cancels in p, of which ``size`` is that of the terms.
-    """
-    rounding = ROUND_OFF * EPS * (1.0 + x / question.width + float(np.ptp(e.log_scale)))
-    top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
-    steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
-    floor = ROUND_OFF * EPS * size
-    coefficients = 2.0 * e.coefficient_error(question.source.energy) * steep
-    coefficients += e.relative_error[e.element_of(x)]
-    return np.asarray((coefficients + rounding) * np.abs(p) + floor)

@@ -1,13 +1,12 @@
 """Actions of exp(t A) by shift-and-invert Krylov spaces, one for times of like size."""
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from fpk.arrays import EPS, Array, Integers
+from fpk.arrays import EPS, Array
 from fpk.errors import NotCertified
 
 RATIO = 30.0
@@ -18,25 +17,17 @@ half-axis with an error that falls by (√2 − 1) a degree (Andersson 1981), of
 so that the number of solves does not depend on the mesh."""
 KRYLOV = 1e-2
 """Fraction of the tolerance of an answer to which e^(tA) is computed."""
-CHUNK = 8
+GROWN = 8
 """Dimensions by which a space grows; the answer without the last ones gives the error."""
 MOST = 160
 """Largest dimension."""
-NOTHING = 1e-3
-"""Eigenvalues s of (M − γA)⁻¹ M below are left out: with t/γ > 1/(RATIO · POLE) = 1.1 the factor
-e^(t(1 − 1/s)/γ) is e^−1100, less than the smallest number."""
-
-INVARIANT = 1e-12
-"""Part of a vector outside the space, relative to it, that is round-off: the space is complete."""
-DECAYED = 1e-200
-"""Norm below which a function has decayed, relative to its start: its error is not its own."""
 LARGEST = 20.0
 """Largest growth of a mode of a small space, whose numerical range leans into the right half plane;
 e^20 of anything is far from converged, and NaN says so."""
 
 
 class Evolved(NamedTuple):
-    """g at times (times, unknowns), its change by the last ``CHUNK`` dimensions, and residuals.
+    """g at times (times, unknowns), its change by the last ``GROWN`` dimensions, and residuals.
 
     ``rounding`` (times,) estimates the relative round-off in the norm ∫ w g²; ``residual`` is the
     largest of the linear systems relative to the terms that cancel in it.
@@ -82,31 +73,29 @@ def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float
     round-off/γ: at times as large as those of rare failure their digits are there.
     """
     start = factorised(M).solve(dual)
-    residual = relative_residual(M, abs(M), start, dual)
-    parts = [_of_group(A, M, start, times[group], tol) for group in _groups(times)]
-    values, change, rounding = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    residual = float(np.max([residual, *(part.residual for part in parts)]))
-    return Evolved(values, change, rounding, residual)
-
-
-def _groups(times: Array) -> Iterator[Integers]:
-    first = 0
+    residuals, parts, first = [relative_residual(M, abs(M), start, dual)], [], 0
     while first < times.size:
         last = int(np.searchsorted(times, RATIO * times[first], side="right"))
-        yield np.arange(first, last)
+        parts.append(_of_group(A, M, start, times[first:last], tol))
         first = last
+    values, change, rounding = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    residuals += [part.residual for part in parts]
+    return Evolved(values, change, rounding, float(np.max(residuals)))
 
 
 def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float) -> Evolved:
     gamma = POLE * float(times[-1])
     matrix = (M - gamma * A).tocsc()
-    factors, sizes, symmetric = factorised(matrix), abs(matrix), _symmetric(A)
+    factors, sizes = factorised(matrix), abs(matrix)
+    # Whether A x and Aᵀ x agree up to round-off for an x of random signs.
+    x = np.random.default_rng(0).choice([-1.0, 1.0], A.shape[0])
+    symmetric = bool(np.max(np.abs(A @ x - A.T @ x)) <= 1e-13 * np.max(np.abs(A.data)))
     V, MV = np.empty((MOST, start.size)), np.empty((MOST, start.size))
     H, residuals, norm = np.zeros((MOST, MOST)), [0.0], float(np.sqrt(start @ (M @ start)))
     V[0], MV[0] = start / norm, (M @ start) / norm
     for k in range(1, MOST):
         v = factors.solve(MV[k - 1])
-        if k % CHUNK == 1:
+        if k % GROWN == 1:
             residuals.append(relative_residual(matrix, sizes, v, MV[k - 1]))
         before = float(np.sqrt(v @ (M @ v)))
         for _ in range(2):
@@ -115,41 +104,28 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
             v = v - along @ V[:k]
         Mv = M @ v
         H[k, k - 1] = size = float(np.sqrt(v @ Mv))
-        if size <= INVARIANT * before:
-            more, rounding = _reduced(H[:k, :k], times, gamma, symmetric)
+        if size <= 1e-12 * before:  # round-off: the space is complete
+            more, rounding, norms = _reduced(H[:k, :k], times, gamma, symmetric)
             change = np.zeros_like(more)
             break
         V[k], MV[k] = v / size, Mv / size
-        if k + 1 >= 3 * CHUNK and (k + 1) % CHUNK == 0:
-            more, rounding = _reduced(H[:k, :k], times, gamma, symmetric)
-            less, _ = _reduced(H[: k - CHUNK, : k - CHUNK], times, gamma, symmetric)
+        if k + 1 >= 3 * GROWN and (k + 1) % GROWN == 0:
+            more, rounding, norms = _reduced(H[:k, :k], times, gamma, symmetric)
+            less, *_ = _reduced(H[: k - GROWN, : k - GROWN], times, gamma, symmetric)
             change = more.copy()
-            change[:, : k - CHUNK] -= less
-            relative = np.linalg.norm(change, axis=1) / _norms(more)
-            if float(np.max(relative)) <= tol or k + CHUNK >= MOST:
+            change[:, : k - GROWN] -= less
+            if float(np.max(np.linalg.norm(change, axis=1) / norms)) <= tol or k + GROWN >= MOST:
                 break
-    relative = rounding / _norms(more)
     return Evolved(
         norm * more @ V[: more.shape[1]],
         norm * change @ V[: more.shape[1]],
-        relative,
+        rounding / norms,
         float(np.max(residuals)),
     )
 
 
-def _norms(values: Array) -> Array:
-    """Norms of rows; of those that have decayed to nothing, ``DECAYED``."""
-    return np.asarray(np.maximum(np.linalg.norm(values, axis=1), DECAYED))
-
-
-def _symmetric(A: csc_array) -> bool:
-    """Whether A x and Aᵀ x agree up to round-off for an x of random signs."""
-    x = np.random.default_rng(0).choice([-1.0, 1.0], A.shape[0])
-    return bool(np.max(np.abs(A @ x - A.T @ x)) <= 1e-13 * np.max(np.abs(A.data)))
-
-
-def _reduced(H: Array, times: Array, gamma: float, symmetric: bool) -> tuple[Array, Array]:
-    """e^(tA) of the first basis vector (times, m) with A = (1 − S⁻¹)/γ, and how round-off grows."""
+def _reduced(H: Array, times: Array, gamma: float, symmetric: bool) -> tuple[Array, Array, Array]:
+    """e^(tA) of the first basis vector (times, m), A = (1 − S⁻¹)/γ, its round-off and norms."""
     condition = 1.0
     if symmetric:
         s, X = np.linalg.eigh(0.5 * (H + H.T))
@@ -158,10 +134,14 @@ def _reduced(H: Array, times: Array, gamma: float, symmetric: bool) -> tuple[Arr
         s, X = np.linalg.eig(H)
         condition = float(np.linalg.cond(X))
         first = np.linalg.solve(X, np.eye(len(H))[0])
-    live = np.abs(s) > NOTHING
+    # Of s below 1e-3 the factor e^(t(1 − 1/s)/γ) is e^−1100 by t/γ > 1/(RATIO · POLE) = 1.1.
+    live = np.abs(s) > 1e-3
     rate = (1.0 - 1.0 / s[live]) / gamma
     if np.any(rate.real * times[-1] > LARGEST):
-        return np.full((times.size, len(H)), np.nan), np.full(times.size, np.nan)
-    values = (np.exp(np.outer(times, rate)) * first[live]) @ X[:, live].T
+        nan = np.full(times.size, np.nan)
+        return np.full((times.size, len(H)), np.nan), nan, nan
+    values = ((np.exp(np.outer(times, rate)) * first[live]) @ X[:, live].T).real
+    # What has decayed has no error of its own.
+    norms = np.maximum(np.linalg.norm(values, axis=1), 1e-200)
     # Eigenvectors are known to ε over the gaps of s, those of slow modes γ/t.
-    return np.asarray(values.real), EPS * condition * (1.0 + times / gamma)
+    return values, EPS * condition * (1.0 + times / gamma), norms

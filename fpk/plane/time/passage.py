@@ -1,4 +1,4 @@
-"""First passage of two energies: moments of its time, the failure rate, the reliability.
+"""First passage of two energies and their slowest relaxation rates.
 
 u(t) = P(T > t) of a start solves ∂u/∂t = L u with u = 0 on the limit, its mean L T = −1 and
 L E[T²] = −2 T: the transpose of the operator of the density.
@@ -11,17 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigs
 
-from fpk.arrays import Array
-from fpk.errors import InvalidInput
+from fpk.arrays import EPS, ROUNDINGS, Array, Complexes
+from fpk.dynamics import Rates, certified_rates
+from fpk.errors import InvalidInput, NotCertified
 from fpk.evolution import BEYOND_RANGE, Passage, certified_passage
 from fpk.number import Number
 from fpk.observable import number_text
-from fpk.plane.solution import Nodes, graded
-from fpk.plane.time.domain import Domain, Rectangle, Triangle
+from fpk.plane.solution import SAFETY, Nodes, graded
 from fpk.plane.time.exponential import KRYLOV, evolved, factorised, relative_residual
-from fpk.plane.time.levels import Frame, operators
+from fpk.plane.time.levels import Frame, PlaneStart
 from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.view import PointStart, Start
 
 FOLDS = 5.0
 """Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
@@ -30,16 +29,13 @@ HIGHEST = 300.0
 """Largest rise of −ln w up to a limit: E T² of the order of e^600 is within double precision."""
 MOST_UNKNOWNS = 300_000
 """Unknowns of the largest level, of 3 GB; two levels are needed for an answer with an error."""
-TOO_RARE = "so rare a failure takes more equations than fit into memory; take a lower one"
-VECTORS = 8
-"""Arnoldi vectors for the failure rate: of a rare failure, far below all other rates, two would do.
-"""
-ROUNDING = 4.0
-"""Multiple of the change by a step of iterative refinement that is stated as round-off."""
 SHARE = 0.1
 """Share of the largest error of the reliability that is in each: levels agree by chance, too."""
-LEAST = 1e-14
-"""Relative round-off that is always stated."""
+VECTORS = (4, 30)
+"""Arnoldi vectors: so many times those sought, and so many more. Rates of the same size are common,
+of modes that decay alike, and a small space may miss one."""
+HEIGHT = 8.0
+"""Rise of −ln w by which meshes are longer than for densities: modes grow with the energy."""
 
 
 @dataclass(frozen=True)
@@ -51,16 +47,14 @@ class PlaneLimit:
     total: float | None = None
 
     @property
-    def domain(self) -> Domain:
-        """The coordinates in which the limit is an edge of a rectangle."""
-        return Rectangle() if self.total is None else Triangle()
+    def collapsed(self) -> bool:
+        """Whether the limit is an edge of a rectangle in the coordinates (H, H1/H)."""
+        return self.total is not None
 
     @property
     def absorbing(self) -> tuple[bool, bool]:
         """Which far edges are limits."""
-        if self.total is not None:
-            return True, False
-        return self.first is not None, self.second is not None
+        return self.collapsed or self.first is not None, self.second is not None
 
     def edge(self, far: Array) -> tuple[Array, Array]:
         """Return energies along the limit, up to ``far`` where there is none."""
@@ -70,6 +64,25 @@ class PlaneLimit:
         a, b = (far[k] if x is None else x for k, x in enumerate((self.first, self.second)))
         lines = np.array([[a + 0.0 * t, b * t], [a * t, b + 0.0 * t]])[np.array(self.absorbing)]
         return np.concatenate(lines[:, 0]), np.concatenate(lines[:, 1])
+
+    def nodes(self, frame: Frame, rise: float, panels: int) -> Nodes:
+        """Return nodes up to the limit, or to where −ln w exceeds ``rise``; more where it rises."""
+        if self.total is not None:
+            corners = frame.heights(
+                self.total * np.array([0.0, 1.0]), self.total * np.array([1.0, 0.0])
+            )
+            rise, across = float(corners.max()), abs(float(corners[1] - corners[0]))
+            angles = np.linspace(0.0, 0.5 * np.pi, 1 + max(panels, int(across / FOLDS)))
+            along = graded((self.total, 1.0), max(panels, int(rise / FOLDS)))[0]
+            return along, np.sin(angles) ** 2
+        limits = zip((self.first, self.second), frame.ends(rise), strict=True)
+        ends = [far if limit is None else limit for limit, far in limits]
+        rises = frame.heights(np.array([ends[0], 0.0]), np.array([0.0, ends[1]]))
+        first, second = (
+            graded((end, 1.0), max(panels, int(rise / FOLDS)))[0]
+            for end, rise in zip(ends, rises, strict=True)
+        )
+        return first, second
 
 
 class _Answer(NamedTuple):
@@ -85,7 +98,7 @@ class _Answer(NamedTuple):
 
 def first_passage(
     frame: Frame,
-    start: Start,
+    start: PlaneStart,
     limit: PlaneLimit,
     times: Array,
     *,
@@ -101,14 +114,47 @@ def first_passage(
     Levels end early where they are nearer to each other than the error that no level lowers, or
     come nearer so slowly that those left could not meet it, see ``_hopeless``.
     """
-    every, distances = _operators(frame, start, limit, tol), list[float]()
+    height = start.height(frame)
+    far = frame.ends(frame.rise(tol, height, 0))
+    lowest = float(np.min(frame.heights(*limit.edge(far))))
+    given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
+    words = ", ".join(map(number_text, given))
+    if lowest > HIGHEST:
+        raise InvalidInput("limit", words, BEYOND_RANGE)
+    operators = frame.operators(
+        lambda rise, panels: limit.nodes(frame, rise, panels),
+        tol=tol,
+        height=max(height, lowest),
+        absorbing=limit.absorbing,
+        collapsed=limit.collapsed,
+    )
+    every = [op for op in operators if op.sizes[0] * op.sizes[1] <= MOST_UNKNOWNS]
+    if len(every) < 2:
+        remedy = "so rare a failure takes more equations than fit into memory; take a lower one"
+        raise InvalidInput("limit", words, remedy)
+    distances = list[float]()
     levels = (_answer(op, start, times, tol) for op in every)
     for left, (coarse, fine) in zip(reversed(range(len(every) - 1)), pairwise(levels), strict=True):
         edge = limit.edge(np.array([x[-1] for x in fine.op.nodes]))
+        # The relative error by coefficients, weight and start.
         model = coefficients_error * (2.0 + 2.0 * float(np.min(frame.heights(*edge))))
         model += 2.0 * frame.relative_error + start.l1_error
-        answer = _compared(coarse, fine, model, times, tol)
-        apart = fine.numbers / coarse.numbers - 1.0, fine.survival - coarse.survival
+        values = fine.numbers
+        errors = np.abs(values - coarse.numbers) + fine.rounding + model * np.abs(values)
+        # The variance is the difference of two moments, each with the error of the coefficients.
+        errors[1] += model * 2.0 * values[0] ** 2
+        lost = np.abs(fine.survival - coarse.survival) + fine.survival_error + model
+        mean, variance, rate = map(Number, values.tolist(), errors.tolist())
+        answer = certified_passage(
+            (mean, variance, rate),
+            times,
+            1.0 - fine.survival,
+            lost + SHARE * np.max(lost, initial=0.0),
+            tol=tol,
+            residual=float(np.max([fine.residual, coarse.residual])),
+            settings={"unknowns": int(fine.op.free.size), "degree": fine.op.degree},
+        )
+        apart = values / coarse.numbers - 1.0, fine.survival - coarse.survival
         distances.append(float(np.max(np.abs(np.concatenate(apart)))))
         if answer.certificate.certified or _hopeless(distances, left, max(tol, model)):
             break
@@ -127,50 +173,9 @@ def _hopeless(distances: list[float], left: int, tol: float) -> bool:
     return bool(distances[-1] * gain ** (2 ** (left + 1) - 2) > tol)
 
 
-def _operators(frame: Frame, start: Start, limit: PlaneLimit, tol: float) -> list[PlaneOperator]:
-    """Operators that rise in resolution, of a size that fits into memory."""
-    height = 0.0
-    if isinstance(start, PointStart):
-        height = frame.height(*start.energies)
-    lowest = float(np.min(frame.heights(*limit.edge(frame.ends(frame.rise(tol, height, 0))))))
-    given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
-    if lowest > HIGHEST:
-        raise InvalidInput("limit", ", ".join(map(number_text, given)), BEYOND_RANGE)
-    height = max(height, lowest)
-
-    def nodes(rise: float, panels: int) -> Nodes:
-        far = frame.ends(rise)
-        if limit.total is not None:
-            corners = frame.heights(
-                limit.total * np.array([0.0, 1.0]), limit.total * np.array([1.0, 0.0])
-            )
-            rise, across = float(corners.max()), abs(float(corners[1] - corners[0]))
-            angles = np.linspace(0.0, 0.5 * np.pi, 1 + max(panels, int(across / FOLDS)))
-            return graded((limit.total, 1.0), max(panels, int(rise / FOLDS)))[0], np.sin(
-                angles
-            ) ** 2
-        ends = [
-            e if x is None else x for x, e in zip((limit.first, limit.second), far, strict=True)
-        ]
-        rises = frame.heights(np.array([ends[0], 0.0]), np.array([0.0, ends[1]]))
-        first, second = (
-            graded((end, 1.0), max(panels, int(rise / FOLDS)))[0]
-            for end, rise in zip(ends, rises, strict=True)
-        )
-        return first, second
-
-    every = operators(
-        frame, nodes, tol=tol, height=height, absorbing=limit.absorbing, domain=limit.domain
-    )
-    small = [op for op in every if op.sizes[0] * op.sizes[1] <= MOST_UNKNOWNS]
-    if len(small) < 2:
-        raise InvalidInput("limit", ", ".join(map(number_text, given)), TOO_RARE)
-    return small
-
-
-def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answer:
+def _answer(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> _Answer:
     # Equal factors on all three change nothing; without them small energies underflow.
-    A, M, shares = (part / op.matrices.shares.max() for part in op.matrices)
+    A, M, shares = (part / op.matrices[2].max() for part in op.matrices)
     transposed, dual = (-A.T).tocsc(), start.dual(op)
     backward = factorised(transposed)
     sizes = abs(transposed)
@@ -188,22 +193,24 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
     if not mean > 0.0:
         remedy = "the elements do not see so narrow a density; start from rest or louder noise"
         raise InvalidInput("start", "stationary", remedy)
-    relative = ROUNDING * abs(float(dual @ change)) / mean + LEAST
+    # A multiple of the change by a step of iterative refinement, and 1e-14 always.
+    relative = ROUNDINGS * abs(float(dual @ change)) / mean + 1e-14
     # The least λ of K u = λ M u is real and simple; 1/λ is of the order of the longest mean time.
+    # Of a rare failure, far below all other rates, two Arnoldi vectors would do.
     longest = np.max(np.abs(T))
     inverse = LinearOperator(A.shape, matvec=lambda u: backward.solve(M @ u) / longest, dtype=float)
-    (largest,) = eigs(inverse, k=1, ncv=VECTORS, v0=T / longest, tol=0.0, return_eigenvectors=False)
+    (largest,) = eigs(inverse, k=1, ncv=8, v0=T / longest, tol=0.0, return_eigenvectors=False)
     rate = 1.0 / (largest.real * longest)
     numbers = np.array([mean, second - mean**2, rate])
     rounding = relative * np.array([mean, second + 2.0 * mean**2, rate])
     survival, lost = np.full(times.size, float(np.nan)), np.zeros(times.size)
     at_zero = times <= 0.0
-    if isinstance(start, PointStart):
+    if start.density is None:
         survival[at_zero] = 1.0
     else:
         survival[at_zero] = float(dual @ factorised(M).solve(shares))
     # E T <= t + P(T > t) max E T: where failure is rare that is enough.
-    top = float(np.max(op.vertex_values(T)))
+    top = float(op.largest(T))
     bound = (top - mean + times) / top + relative
     early = ~at_zero & (bound <= KRYLOV * tol)
     survival[early], lost[early] = 1.0, bound[early]
@@ -211,30 +218,64 @@ def _answer(op: PlaneOperator, start: Start, times: Array, tol: float) -> _Answe
     if np.any(late):
         u = evolved(-transposed, M, shares, times[late], tol=KRYLOV * tol)
         survival[late] = u.values @ dual
-        height = np.max(np.abs(op.vertex_values(u.values)), axis=1)
-        lost[late] = np.abs(u.change @ dual) + ROUNDING * u.rounding * height
+        lost[late] = np.abs(u.change @ dual) + ROUNDINGS * u.rounding * op.largest(u.values)
         residual = float(np.max([residual, u.residual]))
     return _Answer(op, numbers, rounding, survival, lost, residual)
 
 
-def _compared(coarse: _Answer, fine: _Answer, model: float, times: Array, tol: float) -> Passage:
-    """The finer answer, with its distance to the coarser one as the error.
+def relaxation_rates(frame: Frame, count: int, *, tol: float, relative: float = 0.0) -> Rates:
+    """Return the ``count`` eigenvalues of −L with the least real parts but 0.
 
-    ``model`` is the relative error by coefficients, weight and start.
+    Levels rise until two of them agree to ``tol``, relative to each; the answer is that of the
+    finer one. ``relative`` is the relative error of the coefficients. Raises ``NotCertified`` where
+    the two finest levels have fewer unknowns than that.
     """
-    errors = np.abs(fine.numbers - coarse.numbers) + fine.rounding + model * np.abs(fine.numbers)
-    # The variance is the difference of two moments, each with the error of the coefficients.
-    errors[1] += model * 2.0 * fine.numbers[0] ** 2
-    lost = np.abs(fine.survival - coarse.survival) + fine.survival_error + model
-    lost = lost + SHARE * np.max(lost, initial=0.0)
-    numbers = (Number(float(x), float(e)) for x, e in zip(fine.numbers, errors, strict=True))
-    mean, variance, rate = numbers
-    return certified_passage(
-        (mean, variance, rate),
-        times,
-        1.0 - fine.survival,
-        lost,
-        tol=tol,
-        residual=float(np.max([fine.residual, coarse.residual])),
-        settings={"unknowns": int(fine.op.free.size), "degree": fine.op.degree},
+
+    def nodes(rise: float, panels: int) -> Nodes:
+        return graded(frame.ends(rise), panels)
+
+    # A rate of the order of the slowest: b/H² of the energies at their scales, the lesser one.
+    scales = np.array(frame.process.energy_scales)
+    b = frame.process.coefficients(scales[None, :]).diffusion[0]
+    shift, sought, answer = float(np.min(np.diag(b) / scales**2)), 2 * count + 2, None
+    vectors = VECTORS[0] * sought + VECTORS[1]
+    levels = (
+        (op, *_eigenvalues(op, sought, vectors, shift))
+        for op in frame.operators(nodes, tol=tol, height=HEIGHT)
+        if vectors < op.free.size
     )
+    for (_, coarse, _), (op, every, residual) in pairwise(levels):
+        values = every[:count]
+        size = np.abs(values)
+        errors = SAFETY * np.abs(coarse - values[:, None]).min(axis=1)
+        # Round-off of an eigenvalue of the shifted inverse, relative to its largest.
+        errors += 50.0 * EPS * (size + shift) ** 2 / shift
+        errors += (relative + 2.0 * frame.relative_error) * size
+        settings = {"unknowns": int(op.free.size), "degree": op.degree}
+        answer = certified_rates(values, errors, tol=tol, residual=residual, settings=settings)
+        if answer.certificate.certified:
+            break
+    if answer is None:
+        raise NotCertified(f"{count} rates take more unknowns than are affordable")
+    return answer
+
+
+def _eigenvalues(
+    op: PlaneOperator, sought: int, vectors: int, shift: float
+) -> tuple[Complexes, float]:
+    """Return the eigenvalues of −L but 0 with Im λ >= 0, and the residual of their equation."""
+    A, M, _ = op.matrices
+    factors = factorised((shift * M - A).tocsc())
+    inverse = LinearOperator(A.shape, matvec=lambda x: factors.solve(M @ x), dtype=float)
+    start: Array = np.random.default_rng(0).normal(size=A.shape[0])
+    s, X = eigs(inverse, k=sought, ncv=vectors, v0=start, tol=0.0)
+    values = 1.0 / s - shift
+    # A double eigenvalue, which is real, splits by the root of round-off.
+    values = np.where(np.abs(values.imag) <= 1e-9 * np.abs(values), values.real, values)
+    defect = np.asarray(A @ X + (M @ X) * values)
+    terms = np.asarray(abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(values))
+    residual = float(np.max(np.abs(defect)) / np.max(terms))
+    order = np.lexsort((values.imag, values.real))
+    order = order[(values.imag[order] >= 0.0)]
+    stationary = int(np.argmin(np.abs(values[order])))
+    return np.asarray(np.delete(values[order], stationary)), residual
