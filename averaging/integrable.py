@@ -12,7 +12,7 @@ from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
 from averaging.time.start import TOL, DensityQuestion, energy_start
 from fpk.certificate import tolerance
-from fpk.clearance import CLEARANCE_RULE
+from fpk.contact_quantities import CLEARANCE_RULE
 from fpk.density import Density
 from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve, upcrossings
 from fpk.errors import NotApplicable

@@ -8,9 +8,8 @@ from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.laplace import by_lines
 from fpk.certificate import tolerance
 from fpk.errors import InvalidInput
-from fpk.method import Method
+from fpk.method import ROUTES, Method, Route, Solves, register
 from fpk.observable import Observable, observable_name
-from fpk.route import ROUTES, Route, Solves, register
 from fpk.system import System
 
 SMALLEST, LARGEST = 1e-12, 0.1

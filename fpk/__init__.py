@@ -38,29 +38,38 @@ if TYPE_CHECKING:
     from fpk.system import System as System
 
 _HOME = {
-    "Contact": "fpk.contact",
-    "DampingTerm": "fpk.damping",
-    "Density": "fpk.density",
-    "InvalidInput": "fpk.errors",
-    "NotApplicable": "fpk.errors",
-    "NotCertified": "fpk.errors",
-    "System": "fpk.system",
-    "compare": "cases.api",
-    "load": "cases.api",
-    "plot": "cases.api",
-    "solve": "cases.api",
-    "sweep": "cases.studies.sweep.sweep",
+    name: module
+    for module, names in {
+        "fpk.contact": "Contact",
+        "fpk.damping": "DampingTerm",
+        "fpk.density": "Density",
+        "fpk.errors": "InvalidInput NotApplicable NotCertified",
+        "fpk.system": "System",
+        "cases.api": "compare load plot solve",
+        "cases.studies.sweep.sweep": "sweep",
+    }.items()
+    for name in names.split()
 }
 __all__ = [*_HOME]
-_ROOMS = ("averaging", "sim", "cases")
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name of the face when it is first used."""
+    """Load a name of the face when it is first used.
+
+    Raises ``ImportError`` where a file or folder of the user's has the name of a room.
+    """
     if name not in _HOME:
         raise AttributeError(f"module 'fpk' has no attribute {name!r}; it has {', '.join(__all__)}")
-    if _HOME[name].partition(".")[0] in _ROOMS:
-        _refuse_hidden_rooms()
+    beside = Path(__file__).resolve().parent.parent
+    for room in ("averaging", "sim", "cases") if _HOME[name].startswith("cases.") else ():
+        spec = find_spec(room)
+        if spec is None:
+            raise ImportError(f"the package {room} of vibro-fpk is missing: install it again")
+        # A package's origin is its __init__.py; a folder without one has its location alone.
+        places = [spec.origin or "", *(spec.submodule_search_locations or ())]
+        where = next(place for place in places if place)
+        if beside not in Path(where).resolve().parents:
+            raise ImportError(f"{where} hides the package {room} of vibro-fpk: rename it")
     value = getattr(import_module(_HOME[name]), name)
     globals()[name] = value
     return value
@@ -69,17 +78,3 @@ def __getattr__(name: str) -> Any:
 def __dir__() -> list[str]:
     """Return the names of the face and of what is loaded."""
     return sorted({*globals(), *__all__})
-
-
-def _refuse_hidden_rooms() -> None:
-    """Raise ``ImportError`` where a file or folder of the user's has the name of a room."""
-    beside = Path(__file__).resolve().parent.parent
-    for room in _ROOMS:
-        spec = find_spec(room)
-        if spec is None:
-            raise ImportError(f"the package {room} of vibro-fpk is missing: install it again")
-        places = [spec.origin or "", *(spec.submodule_search_locations or ())]
-        where = next(place for place in places if place)
-        # A package's origin is its __init__.py; a folder without one has its location alone.
-        if beside not in Path(where).resolve().parents:
-            raise ImportError(f"{where} hides the package {room} of vibro-fpk: rename it")

@@ -10,6 +10,9 @@ Flags = NDArray[np.bool_]
 
 EPS = float(np.finfo(float).eps)
 """Distance of 1 to the next number, 2.2e-16: twice the largest relative round-off."""
+ROUND_OFF = 1e-12
+"""Share of its largest part below which a sum whose parts cancel, a rate of decay or an eigenvalue
+counts as round-off, of input written with twelve digits or more."""
 SMALLEST = float(np.finfo(float).tiny)
 """Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
 ROUNDINGS = 8.0

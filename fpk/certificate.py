@@ -7,20 +7,14 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.arrays import ROUND_OFF
 from fpk.errors import InvalidInput
 
 Default = TypeVar("Default")
 
 NEGATIVE = -1e-14
-"""Smallest p / max p that counts as round-off of a density that is not negative."""
-RESIDUAL = 1e-12
-"""Largest algebraic residual, relative to the terms that cancel in it, that counts as round-off."""
-NET_FLUX = 1e-12
-"""Largest net over one-way probability flux that counts as round-off where the net flux is zero."""
-ROUNDING = 1e-14
-"""Departure of a mass from one that is the round-off of its own sum."""
-
-
+"""Smallest p / max p that counts as round-off of a density that is not negative; its size is the
+departure of a mass from 1 that counts as round-off of its own sum."""
 MISSED = "the estimated error"
 """First words of the failure that an estimated error exceeds the tolerance."""
 
@@ -68,7 +62,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(Measured):
     """Checks that an answer passed or failed; nothing was mended to make them pass.
 
     The numbers are those of ``Measured``. ``failures`` says in words what does not hold; the answer
@@ -79,12 +73,6 @@ class Certificate:
         certificate.certified, certificate.failures, certificate.mass_defect
     """
 
-    mass_defect: float | None
-    minimum: float | None
-    residual: float | None
-    tail_mass: float | None
-    net_flux: float | None = None
-    failures: tuple[str, ...] = ()
     missed: float | None = None
 
     @property
@@ -98,14 +86,9 @@ class Certificate:
         return tuple(words for words in self.failures if not words.startswith(MISSED))
 
 
-def outside(of: Measured | Certificate) -> float:
+def outside(of: Measured) -> float:
     """Return the mass outside the support, 0 where nothing is cut off."""
-    return 0.0 if of.tail_mass is None else of.tail_mass
-
-
-def missing(of: Measured | Certificate) -> float:
-    """Return |1 − ∫p|, 0 where no mass is to be 1."""
-    return 0.0 if of.mass_defect is None else of.mass_defect
+    return of.tail_mass or 0.0
 
 
 def worst(values: Iterable[float | None]) -> float | None:
@@ -139,20 +122,12 @@ def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certifi
         failures.append("the density does not fall off at the end of the mesh")
     # ∫|p − p_exact| cannot be less than |∫p − ∫p_exact|.
     off = None if sampled else m.mass_defect
-    if off is not None and not off <= m.l1_error + ROUNDING:
+    if off is not None and not off <= m.l1_error - NEGATIVE:
         failures.append(
             f"the mass is off by {off:.2g}, more than the stated error {m.l1_error:.2g}"
         )
-    if not sampled and m.residual is not None and not m.residual < RESIDUAL:
+    if not sampled and m.residual is not None and not m.residual < ROUND_OFF:
         failures.append(f"the residual of the equation is {m.residual:.2g}")
-    if m.net_flux is not None and not m.net_flux < NET_FLUX:
+    if m.net_flux is not None and not m.net_flux < ROUND_OFF:
         failures.append(f"the net flux is {m.net_flux:.2g} of the one-way flux")
-    return Certificate(
-        mass_defect=m.mass_defect,
-        minimum=m.minimum,
-        residual=m.residual,
-        tail_mass=m.tail_mass,
-        net_flux=m.net_flux,
-        failures=tuple(failures),
-        missed=missed,
-    )
+    return Certificate(**{**vars(m), "failures": tuple(failures), "missed": missed})

@@ -1,4 +1,4 @@
-"""Options and disk cache of compiled code; compiling that Ctrl-C does not wait for.
+"""Options and disk cache of compiled code, contact laws in it; Ctrl-C does not wait for compiling.
 
 The cache holds checksums of its files and of the sources that they were made from.
 """
@@ -8,17 +8,24 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, InvalidStateError
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
+from inspect import getfile
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 from zlib import crc32
 
 import numba
+from numba import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.imputils import lower_constant
+from numba.extending import models, overload, register_model, typeof_impl
 
-from fpk.clock import left_out
+from fpk.contact_law import LAWS
+from fpk.machine import left_out
+from fpk.recognition import fingerprint
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -26,14 +33,8 @@ FLAGS = {"contract", "nsz", "arcp", "afn"}
 """Liberties of arithmetic that are taken: none that assumes there is no NaN, and no reassociation,
 which would undo exact differences."""
 
-NO_FOLDER = "no locator available"
-"""Message of numba where neither the source's cache folder nor the user's can be written."""
-
 COMPILER = "fpk compiler"
 """Name of the threads that compile."""
-
-DIGEST_BYTES = sha256().digest_size
-"""Bytes at the end of a cache file: the SHA-256 of those before, which no reader unpickles."""
 
 _njit: Any = numba.njit
 
@@ -41,8 +42,9 @@ _njit: Any = numba.njit
 class CheckedFiles(IndexDataCacheFile):
     """Index and data files of one function's disk cache, which are damaged or as written.
 
-    numba unpickles and executes whatever they hold. Here each ends with a checksum, and data are
-    stored with the key that they belong to: two processes may have given one name to two of them.
+    numba unpickles and executes whatever they hold. Here each ends with the SHA-256 of the bytes
+    before, which no reader unpickles, and data are stored with the key that they belong to: two
+    processes may have given one name to two of them.
     """
 
     def load(self, key: Any) -> Any:
@@ -77,34 +79,20 @@ class CheckedFiles(IndexDataCacheFile):
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a cache file is as it was written, or is not there.
-
-    One that is damaged is removed, with a warning.
-    """
+    """Whether a cache file is as written or not there; a damaged one is removed, with a warning."""
     try:
         content = path.read_bytes()
     except FileNotFoundError:
         return True
     except OSError:
         content = b""
-    whole = sha256(content[:-DIGEST_BYTES]).digest() == content[-DIGEST_BYTES:]
+    size = sha256().digest_size
+    whole = sha256(content[:-size]).digest() == content[-size:]
     if not whole:
         warnings.warn(f"{path}: is damaged; the code in it is compiled again", stacklevel=2)
         with suppress(OSError):
             path.unlink()
     return whole
-
-
-class CheckedCache(FunctionCache):
-    """Disk cache of a compiled function in ``CheckedFiles``."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        """Find the folder; ``RuntimeError`` with ``NO_FOLDER`` where none can be written."""
-        super().__init__(function)
-        files = self._cache_file
-        # A name of its own: files of numba's own format are not damaged, only of no use here.
-        name = files._index_name.removesuffix(".nbi") + ".sha256"
-        self._cache_file = CheckedFiles(self._cache_path, name, files._source_stamp)
 
 
 _awaited: set[Future[Any]] = set()
@@ -165,28 +153,30 @@ def is_compiling() -> bool:
     return bool(_abandoned)
 
 
-def cached_where_possible(compiled: Any) -> Any:
-    """Return the compiled function with a disk cache, or without where no folder can be written.
+def cached_njit() -> Callable[[Function], Function]:
+    """Return the decorator of a compiled function with a disk cache where one can be written.
 
-    It is then compiled again in every process. Any other error of numba is raised. Ctrl-C does not
-    wait until it is compiled.
+    Where no folder can be written it is compiled again in every process. Ctrl-C does not wait until
+    it is compiled.
     """
-    compiled.compile = interruptible_compile(compiled.compile)
-    try:
-        compiled._cache = CheckedCache(compiled.py_func)
-    except RuntimeError as error:
-        if NO_FOLDER not in str(error):
-            raise
-    return compiled
-
-
-def cached_njit(flags: set[str] = FLAGS) -> Callable[[Function], Function]:
-    """Return the decorator of a compiled function with a disk cache where one can be written."""
 
     def decorated(function: Function) -> Function:
-        options = {"fastmath": flags, "error_model": "numpy", "nogil": True}
-        cached: Function = cached_where_possible(_njit(**options)(function))
-        return cached
+        compiled = _njit(fastmath=FLAGS, error_model="numpy", nogil=True)(function)
+        compiled.compile = interruptible_compile(compiled.compile)
+        try:
+            cache = FunctionCache(compiled.py_func)
+        except RuntimeError as error:
+            # numba's message where neither the source's cache folder nor the user's can be written
+            if "no locator available" not in str(error):
+                raise
+        else:
+            files = cache._cache_file
+            # A name of its own: files of numba's own format are not damaged, only of no use here.
+            name = files._index_name.removesuffix(".nbi") + ".sha256"
+            cache._cache_file = CheckedFiles(cache._cache_path, name, files._source_stamp)
+            compiled._cache = cache
+        result: Function = compiled
+        return result
 
     return decorated
 
@@ -212,3 +202,85 @@ def checksum(files: Sequence[Path]) -> int:
     it was edited.
     """
     return crc32(b"".join(file.read_bytes() for file in files))
+
+
+@dataclass(frozen=True)
+class CompiledLaws:
+    """One ``part`` of the laws ``names``, to be called by ``of_law`` in compiled code.
+
+    Plain data: a kernel that closes over it is found again in the disk cache, with the laws inside
+    it, and they need not be compiled or loaded again. ``stamps`` tell laws of one name apart.
+    """
+
+    names: tuple[str, ...]
+    part: str
+    stamps: tuple[str, ...]
+
+
+class LawsType(types.Type):
+    """The type of ``CompiledLaws`` in compiled code, one for every value."""
+
+    def __init__(self, laws: CompiledLaws) -> None:
+        """Take the name of the type from the value."""
+        self.laws = laws
+        super().__init__(name=repr(laws))
+
+
+def compiled_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
+    """Return "force", "energy" or "slope" of the laws, to be called by ``of_law``."""
+    stamps = (fingerprint(getattr(LAWS[name], part)) for name in names)
+    return CompiledLaws(names, part, tuple(stamps))
+
+
+def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
+    """Return the files that the compiled laws ``names`` are made of, below ``root``.
+
+    A law that was typed into a session has no file, and nothing that it is compiled into a cache.
+    """
+    laws = (Path(getfile(LAWS[name].force)) for name in names)
+    own = (root / f.relative_to(ROOT) if f.is_relative_to(ROOT) else f for f in laws)
+    return root / "fpk/compiling.py", *(f for f in own if not f.name.startswith("<"))
+
+
+def of_law(function: Any, law: int, overlap: float, exponent: float) -> float:
+    """Stand for a call of ``compiled_laws`` in compiled code; ``law`` picks one of several."""
+    raise NotImplementedError
+
+
+@overload(of_law, jit_options={"fastmath": FLAGS, "error_model": "numpy", "forceinline": True})
+def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
+    """Return the call that the type of ``function`` asks for; None, for no law, gives 0."""
+    if isinstance(function, types.NoneType):
+        return lambda function, law, overlap, exponent: 0.0
+    parts = [_compiled(getattr(LAWS[name], function.laws.part)) for name in function.laws.names]
+    if len(parts) == 1:
+        only = parts[0]
+        return lambda function, law, overlap, exponent: only(overlap, exponent)
+    last = parts[-1]
+    choice = _compiled(lambda law, x, e: last(x, e))
+    for part in reversed(parts[:-1]):
+        choice = _compiled(_chosen(part, choice))
+    return lambda function, law, overlap, exponent: choice(law, overlap, exponent)
+
+
+register_model(LawsType)(models.OpaqueModel)
+
+
+@typeof_impl.register(CompiledLaws)
+def _typeof(value, context):  # type: ignore[no-untyped-def]
+    return LawsType(value)
+
+
+@lower_constant(LawsType)
+def _constant(context, builder, kind, value):  # type: ignore[no-untyped-def]
+    return context.get_dummy_value()
+
+
+def _compiled(function: Callable[..., Any]) -> Any:
+    """Compiled without liberties of arithmetic: a law is what its file says."""
+    return numba.njit(error_model="numpy")(function)
+
+
+def _chosen(first: Any, others: Any) -> Any:
+    """The law ``first`` where the number of the law is 0, one of the ``others`` at one less."""
+    return lambda law, x, e: first(x, e) if law == 0 else others(law - 1, x, e)

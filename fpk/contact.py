@@ -1,9 +1,9 @@
 """Contact of a mass with a stop, Eqs. (2) and (5)."""
 
 from dataclasses import dataclass, field, replace
-from math import isfinite
+from math import inf
 from numbers import Integral, Real
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from fpk.recognition import REGISTRY
 MAX_EXPONENT = 100.0
 """Largest exponent of a contact law: at overlaps of 1e-3 or 1e3 in their unit the force already has
 a factor of 1e-300 or 1e300, and at larger ones none that double precision can hold."""
-
-BETWEEN = 65
-"""Overlaps within a factor of two among which that of an energy is interpolated."""
 
 Side = Literal["left", "right", "both"]
 
@@ -56,14 +53,14 @@ class Contact:
         ):
             if not isinstance(getattr(self, key), kind):
                 raise InvalidInput(key, getattr(self, key), f"must be {words}")
-        if self.side not in ("left", "right", "both"):
-            raise InvalidInput("side", self.side, 'is not a side; use "left", "right" or "both"')
-        if not (isfinite(self.stiffness) and self.stiffness > 0):
-            raise InvalidInput("stiffness", self.stiffness, "must be a finite number > 0")
-        if not (isfinite(self.clearance) and self.clearance >= 0):
-            raise InvalidInput("clearance", self.clearance, "must be a finite number >= 0")
-        if self.law not in LAWS:
-            raise InvalidInput("law", self.law, f"is not a contact law; use one of {sorted(LAWS)}")
+        for key, fits, words in (
+            ("side", self.side in get_args(Side), 'is not a side; use "left", "right" or "both"'),
+            ("stiffness", 0 < self.stiffness < inf, "must be a finite number > 0"),
+            ("clearance", 0 <= self.clearance < inf, "must be a finite number >= 0"),
+            ("law", self.law in LAWS, f"is not a contact law; use one of {sorted(LAWS)}"),
+        ):
+            if not fits:
+                raise InvalidInput(key, getattr(self, key), words)
         own = LAWS[self.law].exponent
         if own is None:
             if self.exponent is None or not 1 <= self.exponent <= MAX_EXPONENT:
@@ -118,5 +115,5 @@ class Contact:
         while self.energy(0.5 * high) > energy:
             high *= 0.5
         # ln U is linear in ln x for a power law, and nearly so between x and 2 x for others.
-        x = high * 2.0 ** np.linspace(-1.0, 0.0, BETWEEN)
+        x = high * 2.0 ** np.linspace(-1.0, 0.0, 65)
         return float(np.exp(np.interp(np.log(energy), np.log(self.energy(x)), np.log(x))))

@@ -1,7 +1,8 @@
-"""Damping that depends on the state: monomials on top of the constant matrix of Eq. (1)."""
+"""Damping that depends on the state: monomials beside the matrix of Eq. (1), and their means."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from math import isfinite
 
 import numpy as np
@@ -101,3 +102,31 @@ class DampingTerm:
             for mass, power in powers:
                 value = value * x[..., mass - 1] ** power
         return value
+
+
+def gaussian_moment(covariance: Array, powers: tuple[int, ...]) -> float:
+    """Return E Π x_a^powers[a] of x ~ N(0, covariance), shape (n, n), by Isserlis' theorem.
+
+    Integration by parts, ``E x_a f = Σ_b cov_ab E ∂f/∂x_b``, leads from one monomial to others two
+    degrees lower. It is 0 where the total power is odd.
+    """
+
+    def lowered(powers: tuple[int, ...], index: int) -> tuple[int, ...]:
+        return tuple(power - (i == index) for i, power in enumerate(powers))
+
+    @cache
+    def moment(powers: tuple[int, ...]) -> float:
+        total = sum(powers)
+        if total % 2:
+            return 0.0
+        if total == 0:
+            return 1.0
+        a = next(i for i, power in enumerate(powers) if power)
+        rest = lowered(powers, a)
+        return sum(
+            float(covariance[a, b]) * power * moment(lowered(rest, b))
+            for b, power in enumerate(rest)
+            if power
+        )
+
+    return moment(tuple(powers))

@@ -1,23 +1,24 @@
 """Probability densities that carry their error, their certificate and where they come from."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial, reduce
+from functools import cache, cached_property, partial, reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fpk.arrays import SMALLEST, Array
-from fpk.certificate import NEGATIVE, Certificate, Measured, certify
-from fpk.function_quantities import FunctionQuantities
-from fpk.number import ErrorKind
-from fpk.observable import Observable, observable_name
+from fpk.arrays import EPS, SMALLEST, Array
+from fpk.certificate import NEGATIVE, Certificate, Measured, certify, outside
+from fpk.number import ErrorKind, Function, Number, Quantities, beyond, with_points
+from fpk.observable import Observable
 from fpk.piecewise import PiecewiseTensor, interpolated_tensor
 from fpk.quadrature import GAUSS_POINTS, gauss_grid, integral
-from fpk.quantities import with_points
-from fpk.sampled_density import SampledDensity, described
+from fpk.sampled_density import SampledDensity
 
+FEWER = {1: 16, 2: 9}
+"""Gauss points per panel and axis, by the number of axes, of a coarser rule: its distance from the
+rule of ``GAUSS_POINTS`` is part of the error of an expectation."""
 CHECKED, SAFETY = 7, 3.0
 """Gauss points per panel and axis at which the table of a joint density is compared with it, none
 of them one of its own; and the multiple of the distance there, an integral of few points, that is
@@ -25,7 +26,7 @@ the error of the table."""
 
 
 @dataclass(frozen=True)
-class Density(FunctionQuantities):
+class Density(Quantities):
     """Density of one or two coordinates, as a function, with its numerical error.
 
     ``panels`` holds for every axis the ascending nodes between which the density is smooth; the
@@ -56,14 +57,13 @@ class Density(FunctionQuantities):
     table: PiecewiseTensor | None = None
     table_error: float = 0.0
 
-    @property
-    def name(self) -> str:
-        """The observable's name, such as ``q2,p2``."""
-        return observable_name(self.observable)
+    def axes(self) -> tuple[Array, ...]:
+        """Return ``panels``."""
+        return self.panels
 
     def __repr__(self) -> str:
         """Return what the density is of, its error and its support in one line."""
-        return described(self, f"L1 error {self.l1_error:.2g}")
+        return self.described(f"L1 error {self.l1_error:.2g}")
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: all but the functions, which ``source`` computes again."""
@@ -78,11 +78,11 @@ class Density(FunctionQuantities):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore the density; its functions are computed when they are first called."""
         again = cache(partial(state["source"], state["observable"]))
-        functions = {
-            "pdf": lambda *x: again().pdf(*x),
-            "pointwise": lambda *x: again().pointwise(*x),
-        }
-        self.__dict__.update(state, **functions)
+        self.__dict__.update(
+            state,
+            pdf=lambda *x: again().pdf(*x),
+            pointwise=lambda *x: again().pointwise(*x),
+        )
 
     def __call__(self, *points: ArrayLike) -> Array:
         """Return the density at ``points``, one number or array per axis."""
@@ -107,6 +107,86 @@ class Density(FunctionQuantities):
             values = np.add.reduceat(values * w.reshape(shape), starts, axis=axis)
             values = values / np.diff(e).reshape(shape)
         return values
+
+    def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
+        """Return E f(X) and its error: the density's error weighted by |f|, and the tails.
+
+        ``function`` takes an array per axis; ``kinks`` (one axis only) are where it is not smooth.
+        """
+        panels = (self._axis(kinks),) if kinks else self.panels
+        known = not kinks and len(panels) == 1
+        coarse_p, p, e = self._at_nodes if known else self._at_nodes_of(panels)
+        mesh, grids = gauss_grid(panels, points=FEWER[len(panels)])
+        coarse = integral(function(*mesh) * coarse_p, grids)
+        mesh, grids = gauss_grid(panels)
+        f = np.asarray(function(*mesh))
+        value = integral(f * p, grids)
+        e = e + SMALLEST  # where there is none at points the L1 error is spread evenly
+        least_l1 = max(self.l1_error, self.certificate.mass_defect or 0.0)
+        error = integral(np.abs(f) * e, grids) * max(1.0, least_l1 / integral(e, grids))
+        sizes = [np.repeat(_condition(nodes), GAUSS_POINTS[len(panels)]) for nodes in panels]
+        rounding = EPS * integral(np.abs(f * p) * reduce(np.add.outer, sizes), grids)
+        tail = outside(self.certificate) * beyond(function, self.panels, kinks)
+        return Number(value, error + rounding + abs(value - coarse) + tail)
+
+    def _probability(self, low: float, high: float) -> Number:
+        """Return P(low < X <= high) and its error.
+
+        The error is the integral of the error at points over the interval or, as the whole mass is
+        1, over all that is outside it, whichever is less. The part of the L1 error that the errors
+        at points do not add up to, at least |1 − mass|, may lie anywhere and is added.
+        """
+        nodes = self._axis()
+        first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
+        ends = (low < nodes[0], high > nodes[-1])
+        beyond_ends = sum(outside(self.certificate) for beyond_end in ends if beyond_end)
+        value, error, rounding = (float(x) for x in self._share(first, last))
+        of_all = float(self._panel_shares[1].sum())
+        unlocated = max(self.l1_error - of_all, self.certificate.mass_defect or 0.0)
+        located = max(min(error, of_all - error), 0.0)
+        return Number(value, located + unlocated + beyond_ends + rounding)
+
+    def share(self, low: float, high: float) -> float:
+        """Return P(low < X <= high) without its error, which takes as long again."""
+        ends = np.clip([low, high], *self._axis()[[0, -1]])
+        return float(self._share(*ends, rows=1)[0])
+
+    def _share(self, low: float, high: float, *, rows: int = 3) -> Array:
+        """Integrals between two points of the support: the first ``rows`` of ``_panel_shares``."""
+        nodes = self.panels[0]
+        first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
+        whole: Array = self._panel_shares[:rows, first:last].sum(axis=1)
+        cut = [(low, nodes[first]), (nodes[last], high)] if first <= last else [(low, high)]
+        for a, b in cut:
+            if a < b:
+                mesh, grids = gauss_grid([np.array([a, b])])
+                own = [integral(f(*mesh), grids) for f in (self.pdf, self.pointwise)[:rows]]
+                k = np.clip(np.searchsorted(nodes, a, side="right") - 1, 0, nodes.size - 2)
+                whole = whole + [*own, EPS * _condition(nodes)[k] * own[0]][:rows]
+        return whole
+
+    @cached_property
+    def _panel_shares(self) -> Array:
+        """∫ of the density, of its error and of its round-off over every panel of the one axis."""
+        _, [(_, w)] = gauss_grid(self.panels)
+        weighted = [np.broadcast_to(f, w.shape) * w for f in self._at_nodes[1:]]
+        value, error = np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
+        return np.array([value, error, EPS * _condition(self.panels[0]) * value])
+
+    @cached_property
+    def _at_nodes(self) -> tuple[Array, Array, Array]:
+        return self._at_nodes_of(self.panels)
+
+    def _at_nodes_of(self, panels: Sequence[Array]) -> tuple[Array, Array, Array]:
+        """The density at the Gauss points of the coarser and finer rule, and its error at these."""
+        coarse, mesh = gauss_grid(panels, points=FEWER[len(panels)])[0], gauss_grid(panels)[0]
+        return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
+
+
+def _condition(nodes: Array) -> Array:
+    """1 + |x|/width of panels: times EPS the relative round-off of an integral over each."""
+    largest = np.maximum(np.abs(nodes[1:]), np.abs(nodes[:-1]))
+    return np.asarray(1.0 + largest / np.diff(nodes))
 
 
 def certified_density(

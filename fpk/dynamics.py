@@ -231,7 +231,7 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
     """
     nodes = np.union1d(0.0, joint.panels[1][joint.panels[1] > 0.0])
     if isinstance(joint, SampledDensity):
-        return joint.fits.flux(lambda p: p / mass, nodes, at)
+        return joint.flux(lambda p: p / mass, nodes, at)
     rates = []
     for points in POINTS:
         _, [(p, w)] = gauss_grid([nodes], points=points)

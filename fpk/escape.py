@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fpk.arrays import Array
-from fpk.damping import DampingTerm
+from fpk.arrays import ROUND_OFF, Array
 from fpk.ends import MAX_ENERGY
+from fpk.equivalent import SEARCHED
 from fpk.errors import NotApplicable
 from fpk.linear import natural_modes
 from fpk.system import System
@@ -15,8 +15,6 @@ from fpk.system import System
 LEVEL = 1e8
 """Energy of the starts, in units of the last one at which two rates of damping and vibration are of
 one size: powers of unlike degree differ by a factor of 1e4 for each degree there."""
-SEARCHED = 2.0 ** np.arange(54)
-"""Energies, up to 1e16 as ``fpk.ends.FAR_OUT``, among which damping may outgrow stops."""
 DRAWN = 4096
 """States drawn at that energy: enough for some in a cone of one part in a thousand."""
 FOLLOWED = 64
@@ -32,10 +30,14 @@ SLOW = 0.05
 over whole cycles is for ``fpk.equivalent`` to judge."""
 FLOOR = 1e-3
 """Displacements or velocities below this share of all of them may change by more."""
-ROUND_OFF = 1e-12
-"""A power or a growth rate below this share of its largest part is round-off."""
 ESCAPED = 100.0
 """Energy, in units of that of the starts, above which a motion may have escaped."""
+
+
+def require_held(system: System) -> None:
+    """Raise ``NotApplicable`` where no density is stationary, as the motion escapes."""
+    if reason := system.fact(escape):
+        raise NotApplicable(reason)
 
 
 def escape(system: System) -> str | None:
@@ -49,46 +51,33 @@ def escape(system: System) -> str | None:
     """
     if not system.damping_terms:
         return None
-    with np.errstate(over="ignore", divide="ignore"):
-        least, last = _balances(system)
-    if not LEVEL * last < MAX_ENERGY:  # terms too weak for any motion in double precision
-        return None
-    state = _escaping_state(system, LEVEL * last, LEVEL * last / least)
-    return None if state is None else _words(system, state)
-
-
-def require_held(system: System) -> None:
-    """Raise ``NotApplicable`` where no density is stationary, as the motion escapes."""
-    if reason := system.fact(escape):
-        raise NotApplicable(reason)
-
-
-def _balances(system: System) -> tuple[float, float]:
-    """Return the last energies, without and with stops, at which two rates of motion are alike.
-
-    The rates are c_ij/√(m_i m_j) of the damping and of each term, the natural frequencies, and
-    √(2E/m)/q of a rebound from a stop at the displacement q.
-    """
+    # The unit (2n,) of each of (q, v) in which its energy is about x²/2.
+    n, unit = system.n, np.sqrt([*np.diag(system.compliance), *(1.0 / system.mass)])
+    # The last energies, without and with stops, at which two rates of motion are alike: c_ij over
+    # √(m_i m_j) of the damping and each term, natural frequencies, √(2E/m)/q of a rebound at q.
     root, flexibility = np.sqrt(np.outer(system.mass, system.mass)), np.diag(system.compliance)
     rates = [(0, max(np.max(np.abs(system.damping) / root), natural_modes(system)[1][-1]))]
     for t in system.damping_terms:
-        size = np.prod(
-            (np.sqrt(2.0) * _unit(system)) ** [*t.powers("q", system.n), *t.powers("v", system.n)]
-        )
+        size = np.prod((np.sqrt(2.0) * unit) ** [*t.powers("q", n), *t.powers("v", n)])
         rates.append((t.degree, abs(t.coefficient) / root[t.row, t.column] * size))
-    least = last = max((b / a) ** (2.0 / (d - e)) for d, a in rates for e, b in rates if d > e)
-    energy = least * SEARCHED
-    for stop in system.stops:
-        q = np.array([stop.clearance + stop.overlap_at(float(e)) for e in energy])
-        rebound = np.sqrt(2.0 * energy / system.mass[stop.index]) / q
-        reduced = q / np.sqrt(2.0 * flexibility[stop.index] * energy)
-        for t, (degree, rate) in zip(system.damping_terms, rates[1:], strict=True):
-            damping = rate * energy ** (0.5 * degree) * reduced ** dict(t.q).get(stop.mass, 0)
-            last = max([last, *energy[1:][np.diff(damping > rebound)]])
-    return float(least), float(last)
+    with np.errstate(over="ignore", divide="ignore"):
+        pairs = [(a, b, d - e) for d, a in rates for e, b in rates if d > e]
+        least = last = max((b / a) ** (2.0 / more) for a, b, more in pairs)
+        energy = least * SEARCHED[SEARCHED >= 1.0]
+        for stop in system.stops:
+            q = np.array([stop.clearance + stop.overlap_at(float(e)) for e in energy])
+            rebound = np.sqrt(2.0 * energy / system.mass[stop.index]) / q
+            reduced = q / np.sqrt(2.0 * flexibility[stop.index] * energy)
+            for t, (degree, rate) in zip(system.damping_terms, rates[1:], strict=True):
+                damping = rate * energy ** (0.5 * degree) * reduced ** dict(t.q).get(stop.mass, 0)
+                last = max([last, *energy[1:][np.diff(damping > rebound)]])
+    if not LEVEL * last < MAX_ENERGY:  # terms too weak for any motion in double precision
+        return None
+    state = _escaping_state(system, unit, LEVEL * float(last), LEVEL * float(last) / float(least))
+    return None if state is None else _words(system, state)
 
 
-def _escaping_state(system: System, energy: float, span: float) -> Array | None:
+def _escaping_state(system: System, unit: Array, energy: float, span: float) -> Array | None:
     """Return a state (2n,) on a motion that escapes from ``energy``; None where all come back.
 
     Implicit Euler steps with one correction damp what vibrates and does not grow; where the
@@ -96,8 +85,8 @@ def _escaping_state(system: System, energy: float, span: float) -> Array | None:
     half of its energy. One has escaped that leaves the range of double precision, or still rises
     at the end: a vibration or bursts that end by themselves do not. ``span`` as of ``_states``.
     """
-    n, unit, rates = system.n, _unit(system), _motion(system)
-    z = _states(system, energy, span)
+    n, rates = system.n, _motion(system, unit)
+    z = _states(system, unit, energy, span)
     power = _powers(system, z)
     feeding = np.sum(power, axis=0) < -ROUND_OFF * np.sum(np.abs(power), axis=0)
     x = far = (z / unit)[feeding][: max(8, min(FOLLOWED, 128 // n))]
@@ -141,16 +130,8 @@ def _escaping_state(system: System, energy: float, span: float) -> Array | None:
     return far[np.argmax(gone)] * unit if gone.any() else None
 
 
-def _unit(system: System) -> Array:
-    """Return the unit (2n,) of each of (q, v) in which its energy is about x²/2."""
-    return np.sqrt([*np.diag(system.compliance), *(1.0 / system.mass)])
-
-
-def _motion(system: System) -> Callable[[Array], tuple[Array, Array, Array]]:
-    """Return the function of states x = (q, v)/``_unit``, (states, 2n): dx/dt, ∂(dx/dt)/∂x and H.
-
-    Their shapes are (states, 2n), (states, 2n, 2n) and (states,).
-    """
+def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array, Array]]:
+    """Return the function of states x = (q, v)/``unit``, (states, 2n): dx/dt, ∂(dx/dt)/∂x and H."""
     n, terms, K = system.n, system.damping_terms, system.stiffness_matrix
     powers = np.array([[*t.powers("q", n), *t.powers("v", n)] for t in terms])
     powers[range(len(terms)), [n + t.column for t in terms]] += 1
@@ -160,7 +141,6 @@ def _motion(system: System) -> Callable[[Array], tuple[Array, Array, Array]]:
     linear = np.zeros((2 * n, 2 * n))
     linear[:n, n:] = np.eye(n)
     linear[n:] = -np.hstack([K, system.damping]) / system.mass[:, None]
-    unit = _unit(system)
 
     def rates(x: Array) -> tuple[Array, Array, Array]:
         z = x * unit
@@ -186,18 +166,16 @@ def _motion(system: System) -> Callable[[Array], tuple[Array, Array, Array]]:
     return rates
 
 
-def _states(system: System, energy: float, span: float) -> Array:
-    """Return states z = (q, v), (states, 2n), of about one ``energy``, drawn with a fixed seed.
-
-    A third is spread over all directions. In the others half of the coordinates are small, evenly
-    so in their logarithms, down to a tenth of their size at ``energy/span``: others lead there.
-    """
+def _states(system: System, unit: Array, energy: float, span: float) -> Array:
+    """Return states z = (q, v), (states, 2n), of about one ``energy``, drawn with a fixed seed."""
     rng, n = np.random.default_rng(0), system.n
+    # Two thirds have half of the coordinates small, evenly so in their logarithms, down to a tenth
+    # of their size at ``energy/span``: others lead there.
     small = rng.random((DRAWN, 2 * n)) < 0.5
     small[::3] = False
     share = np.where(small, (10.0 * np.sqrt(span)) ** -rng.random((DRAWN, 2 * n)), 1.0)
     x = rng.normal(size=(DRAWN, 2 * n)) * share
-    z = np.asarray(x / np.linalg.norm(x, axis=1)[:, None] * np.sqrt(2.0 * energy) * _unit(system))
+    z = np.asarray(x / np.linalg.norm(x, axis=1)[:, None] * np.sqrt(2.0 * energy) * unit)
     q, momentum = z[:, :n], z[:, n:] * system.mass
     with np.errstate(over="ignore"):
         while (above := system.hamiltonian(q, momentum) > 2.0 * energy).any():
@@ -213,34 +191,28 @@ def _powers(system: System, z: Array) -> Array:
 
 
 def _words(system: System, state: Array) -> str:
-    """Return the reason: the term that feeds most in at ``state``, from which motion escapes."""
+    """Return the reason: the term that feeds most in at ``state``, and where it does so."""
     term = system.damping_terms[int(np.argmin(_powers(system, state[None])[:, 0]))]
     names = [f"{key}{i + 1}" for key in "qv" for i in range(system.n)]
     powers = [*term.powers("q", system.n), *term.powers("v", system.n)]
     factors = [f"{x}^{p}" if p > 1 else x for x, p in zip(names, powers, strict=True) if p]
     factors += [f"H^{term.energy}" if term.energy > 1 else "H"] if term.energy else []
     start = ", ".join(f"{x} = {value:.3g}" for x, value in zip(names, state, strict=True))
-    return (
-        f"damping term {term.coefficient:g} {' '.join(factors)} of c_{term.i}{term.j} feeds energy "
-        f"in{_where(system, term, state)} without bound: the motion escapes, even without noise "
-        f"from {start}, and has no stationary density"
-    )
-
-
-def _where(system: System, term: DampingTerm, state: Array) -> str:
-    """Return in words where ``term`` feeds energy in: the signs at ``state`` of its odd factors.
-
-    With one factor, in c_ii, it does so from where it outweighs the constant damping.
-    """
     side = ["<" if x < 0.0 else ">" for x in state]
-    names = [f"{key}{i + 1}" for key in "qv" for i in range(system.n)]
+    # One factor in c_ii feeds in from where it outweighs the constant damping.
     if term.i == term.j and term.energy == 0 and len(term.q + term.v) == 1:
-        powers = [*term.powers("q", system.n), *term.powers("v", system.n)]
         k, constant = int(np.argmax(powers)), max(float(system.damping[term.row, term.row]), 0.0)
         bound = (constant / abs(term.coefficient)) ** (1.0 / powers[k])
         if powers[k] % 2 == 0:
-            return f" for |{names[k]}| > {bound:.3g}"
-        return f" for {names[k]} {side[k]} {bound if side[k] == '>' else 0.0 - bound:.3g}"
-    odd = np.flatnonzero(np.mod([*term.powers("q", system.n), *term.velocities(system.n)], 2))
-    signs = [f"{names[k]} {side[k]} 0" for k in odd]
-    return f" where {' and '.join(signs)}" if signs else ""
+            where = f" for |{names[k]}| > {bound:.3g}"
+        else:
+            where = f" for {names[k]} {side[k]} {bound if side[k] == '>' else 0.0 - bound:.3g}"
+    else:
+        odd = np.flatnonzero(np.mod([*powers[: system.n], *term.velocities(system.n)], 2))
+        signs = [f"{names[k]} {side[k]} 0" for k in odd]
+        where = f" where {' and '.join(signs)}" if signs else ""
+    return (
+        f"damping term {term.coefficient:g} {' '.join(factors)} of c_{term.i}{term.j} feeds energy "
+        f"in{where} without bound: the motion escapes, even without noise from {start}, and has no "
+        "stationary density"
+    )

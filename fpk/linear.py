@@ -6,33 +6,22 @@ from math import inf
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from fpk.arrays import EPS, Array
+from fpk.arrays import EPS, ROUND_OFF, Array
 from fpk.errors import NotApplicable
 from fpk.system import System
-
-CORRECTIONS = 2
-"""Corrections of the covariance by its own residual: the first leaves the square of the solver's
-relative error, which is below 1e-6 where a mode decays by more than 1e-10 of a radian."""
-UNDAMPED = 1e-12
-"""A decay rate below this share of the largest eigenvalue of the drift is round-off."""
 
 
 def drift_matrix(system: System) -> Array:
     """Return A of ``dx = A x dt + …`` with x = (q, p), shape (2n, 2n)."""
-    n = system.n
-    A = np.zeros((2 * n, 2 * n))
-    A[:n, n:] = np.diag(1.0 / system.mass)
-    A[n:, :n] = -system.stiffness_matrix
-    A[n:, n:] = -system.damping * (1.0 / system.mass)
-    return A
+    velocity, nothing = np.diag(1.0 / system.mass), np.zeros((system.n, system.n))
+    damping = system.damping * (1.0 / system.mass)
+    return np.block([[nothing, velocity], [-system.stiffness_matrix, -damping]])
 
 
 def diffusion_matrix(system: System) -> Array:
     """Return the constant b = 2 f D fᵀ of the momenta in x = (q, p), shape (2n, 2n)."""
-    n = system.n
-    b = np.zeros((2 * n, 2 * n))
-    b[n:, n:] = 2.0 * system.noise_matrix
-    return b
+    nothing = np.zeros((system.n, system.n))
+    return np.block([[nothing, nothing], [nothing, 2.0 * system.noise_matrix]])
 
 
 def natural_modes(system: System) -> tuple[Array, Array]:
@@ -64,7 +53,7 @@ def decay_time(system: System) -> float:
     """Return 1/rate of the slowest decay of the linear part; inf where some motion never decays."""
     eigenvalues = np.linalg.eigvals(drift_matrix(system))
     rate = float(-np.max(eigenvalues.real))
-    return 1.0 / rate if rate > UNDAMPED * float(np.max(np.abs(eigenvalues))) else inf
+    return 1.0 / rate if rate > ROUND_OFF * float(np.max(np.abs(eigenvalues))) else inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +100,9 @@ def linear_covariance(system: System) -> LinearCovariance:
     A = np.block([[nothing, np.diag(omega)], [-np.diag(omega), -T.T @ system.damping @ T]])
     b = np.block([[nothing, nothing], [nothing, 2.0 * T.T @ system.noise_matrix @ T]])
     covariance = correction = np.zeros((2 * n, 2 * n))
-    for _ in range(1 + CORRECTIONS):
+    # A first correction leaves the square of the solver's relative error, which is below 1e-6 where
+    # a mode decays by more than 1e-10 of a radian; a second one shows what is left.
+    for _ in range(3):
         correction = solve_continuous_lyapunov(A, -(A @ covariance + covariance @ A.T + b))
         covariance = covariance + 0.5 * (correction + correction.T)
     left = A @ covariance + covariance @ A.T + b
@@ -141,16 +132,9 @@ def linear_covariance(system: System) -> LinearCovariance:
     terms[range(n), range(n)] += omega * np.abs(np.diag(covariance)[:n])
     alone = np.sqrt(np.diag(terms))
     terms = np.maximum(terms, np.outer(alone, alone))
+    residual = float(np.max(np.abs(left) / np.where(terms > 0.0, terms, 1.0)))
     return LinearCovariance(
-        shapes=T,
-        omega=omega,
-        drift=A,
-        covariance=covariance,
-        axes=V,
-        variance=variance,
-        variance_error=variance_error,
-        relative_error=float(relative),
-        residual=float(np.max(np.abs(left) / np.where(terms > 0.0, terms, 1.0))),
+        T, omega, A, covariance, V, variance, variance_error, float(relative), residual
     )
 
 

@@ -1,18 +1,19 @@
-"""Base class of methods, their plans for a system, and their results."""
+"""Methods, their plans for a system and results, and the registry of all routes to densities."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import perf_counter
-from typing import Self
+from typing import Literal, Self
 
 from fpk.density import AnyDensity, Density
 from fpk.errors import NotApplicable
 from fpk.escape import require_held
 from fpk.observable import Observable, require_observables
-from fpk.route import Route
 from fpk.system import System
 
+Solves = Literal["full", "averaged"]
 Progress = Callable[[int, int, str], None]
 """Called as ``progress(done, total, what)`` while a method works."""
 
@@ -91,12 +92,12 @@ class Method(ABC):
     Whoever wants the plan of a stationary density asks ``planned``, not ``prepare``.
 
     A method of one's own derives from it as a frozen dataclass, defines the three below, and is
-    registered with ``fpk.route.register``.
+    registered with ``register``.
     """
 
     @property
     @abstractmethod
-    def route(self) -> Route:
+    def route(self) -> "Route":
         """The route that the method follows."""
 
     @abstractmethod
@@ -171,19 +172,6 @@ class Method(ABC):
         return plan
 
 
-@dataclass(frozen=True)
-class Source:
-    """Method and system of a density: calling it solves again, after unpickling for instance."""
-
-    method: Method
-    system: System
-
-    def __call__(self, observable: Observable) -> AnyDensity:
-        """Return the density of ``observable``, solved for again."""
-        (density,) = self.method.solve(self.system, [observable]).densities
-        return density
-
-
 def solved(
     plan: Plan,
     system: System,
@@ -203,19 +191,73 @@ def solved(
         result = plan.solve_beside(observables, others, progress)
     else:
         result = plan.solve(observables, progress)
-    source = Source(result.method, system)
+    source = partial(_density_again, result.method, system)
+    known = []
+    for densities in (result.densities, result.beside):
+        own = (replace(d, provenance=result.settings) for d in densities)
+        known.append(tuple(replace(d, source=source) if isinstance(d, Density) else d for d in own))
+    seconds = perf_counter() - start
+    return replace(result, densities=known[0], beside=known[1], seconds=seconds)
 
-    def known(densities: Sequence[AnyDensity]) -> tuple[AnyDensity, ...]:
-        return tuple(
-            replace(d, source=source, provenance=result.settings)
-            if isinstance(d, Density)
-            else replace(d, provenance=result.settings)
-            for d in densities
-        )
 
-    return replace(
-        result,
-        densities=known(result.densities),
-        beside=known(result.beside),
-        seconds=perf_counter() - start,
-    )
+def _density_again(method: Method, system: System, observable: Observable) -> AnyDensity:
+    """Return a density solved for again, after unpickling for instance."""
+    (density,) = method.solve(system, [observable]).densities
+    return density
+
+
+@dataclass(frozen=True)
+class Route:
+    """One METHOD with one SOLVER of the command line, and all that others need to know of it.
+
+    ``method`` and ``solver`` are the names on the command line; ``words`` says for legends what is
+    solved and how, ``equation`` the number of the paper's equation. ``solves`` is "full" for
+    Eq. (6) itself and "averaged" for a theory's equation; ``sampled`` says that the errors are
+    those of sampling. ``colour`` is the curve's (#rrggbb). ``make()`` returns the method with its
+    default settings. ``quick``: an answer does not take seconds, so that ``fpk export`` and the
+    references of studies take the route without being told. ``named``: it is taken only where its
+    solver is named.
+    Of one method's routes the one registered first is the default and the one that is drawn; a
+    route that samples comes after those that do not.
+    """
+
+    method: str
+    solver: str
+    words: str
+    equation: str
+    solves: Solves
+    sampled: bool
+    colour: str
+    make: Callable[[], Method]
+    quick: bool = True
+    named: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name for readers: the theory's alone, that of a simulated theory in full."""
+        return self.words if self.sampled else self.words.partition(",")[0]
+
+    @property
+    def label(self) -> str:
+        """Name in tables: the method's own where it has one solver, else method/solver."""
+        alone = len(solvers_of(self.method)) <= 1
+        return self.method if alone else f"{self.method}/{self.solver}"
+
+
+ROUTES: dict[tuple[str, str], Route] = {}
+"""Every route by (method, solver), in the order of registration."""
+
+
+def register(route: Route) -> Route:
+    """Add a route to the registry and return it; a pair of names is taken once."""
+    key = route.method, route.solver
+    if key in ROUTES:
+        raise ValueError(f"route {route.method}/{route.solver} is registered already")
+    ROUTES[key] = route
+    return route
+
+
+def solvers_of(method: str) -> tuple[str, ...]:
+    """Return the solvers of a method, its default first and those that sample last."""
+    own = [route for route in ROUTES.values() if route.method == method]
+    return tuple(route.solver for route in sorted(own, key=lambda route: route.sampled))

@@ -1,29 +1,36 @@
-"""Densities sampled in bins, with the standard error of what follows from them."""
+"""Densities sampled in bins: fits of ln p on boxes of bins, and what follows, with its error."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
-from math import nan
-from typing import Any
+from math import inf, nan
 
 import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from fpk.arrays import Array
-from fpk.bin_fit import Counts
-from fpk.bins import NODES, BinAxis
+from fpk.arrays import CHUNK, EPS, SMALLEST, Array, Flags, Integers
+from fpk.bins import ALARM, LARGEST_LOG, NODES, BinAxis, Box, Model, boxes
 from fpk.certificate import Certificate, outside
-from fpk.fits import Fits, standard_error
-from fpk.number import ErrorKind, Number
-from fpk.observable import Observable, observable_name
+from fpk.number import ErrorKind, Function, Number, Quantities, beyond
+from fpk.observable import Observable
 from fpk.quadrature import panel_rule
-from fpk.quantities import Function, Quantities, beyond
 
-EPSILON = float(np.finfo(float).eps)
-"""Share of the samples that stands for one where a histogram does not know how many there are."""
+Values = tuple[Array, Array]
+"""Values and one standard error each."""
+Fits = tuple[tuple[BinAxis, ...], tuple[Box, ...]]
+"""Axes with the references of the fits, and the fits of ``fpk.bins.boxes`` that cover all bins."""
+
+NEAR = 1e-9
+"""Distance from a kink, as a share of the axis, in which a continuous density hardly changes."""
 CELLS = 100
 """Joined bins of an axis from which the correlation of rare samples is taken."""
+
+
+def standard_error(batches: Array) -> Array:
+    """Return one standard error of the mean of independent ``batches`` (batches, ...)."""
+    spread: Array = np.std(batches, axis=0, ddof=1) / np.sqrt(batches.shape[0])
+    return spread
 
 
 @dataclass(frozen=True)
@@ -53,14 +60,9 @@ class SampledDensity(Quantities):
     l1_error: float = nan
     made: Fits | None = None
 
-    @property
-    def name(self) -> str:
-        """The observable's name, such as ``q2,p2``."""
-        return observable_name(self.observable)
-
     def __repr__(self) -> str:
         """Return what the density is of, its samples and its bins in one line."""
-        return described(self, f"{self.values.size} bins, {self.batch_values.shape[0]} batches")
+        return self.described(f"{self.values.size} bins, {self.batch_values.shape[0]} batches")
 
     def __call__(self, *points: ArrayLike) -> Array:
         """Return the density at ``points``, one number or array per axis, as ``at`` does."""
@@ -73,10 +75,7 @@ class SampledDensity(Quantities):
         """The ascending bin edges of every axis."""
         return tuple(axis.edges for axis in self.bins)
 
-    @property
-    def panels(self) -> tuple[Array, ...]:
-        """The bin edges."""
-        return self.edges
+    panels = edges
 
     def axes(self) -> tuple[Array, ...]:
         """Return ``edges``."""
@@ -99,7 +98,7 @@ class SampledDensity(Quantities):
         """
         x = [panel_rule(e, NODES)[0].ravel() for e in self.edges]
         f = np.asarray(function(*np.meshgrid(*x, indexing="ij")))
-        within = self.fits.within
+        within = self.within
         f = np.broadcast_to(f, [a.size for a in x]).reshape(within.shape) * within
         f = f.sum(axis=tuple(range(1, f.ndim, 2)))  # the mean of f over each bin
         shares = self.batch_values * self.areas
@@ -175,23 +174,22 @@ class SampledDensity(Quantities):
     @cached_property
     def fits(self) -> Fits:
         """The fits of ln p on boxes of bins, ``made`` or else made now."""
-        return self._fitted() if self.made is None else self.made
+        return self.made or self._fitted()
 
     def _fitted(self, *, halve: bool = True) -> Fits:
-        """Fit ln p; ``halve`` as of ``Counts.boxes``.
-
-        Of a pair the reference is the product of plain fits of each coordinate alone: a box has few
-        coefficients where there are few samples, and none where p is large depends on it.
-        """
+        """Fit ln p; ``halve`` as of ``fpk.bins.boxes``."""
         axes = self.bins
         if len(axes) == 2:
-            alone = [self.alone(k)._fitted(halve=False).log_p for k in range(2)]
-            pairs = zip(axes, alone, strict=True)
+            # The reference is the product of plain fits of each coordinate alone: a box has few
+            # coefficients where there are few samples, and none where p is large depends on it.
+            alone = [self.alone(k) for k in range(2)]
+            plain = [replace(one, made=one._fitted(halve=False))._log_p for one in alone]
+            pairs = zip(axes, plain, strict=True)
             axes = tuple(replace(axis, log_reference=log_r) for axis, log_r in pairs)
         shares, batches = self.values * self.areas, self.batch_values * self.areas
-        counts = Counts(axes, shares, batches, 1.0 / (self.visit or EPSILON))
+        samples = 1.0 / (self.visit or EPS)  # where their number is not known there is no chance
         with threadpool_limits(1, user_api="blas"):  # the matrices are small
-            return Fits(axes, tuple(counts.boxes(halve=halve)), len(batches), self.visit)
+            return axes, tuple(boxes(axes, shares, batches, samples, halve=halve))
 
     def alone(self, axis: int) -> "SampledDensity":
         """Return the density of one coordinate of a pair."""
@@ -209,15 +207,143 @@ class SampledDensity(Quantities):
     def at(self, *points: Array) -> tuple[Array, Array]:
         """Return the density and one standard error at ``points``, one array per axis.
 
-        By the fits, see ``Fits.at``; 0 outside the bins.
+        The error is that of the fit by the independent batches; where fewer visits are expected
+        than there are batches, at least that of Poisson's law of the visits. One visit more is
+        always added: the variance of k visits is k, of which 0 may have been seen. At a kink the
+        fit of the two with the smaller error counts. Outside the bins the density is 0, with the
+        error at the nearest point of these.
         """
+        batches = len(self.batch_values)
+
+        def on_side(points: Array, bins: Integers) -> Values:
+            value, deviations, poisson, cells = self._evaluated(points, bins)
+            variance, cell = standard_error(deviations.T) ** 2, cells.prod(axis=0)
+            rare = value * cell < batches * self.visit
+            variance = np.where(rare, np.maximum(variance, poisson), variance)
+            relative, visit = np.sqrt(variance), self.visit / cell
+            # ln p is normal: three errors of p reach as far up as three of ln p. The fit may leave
+            # p open by decades where nothing was seen; that nothing was does not.
+            chance = value * np.expm1(np.minimum(3.0 * relative, LARGEST_LOG)) / 3.0
+            error = np.hypot(np.minimum(chance, value * relative + visit), visit)
+            for axis, b in zip(self.bins, bins, strict=True):
+                if axis.edges[0] in axis.kinks:  # p may change by any factor in the first bin
+                    error[b == 0] = inf
+            return value, error
+
         arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in points))
-        value, error = self.fits.at(np.stack([x.ravel() for x in arrays]))
+        x = np.stack([a.ravel() for a in arrays])
+        near = np.stack([np.clip(a, *e[[0, -1]]) for a, e in zip(x, self.edges, strict=True)])
+        value, error = np.zeros((2, x.shape[1]))
+        together = CHUNK // batches
+        for first in range(0, value.size, together):
+            k = slice(first, first + together)
+            value[k], error[k] = self._better(near[:, k], on_side)
+        value = np.where(np.any(near != x, axis=0), 0.0, value)
         return value.reshape(arrays[0].shape), error.reshape(arrays[0].shape)
 
+    @cached_property
+    def within(self) -> Array:
+        """Share of each bin at its Gauss points, (bins, ``NODES``) for each axis."""
+        axes, every = self.fits
+        spread = np.empty([k for axis in axes for k in (axis.edges.size - 1, NODES)])
+        for box in every:
+            theta = box.theta if box.theta.size else np.zeros(1)
+            degree = int(box.degrees.sum(axis=0).max(initial=0))
+            own = tuple(s for bins in box.bins for s in (bins, slice(None)))
+            spread[own] = Model(axes, box.first, box.last, degree).spread(theta)
+        points = tuple(range(1, spread.ndim, 2))
+        whole = spread.sum(axis=points, keepdims=True)
+        none = whole == 0.0  # so far beyond a stop that p underflows
+        shares: Array = np.where(none, 1.0 / NODES ** len(points), spread / (whole + none))
+        return shares
 
-def described(density: Any, error: str) -> str:
-    """Return what a density is of, its support, whether it is certified and its error, in words."""
-    support = " x ".join(f"[{x[0]:.3g}, {x[-1]:.3g}]" for x in density.panels)
-    certified = "certified" if density.certificate.certified else "not certified"
-    return f"{type(density).__name__}({density.name} on {support}; {certified}, {error})"
+    @property
+    def unresolved(self) -> list[Box]:
+        """The fits that do not give back the contents of the bins."""
+        return [box for box in self.fits[1] if box.chance < ALARM]
+
+    def are_unresolved(self, points: Array) -> Flags:
+        """Return which points (axes, points) lie where a fit is wrong."""
+        inside = np.zeros(points.shape[1], dtype=bool)
+        for box in self.unresolved:
+            ends = zip(points, self.edges, box.first, box.last, strict=True)
+            rows = [(x >= e[a]) & (x <= e[b]) for x, e, a, b in ends]
+            inside |= np.all(rows, axis=0)
+        return inside
+
+    def _log_p(self, x: Array, bins: Integers) -> Array:
+        """Return ln p of one coordinate by the fits of the ``bins``, at kinks of their side."""
+        value = self._evaluated(x.reshape(1, -1), bins.reshape(1, -1))[0]
+        return np.log(np.maximum(value, SMALLEST)).reshape(x.shape)
+
+    def flux(self, weight: Callable[[Array], Array], nodes: Array, at: Array) -> Values:
+        """Return ∫ weight(y) p(x, y) dy over the panels of ``nodes``, and one standard error.
+
+        Of a joint density of (x, y), at x = ``at`` (points,). At a kink the fit with the smaller
+        error counts; outside the bins it is 0, with the error at the end of these.
+        """
+        y, w = (a.ravel() for a in panel_rule(nodes, NODES))
+        weights, shape = weight(y), (at.size, y.size)
+
+        def on_side(points: Array, bins: Integers) -> Values:
+            value, deviations, _, cells = self._evaluated(points, bins)
+            shares = value.reshape(shape) * w * weights
+            flow = shares.sum(axis=1)
+            apart = np.einsum("xy,xyb->bx", shares, deviations.reshape(*shape, -1))
+            # One visit more counts by the mean of the weights, each weighted by itself.
+            most = np.full(at.size, np.max(weights))
+            more = np.divide(shares @ weights, flow, out=most, where=flow > 0.0)
+            more = self.visit * more / cells[0].reshape(shape).min(axis=1)
+            return flow, np.hypot(standard_error(apart), more)
+
+        near = np.clip(at, *self.edges[0][[0, -1]])
+        points = np.stack([np.repeat(near, y.size), np.tile(y, at.size)])
+        value, error = self._better(points, on_side)
+        return np.where(near == at, value, 0.0), error
+
+    def _better(self, points: Array, on_side: Callable[[Array, Integers], Values]) -> Values:
+        """Values and errors of ``on_side`` at points and their bins; at kinks the better side."""
+        edges = self.edges
+        inside = (np.searchsorted(e, x, "right") - 1 for e, x in zip(edges, points, strict=True))
+        bins = np.array([np.clip(b, 0, e.size - 2) for b, e in zip(inside, edges, strict=True)])
+        value, error = on_side(points, bins)
+        for k, (axis, x) in enumerate(zip(self.bins, points, strict=True)):
+            other = bins.copy()
+            for cut in axis.cuts[1:-1]:
+                close = np.abs(x - edges[k][cut]) <= NEAR * (edges[k][-1] - edges[k][0])
+                other[k][close] = np.where(bins[k] < cut, cut, cut - 1)[close]
+            if np.any(other != bins):
+                values, errors = on_side(points, other)
+                better = errors < error
+                value, error = np.where(better, values, value), np.where(better, errors, error)
+        return value, error
+
+    def _evaluated(self, points: Array, bins: Integers) -> tuple[Array, Array, Array, Array]:
+        """Density, deviations of ln p (points, batches), its Poisson variance, and sizes of cells.
+
+        A cell (axes, points) has as many bins as there are for a coefficient of its box.
+        """
+        (axes, every), count, many = self.fits, points.shape[1], len(self.batch_values)
+        value, deviations, variance = np.zeros(count), np.zeros((count, many)), np.zeros(count)
+        cells = np.empty(points.shape)
+        rows = list(zip(axes, points, bins, strict=True))
+        numbers = np.array([axis.number(x, b) for axis, x, b in rows])
+        for box in every:
+            inside = [(b >= i) & (b < j) for b, i, j in zip(bins, box.first, box.last, strict=True)]
+            k = np.flatnonzero(np.all(inside, axis=0))
+            if not k.size:
+                continue
+            half = np.subtract(box.last, box.first) // (
+                2 * (box.degrees.max(axis=1, initial=0) + 1)
+            )
+            for a, axis in enumerate(axes):
+                first = np.maximum(bins[a, k] - half[a], box.first[a])
+                last = np.minimum(bins[a, k] + half[a] + 1, box.last[a])
+                cells[a, k] = axis.edges[last] - axis.edges[first]
+            if box.theta.size:
+                basis = box.basis(list(numbers[:, k]))
+                log_r = sum(axis.log_r(x[k], b[k]) for axis, x, b in rows)
+                value[k] = np.exp(basis @ box.theta + log_r)
+                deviations[k] = basis @ box.deviations.T
+                variance[k] = np.einsum("pk,kl,pl->p", basis, box.covariance, basis)
+        return value, deviations, variance, cells

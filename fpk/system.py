@@ -1,4 +1,4 @@
-"""The chain of masses, springs, dampers, noises and contacts of Eq. (1)."""
+"""The chain of masses, springs, dampers, noises and contacts of Eq. (1), and its effects."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -8,17 +8,13 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fpk.arrays import Array
+from fpk.arrays import ROUND_OFF, Array
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
 from fpk.errors import InvalidInput
 from fpk.modulation import Modulation
 
 Fact = TypeVar("Fact")
-
-SEMIDEFINITE_SLACK = 1e-12
-"""An eigenvalue above minus this share of the largest one counts as not negative (round-off of
-an input written with twelve digits or more)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +69,24 @@ class System:
         if damping.shape[0] != n:
             raise InvalidInput("damping", self.damping, f"must have {n} entries or be {n} x {n}")
         contacts = _records("contacts", self.contacts, Contact)
-        terms = _records("damping_terms", self.damping_terms, DampingTerm)
-        terms = _effective_terms(terms, damping)
+        terms = []  # those that depend on the state
+        given_terms = _records("damping_terms", self.damping_terms, DampingTerm)
+        for k, term in enumerate(given_terms, start=1):
+            for place, at in term.masses.items():
+                if not 1 <= at <= n:
+                    raise InvalidInput(
+                        f"damping_term[{k}].{place}", at, f"is not a mass; use 1 to {n}"
+                    )
+            if term.degree == 0:
+                damping[term.row, term.column] += term.coefficient
+            elif term.coefficient != 0.0:
+                terms.append(term)
         if not terms:
             _refuse_negative("damping", damping, "does not dissipate: its symmetric part has")
         intensity = _matrix("noise_intensity", self.noise_intensity)
         noises = intensity.shape[0]
         skew = np.abs(intensity - intensity.T)
-        if (skew > SEMIDEFINITE_SLACK * np.abs(intensity)).any():
+        if (skew > ROUND_OFF * np.abs(intensity)).any():
             raise InvalidInput("noise_intensity", self.noise_intensity, "must be symmetric")
         _refuse_negative("noise_intensity", intensity, "is not positive semidefinite: it has")
         if self.noise_gain is None:
@@ -99,10 +105,8 @@ class System:
             if not 1 <= contact.mass <= n:
                 key = f"contact[{k}].mass"
                 raise InvalidInput(key, contact.mass, f"is not a mass; use 1 to {n}")
-        object.__setattr__(self, "contacts", contacts)
-        object.__setattr__(self, "damping_terms", terms)
         extension = np.eye(n) - np.eye(n, k=-1)  # of each spring, from the displacements
-        derived = {
+        arrays = {
             "mass": mass,
             "stiffness": stiffness,
             "damping": damping,
@@ -111,9 +115,11 @@ class System:
             "noise_matrix": gain @ intensity @ gain.T,
             "stiffness_matrix": extension.T @ (stiffness[:, None] * extension),
         }
-        for name, value in derived.items():
+        for value in arrays.values():
             value.setflags(write=False)
-            object.__setattr__(self, name, value)
+        derived = {**arrays, "contacts": contacts, "damping_terms": tuple(terms)}
+        for name, field_value in derived.items():
+            object.__setattr__(self, name, field_value)
 
     @property
     def n(self) -> int:
@@ -186,21 +192,6 @@ class System:
         return kinetic + self.potential(q)
 
 
-def _effective_terms(terms: tuple[DampingTerm, ...], damping: Array) -> tuple[DampingTerm, ...]:
-    """Terms that depend on the state; constant ones are added to ``damping`` (n, n) in place."""
-    n, varying = damping.shape[0], []
-    for k, term in enumerate(terms, start=1):
-        for place, mass in term.masses.items():
-            if not 1 <= mass <= n:
-                key = f"damping_term[{k}].{place}"
-                raise InvalidInput(key, mass, f"is not a mass; use 1 to {n}")
-        if term.degree == 0:
-            damping[term.row, term.column] += term.coefficient
-        elif term.coefficient != 0.0:
-            varying.append(term)
-    return tuple(varying)
-
-
 def _records(key: str, values: Any, kind: type[Fact]) -> tuple[Fact, ...]:
     if isinstance(values, (tuple, list)) and all(isinstance(value, kind) for value in values):
         return tuple(values)
@@ -242,5 +233,56 @@ def _refuse_negative(key: str, matrix: Array, words: str) -> None:
     eigenvalues: Array = np.sort(symmetric.diagonal())
     if np.count_nonzero(symmetric) > np.count_nonzero(eigenvalues):
         eigenvalues = np.asarray(np.linalg.eigvalsh(symmetric), dtype=float)
-    if eigenvalues[0] < -SEMIDEFINITE_SLACK * np.abs(eigenvalues).max():
+    if eigenvalues[0] < -ROUND_OFF * np.abs(eigenvalues).max():
         raise InvalidInput(key, matrix, f"{words} the eigenvalue {eigenvalues[0]:.3g} < 0")
+
+
+@dataclass(frozen=True)
+class Effects:
+    """The effects of one system; hashable, and the key by which the stepper is compiled.
+
+    ``laws`` are the contact laws that act, sorted; ``contact_masses`` count from 0; ``stops`` is
+    the number of one-sided contacts; ``noise_rank`` the number of independent noises that reach
+    a mass; ``state_damping`` whether the damping depends on the state, ``energy_damping`` whether
+    on H among it; ``mirror`` whether the system looks the same under q → −q.
+    """
+
+    masses: int
+    laws: tuple[str, ...]
+    contact_masses: tuple[int, ...]
+    stops: int
+    noise_rank: int
+    correlated_noise: bool
+    coupled_damping: bool
+    state_damping: bool
+    energy_damping: bool
+    mirror: bool
+
+    @property
+    def contact(self) -> bool:
+        """Whether any mass can touch anything."""
+        return self.stops > 0
+
+
+def effects_of(system: System) -> Effects:
+    """Return the effects that act in ``system``."""
+    noise = system.noise_matrix
+    return Effects(
+        masses=system.n,
+        laws=tuple(sorted({stop.law for stop in system.stops})),
+        contact_masses=system.contact_masses,
+        stops=len(system.stops),
+        noise_rank=int(np.linalg.matrix_rank(noise, hermitian=True)),
+        correlated_noise=bool(np.any(noise != np.diag(np.diag(noise)))),
+        coupled_damping=bool(np.any(system.damping != np.diag(np.diag(system.damping)))),
+        state_damping=bool(system.damping_terms),
+        energy_damping=any(term.energy for term in system.damping_terms),
+        mirror=looks_the_same_mirrored(system),
+    )
+
+
+def looks_the_same_mirrored(system: System) -> bool:
+    """Whether the system is the same under q → −q."""
+    stops = [(s.index, s.stiffness, s.clearance, s.law, s.power, s.side) for s in system.stops]
+    right, left = (sorted(s[:-1] for s in stops if s[-1] == side) for side in ("right", "left"))
+    return right == left and all(term.degree % 2 == 0 for term in system.damping_terms)

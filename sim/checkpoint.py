@@ -16,10 +16,9 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.clock import working_time
 from fpk.compiling import ROOT, abandon, checksum
 from fpk.errors import Unavailable, reason_of
-from fpk.lock import locked
+from fpk.machine import locked, working_time
 from fpk.recognition import fingerprint
 
 INTERVAL = 2.0

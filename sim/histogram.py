@@ -11,13 +11,11 @@ import numpy as np
 from fpk.arrays import SMALLEST, Array, Integers
 from fpk.bins import BinAxis, LogReference, no_reference
 from fpk.certificate import Measured, certify
-from fpk.effects import effects_of
-from fpk.fits import NEAR
-from fpk.kinks import kinks_of
+from fpk.contact_quantities import kinks_of
 from fpk.linear import natural_modes
 from fpk.observable import Coordinate, Observable
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
+from fpk.sampled_density import NEAR, SampledDensity
+from fpk.system import System, effects_of
 from sim.step_size import temperature
 
 BINS = (1024, 128)
@@ -283,7 +281,7 @@ def sampled_density(
 
 def unresolved_words(density: SampledDensity) -> list[str]:
     """Return in words where the contents of the bins do not show the density, if anywhere."""
-    for box in density.fits.unresolved:
+    for box in density.unresolved:
         ends = zip(density.observable, density.edges, box.first, box.last, strict=True)
         where = ", ".join(f"{c} = {e[a]:.4g} to {e[b]:.4g}" for c, e, a, b in ends)
         return [f"the density changes within a bin for {where}, and is not known there"]

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 from fpk.dynamics import Curve, Question, StationaryMotionMethod
 from fpk.evolution import Passage, PassageAsked, Passages, Transient, TransientAsked, Transients
-from fpk.method import Plan, Progress, Result
+from fpk.method import ROUTES, Plan, Progress, Result, Route, register
 from fpk.observable import Observable
-from fpk.route import ROUTES, Route, register
 from fpk.system import System
 from sim.settings import Settings, require_stationary
 

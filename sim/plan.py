@@ -19,10 +19,9 @@ from scipy.linalg import expm
 from scipy.special import comb, ndtr
 
 from fpk.arrays import Array, Integers
-from fpk.effects import effects_of
 from fpk.linear import drift_matrix, natural_modes
 from fpk.observable import Coordinate
-from fpk.system import System
+from fpk.system import System, effects_of
 from sim.arrays import LANES, Rows, StepArrays, SubstepArrays, TermArrays, WatchArrays
 from sim.diagnostics import Product
 from sim.flow import exact_flow, lower_trapezoidal, padded

@@ -6,11 +6,10 @@ from math import exp, inf, sqrt
 import numpy as np
 from scipy.special import gammainccinv
 
-from fpk.arrays import Array, Flags
-from fpk.equivalent import balance_energy
+from fpk.arrays import ROUND_OFF, Array, Flags
+from fpk.equivalent import damping_balance
 from fpk.errors import NotCertified
 from fpk.escape import escape
-from fpk.linear import UNDAMPED
 from fpk.system import System
 from sim.arrays import LANES
 from sim.flow import factored
@@ -81,7 +80,7 @@ def hottest(system: System) -> float:
     c = 0.5 * (system.damping + system.damping.T)
     rates, v = np.linalg.eigh(c)
     noise = v.T @ system.noise_matrix @ v
-    damped = rates > UNDAMPED * rates[-1]
+    damped = rates > ROUND_OFF * rates[-1]
     if np.any(np.diag(noise)[~damped] > 0.0):
         return inf
     roots = np.sqrt(rates[damped])
@@ -110,7 +109,7 @@ class Reachable:
         """
         s, T, energy = self.system, self.system.fact(hottest), self.energy
         if s.damping_terms:
-            energy = max(energy, BEYOND_BALANCE * balance_energy(s))
+            energy = max(energy, BEYOND_BALANCE * s.fact(damping_balance).energy)
         else:
             T = min(T, 2.0 * time * float(np.sum(np.diag(s.noise_matrix) / s.mass)))
         # Twice: a stable kick keeps ½p² + ½(1 − h²ω²/4) ω²q², a quarter of H at the least up to

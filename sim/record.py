@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.arrays import Array, Integers
-from fpk.effects import effects_of
+from fpk.system import effects_of
 from sim.arrays import LANES
 from sim.diagnostics import Effective, effective_of_paths, effective_of_shares, variance_error
 from sim.ensemble import Ensemble

@@ -6,8 +6,8 @@ from functools import cached_property
 from math import ceil, inf
 from typing import Literal
 
-from fpk.cores import usable_cores
 from fpk.errors import InvalidInput
+from fpk.machine import usable_cores
 from fpk.observable import Observable
 from fpk.system import System
 from sim.checkpoint import Checkpoint, checkpoint_of

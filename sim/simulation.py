@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.clock import left_out, working_time
-from fpk.cores import usable_cores
-from fpk.effects import effects_of
+from fpk.machine import left_out, usable_cores, working_time
 from fpk.method import Progress, Result, silent
 from fpk.observable import Observable
-from fpk.system import System
+from fpk.system import System, effects_of
 from sim.checkpoint import Checkpoint, interruptible
 from sim.diagnostics import (
     CHUNKS,

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
-from fpk.arrays import Array
-from fpk.balance import balance_with_stops
-from fpk.equivalent import balance_energy, dissipated_power, equivalent_temperature, stops_matter
-from fpk.linear import UNDAMPED, decay_time, drift_matrix, natural_modes
-from fpk.moments import gaussian_moment
+from fpk.arrays import ROUND_OFF, Array
+from fpk.damping import gaussian_moment
+from fpk.equivalent import damping_balance, equivalent_temperature
+from fpk.linear import decay_time, drift_matrix, natural_modes
 from fpk.observable import Observable
 from fpk.system import System
 from sim.schemes import Scheme
@@ -117,7 +116,7 @@ def term_rate(system: System) -> float:
     energy E = ``REACHED`` kT, or ``BEYOND_BALANCE`` times the last one at which damping and noise
     balance: ``q_a² = 2 E (K⁻¹)_aa``, ``v_a² = 2 E/m_a``.
     """
-    level = max(REACHED * temperature(system), BEYOND_BALANCE * balance_energy(system))
+    level = max(REACHED * temperature(system), BEYOND_BALANCE * system.fact(damping_balance).energy)
     q = np.sqrt(2.0 * level * np.diag(system.compliance))
     v = np.sqrt(2.0 * level / system.mass)
     rates = np.zeros(system.n)
@@ -234,11 +233,8 @@ def relaxation_time(system: System) -> float:
     """
     if not system.damping_terms:
         return decay_time(system)
-    temperature = equivalent_temperature(system)
-    if stops_matter(system):
-        slope = system.fact(balance_with_stops).slope
-    else:
-        slope = float(np.polynomial.Polynomial(dissipated_power(system)).deriv()(temperature))
+    equivalent_temperature(system)  # raises where damping and noise do not balance
+    slope = system.fact(damping_balance).slope
     times = [2.0 * system.n / slope] if slope > 0 else []
     if (balance := modal_temperatures(system)).size:
         slowest = float(natural_modes(system)[1][0])
@@ -298,8 +294,8 @@ def undamped_mode(system: System) -> bool:
     """
     shapes, omega = natural_modes(system)
     constant = np.abs(np.einsum("im,ij,jm->m", shapes, system.damping, shapes))
-    reached = constant > UNDAMPED * omega[-1]
+    reached = constant > ROUND_OFF * omega[-1]
     size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
     for term in system.damping_terms:
-        reached |= size[term.row] * size[term.column] > UNDAMPED
+        reached |= size[term.row] * size[term.column] > ROUND_OFF
     return not bool(np.all(reached))

@@ -25,7 +25,7 @@ from cases.scene import schema
 from cases.studies import converge_page, cost_page, levels, orders
 from cases.studies.orders import grid_convergence
 from cases.studies.sweep import answering as sweep_answering
-from fpk import bin_fit, clearance, contour, damping, field
+from fpk import bins, contact_quantities, contour, damping, field
 from fpk.errors import InvalidInput
 from sim import checkpoint, diagnostics, histogram, plan, settings, step_size
 from sim.motion import curves, failure_times
@@ -132,7 +132,7 @@ CONSTANTS = {
         f"| masses in `phase-space` | {phase_space.MOST_MASSES}, stops on 1 of them,",
         f"| degree of a damping term | {damping.MOST_POWERS}, an energy counting 2 |",
         f"by plain simulation | {answering.LEAST_FAILURES:g} failures of the paths expected |",
-        f"clearance > {clearance.CLEARANCE_RULE:g} rms",
+        f"clearance > {contact_quantities.CLEARANCE_RULE:g} rms",
         f"({refinement.MEMORY:g} GB, `--memory`)",
         f"up to {phase_space.MOST_MASSES} masses, stops on one",
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}.",
@@ -178,7 +178,7 @@ CONSTANTS = {
         f"each pair of normals lies in a disc of radius {plan.LARGEST_NORMAL:.2f}",
         f"disc of radius {plan.LARGEST_NORMAL:.2f}: `sim/plan.py",
         f"$a \\ge {plan.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
-        f"clearance > {clearance.CLEARANCE_RULE:g} rms",
+        f"clearance > {contact_quantities.CLEARANCE_RULE:g} rms",
         f"one serves all times within a factor {contour.SPREAD:g}",
         f"Above {100 * splitting.RESOLVED:g} % no error is stated",
         f"the error is {refinement.SAFETY:g} d",
@@ -197,11 +197,11 @@ CONSTANTS = {
         f"jackknife of {failure_times.GROUPS} groups",
         f"one Hann window of {curves.WINDOW:g} decay times",
         f"over paths and {curves.RELAXATIONS:g} relaxation times",
-        f"polynomial of total degree {bin_fit.DEGREE} in the number of the bin",
-        f"A box whose {bin_fit.HIGHEST[1]} highest coefficients differ from 0",
-        f"with a probability below {bin_fit.DOUBT:g} is cut in two",
-        f"and the probability is below {short(bin_fit.ALARM)}",
-        f"ln p changes by more than {bin_fit.STEEPEST:g} from bin to bin",
+        f"polynomial of total degree {bins.DEGREE} in the number of the bin",
+        f"A box whose {bins.HIGHEST[1]} highest coefficients differ from 0",
+        f"with a probability below {bins.DOUBT:g} is cut in two",
+        f"and the probability is below {short(bins.ALARM)}",
+        f"ln p changes by more than {bins.STEEPEST:g} from bin to bin",
         f"Bins end where the contact energy is {histogram.DEEPEST:g} kT",
     ),
 }
@@ -218,7 +218,7 @@ def test_constants_in_documents_are_those_of_the_code(page):
 FOLDER = ROOT / "cases" / "output" / "templates"
 TEMPLATES = [*FOLDER.glob("*.html"), *FOLDER.glob("*.txt")]
 NAMES = r"Eq\. \(1\)|condition \(8\)|section 6\.3|\bL1\b|dt/2|\|∫p − 1\||\(2 ω_m\)"
-NAMES += f"|negligible beyond {clearance.CLEARANCE_RULE:g} rms"
+NAMES += f"|negligible beyond {contact_quantities.CLEARANCE_RULE:g} rms"
 """Digits of templates that are names, or of mathematics, or held to the code here."""
 
 

@@ -9,7 +9,6 @@ import pytest
 
 import fpk
 from fpk.density import Density
-from fpk.method import Source
 
 
 def small_system():
@@ -139,7 +138,7 @@ def test_answers_results_and_densities_can_be_pickled():
 
 def test_a_density_made_by_hand_says_why_it_cannot_be_pickled():
     p = fpk.solve(small_system(), ["q2"], methods=["nonintegrable/closed-form"])["q2"]
-    assert isinstance(p.source, Source)
+    assert p.source is not None
     by_hand = Density(p.observable, p.panels, p.pdf, p.pointwise, p.l1_error, p.certificate)
     with pytest.raises(TypeError, match="does not know what it follows from"):
         pickle.dumps(by_hand)

@@ -8,8 +8,8 @@ import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
 from fpk.arrays import Array, Integers
+from fpk.damping import gaussian_moment
 from fpk.errors import NotApplicable
-from fpk.moments import gaussian_moment
 from fpk.system import System
 
 ORDER = 4

@@ -13,7 +13,7 @@ from averaging.phase_space.equation.elimination import CONVERGED, Expansion, cos
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.reference import fitted, start
-from fpk.cores import usable_cores
+from fpk.machine import usable_cores
 from fpk.method import Progress, silent
 from fpk.observable import Coordinate, Observable
 from fpk.quadrature import gauss_grid, integral

@@ -11,7 +11,7 @@ from scipy.special import gammaln
 from averaging.conditional import bridge_covariance, conditional
 from averaging.shell.energy_shell import Combine, EnergyShell
 from fpk.arrays import Array, Integers
-from fpk.moments import gaussian_moment
+from fpk.damping import gaussian_moment
 from fpk.system import System
 
 ROUND_OFF = 1e-14

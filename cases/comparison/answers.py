@@ -17,9 +17,8 @@ from cases.comparison.quantities import (
     quantity_discrepancies,
 )
 from fpk.density import AnyDensity
-from fpk.method import Result
+from fpk.method import Result, Route
 from fpk.observable import Level, Observable, observable_name, parse_observable
-from fpk.route import Route
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
 

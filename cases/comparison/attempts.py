@@ -10,9 +10,9 @@ from math import ceil, inf, isnan, log10
 from typing import Any, TypeVar
 
 from fpk.certificate import Certificate
-from fpk.clock import working_time
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.route import Route
+from fpk.machine import working_time
+from fpk.method import Route
 
 Answer = TypeVar("Answer")
 

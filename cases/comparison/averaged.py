@@ -14,7 +14,6 @@ import numpy as np
 
 from cases.scene.expect import Theory
 from fpk.arrays import Array
-from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.escape import require_held
 from fpk.evolution import (
@@ -27,10 +26,10 @@ from fpk.evolution import (
 )
 from fpk.limit import Limit
 from fpk.linear import modal_energies
-from fpk.method import Method, Plan, Progress, Result
+from fpk.machine import usable_cores
+from fpk.method import ROUTES, Method, Plan, Progress, Result, Route, register
 from fpk.observable import Coordinate, Observable, observable_name
 from fpk.process import Process
-from fpk.route import ROUTES, Route, register
 from fpk.start import Start
 from fpk.system import System
 

@@ -15,7 +15,7 @@ from cases.comparison.doubt import ACCEPTABLE_L1
 from cases.scene.expect import RELATIONS, Expect
 from cases.scene.questions import PassageQuestion
 from cases.written import with_error
-from fpk.clearance import stop_clearances
+from fpk.contact_quantities import stop_clearances
 from fpk.density import AnyDensity
 from fpk.observable import Observable, observable_name
 from fpk.quadrature import gauss_grid, integral

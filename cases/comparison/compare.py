@@ -22,8 +22,7 @@ from scipy.special import stdtrit
 
 from fpk.arrays import Array
 from fpk.density import AnyDensity, Density, l1_distance
-from fpk.method import Result
-from fpk.route import Route
+from fpk.method import Result, Route
 from fpk.sampled_density import SampledDensity
 from sim.diagnostics import FALSE_ALARMS
 

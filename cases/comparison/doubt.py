@@ -7,10 +7,10 @@ import numpy as np
 
 from averaging.exact import compatibility
 from fpk.arrays import Array
-from fpk.clearance import stop_clearances
+from fpk.contact_quantities import stop_clearances
 from fpk.errors import NotApplicable
 from fpk.linear import linear_covariance
-from fpk.route import Route
+from fpk.method import Route
 from fpk.system import System
 
 ACCEPTABLE_L1 = 0.1

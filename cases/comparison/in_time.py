@@ -27,7 +27,7 @@ from cases.comparison.compare import (
 from cases.scene.questions import Question
 from fpk.arrays import Array
 from fpk.evolution import LARGEST_ERROR, Passage, Transient
-from fpk.route import Route
+from fpk.method import Route
 from sim.diagnostics import FALSE_ALARMS
 
 BATCHES = 32

@@ -22,10 +22,9 @@ from cases.comparison.quantity import (
 from fpk.density import AnyDensity, Density
 from fpk.dynamics import CrossingsMethod, upcrossings
 from fpk.errors import NotApplicable, NotCertified
-from fpk.method import Result, silent
+from fpk.method import Result, Route, silent
 from fpk.number import ErrorKind, Number
 from fpk.observable import Coordinate, Level, observable_name
-from fpk.route import Route
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.diagnostics import FALSE_ALARMS

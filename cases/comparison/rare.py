@@ -14,9 +14,8 @@ from fpk.certificate import Measured, certify, tolerance
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage
 from fpk.line.time.passage import first_passage
-from fpk.method import Progress
+from fpk.method import Progress, Route
 from fpk.number import Number
-from fpk.route import Route
 from fpk.system import System
 from sim.montecarlo import MonteCarlo
 from sim.motion.failure_times import LEAST_FAILURES

@@ -6,8 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from fpk.errors import InvalidInput
-from fpk.method import Method
-from fpk.route import ROUTES, Route, solvers_of
+from fpk.method import ROUTES, Method, Route, solvers_of
 
 ROUTE_MODULES = {
     "exact": ("averaging.exact",),

@@ -16,9 +16,8 @@ from cases.scene.questions import TransientQuestion
 from cases.scene.units import NO_UNITS, Units
 from cases.written import SCHEMA
 from fpk.evolution import Passage
-from fpk.method import Result
+from fpk.method import Result, Route
 from fpk.observable import observable_name
-from fpk.route import Route
 from sim.report import Report
 
 ROW = ("observable", "measures", "norm", "L1", "band", "error")

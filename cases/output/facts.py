@@ -12,15 +12,14 @@ from cases.output.records import Record, plain
 from cases.scene.numbers import Place
 from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
-from fpk.clearance import stop_clearances
-from fpk.effects import effects_of
+from fpk.contact_quantities import stop_clearances
 from fpk.ends import BoundaryClass, classify
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.escape import escape
 from fpk.linear import natural_modes
+from fpk.method import ROUTES, solvers_of
 from fpk.observable import Coordinate, observable_name
-from fpk.route import ROUTES, solvers_of
-from fpk.system import System
+from fpk.system import System, effects_of
 from sim.montecarlo import MonteCarlo
 from sim.setup import expected_seconds
 

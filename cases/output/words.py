@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from fpk.route import ROUTES, Route
+from fpk.method import ROUTES, Route
 from fpk.system import System
 
 KEYS = re.compile(

@@ -22,13 +22,13 @@ from fpk.density import Density
 from fpk.errors import NotApplicable, NotCertified
 from fpk.escape import require_held
 from fpk.line.stationary import solve_on_mesh
+from fpk.method import Route
 from fpk.observable import parse_observable
 from fpk.operator import null_vectors, solve_by_scikit_fem
 from fpk.plane.solution import graded, null_function, solve_plane_on_mesh
 from fpk.plane.weight import probed as probed_plane
 from fpk.probe import probed
 from fpk.process import Process
-from fpk.route import Route
 from fpk.system import System
 
 OF_ENERGY, OF_MODES = "averaged equation (24)", "averaged equation (17)"

@@ -13,9 +13,8 @@ from cases.studies.levels import timed_first
 from fpk.certificate import Measured
 from fpk.density import AnyDensity, Density, certified_density
 from fpk.errors import InvalidInput, NotCertified
-from fpk.method import Method, Result
+from fpk.method import Method, Result, Solves
 from fpk.observable import Coordinate, Observable, observable_name
-from fpk.route import Solves
 from fpk.sampled_density import SampledDensity
 from fpk.system import System
 from sim.montecarlo import MonteCarlo

@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial.legendre import legvander
 
 from fpk.arrays import SMALLEST, Array, Flags
-from fpk.certificate import NEGATIVE, RESIDUAL, Certificate, Measured, certify, outside
+from fpk.certificate import NEGATIVE, Certificate, Measured, certify, outside
 from fpk.compiling import cached_njit
 from fpk.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
 from fpk.line.mesh import (
@@ -265,7 +265,7 @@ def _assembled(
         tail_mass=tail,
         net_flux=net_flux,
     )
-    if not residual < 0.1 * RESIDUAL:  # elimination in one element leaves some hundred roundings
+    if not residual < 0.1 * ROUND_OFF:  # elimination in one element leaves some hundred roundings
         measured = measured.with_failures(f"the algebraic residual is {residual:.2g}")
     solution = StationarySolution(
         process=process,

@@ -8,13 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from fpk.arrays import Array, Flags
-from fpk.effects import effects_of
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.limit import Limit
 from fpk.linear import diffusion_matrix, drift_matrix, modal_energies, natural_modes
 from fpk.observable import Coordinate
 from fpk.start import REST, Start
-from fpk.system import System
+from fpk.system import System, effects_of
 from sim.flow import flow_covariance
 from sim.schemes import SCHEMES
 from sim.settings import Settings

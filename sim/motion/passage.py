@@ -8,9 +8,9 @@ import numpy as np
 
 from fpk.arrays import Array, Flags
 from fpk.certificate import tolerance
-from fpk.clock import left_out
 from fpk.errors import InvalidInput
 from fpk.evolution import Passage, PassageAsked
+from fpk.machine import left_out
 from fpk.method import Progress
 from fpk.modulation import Modulation
 from sim.arrays import LANES, MAX_TRAJECTORIES, in_blocks, in_rows

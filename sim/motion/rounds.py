@@ -10,10 +10,9 @@ import numpy as np
 
 from fpk.arrays import Array
 from fpk.certificate import Measured, certify
-from fpk.clock import left_out, working_time
-from fpk.cores import usable_cores
 from fpk.dynamics import Curve
 from fpk.errors import InvalidInput
+from fpk.machine import left_out, usable_cores, working_time
 from fpk.method import Progress
 from fpk.start import Start
 from fpk.system import System

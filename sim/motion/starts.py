@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array, Flags
-from fpk.clock import left_out
 from fpk.errors import NotApplicable
 from fpk.linear import natural_modes
+from fpk.machine import left_out
 from fpk.start import Start
 from fpk.system import System
 from sim.arrays import LANES, in_rows

@@ -10,13 +10,13 @@ import numpy as np
 from fpk.arrays import Array, Integers
 from fpk.bins import BinAxis
 from fpk.certificate import Measured, certify, outside, tolerance, worst
-from fpk.clock import left_out
-from fpk.effects import effects_of
 from fpk.errors import InvalidInput
 from fpk.evolution import Transient, TransientAsked
+from fpk.machine import left_out
 from fpk.method import Progress
 from fpk.observable import Observable
 from fpk.sampled_density import SampledDensity
+from fpk.system import effects_of
 from sim import histogram
 from sim.arrays import GROUPS, LANES, MAX_TRAJECTORIES, in_rows
 from sim.ensemble import Ensemble, ensemble_from
@@ -181,7 +181,7 @@ def counted_in_rounds(
     values, errors, bias, wide = [], [], 0.0, list[str]()
     for time, a, b in zip(times.tolist(), fine, coarse, strict=True):
         value, error = a.at(*at)
-        step, lost = b.at(*at)[0] - value, a.fits.are_unresolved(np.stack(at))
+        step, lost = b.at(*at)[0] - value, a.are_unresolved(np.stack(at))
         values.append(value)
         errors.append(np.where(lost, inf, np.hypot(error, step)))
         if lost.any():

@@ -18,10 +18,9 @@ import numpy as np
 from scipy.special import betaincinv
 
 from fpk.arrays import Array
-from fpk.clock import working_time
-from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotCertified
 from fpk.limit import Limit
+from fpk.machine import usable_cores, working_time
 from fpk.method import Progress, silent
 from fpk.modulation import require_constant_noise
 from fpk.start import Start

@@ -21,9 +21,9 @@ from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from fpk.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.method import ROUTES
 from fpk.observable import observable_name, parse_observable
 from fpk.quadrature import panel_rule
-from fpk.route import ROUTES
 
 TOL = 1e-8
 """The L1 tolerance that is asked of every method."""

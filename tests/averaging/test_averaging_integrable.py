@@ -22,7 +22,7 @@ from averaging.modal.resonance import (
     resonances,
 )
 from averaging.nonintegrable import NonIntegrable
-from fpk.clearance import stop_clearances
+from fpk.contact_quantities import stop_clearances
 from fpk.density import l1_distance
 from fpk.ends import classify
 from fpk.errors import InvalidInput, NotApplicable

@@ -19,10 +19,10 @@ from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.compare import compared
+from fpk.damping import gaussian_moment
 from fpk.density import l1_distance
 from fpk.errors import NotApplicable
 from fpk.method import silent
-from fpk.moments import gaussian_moment
 from fpk.observable import Coordinate, parse_observable
 from sim.montecarlo import MonteCarlo
 

@@ -18,8 +18,8 @@ from cases.scene.json_schema import DIRECTIVE, FILE, key_table, scene_schema, wi
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.schema import SCENE
 from cases.written import duration
-from fpk.clearance import stop_clearances
 from fpk.contact_law import LAWS
+from fpk.contact_quantities import stop_clearances
 from sim.montecarlo import MonteCarlo
 from sim.setup import expected_seconds
 

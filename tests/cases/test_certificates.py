@@ -11,8 +11,8 @@ from fpk.certificate import Measured, certify
 from fpk.contact import Contact
 from fpk.dynamics import Curve
 from fpk.evolution import Transient
+from fpk.method import ROUTES
 from fpk.observable import parse_observable
-from fpk.route import ROUTES
 from fpk.system import System
 
 ROOT = Path(__file__).parents[2]

@@ -15,14 +15,14 @@ from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.bins import BinAxis
 from fpk.certificate import Certificate
-from fpk.clearance import StopClearance
+from fpk.contact_quantities import StopClearance
 from fpk.density import Density
+from fpk.method import ROUTES
 from fpk.observable import parse_observable
-from fpk.route import ROUTES
 from fpk.sampled_density import SampledDensity
 
 FLAT = lambda x: np.where(np.abs(x) <= 1, 0.5, 0.0)  # noqa: E731
-FINE = Certificate(0.0, 0.0, 0.0, 0.0)
+FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
 Q1 = parse_observable("q1", 1)
 ROUTE = {r.label: (r.method, r.solver) for r in listed_routes()}
 

@@ -11,14 +11,13 @@ from cases.comparison.routes import register_routes
 from fpk.bins import BinAxis
 from fpk.certificate import Certificate
 from fpk.density import Density, l1_distance
-from fpk.method import Result
+from fpk.method import ROUTES, Result, solvers_of
 from fpk.observable import parse_observable
-from fpk.route import ROUTES, solvers_of
 from fpk.sampled_density import SampledDensity
 
 register_routes()
 
-FINE = Certificate(0.0, 0.0, 0.0, 0.0)
+FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
 Q1 = parse_observable("q1", 1)
 
 

@@ -13,7 +13,7 @@ from cases.output.fields import write_netcdf
 from cases.output.report import write_report
 from cases.scene.scene import load_scene
 from fpk.contact_law import LAWS
-from fpk.route import ROUTES
+from fpk.method import ROUTES
 
 TOY = ("equipartition", "closed-form")
 

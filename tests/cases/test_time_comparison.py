@@ -25,9 +25,8 @@ from fpk.certificate import Measured, certify
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.evolution import Passage, Passages, Transient
 from fpk.limit import parse_limit
-from fpk.method import Method, silent
+from fpk.method import ROUTES, Method, silent
 from fpk.number import Number
-from fpk.route import ROUTES
 from fpk.start import REST
 from sim.diagnostics import FALSE_ALARMS
 

@@ -17,7 +17,7 @@ from fpk.density import Density
 from fpk.field import CUT, SUBDIVISION, field_of
 from fpk.observable import parse_observable
 
-FINE = Certificate(0.0, 0.0, 0.0, 0.0)
+FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")

@@ -6,11 +6,10 @@ from typing import Self
 
 import numpy as np
 
-from fpk.certificate import ROUNDING, Measured
+from fpk.certificate import NEGATIVE, Measured
 from fpk.density import certified_density
 from fpk.errors import NotApplicable
-from fpk.method import Method, Plan, Result
-from fpk.route import Route, register
+from fpk.method import Method, Plan, Result, Route, register
 
 REACH = 8.5
 
@@ -53,8 +52,8 @@ class Equipartition(Method):
             observable,
             (np.linspace(-REACH * scale, REACH * scale, 18),),
             pdf,
-            lambda x: ROUNDING * pdf(x),
-            measured=Measured(tail + 2.0 * ROUNDING, 0.0, 0.0, 0.0, tail),
+            lambda x: -NEGATIVE * pdf(x),
+            measured=Measured(tail - 2.0 * NEGATIVE, 0.0, 0.0, 0.0, tail),
             tol=self.tol,
         )
 

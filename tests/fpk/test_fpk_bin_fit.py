@@ -76,9 +76,7 @@ def test_a_layer_of_any_width_beyond_a_stop_is_right(width: float) -> None:
         density = drawn(axis, whole / whole.sum(), 64e6, seed)
         value, error = density.at(x)
         z.append((value - p(x) / whole.sum()) / error)
-        assert not density.fits.are_unresolved(x[None]).any() and np.all(
-            error[:5] < 0.01 * value[:5]
-        )
+        assert not density.are_unresolved(x[None]).any() and np.all(error[:5] < 0.01 * value[:5])
     assert 0.45 < np.mean(np.square(z)) < 1.85 and np.abs(z).max() < 5.0
 
 
@@ -104,7 +102,7 @@ def test_a_cusp_is_right_where_it_is_known_and_where_it_is_not(known: bool) -> N
     for seed in range(3):
         density = drawn(axis, share / whole, 64e6, seed)
         value, error = density.at(x)
-        away = ~density.fits.are_unresolved(x[None])
+        away = ~density.are_unresolved(x[None])
         z = ((value - p(x) / whole) / error)[away]
         assert np.abs(z).max() < 5.0
         assert not known or away.all()
@@ -116,7 +114,7 @@ def test_a_spike_within_a_bin_is_unresolved() -> None:
     share = np.diff(norm.cdf(edges, 0.3, 1e-4)) * 0.5 + np.diff(norm.cdf(edges, 0.0, 0.2)) * 0.5
     density = drawn(BinAxis(edges), share, 64e4, 1)
     x = np.array([-0.5, 0.3, 0.9])
-    assert density.fits.are_unresolved(x[None]).tolist() == [False, True, False]
+    assert density.are_unresolved(x[None]).tolist() == [False, True, False]
 
 
 def test_two_coordinates_have_the_errors_they_state() -> None:
@@ -148,7 +146,7 @@ def test_two_coordinates_have_the_errors_they_state() -> None:
         density = SampledDensity(PAIR, axes, values.mean(axis=0), values, PASSED, samples=6.4e6)
         value, error = density.at(x, y)
         z.append((value - p(x, y) / whole) / error)
-        assert not density.fits.are_unresolved(np.stack([x, y])).any()
+        assert not density.are_unresolved(np.stack([x, y])).any()
     # Of 90 nearly independent z the mean square is between .6 and 1.5 but for 1e-3.
     assert 0.6 < np.mean(np.square(z)) < 1.5 and np.abs(z).max() < 5.0
 

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from state_damping import damping_at
 
-from fpk.damping import DampingTerm
-from fpk.effects import effects_of
+from fpk.damping import DampingTerm, gaussian_moment
 from fpk.equivalent import equivalent_temperature
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.linear import stationary_covariance
-from fpk.moments import gaussian_moment
-from fpk.system import System
+from fpk.system import System, effects_of
 
 CHAIN = System([1.0, 2.0], [1.0, 3.0], [0.08, 0.04], [0.01, 0.02])
 

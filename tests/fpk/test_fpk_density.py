@@ -16,7 +16,7 @@ from fpk.density import (
 from fpk.observable import parse_observable
 from fpk.sampled_density import SampledDensity
 
-PASSED = Certificate(mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)
+PASSED = Certificate(l1_error=0.0, mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)
 REACH = 9.0
 SEED = 30577
 
@@ -222,7 +222,7 @@ def test_what_cannot_be_compared_is_refused():
 
 def test_a_certificate_is_certified_when_nothing_failed():
     assert PASSED.certified
-    assert not Certificate(0.0, 0.0, 0.0, 0.0, failures=("the mass",)).certified
+    assert not Certificate(0.0, 0.0, 0.0, 0.0, 0.0, failures=("the mass",)).certified
 
 
 @pytest.mark.parametrize(("error", "certified"), [(2e-6, True), (5e-7, False)])

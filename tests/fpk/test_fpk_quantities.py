@@ -116,7 +116,7 @@ def test_an_l1_error_that_is_at_no_point_is_in_the_moments(power):
     l1 = float(np.trapezoid(np.abs(normal.pdf(x) - wrong.pdf(x)), x))
     density = Density(
         parse_observable("q1", 2), (nodes,), wrong.pdf, np.zeros_like, l1,
-        Certificate(mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0),
+        Certificate(l1_error=0.0, mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0),
     )  # fmt: skip
     number = density.moment(power)
     assert_within(number, normal.moment(power))
@@ -217,7 +217,7 @@ def histogram(samples: np.ndarray, bins: int, reach: float) -> SampledDensity:
         (BinAxis(edges),),
         values.mean(axis=0),
         values,
-        Certificate(mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=outside),
+        Certificate(l1_error=0.0, mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=outside),
         samples=samples.size,
     )
 

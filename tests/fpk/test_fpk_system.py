@@ -8,7 +8,6 @@ import pytest
 
 from fpk.contact import Contact
 from fpk.damping import DampingTerm
-from fpk.effects import effects_of
 from fpk.errors import InvalidInput, NotApplicable
 from fpk.linear import (
     decay_time,
@@ -17,7 +16,7 @@ from fpk.linear import (
     natural_modes,
     stationary_covariance,
 )
-from fpk.system import System
+from fpk.system import System, effects_of
 
 GOOD = {
     "mass": [1.0, 2.0],

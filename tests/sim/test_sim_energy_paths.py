@@ -56,7 +56,9 @@ def energy_dependent(quartic: float) -> Process:
 
 
 def as_density(observable, panels, pdf, error=1e-9) -> Density:
-    certificate = Certificate(mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)
+    certificate = Certificate(
+        l1_error=0.0, mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0
+    )
     return Density(observable, panels, pdf, lambda *x: 0.0 * pdf(*x), error, certificate)
 
 

@@ -6,7 +6,7 @@ import sys
 IMPORTED = """
 import sys
 import sim
-from fpk.route import ROUTES
+from fpk.method import ROUTES
 assert ROUTES["montecarlo", "simulation"].make() == sim.MonteCarlo()
 print([name for name in ("numba", "distributed", "sim.kernel") if name in sys.modules])
 """

@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.effects import looks_the_same_mirrored
 from fpk.equivalent import equivalent_temperature
 from fpk.errors import NotApplicable
 from fpk.observable import Coordinate
-from fpk.system import System
+from fpk.system import System, looks_the_same_mirrored
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from cases.output.pictures.style import (
 from cases.scene.questions import PassageQuestion, TransientQuestion
 from fpk.arrays import Array
 from fpk.evolution import Passage, Transient
-from fpk.route import Route
+from fpk.method import Route
 
 MARKS = {"full": "os", "averaged": "^v"}
 """Markers of simulations, by what they solve."""

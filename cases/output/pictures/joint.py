@@ -23,8 +23,8 @@ from cases.output.pictures.style import (
 )
 from fpk.arrays import Array
 from fpk.density import AnyDensity
+from fpk.method import Route
 from fpk.observable import Observable, observable_name
-from fpk.route import Route
 from fpk.sampled_density import SampledDensity
 
 LOWEST = 1e-3

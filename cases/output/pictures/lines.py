@@ -29,8 +29,8 @@ from cases.output.pictures.style import (
 )
 from fpk.arrays import Array
 from fpk.density import bin_differences
+from fpk.method import ROUTES, Route
 from fpk.observable import Observable, observable_name
-from fpk.route import ROUTES, Route
 from fpk.sampled_density import SampledDensity
 
 POINTS = 300

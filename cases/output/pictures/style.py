@@ -15,8 +15,8 @@ from cases.comparison.answers import Answers
 from cases.scene.units import NO_UNITS, Units, bracketed
 from fpk.arrays import Array
 from fpk.density import Density
+from fpk.method import Route
 from fpk.observable import Coordinate, Observable
-from fpk.route import Route
 from fpk.sampled_density import SampledDensity
 
 STYLE: Any = rc_params_from_file(

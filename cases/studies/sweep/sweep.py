@@ -21,8 +21,8 @@ from cases.scene.units import NO_UNITS
 from cases.studies.sweep.answering import REFERENCE_TOL, SIMULATION, sweep_point
 from cases.studies.sweep.grid import parse_axes, place_words
 from cases.studies.sweep.result import PointStore, Sweep, SweepPoint
-from fpk.cores import usable_cores
 from fpk.errors import InvalidInput, NotApplicable
+from fpk.machine import usable_cores
 from fpk.method import Method, Progress, silent
 from fpk.observable import observable_name
 from fpk.recognition import canonical
