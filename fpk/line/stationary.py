@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial.legendre import legvander
 
-from fpk.arrays import SMALLEST, Array, Flags
+from fpk.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.certificate import NEGATIVE, Certificate, Measured, certify, outside
 from fpk.compiling import cached_njit
 from fpk.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
@@ -41,8 +41,6 @@ decades over an element 2 is too little: of 779 chains of 1 to 100 masses at tol
 2e-10 the error at a point was above twice the distance in 8, up to three times it."""
 MOST_ELEMENTS = 20_000
 """Elements beyond which none is cut any more: a solution of so many takes seconds."""
-ROUND_OFF = 4e-16
-"""Relative round-off of p, for each element and for the square of the degree."""
 HALF_WAVE = 4
 """Points at which the distance to the enriched solution is sampled, for each of its half-waves."""
 
@@ -171,7 +169,7 @@ class StationarySolution:
         # Added up from the most massive element outwards: farther out they grow without bound.
         below, above = np.cumsum(steps[:top][::-1])[::-1], np.cumsum(steps[top:])
         relative = self.nodes.size + np.concatenate([below, [0.0], above])
-        error = ROUND_OFF * (most[:, None] + relative[:, None] * p)
+        error = 2.0 * EPS * (most[:, None] + relative[:, None] * p)
         return x.ravel(), (np.log(np.maximum(error, SMALLEST)) - log_T).ravel()
 
 
@@ -256,7 +254,7 @@ def _assembled(
         sides = np.minimum(below, np.maximum(1.0 - below, 0.0) + size)
         moved, accumulated = 2.0 * float(steps @ sides), float(steps.sum())
     estimate = SAFETY * distance + 2.0 * tail + coefficient_error + moved
-    estimate += ROUND_OFF * (size.size + degree**2)
+    estimate += 2.0 * EPS * (size.size + degree**2)  # a sum over elements and functions
     measured = Measured(
         l1_error=estimate,
         mass_defect=abs(float((e.weights * p).sum()) - 1.0),
