@@ -32,10 +32,12 @@ FAILING = {
     ("nonintegrable", "closed-form"): (STIFF, "H", {"tol": 1e-12}),
     ("nonintegrable", "quadrature"): (STIFF, "H", {"tol": 1e-12}),
     ("nonintegrable", "fem"): (STIFF, "H", {"tol": 1e-12}),
+    ("nonintegrable", "scikit-fem"): (STIFF, "H", {"tol": 1e-12}),
     ("linear", "closed-form"): (LINEAR, "H", {"tol": 1e-12}),
     ("integrable", "closed-form"): (LINEAR, "H1", {"tol": 1e-12}),
     ("integrable", "quadrature"): (LINEAR, "H1", {"tol": 1e-12}),
     ("integrable", "fem"): (LINEAR, "H1", {"tol": 1e-12}),
+    ("integrable", "scikit-fem"): (LINEAR, "H1", {"tol": 1e-12}),
     # Unequal temperatures beside a stop: six digits are out of reach.
     ("phase-space", "hermite"): (UNEQUAL, "q2", {"tol": 1e-9, "work": 2e10}),
     # A sample that is too small for the tolerance.
