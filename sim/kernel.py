@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array, Integers
-from fpk.compiling import ROOT, cached_njit, checksum, compiled_laws, law_files
+from fpk.compiled_laws import compiled_laws, law_files
+from fpk.compiling import ROOT, cached_njit, checksum
 from sim.arrays import StepArrays, W, WatchArrays
 from sim.lanes import add, add_matrix, aligned_rows, copy, row, scale_all
 from sim.parts import forces, linear, observed

@@ -25,7 +25,8 @@ from cases.comparison.quantity import parse_definition
 from cases.comparison.routes import listed_routes
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from fpk.compiling import ROOT, compiled_laws
+from fpk.compiled_laws import compiled_laws
+from fpk.compiling import ROOT
 from fpk.contact import Contact
 from fpk.contact_law import LAWS
 from fpk.damping import DampingTerm

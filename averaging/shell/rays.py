@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fpk.arrays import Array, Integers
-from fpk.compiling import cached_njit, checksum, compiled_laws, inlined, law_files, of_law
+from fpk.compiled_laws import compiled_laws, law_files, of_law
+from fpk.compiling import cached_njit, checksum, inlined
 from fpk.quadrature import gauss_legendre
 
 NEAR = 0.01

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from fpk.arrays import Array
-from fpk.compiling import inlined, of_law
+from fpk.compiled_laws import of_law
+from fpk.compiling import inlined
 from sim.arrays import Rows, StepArrays, TermArrays, W
 from sim.lanes import add, add_matrix, add_product, copy, fill, kick, multiply, row
 

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fpk.arrays import Array, Integers
-from fpk.compiling import ROOT, cached_njit, checksum, compiled_laws, inlined, law_files, of_law
+from fpk.compiled_laws import compiled_laws, law_files, of_law
+from fpk.compiling import ROOT, cached_njit, checksum, inlined
 from sim.arrays import StepArrays, WatchArrays
 from sim.kernel import KERNEL, KernelKey, once
 from sim.lanes import kick, row
