@@ -18,12 +18,12 @@ from averaging.conditional import (
 from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.weyl import Part, StateDensity
 from averaging.zero_flux import density_of_energies
-from fpk.arrays import Array
-from fpk.density import Density, certified_density
-from fpk.dynamics import Curve, certified_curve
-from fpk.line.mesh import DEEP_LAYERS, with_layers
-from fpk.observable import Coordinate, Observable
-from fpk.system import System
+from fpk.answer.density import Density, certified_density
+from fpk.answer.dynamics import Curve, certified_curve
+from fpk.answer.observable import Coordinate, Observable
+from fpk.numeric.arrays import Array
+from fpk.solvers.line.mesh import DEEP_LAYERS, with_layers
+from fpk.system.system import System
 
 TIED = 0.2
 """Width of a displacement given another one, relative to its own, below which the joint density is

@@ -12,14 +12,14 @@ from averaging.energy_process import damping_and_noise, damping_by_energy, energ
 from averaging.shell.averages import log_linear_states
 from averaging.weyl import Part, Solution, StateDensity, tabulated
 from averaging.zero_flux import POINTS, ZeroFluxDensity, flux_residual
-from fpk.arrays import EPS, SMALLEST, Array
-from fpk.certificate import Measured
-from fpk.errors import NotApplicable
-from fpk.line.mesh import DEEP_LAYERS, initial_nodes, with_layers
-from fpk.probe import Probe, probed
-from fpk.process import Process
-from fpk.quadrature import panel_rule
-from fpk.system import System
+from fpk.answer.certificate import Measured
+from fpk.numeric.arrays import EPS, SMALLEST, Array
+from fpk.numeric.errors import NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.mesh import DEEP_LAYERS, initial_nodes, with_layers
+from fpk.solvers.probe import Probe, probed
+from fpk.system.process import Process
+from fpk.system.system import System
 
 TAIL = 1e-17
 """Share of the probability beyond the last energy of a closed form."""

@@ -13,11 +13,11 @@ from math import ceil, exp, log2
 
 import numpy as np
 
-from fpk.arrays import Array
-from fpk.contact import Contact
-from fpk.piecewise import Piecewise, fit
-from fpk.quadrature import gauss_legendre
-from fpk.system import System
+from fpk.numeric.arrays import Array
+from fpk.numeric.piecewise import Piecewise, fit
+from fpk.numeric.quadrature import gauss_legendre
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 WIDTHS_PER_PANEL = 1.8
 """Longest panel in units of √(T/a), T the temperature: ten Gauss points integrate exp(−½x²) over it

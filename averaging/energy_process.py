@@ -7,11 +7,11 @@ import numpy as np
 
 from averaging.shell.averages import shell_averages
 from averaging.shell.energy_shell import EnergyShell
-from fpk.arrays import EPS, Array
-from fpk.equivalent import equivalent_temperature
-from fpk.errors import NotApplicable
-from fpk.process import Coefficients, Process
-from fpk.system import System
+from fpk.numeric.arrays import EPS, Array
+from fpk.numeric.errors import NotApplicable
+from fpk.system.equivalent import equivalent_temperature
+from fpk.system.process import Coefficients, Process
+from fpk.system.system import System
 
 
 def damping_and_noise(system: System) -> tuple[float, float]:

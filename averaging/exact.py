@@ -11,12 +11,12 @@ from averaging.closed_form import state_closed_form
 from averaging.energy_process import damping_by_energy, energy_process
 from averaging.theory import Theory, energy_only_refusal
 from averaging.weyl import StateDensity
-from fpk.arrays import SMALLEST, Array
-from fpk.dynamics import CrossingsMethod, Curve, Question
-from fpk.errors import NotApplicable
-from fpk.method import Plan, Progress, Result
-from fpk.observable import Observable
-from fpk.system import System
+from fpk.answer.dynamics import CrossingsMethod, Curve, Question
+from fpk.answer.method import Plan, Progress, Result
+from fpk.answer.observable import Observable
+from fpk.numeric.arrays import SMALLEST, Array
+from fpk.numeric.errors import NotApplicable
+from fpk.system.system import System
 
 PROPORTION_SLACK = 1e-12
 """Relative departure from 2 c = h b that counts as round-off of the input."""

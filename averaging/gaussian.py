@@ -10,15 +10,15 @@ from scipy.linalg import block_diag, eig, expm
 
 from averaging.gaussian_state import Gaussian
 from averaging.theory import Theory, energy_only_refusal
-from fpk.arrays import EPS
-from fpk.certificate import Measured, certify, tolerance
-from fpk.density import Density
-from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
-from fpk.errors import NotApplicable
-from fpk.linear import linear_covariance, stationary_covariance
-from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable
-from fpk.system import System
+from fpk.answer.certificate import Measured, certify, tolerance
+from fpk.answer.density import Density
+from fpk.answer.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
+from fpk.answer.method import Plan, Progress, Result, silent
+from fpk.answer.observable import Coordinate, Observable
+from fpk.numeric.arrays import EPS
+from fpk.numeric.errors import NotApplicable
+from fpk.system.linear import linear_covariance, stationary_covariance
+from fpk.system.system import System
 
 EXPM = 160.0
 """Round-off of e^(At) in units of that of t A, and of the masses: against 50 digits, of 800 lags of

@@ -10,11 +10,11 @@ from math import erfc
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
-from fpk.arrays import EPS, SMALLEST, Array
-from fpk.certificate import Measured
-from fpk.density import Density, certified_density
-from fpk.errors import NotApplicable
-from fpk.observable import Observable, observable_name
+from fpk.answer.certificate import Measured
+from fpk.answer.density import Density, certified_density
+from fpk.answer.observable import Observable, observable_name
+from fpk.numeric.arrays import EPS, SMALLEST, Array
+from fpk.numeric.errors import NotApplicable
 
 REACH = 8.5
 """Half-width of the support in standard deviations."""

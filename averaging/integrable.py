@@ -11,13 +11,18 @@ from averaging.modal.resonance import correlations, nearest_resonance, require_n
 from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
 from averaging.time.start import TOL, DensityQuestion, energy_start
-from fpk.certificate import tolerance
-from fpk.contact_quantities import CLEARANCE_RULE
-from fpk.density import Density
-from fpk.dynamics import CrossingsMethod, Curve, Question, Rates, certified_curve, upcrossings
-from fpk.errors import NotApplicable
-from fpk.escape import require_held
-from fpk.evolution import (
+from fpk.answer.certificate import tolerance
+from fpk.answer.contact_quantities import CLEARANCE_RULE
+from fpk.answer.density import Density
+from fpk.answer.dynamics import (
+    CrossingsMethod,
+    Curve,
+    Question,
+    Rates,
+    certified_curve,
+    upcrossings,
+)
+from fpk.answer.evolution import (
     Passage,
     PassageAsked,
     Passages,
@@ -25,10 +30,12 @@ from fpk.evolution import (
     TransientAsked,
     Transients,
 )
-from fpk.method import Plan, Progress, Result, silent
-from fpk.modulation import require_constant_noise
-from fpk.observable import Coordinate, Observable, observable_name
-from fpk.system import System
+from fpk.answer.method import Plan, Progress, Result, silent
+from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.numeric.errors import NotApplicable
+from fpk.system.escape import require_held
+from fpk.system.modulation import require_constant_noise
+from fpk.system.system import System
 
 
 @dataclass(frozen=True)
@@ -107,7 +114,7 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         )
 
     def _transient(self, asked: TransientAsked) -> Transient:
-        """Return the densities of modal energies at times, as ``fpk.evolution`` says."""
+        """Return the densities of modal energies at times, as ``fpk.answer.evolution`` says."""
         system, wanted = asked.system, tolerance(asked.tol, TOL)
         require_held(system)
         modes = self._in_time(system)

@@ -12,11 +12,9 @@ from averaging.time import energy
 from averaging.time.start import DensityQuestion, energy_start
 from averaging.weyl import StateDensity, tabulated
 from averaging.zero_flux import solved_energies
-from fpk.certificate import tolerance
-from fpk.dynamics import CrossingsMethod, Curve, Question, Rates
-from fpk.errors import NotApplicable
-from fpk.escape import require_held
-from fpk.evolution import (
+from fpk.answer.certificate import tolerance
+from fpk.answer.dynamics import CrossingsMethod, Curve, Question, Rates
+from fpk.answer.evolution import (
     Passage,
     PassageAsked,
     Passages,
@@ -24,12 +22,14 @@ from fpk.evolution import (
     TransientAsked,
     Transients,
 )
-from fpk.line.stationary import StationarySolution
-from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable
-from fpk.plane.solution import PlaneSolution
-from fpk.process import Process
-from fpk.system import System
+from fpk.answer.method import Plan, Progress, Result, silent
+from fpk.answer.observable import Coordinate, Observable
+from fpk.numeric.errors import NotApplicable
+from fpk.solvers.line.stationary import StationarySolution
+from fpk.solvers.plane.solution import PlaneSolution
+from fpk.system.escape import require_held
+from fpk.system.process import Process
+from fpk.system.system import System
 
 Settings = dict[str, str | float | int]
 

@@ -6,11 +6,11 @@ from typing import Any, ClassVar, Self
 
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.laplace import by_lines
-from fpk.certificate import tolerance
-from fpk.errors import InvalidInput
-from fpk.method import ROUTES, Method, Route, Solves, register
-from fpk.observable import Observable, observable_name
-from fpk.system import System
+from fpk.answer.certificate import tolerance
+from fpk.answer.method import ROUTES, Method, Route, Solves, register
+from fpk.answer.observable import Observable, observable_name
+from fpk.numeric.errors import InvalidInput
+from fpk.system.system import System
 
 SMALLEST, LARGEST = 1e-12, 0.1
 """Tolerances that can be asked for: double precision meets none smaller, none larger says much."""

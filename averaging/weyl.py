@@ -10,13 +10,13 @@ import numpy as np
 from scipy.special import gammaincc
 
 from averaging.zero_flux import ZeroFluxDensity
-from fpk.arrays import EPS, SMALLEST, Array
-from fpk.certificate import Measured
-from fpk.line.stationary import StationarySolution
-from fpk.piecewise import Piecewise, interpolated
-from fpk.probe import probed
-from fpk.quadrature import gauss_legendre, panel_rule
-from fpk.system import System
+from fpk.answer.certificate import Measured
+from fpk.numeric.arrays import EPS, SMALLEST, Array
+from fpk.numeric.piecewise import Piecewise, interpolated
+from fpk.numeric.quadrature import gauss_legendre, panel_rule
+from fpk.solvers.line.stationary import StationarySolution
+from fpk.solvers.probe import probed
+from fpk.system.system import System
 
 Function = Callable[[Array], Array]
 Solution = StationarySolution | ZeroFluxDensity

@@ -6,18 +6,18 @@ from functools import partial
 
 import numpy as np
 
-from fpk.arrays import EPS, Array
-from fpk.certificate import Measured
-from fpk.density import Density, certified_density
-from fpk.line.mesh import initial_nodes, split_points
-from fpk.line.stationary import StationarySolution, solve_stationary
-from fpk.observable import Observable
-from fpk.piecewise import fit
-from fpk.plane.solution import PlaneSolution
-from fpk.plane.stationary import solve_plane
-from fpk.probe import probed
-from fpk.process import Coefficients, Process, log_density_slope_error
-from fpk.quadrature import panel_rule
+from fpk.answer.certificate import Measured
+from fpk.answer.density import Density, certified_density
+from fpk.answer.observable import Observable
+from fpk.numeric.arrays import EPS, Array
+from fpk.numeric.piecewise import fit
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.mesh import initial_nodes, split_points
+from fpk.solvers.line.stationary import StationarySolution, solve_stationary
+from fpk.solvers.plane.solution import PlaneSolution
+from fpk.solvers.plane.stationary import solve_plane
+from fpk.solvers.probe import probed
+from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 POINTS = (16, 20)
 """Gauss points per panel of integrals along H, and of the finer rule that tells their error."""
@@ -151,7 +151,7 @@ def solved_energies(
     ``solver`` is "fem", "scikit-fem", or of one energy "quadrature".
     """
     if solver == "scikit-fem":
-        from fpk.operator import solve_by_scikit_fem  # noqa: PLC0415  (scikit-fem takes 0.2 s)
+        from fpk.solvers.operator import solve_by_scikit_fem  # noqa: PLC0415  (scikit-fem takes 0.2 s)
 
         return solve_by_scikit_fem(process, tol=tol)
     if solver == "quadrature":

@@ -7,14 +7,14 @@ from time import perf_counter
 import numpy as np
 from scipy.integrate import quad
 
-from fpk.bins import BinAxis
-from fpk.contact import Contact
-from fpk.observable import parse_observable
-from fpk.system import System
-from sim.ensemble import Ensemble
-from sim.histogram import Histogram
-from sim.schemes import SCHEMES
-from sim.step_size import chosen_step
+from fpk.answer.bins import BinAxis
+from fpk.answer.observable import parse_observable
+from fpk.system.contact import Contact
+from fpk.system.system import System
+from sim.sample.ensemble import Ensemble
+from sim.sample.histogram import Histogram
+from sim.step.schemes import SCHEMES
+from sim.step.step_size import chosen_step
 
 Row = dict[str, str | int | float]
 

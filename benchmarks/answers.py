@@ -1,7 +1,7 @@
 """Save the answers of the program, and compare those of a later version with them.
 
     python benchmarks/answers.py save answers.json
-    python benchmarks/answers.py compare answers.json
+    python benchmarks/answers.py compare answers.json [later.json]
 
 An answer is the exit status and the JSON object of a command, for every command on twelve scenes,
 or the SHA-256 of the densities of a simulation of given seed, step and length, for twelve of them.
@@ -28,8 +28,8 @@ import numpy as np
 
 import fpk
 from cases.commands.app import run_app
-from fpk.method import silent
-from fpk.observable import parse_observable
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
 from sim import MonteCarlo
 
 ROUND_OFF = 1e-10
@@ -204,9 +204,11 @@ def differences(line: str, old: Any, new: Any) -> Iterator[str]:
     before, after = dict(leaves(old)), dict(leaves(new))
     for path in before.keys() ^ after.keys():
         yield f"{path}: only {'before' if path in before else 'now'}"
+    study = "converge" in line
     for path in before.keys() & after.keys():
         a, b = before[path], after[path]
         numbers = all(_is_number(x) or isinstance(x, list) for x in (a, b))
+        key = re.sub(r"\[\d+\]", "", path).rpartition(".")[2]
         if SAMPLED in line or (numbers and ".settings." in path) or ".certificate." in path:
             if not numbers and a != b and path.endswith("certified"):
                 yield f"{path}: {a} -> {b}"
@@ -215,15 +217,18 @@ def differences(line: str, old: Any, new: Any) -> Iterator[str]:
                 yield f"{path}: {a} -> {b}"
         elif np.shape(a) != np.shape(b):
             yield f"{path}: {np.shape(a)} -> {np.shape(b)}"
-        elif path.endswith("error"):
-            if np.any(np.asarray(b) > 2.0 * np.asarray(a) + 1e-14):
-                yield f"{path}: stated error {np.max(a):.1e} -> {np.max(b):.1e}"
+        elif "error" in key or study:
+            # Errors of a study fall to round-off, where they are not the same twice.
+            floor = 1e-9 if study else 1e-14
+            if np.any(np.asarray(b) > 2.0 * np.abs(np.asarray(a)) + floor):
+                yield f"{path}: stated {np.max(a):.1e} -> {np.max(b):.1e}"
         elif np.size(a):
             x, y = np.asarray(a, float), np.asarray(b, float)
-            stem = path.rpartition(".")[2]
-            names = (f"{path}_error", path.removesuffix(stem) + "error")
+            index = path[path.rindex("[") :] if path.endswith("]") else ""
+            stem = path.removesuffix(index).rpartition(".")
+            names = (f"{stem[0]}.{stem[2]}_error{index}", f"{stem[0]}.error{index}")
             error = next((n for n in names if n in before and n in after), None)
-            allowed = ROUND_OFF * np.max(np.abs(x))
+            allowed: Any = ROUND_OFF * np.max(np.abs(x))
             if error and np.shape(before[error]) == np.shape(a):
                 allowed = allowed * 1e-4 + np.asarray(before[error]) + np.asarray(after[error])
             if np.any(np.abs(x - y) > allowed):
@@ -231,19 +236,21 @@ def differences(line: str, old: Any, new: Any) -> Iterator[str]:
 
 
 def main() -> int:
-    """Save answers, or compare."""
+    """Save answers, or compare two files of them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=["save", "compare"])
     parser.add_argument("file", type=Path)
+    parser.add_argument("other", type=Path, nargs="?", help="a later file; left out, all run again")
     parser.add_argument("--of", default="", help="only commands that contain these words")
     asked = parser.parse_args()
-    answers = all_answers(asked.of)
     if asked.what == "save":
-        asked.file.write_text(json.dumps(answers, indent=1))
+        asked.file.write_text(json.dumps(all_answers(asked.of), indent=1))
         return 0
     saved, count = json.loads(asked.file.read_text()), 0
+    later = asked.other.read_text() if asked.other else json.dumps(all_answers(asked.of))
+    answers = json.loads(later)
     for line, new in answers.items():
-        for difference in differences(line, saved[line], json.loads(json.dumps(new))):
+        for difference in differences(line, saved[line], new):
             count += 1
             print(f"{line}\n    {difference}")
     print(f"{len(answers)} answers, {count} differences")

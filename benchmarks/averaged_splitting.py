@@ -1,6 +1,6 @@
 """Splitting of one averaged energy towards a limit, Eqs. (9), (17), whose exact answer is known.
 
-Exact steps of its square-root form; tests judge the algorithm of ``sim.splitting`` by it.
+Exact steps of its square-root form; tests judge the algorithm of ``sim.questions.splitting`` by it.
 """
 
 from dataclasses import dataclass
@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from fpk.arrays import Array, Integers
-from fpk.compiling import ROOT, cached_njit, checksum, inlined
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import silent
-from fpk.process import Process
-from sim.averaged.square_root import SquareRootForm, from_energies, line_form
-from sim.kernel import once
-from sim.random import GOLDEN
-from sim.splitting.kernel import (
+from fpk.answer.method import silent
+from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.process import Process
+from sim.questions.averaged.square_root import SquareRootForm, from_energies, line_form
+from sim.questions.splitting.kernel import (
     LEVELS,
     CompiledReplicas,
     Paths,
@@ -29,10 +27,16 @@ from sim.splitting.kernel import (
     record,
     uniform,
 )
-from sim.splitting.problem import SHARES, ScoreFunction, cost_score, score_table
-from sim.splitting.run import RareFailure, Splitting, failure_of
+from sim.questions.splitting.problem import SHARES, ScoreFunction, cost_score, score_table
+from sim.questions.splitting.run import RareFailure, Splitting, failure_of
+from sim.step.kernel import once
+from sim.step.random import GOLDEN
 
-NAMES = ("sim/random.py", "sim/splitting/kernel.py", "benchmarks/averaged_splitting.py")
+NAMES = (
+    "sim/step/random.py",
+    "sim/questions/splitting/kernel.py",
+    "benchmarks/averaged_splitting.py",
+)
 
 CELLS = 4096
 """Cells of the table of the damping over R = √X up to the limit."""
@@ -87,8 +91,8 @@ def rare_failure_of_process(
 ) -> RareFailure:
     """Return P(T <= ``time``) of an averaged equation of one energy, from the energy ``start``.
 
-    As ``sim.splitting.rare_failure``; the ``score`` is of energies. A ``Process`` is brought to the
-    form by ``line_form``, whose tables are good to 1e-7.
+    As ``sim.questions.splitting.rare_failure``; the ``score`` is of energies. A ``Process`` is
+    brought to the form by ``line_form``, whose tables are good to 1e-7.
     """
     own = settings or Splitting()
     form = line_form(process) if isinstance(process, Process) else process

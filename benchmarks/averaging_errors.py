@@ -24,12 +24,12 @@ from averaging.phase_space.method import PhaseSpace
 from cases.comparison.compare import distance_between
 from cases.comparison.doubt import rms_ratios
 from cases.scene.scene import load_scene
-from fpk.contact import Contact
-from fpk.errors import NotApplicable
-from fpk.linear import natural_modes, stationary_covariance
-from fpk.method import Method
-from fpk.observable import Coordinate, Observable, observable_name
-from fpk.system import System
+from fpk.answer.method import Method
+from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.numeric.errors import NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.linear import natural_modes, stationary_covariance
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 SCENES = ("fig6a", "fig6b", "fig6c", "fig7", "fig8a", "fig8b")

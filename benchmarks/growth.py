@@ -24,9 +24,9 @@ from cases.scene.scene import load_scene
 from cases.studies.converge import measured_ladder
 from cases.studies.equations import energy_equation, modal_equation, solve_on
 from cases.studies.levels import density_of, errors, timed_first, timing
-from fpk.contact import Contact
-from fpk.process import Process
-from fpk.system import System
+from fpk.system.contact import Contact
+from fpk.system.process import Process
+from fpk.system.system import System
 
 MASSES = (2, 5, 10, 20, 50)
 TOLERANCES = tuple(10.0**-k for k in range(2, 13, 2))

@@ -21,12 +21,12 @@ from averaging.energy_process import energy_process
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from cases.studies.levels import timed_first
-from fpk.contact import Contact
-from fpk.density import AnyDensity
-from fpk.ends import classify
-from fpk.method import Method
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.density import AnyDensity
+from fpk.answer.method import Method
+from fpk.answer.observable import parse_observable
+from fpk.system.contact import Contact
+from fpk.system.ends import classify
+from fpk.system.system import System
 
 MASSES = (2, 4, 10, 30)
 

@@ -23,15 +23,15 @@ import numpy as np
 from accuracy import error_against_time
 from report import machine, markdown_table
 
-from fpk.contact import Contact
-from fpk.observable import parse_observable
-from fpk.system import System
-from sim.diagnostics import moment_products
-from sim.ensemble import Ensemble
-from sim.histogram import axis_of, covering
-from sim.plan import step_arrays, with_long_steps
-from sim.schemes import SCHEMES
-from sim.step_size import chosen_step
+from fpk.answer.observable import parse_observable
+from fpk.system.contact import Contact
+from fpk.system.system import System
+from sim.sample.diagnostics import moment_products
+from sim.sample.ensemble import Ensemble
+from sim.sample.histogram import axis_of, covering
+from sim.sample.plan import step_arrays, with_long_steps
+from sim.step.schemes import SCHEMES
+from sim.step.step_size import chosen_step
 
 PATHS, STEPS, REPEATS = 8192, 500, 7
 Row = dict[str, str | int | float]
@@ -141,9 +141,9 @@ def two_threads() -> float:
 
 FIRST_CHUNK = """
 import time
-from fpk.contact import Contact
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.system.contact import Contact
+from fpk.answer.observable import parse_observable
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 start, first = time.perf_counter(), []
 def progress(*_):

@@ -21,12 +21,12 @@ from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
-from fpk.limit import parse_limit
-from fpk.line.time.elements import SAFETY
-from fpk.line.time.passage import first_passage
-from fpk.method import silent
-from fpk.start import REST
-from fpk.system import System
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.start import REST
+from fpk.solvers.line.time.elements import SAFETY
+from fpk.solvers.line.time.passage import first_passage
+from fpk.system.system import System
 
 try:
     from kramers import FirstPassage1D

@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 
 from averaging.energy_process import energy_process
 from averaging.time.energy import square_root
-from fpk.system import System
-from sim.splitting import Splitting
+from fpk.system.system import System
+from sim.questions.splitting import Splitting
 
 TIME, STEP, REPLICAS, RUNS = 100.0, 0.3125, 32, 4
 COLUMNS = ["by", "replicas", "runs", "P", "stated error", "spread", "steps", "seconds"]

@@ -13,7 +13,9 @@ from pytams.tams import TAMS
 
 
 class SquareRootModel(ForwardModelBaseClass):
-    """Exact steps and the score of ``sim.splitting``, the least action; c, D', ... by parameters.
+    """Exact steps and the score of ``sim.questions.splitting``, the least action.
+
+    Parameters are c, D', ...
 
     The score knows the maximum between two steps, by a bridge. It grows beyond the limit: where all
     paths have one score pyTAMS looks for a parent that is not least, for ever.

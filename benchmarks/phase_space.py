@@ -23,11 +23,11 @@ from averaging.exact import Exact
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import MEMORY
 from cases.comparison.compare import chance_l1, joined
-from fpk.contact import Contact
-from fpk.density import Density, l1_distance
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
+from fpk.answer.density import Density, l1_distance
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 TOL = 1e-4

@@ -22,10 +22,10 @@ from report import machine, markdown_table
 
 from averaging.modal.analysis import modal_analysis
 from cases.scene.scene import load_scene
-from fpk.plane.solution import PlaneSolution
-from fpk.plane.stationary import solve_plane
-from fpk.process import Coefficients, Process
-from fpk.quadrature import panel_rule
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.plane.solution import PlaneSolution
+from fpk.solvers.plane.stationary import solve_plane
+from fpk.system.process import Coefficients, Process
 
 REPEATS = 5
 LONGEST = 1.0

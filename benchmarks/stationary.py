@@ -26,9 +26,9 @@ from averaging.closed_form import averaged_density
 from averaging.energy_process import energy_process
 from averaging.zero_flux import solve_by_quadrature
 from cases.scene.scene import load_scene
-from fpk.line.stationary import solve_stationary
-from fpk.quadrature import panel_rule
-from fpk.system import System
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.stationary import solve_stationary
+from fpk.system.system import System
 
 Array = NDArray[np.float64]
 REPEATS = 41

@@ -8,12 +8,12 @@ from cases.comparison.compare import Comparison
 from cases.comparison.routes import all_methods, method_for
 from cases.comparison.stationary import answers_of
 from cases.scene.scene import load_scene
-from fpk.contact_quantities import joint_at_stops
-from fpk.density import AnyDensity
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import Method
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.contact_quantities import joint_at_stops
+from fpk.answer.density import AnyDensity
+from fpk.answer.method import Method
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.system import System
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

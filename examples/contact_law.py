@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import fpk
-from fpk.contact_law import ContactLaw, register
+from fpk.system.contact_law import ContactLaw, register
 
 register(
     ContactLaw(

@@ -12,8 +12,8 @@ import numpy as np
 import fpk
 from averaging import NonIntegrable
 from averaging.energy_process import energy_process
-from fpk.density import l1_distance
-from fpk.line.stationary import solve_on_mesh
+from fpk.answer.density import l1_distance
+from fpk.solvers.line.stationary import solve_on_mesh
 
 system = fpk.load("fig6a").system
 process = energy_process(system)

@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import fpk
-from fpk.density import l1_distance
+from fpk.answer.density import l1_distance
 
 system = fpk.System([1, 1, 1], [1, 2, 1], [0.08, 0.04, 0.02], [0.01, 0.02, 0.02])
 methods = ["linear", "nonintegrable/closed-form", "integrable/closed-form"]

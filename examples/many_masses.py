@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import fpk
-from fpk.density import l1_distance
+from fpk.answer.density import l1_distance
 
 figure, axes = plt.subplots()
 for n in (1, 2, 5, 10, 30):

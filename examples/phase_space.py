@@ -12,7 +12,7 @@ import numpy as np
 
 import fpk
 from averaging import PhaseSpace
-from fpk.density import l1_distance
+from fpk.answer.density import l1_distance
 from sim import MonteCarlo
 
 stop = fpk.Contact(mass=2, side="both", stiffness=2.0, clearance=0.5)

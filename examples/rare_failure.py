@@ -12,9 +12,9 @@ import numpy as np
 
 import fpk
 from averaging import NonIntegrable
-from fpk.limit import parse_limit
-from fpk.start import REST
-from sim.splitting import Splitting, rare_failure
+from fpk.answer.limit import parse_limit
+from fpk.answer.start import REST
+from sim.questions.splitting import Splitting, rare_failure
 
 system = fpk.System([1.0], [1.0], [0.05], [0.025])
 settings = Splitting(256, repetitions=32, seed=11)

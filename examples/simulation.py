@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import fpk
-from fpk.density import l1_distance
+from fpk.answer.density import l1_distance
 from sim.montecarlo import MonteCarlo
 
 system = fpk.System([1.0], [1.0], [0.1], [0.05])

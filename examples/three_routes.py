@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import fpk
-from fpk.density import l1_distance
+from fpk.answer.density import l1_distance
 from sim import MonteCarlo
 
 system = fpk.load("fig6a").system

@@ -29,22 +29,22 @@ if TYPE_CHECKING:
     from cases.api import plot as plot
     from cases.api import solve as solve
     from cases.studies.sweep.sweep import sweep as sweep
-    from fpk.contact import Contact as Contact
-    from fpk.damping import DampingTerm as DampingTerm
-    from fpk.density import Density as Density
-    from fpk.errors import InvalidInput as InvalidInput
-    from fpk.errors import NotApplicable as NotApplicable
-    from fpk.errors import NotCertified as NotCertified
-    from fpk.system import System as System
+    from fpk.answer.density import Density as Density
+    from fpk.numeric.errors import InvalidInput as InvalidInput
+    from fpk.numeric.errors import NotApplicable as NotApplicable
+    from fpk.numeric.errors import NotCertified as NotCertified
+    from fpk.system.contact import Contact as Contact
+    from fpk.system.damping import DampingTerm as DampingTerm
+    from fpk.system.system import System as System
 
 _HOME = {
     name: module
     for module, names in {
-        "fpk.contact": "Contact",
-        "fpk.damping": "DampingTerm",
-        "fpk.density": "Density",
-        "fpk.errors": "InvalidInput NotApplicable NotCertified",
-        "fpk.system": "System",
+        "fpk.system.contact": "Contact",
+        "fpk.system.damping": "DampingTerm",
+        "fpk.answer.density": "Density",
+        "fpk.numeric.errors": "InvalidInput NotApplicable NotCertified",
+        "fpk.system.system": "System",
         "cases.api": "compare load plot solve",
         "cases.studies.sweep.sweep": "sweep",
     }.items()

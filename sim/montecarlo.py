@@ -6,12 +6,19 @@ The questions are imported by those who ask: they compile code, and need what co
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from fpk.dynamics import Curve, Question, StationaryMotionMethod
-from fpk.evolution import Passage, PassageAsked, Passages, Transient, TransientAsked, Transients
-from fpk.method import ROUTES, Plan, Progress, Result, Route, register
-from fpk.observable import Observable
-from fpk.system import System
-from sim.settings import Settings, require_stationary
+from fpk.answer.dynamics import Curve, Question, StationaryMotionMethod
+from fpk.answer.evolution import (
+    Passage,
+    PassageAsked,
+    Passages,
+    Transient,
+    TransientAsked,
+    Transients,
+)
+from fpk.answer.method import ROUTES, Plan, Progress, Result, Route, register
+from fpk.answer.observable import Observable
+from fpk.system.system import System
+from sim.sample.settings import Settings, require_stationary
 
 
 @dataclass(frozen=True)
@@ -61,39 +68,39 @@ class MonteCarlo(Settings, StationaryMotionMethod, Transients, Passages):
         def solve(
             observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
         ) -> Result:
-            from sim.simulation import run
+            from sim.sample.simulation import run
 
             return run(self, system, observables, progress, beside=beside)
 
         return Plan(lambda _: None, lambda observables, p: solve(observables, (), p), solve)
 
     def _passage(self, asked: PassageAsked) -> Passage:
-        """Return first passage: Brownian bridges or cubics between steps; see ``sim.motion``."""
-        from sim.motion.passage import passage
+        """Return first passage: Brownian bridges or cubics between steps; see ``sim.questions``."""
+        from sim.questions.passage import passage
 
         return passage(self, asked)
 
     def _transient(self, asked: TransientAsked) -> Transient:
-        """Return densities at ``times`` from histograms of an ensemble; see ``sim.motion``."""
-        from sim.motion.transient import transient
+        """Return densities at ``times`` from histograms of an ensemble; see ``sim.questions``."""
+        from sim.questions.transient import transient
 
         return transient(self, asked)
 
     def _crossings(self, asked: Question) -> Curve:
-        """Return upcrossing rates, counted between steps too; see ``sim.motion``."""
-        from sim.motion.curves import crossings
+        """Return upcrossing rates, counted between steps too; see ``sim.questions``."""
+        from sim.questions.curves import crossings
 
         return crossings(self, asked)
 
     def _spectrum(self, asked: Question) -> Curve:
-        """Return power spectral densities by Welch's method; see ``sim.motion``."""
-        from sim.motion.curves import spectrum
+        """Return power spectral densities by Welch's method; see ``sim.questions``."""
+        from sim.questions.curves import spectrum
 
         return spectrum(self, asked)
 
     def _correlation(self, asked: Question) -> Curve:
-        """Return autocovariances from products at a distance in time; see ``sim.motion``."""
-        from sim.motion.curves import correlation
+        """Return autocovariances from products at a distance in time; see ``sim.questions``."""
+        from sim.questions.curves import correlation
 
         return correlation(self, asked)
 

@@ -1,6 +1,6 @@
 """Diffusion processes given by functions, for tests of several rooms."""
 
-from fpk.process import Coefficients, Process
+from fpk.system.process import Coefficients, Process
 
 
 def process_of(drift, diffusion, divergence, energy_scales):

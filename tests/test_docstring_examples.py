@@ -21,12 +21,12 @@ from cases.comparison.stationary import run_scene
 from cases.output.fields import write_netcdf
 from cases.output.vtk import write_vtu
 from cases.scene.scene import shipped_scenes
-from fpk.contact_law import LAWS, ContactLaw, register
-from fpk.contact_quantities import contact_quantities
-from fpk.limit import parse_limit
-from fpk.observable import parse_observable
-from fpk.start import REST, parse_start
-from sim.splitting import Splitting, rare_failure
+from fpk.answer.contact_quantities import contact_quantities
+from fpk.answer.limit import parse_limit
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import REST, parse_start
+from fpk.system.contact_law import LAWS, ContactLaw, register
+from sim.questions.splitting import Splitting, rare_failure
 
 PAGE = (Path(__file__).parent.parent / "docs" / "api.md").read_text(encoding="utf-8")
 ENTRY = re.compile(
@@ -36,9 +36,9 @@ MEMBERS = {name: [m for m in members.split(", ") if m] for name, members in ENTR
 SLOW = (
     "averaging.PhaseSpace",
     "sim.MonteCarlo",
-    "sim.splitting.rare_failure",
-    "sim.splitting.RareFailure",
-    "fpk.sampled_density.SampledDensity",
+    "sim.questions.splitting.rare_failure",
+    "sim.questions.splitting.RareFailure",
+    "fpk.answer.sampled_density.SampledDensity",
 )
 
 

@@ -25,11 +25,14 @@ from cases.scene import schema
 from cases.studies import converge_page, cost_page, levels, orders
 from cases.studies.orders import grid_convergence
 from cases.studies.sweep import answering as sweep_answering
-from fpk import bins, contact_quantities, contour, damping, field
-from fpk.errors import InvalidInput
-from sim import checkpoint, diagnostics, histogram, plan, settings, step_size
-from sim.motion import curves, failure_times
-from sim.splitting import run as splitting
+from fpk.answer import bins, contact_quantities, field
+from fpk.numeric.errors import InvalidInput
+from fpk.solvers import contour
+from fpk.system import damping
+from sim.questions import curves, failure_times
+from sim.questions.splitting import run as splitting
+from sim.sample import checkpoint, diagnostics, histogram, plan, settings
+from sim.step import step_size
 
 ROOT = Path(__file__).parent.parent
 THEORY = ROOT / "docs" / "theory.md"
@@ -176,7 +179,7 @@ CONSTANTS = {
         f"about ${step_size.BIAS}\\,X^e$ of itself",
         f"up to about ${step_size.JOINT_BIAS}\\,X$ of itself",
         f"each pair of normals lies in a disc of radius {plan.LARGEST_NORMAL:.2f}",
-        f"disc of radius {plan.LARGEST_NORMAL:.2f}: `sim/plan.py",
+        f"disc of radius {plan.LARGEST_NORMAL:.2f}: `sim/sample/plan.py",
         f"$a \\ge {plan.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
         f"clearance > {contact_quantities.CLEARANCE_RULE:g} rms",
         f"one serves all times within a factor {contour.SPREAD:g}",

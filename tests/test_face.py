@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fpk
-from fpk.density import Density
+from fpk.answer.density import Density
 
 
 def small_system():

@@ -38,7 +38,7 @@ def test_members_are_linked_where_they_are_defined(tmp_path):
 
 
 def test_a_name_without_links_is_told(tmp_path):
-    line, lacking = links_of("fpk.machine.usable_cores", tmp_path)
+    line, lacking = links_of("fpk.numeric.machine.usable_cores", tmp_path)
     assert (line, lacking) == ("", "no example in the gallery and no equation and no section")
     used = tmp_path / "gallery" / "backreferences"
     used.mkdir(parents=True)

@@ -18,34 +18,34 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
 import fpk
-import sim.kernel
-import sim.splitting.kernel
+import sim.questions.splitting.kernel
+import sim.step.kernel
 from cases.commands import parts
 from cases.comparison.quantity import parse_definition
 from cases.comparison.routes import listed_routes
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from fpk.compiled_laws import compiled_laws
-from fpk.compiling import ROOT
-from fpk.contact import Contact
-from fpk.contact_law import LAWS
-from fpk.damping import DampingTerm
-from fpk.errors import InvalidInput
-from fpk.limit import parse_limit
-from fpk.method import silent
-from fpk.modulation import Modulation
-from fpk.observable import parse_observable
-from fpk.recognition import REGISTRY, canonical, fingerprint
-from fpk.start import parse_start
-from fpk.system import System
-from sim.checkpoint import PROGRAM, program_checksum
-from sim.histogram import Histogram, binned
-from sim.kernel import KernelKey
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import parse_start
+from fpk.numeric.compiling import ROOT
+from fpk.numeric.errors import InvalidInput
+from fpk.numeric.recognition import REGISTRY, canonical, fingerprint
+from fpk.system.compiled_laws import compiled_laws
+from fpk.system.contact import Contact
+from fpk.system.contact_law import LAWS
+from fpk.system.damping import DampingTerm
+from fpk.system.modulation import Modulation
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.settings import ANYWHERE, NOT_IN_STATE
-from sim.setup import setup_of
-from sim.splitting.problem import system_problem
-from sim.splitting.run import NOT_IN_REPETITION, Splitting, failure_of
+from sim.questions.splitting.problem import system_problem
+from sim.questions.splitting.run import NOT_IN_REPETITION, Splitting, failure_of
+from sim.sample.checkpoint import PROGRAM, program_checksum
+from sim.sample.histogram import Histogram, binned
+from sim.sample.settings import ANYWHERE, NOT_IN_STATE
+from sim.sample.setup import setup_of
+from sim.step.kernel import KernelKey
 
 SYSTEM = System(
     [1.0, 2.0], [1.0, 3.0], [[0.2, 0.0], [0.0, 0.4]], [0.1, 0.2], [[1.0, 0.0], [0.0, 1.0]],
@@ -197,7 +197,7 @@ class Asked(Exception):
 
 
 def test_a_repetition_is_that_of_a_problem_equal_in_all_that_matters(monkeypatch):
-    original = sim.splitting.run.checkpoint_of
+    original = sim.questions.splitting.run.checkpoint_of
 
     def asked_for(folder, *about, **less):
         raise Asked(original(Path("any"), *about, **less).identity)
@@ -207,8 +207,8 @@ def test_a_repetition_is_that_of_a_problem_equal_in_all_that_matters(monkeypatch
             failure_of(problem, settings, silent)
         return str(asked.value)
 
-    monkeypatch.setattr("sim.splitting.run.checkpoint_of", asked_for)
-    monkeypatch.setattr("sim.checkpoint.program_checksum", lambda: 1)
+    monkeypatch.setattr("sim.questions.splitting.run.checkpoint_of", asked_for)
+    monkeypatch.setattr("sim.sample.checkpoint.program_checksum", lambda: 1)
     limit, start = parse_limit("H=2", 2), parse_start("q1=0.1", STEADY)
     problem = system_problem(STEADY, limit, start, 5.0, dt=0.1, score=None)
     score = problem.score._replace(table=problem.score.table[:, ::32, ::32])
@@ -321,8 +321,8 @@ UNREAD_BY_PATHS = {
 
 @pytest.mark.parametrize(
     ("compiled", "unread"),
-    [(sim.kernel.compiled_kernel, set()),
-     (lambda key: sim.splitting.kernel.compiled_paths(key, "H"), UNREAD_BY_PATHS)],
+    [(sim.step.kernel.compiled_kernel, set()),
+     (lambda key: sim.questions.splitting.kernel.compiled_paths(key, "H"), UNREAD_BY_PATHS)],
 )  # fmt: skip
 def test_compiled_code_is_found_by_every_field_of_its_key(compiled, unread):
     """The disk cache finds it by what it closes over."""

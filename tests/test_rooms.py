@@ -69,3 +69,67 @@ def test_imports_by_name_point_down(room):
 
 def test_an_upward_import_by_name_is_seen():
     assert rooms_imported_by_name("importlib.import_module('cases.api')") == {"cases"}
+
+
+INSIDE = {
+    "fpk": ("numeric", "system", "answer", "solvers"),
+    "sim": ("step", "sample", "questions"),
+}
+"""Rooms of a package: each imports from those before it, and from itself."""
+
+
+def modules(*packages):
+    """Each module of the packages by name, with the names that it imports, late ones included."""
+    found = {}
+    for package in packages:
+        for file in (ROOT / package).rglob("*.py"):
+            parts = file.relative_to(ROOT).with_suffix("").parts
+            name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+            found[name] = set()
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    found[name] |= {alias.name for alias in node.names}
+                elif isinstance(node, ast.ImportFrom):
+                    found[name] |= {f"{node.module}.{alias.name}" for alias in node.names}
+                    found[name].add(node.module)
+    return found
+
+
+@pytest.mark.parametrize("package", INSIDE)
+def test_rooms_inside_a_package_import_from_those_before(package):
+    rooms = INSIDE[package]
+    for name, imported in modules(package).items():
+        own = name.split(".")[1] if "." in name else None
+        if own not in rooms:
+            continue
+        for other in imported:
+            parts = other.split(".")
+            if parts[0] == package and len(parts) > 1 and parts[1] in rooms:
+                assert rooms.index(parts[1]) <= rooms.index(own), f"{name} imports {other}"
+
+
+def circles(graph):
+    """Names that reach themselves by the names that they lead to."""
+
+    def reached(start):
+        seen, left = set(), [start]
+        while left:
+            for name in graph.get(left.pop(), ()):
+                if name in graph and name not in seen:
+                    seen.add(name)
+                    left.append(name)
+        return seen
+
+    return {name for name in graph if name in reached(name)}
+
+
+def test_no_files_import_each_other():
+    graph = modules("fpk", "averaging", "sim")
+    graph = {name: {m for m in imported if m in graph} for name, imported in graph.items()}
+    for name, imported in graph.items():  # a package is no part of what is in it
+        imported -= {m for m in imported if name == m or name.startswith(f"{m}.")}
+    assert circles(graph) == set()
+
+
+def test_a_circle_is_seen():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == {"b", "c"}

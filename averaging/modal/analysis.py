@@ -12,15 +12,15 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import factorial
 
-from fpk.arrays import EPS, Array, Integers
-from fpk.damping import DampingTerm
-from fpk.ends import require_confined
-from fpk.equivalent import equivalent_temperature
-from fpk.errors import NotApplicable, NotCertified
-from fpk.linear import natural_modes
-from fpk.probe import probed
-from fpk.process import Coefficients, Process
-from fpk.system import System
+from fpk.numeric.arrays import EPS, Array, Integers
+from fpk.numeric.errors import NotApplicable, NotCertified
+from fpk.solvers.probe import probed
+from fpk.system.damping import DampingTerm
+from fpk.system.ends import require_confined
+from fpk.system.equivalent import equivalent_temperature
+from fpk.system.linear import natural_modes
+from fpk.system.process import Coefficients, Process
+from fpk.system.system import System
 
 NEGLIGIBLE = 1e-12
 """Share of the terms added up in a coefficient below which it is their round-off, so zero."""

@@ -10,11 +10,11 @@ from scipy.special import j0
 
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
-from fpk.arrays import CHUNK, EPS, Array
-from fpk.certificate import Measured, outside, worst
-from fpk.density import Density, certified_density
-from fpk.observable import Observable
-from fpk.quadrature import panel_rule
+from fpk.answer.certificate import Measured, outside, worst
+from fpk.answer.density import Density, certified_density
+from fpk.answer.observable import Observable
+from fpk.numeric.arrays import CHUNK, EPS, Array
+from fpk.numeric.quadrature import panel_rule
 
 POINTS = 24
 """Gauss points per panel where an energy is integrated out: over three e-folds they miss 1e-30."""
@@ -29,7 +29,7 @@ BEYOND = 3.0
 1/(√2 − 1) = 2.4, rounded up, where |φ| falls as s^-2, and less where it falls faster."""
 PHASE = {1: 30.0, 2: 16.0}
 """Largest phase of a wave over one panel, in radians, by the number of coordinates: the rules of
-``fpk.density`` (20 and 12 points) integrate such a wave to 1e-9."""
+``fpk.answer.density`` (20 and 12 points) integrate such a wave to 1e-9."""
 HALF_PANELS = (4.0, 400.0)
 """Least and largest number of panels of an axis on either side of 0."""
 

@@ -19,13 +19,13 @@ from averaging.zero_flux import (
     flux_residual,
     solved_energies,
 )
-from fpk.arrays import CHUNK, Array
-from fpk.density import Density, certified_density
-from fpk.line.stationary import StationarySolution
-from fpk.observable import Coordinate, Observable
-from fpk.piecewise import fit
-from fpk.plane.solution import PlaneSolution
-from fpk.quadrature import panel_rule
+from fpk.answer.density import Density, certified_density
+from fpk.answer.observable import Coordinate, Observable
+from fpk.numeric.arrays import CHUNK, Array
+from fpk.numeric.piecewise import fit
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.stationary import StationarySolution
+from fpk.solvers.plane.solution import PlaneSolution
 
 Group = tuple[int, ...]
 BY_ELEMENTS = ("fem", "scikit-fem")

@@ -7,10 +7,10 @@ from math import factorial, prod
 import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
-from fpk.arrays import Array, Integers
-from fpk.damping import gaussian_moment
-from fpk.errors import NotApplicable
-from fpk.system import System
+from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.errors import NotApplicable
+from fpk.system.damping import gaussian_moment
+from fpk.system.system import System
 
 ORDER = 4
 """Σ|l_i| up to which resonances are searched. Averages of v_i v_j hold the frequencies

@@ -11,11 +11,11 @@ from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.equation.space import Matrix, space_to
 from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.refinement import ROUND_OFF, SAFETY, Ladder
-from fpk.arrays import Array
-from fpk.certificate import Measured
-from fpk.density import Density, certified_density
-from fpk.method import Identity
-from fpk.observable import Coordinate, Observable, observable_name
+from fpk.answer.certificate import Measured
+from fpk.answer.density import Density, certified_density
+from fpk.answer.method import Identity
+from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.numeric.arrays import Array
 
 GRID = {1: 721, 2: 181}
 """Points of an axis at which the distance to the coarser solution is sampled, by the axes."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.numeric.arrays import Array
 
 VECTORS, EVERY = 160, 10
 """Most vectors of a space that solves equations: with more, making them orthogonal takes as long as

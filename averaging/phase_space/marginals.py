@@ -7,9 +7,9 @@ from math import ceil
 import numpy as np
 
 from averaging.phase_space.equation.elimination import Expansion
-from fpk.arrays import Array
-from fpk.observable import Coordinate, Observable
-from fpk.quadrature import GAUSS_POINTS
+from fpk.answer.observable import Coordinate, Observable
+from fpk.numeric.arrays import Array
+from fpk.numeric.quadrature import GAUSS_POINTS
 
 REACH = 9.0
 """Half-width of the support of a density in its standard deviations: 2e-19 of a Gaussian is out."""

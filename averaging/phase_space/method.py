@@ -32,14 +32,14 @@ from averaging.phase_space.refinement import (
     ladders,
 )
 from averaging.theory import Theory
-from fpk.certificate import Measured, certify, tolerance
-from fpk.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.escape import require_held
-from fpk.evolution import Passage, PassageAsked, Passages
-from fpk.method import Plan, Progress, Result, silent
-from fpk.observable import Coordinate, Observable, observable_name
-from fpk.system import System
+from fpk.answer.certificate import Measured, certify, tolerance
+from fpk.answer.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
+from fpk.answer.evolution import Passage, PassageAsked, Passages
+from fpk.answer.method import Plan, Progress, Result, silent
+from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.escape import require_held
+from fpk.system.system import System
 
 MOST_MASSES = 3
 """Masses beyond which the lowest degrees that say anything fill the memory."""

@@ -13,10 +13,10 @@ from averaging.phase_space.equation.elimination import CONVERGED, Expansion, cos
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.reference import fitted, start
-from fpk.machine import usable_cores
-from fpk.method import Progress, silent
-from fpk.observable import Coordinate, Observable
-from fpk.quadrature import gauss_grid, integral
+from fpk.answer.method import Progress, silent
+from fpk.answer.observable import Coordinate, Observable
+from fpk.numeric.machine import usable_cores
+from fpk.numeric.quadrature import gauss_grid, integral
 
 SAFETY = 2.5
 """Factor on the error that follows from distances between solutions. Without it, of 56 errors of

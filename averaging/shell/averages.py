@@ -15,10 +15,10 @@ from scipy.special import beta
 from averaging.shell.energy_shell import TARGET, EnergyShell
 from averaging.shell.laplace import PartitionLines, by_lines
 from averaging.shell.parts import ROUND_OFF, parts_of
-from fpk.arrays import EPS, Array
-from fpk.piecewise import Piecewise, fit
-from fpk.quadrature import panel_rule
-from fpk.system import System
+from fpk.numeric.arrays import EPS, Array
+from fpk.numeric.piecewise import Piecewise, fit
+from fpk.numeric.quadrature import panel_rule
+from fpk.system.system import System
 
 TARGETS = (8e-13, 3e-14)
 """Disagreement of two rules, for n = 1 and more, that ends the refinement of the power over one

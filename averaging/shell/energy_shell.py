@@ -15,9 +15,9 @@ import scipy  # its parts are loaded at their first use: scipy.optimize takes lo
 
 from averaging.conditional import conditionals
 from averaging.shell.rays import Stops, gauss_rules, ray_integrals
-from fpk.arrays import Array, Integers
-from fpk.quadrature import gauss_legendre
-from fpk.system import System, looks_the_same_mirrored
+from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.quadrature import gauss_legendre
+from fpk.system.system import System, looks_the_same_mirrored
 
 SAME = 1e-11
 """Relative distance below which two energies are one: mirror images differ by roundings, minima

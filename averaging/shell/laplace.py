@@ -22,11 +22,11 @@ from scipy.special import erfc, gammaln
 from averaging.conditional import DEPTH, WIDTHS_PER_PANEL, conditionals, stop_panels
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.parts import parts_of
-from fpk.arrays import EPS, Array, Complexes
-from fpk.compiling import cached_njit
-from fpk.errors import NotApplicable
-from fpk.quadrature import panel_rule
-from fpk.system import System
+from fpk.numeric.arrays import EPS, Array, Complexes
+from fpk.numeric.compiling import cached_njit
+from fpk.numeric.errors import NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.system.system import System
 
 POINTS = (15, 16)
 """Gauss points per panel, of the rule that estimates the error and of the answer."""

@@ -10,9 +10,9 @@ from scipy.special import gammaln
 
 from averaging.conditional import bridge_covariance, conditional
 from averaging.shell.energy_shell import Combine, EnergyShell
-from fpk.arrays import Array, Integers
-from fpk.damping import gaussian_moment
-from fpk.system import System
+from fpk.numeric.arrays import Array, Integers
+from fpk.system.damping import gaussian_moment
+from fpk.system.system import System
 
 ROUND_OFF = 1e-14
 """Relative error, to the sum of absolute values, of some dozens of Gaussian moments and factors."""

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fpk.arrays import Array, Integers
-from fpk.compiled_laws import compiled_laws, law_files, of_law
-from fpk.compiling import cached_njit, checksum, inlined
-from fpk.quadrature import gauss_legendre
+from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.compiling import cached_njit, checksum, inlined
+from fpk.numeric.quadrature import gauss_legendre
+from fpk.system.compiled_laws import compiled_laws, law_files, of_law
 
 NEAR = 0.01
 """Difference of overlap, relative to the overlap, below which that of the contact energy is taken

@@ -14,19 +14,19 @@ from averaging.gaussian_state import state_rows
 from averaging.modal.time.closed_form import orbit_transient
 from averaging.time.start import FROM_NOISE, DensityQuestion, EnergyStart
 from averaging.time.states import state_transient
-from fpk.arrays import Array
-from fpk.dynamics import Rates
-from fpk.errors import NotApplicable
-from fpk.evolution import Passage, Transient, checked_times
-from fpk.line.time.modulated import Modulated, modulated_transient, modulated_transition
-from fpk.line.time.passage import fem_passage, modulated_passage
-from fpk.line.time.spectrum import spectrum
-from fpk.line.time.transition import Source, transition
-from fpk.modulation import ROUND_OFF, require_constant_noise
-from fpk.observable import Coordinate
-from fpk.process import Process
-from fpk.square_root import SquareRoot
-from fpk.system import System
+from fpk.answer.dynamics import Rates
+from fpk.answer.evolution import Passage, Transient, checked_times
+from fpk.answer.observable import Coordinate
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotApplicable
+from fpk.solvers.line.time.modulated import Modulated, modulated_transient, modulated_transition
+from fpk.solvers.line.time.passage import fem_passage, modulated_passage
+from fpk.solvers.line.time.spectrum import spectrum
+from fpk.solvers.line.time.transition import Source, transition
+from fpk.solvers.square_root import SquareRoot
+from fpk.system.modulation import ROUND_OFF, require_constant_noise
+from fpk.system.process import Process
+from fpk.system.system import System
 
 
 def transient(system: System, solver: str, asked: DensityQuestion) -> Transient:

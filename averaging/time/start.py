@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
-from fpk.arrays import Array
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.limit import Limit
-from fpk.observable import Observable, number_text, observable_name
-from fpk.start import Start
-from fpk.system import System
+from fpk.answer.limit import Limit
+from fpk.answer.observable import Observable, number_text, observable_name
+from fpk.answer.start import Start
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.system import System
 
 FROM_NOISE = "from a stationary state first passage has no closed form; use fem"
 TOL = 1e-8

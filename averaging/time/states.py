@@ -16,17 +16,17 @@ from averaging.back_transformation import observed_energy, reduced
 from averaging.conditional import Conditional
 from averaging.time.start import DensityQuestion
 from averaging.weyl import weyl_integral
-from fpk.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
-from fpk.certificate import certify
-from fpk.errors import NotApplicable
-from fpk.evolution import Transient
-from fpk.line.mesh import with_layers
-from fpk.line.time.elements import SAFETY
-from fpk.line.time.transition import Transition
-from fpk.observable import observable_name
-from fpk.piecewise import Piecewise, interpolated
-from fpk.quadrature import gauss_legendre, panel_rule
-from fpk.system import System
+from fpk.answer.certificate import certify
+from fpk.answer.evolution import Transient
+from fpk.answer.observable import observable_name
+from fpk.numeric.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
+from fpk.numeric.errors import NotApplicable
+from fpk.numeric.piecewise import Piecewise, interpolated
+from fpk.numeric.quadrature import gauss_legendre, panel_rule
+from fpk.solvers.line.mesh import with_layers
+from fpk.solvers.line.time.elements import SAFETY
+from fpk.solvers.line.time.transition import Transition
+from fpk.system.system import System
 
 RULES = (10, 14)
 """Gauss points a panel over a hidden contact mass; the distance of the two is the error."""

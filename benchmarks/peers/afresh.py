@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 from cases.scene.scene import load_scene
-from fpk.system import System
+from fpk.system.system import System
 
 
 @lru_cache

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from fpk.process import Coefficients, Process
+from fpk.system.process import Coefficients, Process
 
 Array = NDArray[np.float64]
 

@@ -19,10 +19,10 @@ from problems import ALPHA, DAMPING, NOISE, PROBLEMS
 
 from averaging.energy_process import energy_process
 from averaging.zero_flux import solve_by_quadrature
-from fpk.line.stationary import solve_stationary
-from fpk.plane.stationary import solve_plane
-from fpk.process import Coefficients, Process
-from fpk.quadrature import panel_rule
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.stationary import solve_stationary
+from fpk.solvers.plane.stationary import solve_plane
+from fpk.system.process import Coefficients, Process
 
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 PROCESS = "hp from the averaged process on"

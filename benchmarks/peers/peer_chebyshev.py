@@ -17,7 +17,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from problems import PROBLEMS
 
-from fpk.quadrature import panel_rule
+from fpk.numeric.quadrature import panel_rule
 
 JUDGED = 24
 """Gauss points on each of the panels on which an answer is judged."""

@@ -17,7 +17,7 @@ from measure import Sampled, Setting, measure_all  # first: NumPy then has one t
 import numpy as np
 from problems import PROBLEMS
 
-from fpk.quadrature import panel_rule
+from fpk.numeric.quadrature import panel_rule
 
 ngs = need("ngsolve")
 need("ngsolve.comp")

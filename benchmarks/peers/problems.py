@@ -19,10 +19,10 @@ from vanderpol import Averaged
 from averaging.closed_form import averaged_density
 from averaging.modal.analysis import modal_analysis
 from averaging.weyl import Solution
-from fpk.contact import Contact
-from fpk.process import Process
-from fpk.quadrature import gauss_legendre, panel_rule
-from fpk.system import System
+from fpk.numeric.quadrature import gauss_legendre, panel_rule
+from fpk.system.contact import Contact
+from fpk.system.process import Process
+from fpk.system.system import System
 
 Array = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from afresh import afresh
 from numpy.typing import NDArray
 
 from averaging.modal.analysis import modal_analysis
-from fpk.plane.solution import PlaneSolution
-from fpk.plane.stationary import solve_by_elements
-from fpk.plane.weight import probed
-from fpk.process import Process
-from fpk.quadrature import panel_rule
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.plane.solution import PlaneSolution
+from fpk.solvers.plane.stationary import solve_by_elements
+from fpk.solvers.plane.weight import probed
+from fpk.system.process import Process
 
 Array = NDArray[np.float64]
 

@@ -27,11 +27,11 @@ from trial import (  # first: it knows the way to ``installed``
 
 from installed import version_of
 
-from fpk.bins import BinAxis
-from fpk.observable import parse_observable
-from sim.ensemble import Ensemble
-from sim.histogram import Histogram
-from sim.schemes import SCHEMES
+from fpk.answer.bins import BinAxis
+from fpk.answer.observable import parse_observable
+from sim.sample.ensemble import Ensemble
+from sim.sample.histogram import Histogram
+from sim.step.schemes import SCHEMES
 
 SETTINGS = (
     Setting("exact_flow", 0.45, 4, 8192, 1.0),

@@ -17,8 +17,8 @@ sys.path.append(str(Path(__file__).resolve().parent.parent))
 
 from accuracy import _weight, exact_scene, exact_square
 
-from fpk.contact import Contact
-from fpk.system import System
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 Array = NDArray[np.float64]
 

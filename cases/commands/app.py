@@ -15,7 +15,7 @@ import click
 from cases.commands import authoring, completed, dynamics, parts, studies
 from cases.commands.examples import EXAMPLES
 from cases.scene.errors import BadInput, misspelt, one_line
-from fpk.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
 WIDEST = 10_000
 """Columns of a help text at most: it is as wide as the terminal."""

@@ -15,7 +15,7 @@ import click
 
 from cases.commands import completed, parts
 from cases.scene.errors import BadInput
-from fpk.errors import InvalidInput, NotApplicable
+from fpk.numeric.errors import InvalidInput, NotApplicable
 
 if TYPE_CHECKING:
     from cases.output.records import Record

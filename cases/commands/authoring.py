@@ -30,7 +30,7 @@ def new(name: str, masses: int, law: str, out: Path | None) -> None:
     from cases.output.files import write_text
     from cases.scene.json_schema import FILE, scene_schema, scene_text
     from cases.scene.scene import shipped_scenes
-    from fpk.contact_law import LAWS
+    from fpk.system.contact_law import LAWS
 
     if not NAME.fullmatch(name):
         raise BadInput(f"NAME {json.dumps(name)}: use up to 64 letters, digits, - and _")

@@ -30,13 +30,13 @@ def main() -> None:
 
 def interrupted(number: int, frame: FrameType | None) -> None:
     """Answer Ctrl-C: nobody waits for what is being compiled, the main thread is interrupted."""
-    getattr(sys.modules.get("fpk.compiling"), "abandon", bool)()
+    getattr(sys.modules.get("fpk.numeric.compiling"), "abandon", bool)()
     signal.default_int_handler(number, frame)
 
 
 def end(status: Any) -> None:
     """Exit with ``status``, at once where a function is still being compiled for nobody."""
-    if getattr(sys.modules.get("fpk.compiling"), "is_compiling", bool)():
+    if getattr(sys.modules.get("fpk.numeric.compiling"), "is_compiling", bool)():
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status or 0)

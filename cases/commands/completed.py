@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import click
 from click.shell_completion import CompletionItem
 
-from fpk.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput
 
 
 def scenes(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
@@ -52,7 +52,7 @@ def observables(
 
 def laws(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
     """Return the contact laws."""
-    from fpk.contact_law import LAWS
+    from fpk.system.contact_law import LAWS
 
     return _beginning(sorted(LAWS), begun)
 

@@ -28,9 +28,9 @@ def density(asked: Asked, of: str, at: str) -> None:
     observable = parts.observable_of(of, asked.scene)
     from cases.output.records import columns_text, listed
     from cases.scene.points import parse_points
-    from fpk.dynamics import Curve
-    from fpk.method import Method, solved
-    from fpk.observable import observable_name
+    from fpk.answer.dynamics import Curve
+    from fpk.answer.method import Method, solved
+    from fpk.answer.observable import observable_name
 
     points, settings = parse_points(at, len(observable)), asked.settings
     parts.check_cluster(settings["cluster"])
@@ -89,7 +89,7 @@ def relaxation(asked: Asked, rates: int) -> None:
     conjugate pair one is listed.
     """
     from cases.output.records import rates_text
-    from fpk.dynamics import Relaxation
+    from fpk.answer.dynamics import Relaxation
 
     asked.reply(
         Relaxation,
@@ -102,12 +102,12 @@ def relaxation(asked: Asked, rates: int) -> None:
 
 
 def _curve(asked: Asked, question: str, of: str, at: str) -> None:
-    """Ask the ``question``, the name of a method of ``fpk.dynamics``, about one displacement."""
+    """Ask the ``question``, a method of ``fpk.answer.dynamics``, about one displacement."""
     observable, system = parts.observable_of(of, asked.scene), asked.scene.system
     from cases.output.records import columns_text
     from cases.scene.points import parse_points
-    from fpk.dynamics import CrossingsMethod, StationaryMotionMethod
-    from fpk.modulation import require_constant_noise
+    from fpk.answer.dynamics import CrossingsMethod, StationaryMotionMethod
+    from fpk.system.modulation import require_constant_noise
 
     if len(observable) != 1 or observable[0].kind != "q":
         raise BadInput(f'--of "{of}": use a displacement, q1..q{system.n}')
@@ -145,9 +145,9 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
     system, observable = asked.scene.system, parts.observable_of(of, asked.scene)
     from cases.output.records import columns_text, listed
     from cases.scene.points import parse_points
-    from fpk.evolution import Transients
-    from fpk.observable import observable_name
-    from fpk.start import parse_start
+    from fpk.answer.evolution import Transients
+    from fpk.answer.observable import observable_name
+    from fpk.answer.start import parse_start
 
     begin = parts.read("start", start, lambda: parse_start(start, system))
     points, later = parse_points(at, len(observable)), _times(times)
@@ -178,9 +178,9 @@ def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
     from cases.comparison.rare import passage_answer
     from cases.output.records import passage_text
     from cases.scene.questions import PassageQuestion, require_below
-    from fpk.evolution import Passages
-    from fpk.limit import parse_limit
-    from fpk.start import parse_start
+    from fpk.answer.evolution import Passages
+    from fpk.answer.limit import parse_limit
+    from fpk.answer.start import parse_start
 
     system = asked.scene.system
     begin = parts.read("start", start, lambda: parse_start(start, system))
@@ -202,7 +202,7 @@ def _times(text: str | None) -> Any:
     import numpy as np
 
     from cases.scene.points import parse_points
-    from fpk.evolution import checked_times
+    from fpk.answer.evolution import checked_times
 
     if text is None:
         return np.zeros(0)

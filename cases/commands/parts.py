@@ -17,12 +17,12 @@ import click
 from cases.commands import completed
 from cases.scene.errors import BadInput
 from cases.written import SCHEMA
-from fpk.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput
 
 if TYPE_CHECKING:
     from cases.comparison.stationary import Outcome
     from cases.scene.scene import Scene
-    from fpk.observable import Observable
+    from fpk.answer.observable import Observable
 
 
 class NonEmptyPath(click.Path):
@@ -122,7 +122,7 @@ def checked(scene: str, *, tol: float | None = None, out: Path | None = None) ->
 
 def observable_of(name: str, scene: "Scene") -> "Observable":
     """Return what ``--of`` names; raise ``BadInput`` where it is no observable of the scene."""
-    from fpk.observable import parse_observable
+    from fpk.answer.observable import parse_observable
 
     observable: Observable = read("of", name, lambda: parse_observable(name, scene.system.n))
     return observable
@@ -155,7 +155,7 @@ def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     if settings["checkpoint"] is None:
         return
     from cases.output.claim import claimed
-    from sim.settings import NOT_IN_STATE
+    from sim.sample.settings import NOT_IN_STATE
 
     own = {key: v for key, v in settings.items() if f"MonteCarlo.{key}" not in NOT_IN_STATE}
     context = claimed(settings["checkpoint"], {"scene": scene.text, "settings": own})
@@ -239,7 +239,7 @@ def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":
 def check_cluster(address: str | None) -> None:
     """Refuse a cluster that does not answer before anything else is done."""
     if address is not None:
-        from sim.workers import workers_of
+        from sim.sample.workers import workers_of
 
         with workers_of(address):
             pass

@@ -13,12 +13,12 @@ from cases.comparison.attempts import Attempts, Budget
 from cases.comparison.in_time import Given, Replies, failure_of
 from cases.comparison.rare import SPLITTING, split_passage, splitting_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
-from fpk.arrays import Array
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.evolution import Passage, Passages, Transients
-from fpk.method import Method, Progress, silent
-from fpk.system import System
-from sim.settings import LEAST_PATHS
+from fpk.answer.evolution import Passage, Passages, Transients
+from fpk.answer.method import Method, Progress, silent
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.system import System
+from sim.sample.settings import LEAST_PATHS
 
 LEAST_FAILURES = 400.0
 """Least expected number of failures by the last time for which a plain simulation is run, 5 % of

@@ -16,10 +16,10 @@ from cases.comparison.quantities import (
     quantities_of,
     quantity_discrepancies,
 )
-from fpk.density import AnyDensity
-from fpk.method import Result, Route
-from fpk.observable import Level, Observable, observable_name, parse_observable
-from fpk.system import System
+from fpk.answer.density import AnyDensity
+from fpk.answer.method import Result, Route
+from fpk.answer.observable import Level, Observable, observable_name, parse_observable
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 if TYPE_CHECKING:

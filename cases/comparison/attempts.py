@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 from math import ceil, inf, isnan, log10
 from typing import Any, TypeVar
 
-from fpk.certificate import Certificate
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.machine import working_time
-from fpk.method import Route
+from fpk.answer.certificate import Certificate
+from fpk.answer.method import Route
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.numeric.machine import working_time
 
 Answer = TypeVar("Answer")
 

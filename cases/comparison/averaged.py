@@ -13,10 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from cases.scene.expect import Theory
-from fpk.arrays import Array
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.escape import require_held
-from fpk.evolution import (
+from fpk.answer.evolution import (
     Passage,
     PassageAsked,
     Passages,
@@ -24,14 +21,17 @@ from fpk.evolution import (
     TransientAsked,
     Transients,
 )
-from fpk.limit import Limit
-from fpk.linear import modal_energies
-from fpk.machine import usable_cores
-from fpk.method import ROUTES, Method, Plan, Progress, Result, Route, register
-from fpk.observable import Coordinate, Observable, observable_name
-from fpk.process import Process
-from fpk.start import Start
-from fpk.system import System
+from fpk.answer.limit import Limit
+from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register
+from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.start import Start
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.machine import usable_cores
+from fpk.system.escape import require_held
+from fpk.system.linear import modal_energies
+from fpk.system.process import Process
+from fpk.system.system import System
 
 BURN_IN, SAMPLED = 10.0, 20.0
 """Relaxation times that each path runs before it is sampled, and that it is sampled for."""
@@ -103,8 +103,8 @@ class AveragedSimulation(Transients, Passages, Method):
         ``tol``, the relative error wanted of the mean, makes more of the ``paths`` where needed.
         A state begins at its energies, H of the integrable theory anywhere on H1 + H2 + … = H.
         """
-        from sim.averaged.paths import energy_passage
-        from sim.motion.limits import require_times
+        from sim.questions.averaged.paths import energy_passage
+        from sim.questions.limits import require_times
 
         require_times(asked.times)
         system, wanted = asked.system, self.tol if asked.tol is None else asked.tol
@@ -131,8 +131,8 @@ class AveragedSimulation(Transients, Passages, Method):
         ``tol``, the expected L1 error wanted at every time, makes more paths. Starts as of
         ``passage``.
         """
-        from sim.averaged.paths import energy_transient
-        from sim.motion.limits import require_times
+        from sim.questions.averaged.paths import energy_transient
+        from sim.questions.limits import require_times
 
         system = asked.system
         require_held(system)
@@ -167,13 +167,13 @@ class AveragedSimulation(Transients, Passages, Method):
         return modes.process()
 
     def _form(self, process: Process) -> Any:
-        from sim.averaged.square_root import line_form, square_root_form
+        from sim.questions.averaged.square_root import line_form, square_root_form
 
         return (line_form if self.theory == "nonintegrable" else square_root_form)(process)
 
     def limits(self, form: Any, limit: Limit) -> Any:
         """Return the limit as one of X; raise ``NotApplicable`` where the theory knows it not."""
-        from sim.averaged.square_root import EnergyLimits, from_energies
+        from sim.questions.averaged.square_root import EnergyLimits, from_energies
 
         line, d = self.theory == "nonintegrable", form.scales.size
         if limit.kind == "q" or (limit.kind == "modal" and line):
@@ -195,7 +195,7 @@ class AveragedSimulation(Transients, Passages, Method):
         integrable theory is spread evenly over H1 + H2 + … = H, as on its shell. Raises
         ``NotApplicable`` for modal energies where contact leaves H open.
         """
-        from sim.averaged.paths import burnt_in
+        from sim.questions.averaged.paths import burnt_in
 
         line, n, values = self.theory == "nonintegrable", system.n, start.values
         if factor := values.get("noise", 0.0):
@@ -253,7 +253,7 @@ class AveragedSimulation(Transients, Passages, Method):
     def _sampled(
         self, process: Process, observables: Sequence[Observable], progress: Progress
     ) -> Result:
-        from sim.averaged.paths import simulate_energies
+        from sim.questions.averaged.paths import simulate_energies
 
         form = self._form(process)
         slowest, steps = self._steps(form)

@@ -15,11 +15,11 @@ from cases.comparison.doubt import ACCEPTABLE_L1
 from cases.scene.expect import RELATIONS, Expect
 from cases.scene.questions import PassageQuestion
 from cases.written import with_error
-from fpk.contact_quantities import stop_clearances
-from fpk.density import AnyDensity
-from fpk.observable import Observable, observable_name
-from fpk.quadrature import gauss_grid, integral
-from fpk.sampled_density import SampledDensity
+from fpk.answer.contact_quantities import stop_clearances
+from fpk.answer.density import AnyDensity
+from fpk.answer.observable import Observable, observable_name
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.quadrature import gauss_grid, integral
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
 

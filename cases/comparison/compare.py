@@ -20,11 +20,11 @@ from typing import Literal
 import numpy as np
 from scipy.special import stdtrit
 
-from fpk.arrays import Array
-from fpk.density import AnyDensity, Density, l1_distance
-from fpk.method import Result, Route
-from fpk.sampled_density import SampledDensity
-from sim.diagnostics import FALSE_ALARMS
+from fpk.answer.density import AnyDensity, Density, l1_distance
+from fpk.answer.method import Result, Route
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.arrays import Array
+from sim.sample.diagnostics import FALSE_ALARMS
 
 Measures = Literal["numerical", "sampling", "averaging"]
 

@@ -6,12 +6,12 @@ from contextlib import suppress
 import numpy as np
 
 from averaging.exact import compatibility
-from fpk.arrays import Array
-from fpk.contact_quantities import stop_clearances
-from fpk.errors import NotApplicable
-from fpk.linear import linear_covariance
-from fpk.method import Route
-from fpk.system import System
+from fpk.answer.contact_quantities import stop_clearances
+from fpk.answer.method import Route
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotApplicable
+from fpk.system.linear import linear_covariance
+from fpk.system.system import System
 
 ACCEPTABLE_L1 = 0.1
 """L1 distance to the full system up to which a theory is called acceptable: no probability is

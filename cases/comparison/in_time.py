@@ -25,10 +25,10 @@ from cases.comparison.compare import (
     what_is_measured,
 )
 from cases.scene.questions import Question
-from fpk.arrays import Array
-from fpk.evolution import LARGEST_ERROR, Passage, Transient
-from fpk.method import Route
-from sim.diagnostics import FALSE_ALARMS
+from fpk.answer.evolution import LARGEST_ERROR, Passage, Transient
+from fpk.answer.method import Route
+from fpk.numeric.arrays import Array
+from sim.sample.diagnostics import FALSE_ALARMS
 
 BATCHES = 32
 """Least number of independent batches from which a sample's standard error is estimated."""

@@ -19,15 +19,15 @@ from cases.comparison.quantity import (
     Definition,
     shown_of,
 )
-from fpk.density import AnyDensity, Density
-from fpk.dynamics import CrossingsMethod, upcrossings
-from fpk.errors import NotApplicable, NotCertified
-from fpk.method import Result, Route, silent
-from fpk.number import ErrorKind, Number
-from fpk.observable import Coordinate, Level, observable_name
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
-from sim.diagnostics import FALSE_ALARMS
+from fpk.answer.density import AnyDensity, Density
+from fpk.answer.dynamics import CrossingsMethod, upcrossings
+from fpk.answer.method import Result, Route, silent
+from fpk.answer.number import ErrorKind, Number
+from fpk.answer.observable import Coordinate, Level, observable_name
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.errors import NotApplicable, NotCertified
+from fpk.system.system import System
+from sim.sample.diagnostics import FALSE_ALARMS
 
 
 @dataclass(frozen=True)

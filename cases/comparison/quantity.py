@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from math import isfinite, nan
 
 from cases.scene.errors import misspelt
-from fpk.contact import Contact
-from fpk.contact_quantities import contact_quantity, ratio
-from fpk.density import AnyDensity
-from fpk.errors import InvalidInput
-from fpk.limit import Limit, parse_limit
-from fpk.number import Number
-from fpk.observable import (
+from fpk.answer.contact_quantities import contact_quantity, ratio
+from fpk.answer.density import AnyDensity
+from fpk.answer.limit import Limit, parse_limit
+from fpk.answer.number import Number
+from fpk.answer.observable import (
     Coordinate,
     Level,
     Observable,
@@ -25,7 +23,9 @@ from fpk.observable import (
     observable_name,
     parse_observable,
 )
-from fpk.system import System
+from fpk.numeric.errors import InvalidInput
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 MOMENTS = ("mean", "rms", "std", "skewness", "kurtosis")
 PLAIN = (*MOMENTS, "variance")

@@ -9,19 +9,19 @@ import numpy as np
 from averaging.energy_process import energy_process
 from cases.scene.questions import PassageQuestion
 from cases.written import bound
-from fpk.arrays import Array
-from fpk.certificate import Measured, certify, tolerance
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passage
-from fpk.line.time.passage import first_passage
-from fpk.method import Progress, Route
-from fpk.number import Number
-from fpk.system import System
+from fpk.answer.certificate import Measured, certify, tolerance
+from fpk.answer.evolution import Passage
+from fpk.answer.method import Progress, Route
+from fpk.answer.number import Number
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.solvers.line.time.passage import first_passage
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.motion.failure_times import LEAST_FAILURES
-from sim.motion.passage import horizon
-from sim.splitting.problem import ScoreFunction
-from sim.splitting.run import Splitting, rare_failure
+from sim.questions.failure_times import LEAST_FAILURES
+from sim.questions.passage import horizon
+from sim.questions.splitting.problem import ScoreFunction
+from sim.questions.splitting.run import Splitting, rare_failure
 
 SPLITTING = Route(
     "splitting", "splitting", "splitting", "(6)", "full", True, "#b50c01", make=MonteCarlo

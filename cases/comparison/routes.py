@@ -5,8 +5,8 @@ from dataclasses import fields, replace
 from importlib import import_module
 from typing import Any
 
-from fpk.errors import InvalidInput
-from fpk.method import ROUTES, Method, Route, solvers_of
+from fpk.answer.method import ROUTES, Method, Route, solvers_of
+from fpk.numeric.errors import InvalidInput
 
 ROUTE_MODULES = {
     "exact": ("averaging.exact",),

@@ -14,12 +14,12 @@ from cases.comparison.in_time import Replies
 from cases.scene.questions import Question
 from cases.scene.scene import Scene
 from cases.written import bound
-from fpk.contact_quantities import joint_at_stops
-from fpk.density import Density
-from fpk.errors import NotApplicable
-from fpk.method import Method, Plan, Progress, Result, silent, solved
-from fpk.observable import Observable, observable_name
-from fpk.system import System
+from fpk.answer.contact_quantities import joint_at_stops
+from fpk.answer.density import Density
+from fpk.answer.method import Method, Plan, Progress, Result, silent, solved
+from fpk.answer.observable import Observable, observable_name
+from fpk.numeric.errors import NotApplicable
+from fpk.system.system import System
 
 
 def answers_of(

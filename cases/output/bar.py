@@ -9,7 +9,7 @@ from typing import Any
 import click
 from numba.core import event
 
-from fpk.method import Progress, silent
+from fpk.answer.method import Progress, silent
 
 PATIENCE = 1.0
 """Seconds before a bar appears."""

@@ -9,9 +9,9 @@ from cases.output.files import make_folder, write_text
 from cases.output.records import Record, program_version
 from cases.scene.errors import BadInput
 from cases.scene.scene import read_text
-from fpk.machine import locked
-from fpk.recognition import canonical
-from sim.checkpoint import PROGRAM, program_checksum
+from fpk.numeric.machine import locked
+from fpk.numeric.recognition import canonical
+from sim.sample.checkpoint import PROGRAM, program_checksum
 
 
 @contextmanager

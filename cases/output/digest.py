@@ -15,10 +15,10 @@ from cases.output.words import stationary_note
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import NO_UNITS, Units
 from cases.written import SCHEMA
-from fpk.evolution import Passage
-from fpk.method import Result, Route
-from fpk.observable import observable_name
-from sim.report import Report
+from fpk.answer.evolution import Passage
+from fpk.answer.method import Result, Route
+from fpk.answer.observable import observable_name
+from sim.sample.report import Report
 
 ROW = ("observable", "measures", "norm", "L1", "band", "error")
 """Fields of a comparison that its row has as they are."""

@@ -12,16 +12,16 @@ from cases.output.records import Record, plain
 from cases.scene.numbers import Place
 from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
-from fpk.contact_quantities import stop_clearances
-from fpk.ends import BoundaryClass, classify
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.escape import escape
-from fpk.linear import natural_modes
-from fpk.method import ROUTES, solvers_of
-from fpk.observable import Coordinate, observable_name
-from fpk.system import System, effects_of
+from fpk.answer.contact_quantities import stop_clearances
+from fpk.answer.method import ROUTES, solvers_of
+from fpk.answer.observable import Coordinate, observable_name
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.ends import BoundaryClass, classify
+from fpk.system.escape import escape
+from fpk.system.linear import natural_modes
+from fpk.system.system import System, effects_of
 from sim.montecarlo import MonteCarlo
-from sim.setup import expected_seconds
+from sim.sample.setup import expected_seconds
 
 MODES_SHOWN = 50
 """Modes whose damping, shape and boundaries are given: boundaries of more take a time of n³."""

@@ -18,10 +18,10 @@ from cases.output.records import plain, program_version
 from cases.output.variables import Part, Variables, by_route, time_variables
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, Units, attribute
-from fpk.arrays import Array
-from fpk.density import AnyDensity
-from fpk.observable import Observable, observable_name
-from fpk.sampled_density import SampledDensity
+from fpk.answer.density import AnyDensity
+from fpk.answer.observable import Observable, observable_name
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.arrays import Array
 
 POINTS = {1: 401, 2: 101}
 """Points an axis of a grid, by the number of axes."""

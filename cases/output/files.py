@@ -8,7 +8,7 @@ from shutil import rmtree
 from tempfile import TemporaryDirectory
 
 from cases.scene.errors import readable_errors
-from fpk.machine import locked
+from fpk.numeric.machine import locked
 
 NOT_WRITTEN = "cannot be written", "what was there is kept; make room or give another --out"
 

@@ -27,10 +27,10 @@ from cases.output.pictures.style import (
 from cases.output.records import Record
 from cases.output.slider_model import slider_model, slider_series
 from cases.scene.questions import TransientQuestion
-from fpk.arrays import Array
-from fpk.evolution import Passage, Transient
-from fpk.observable import Observable, observable_name
-from fpk.sampled_density import SampledDensity
+from fpk.answer.evolution import Passage, Transient
+from fpk.answer.observable import Observable, observable_name
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.arrays import Array
 
 POINTS, MAP_POINTS, MAP_BINS = 301, 61, 40
 """Points of a curve in the page, points an axis of a map, and about as many bins of a sampled one.

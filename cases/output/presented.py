@@ -19,9 +19,9 @@ from cases.output.variables import Variables
 from cases.output.words import named
 from cases.scene.units import Units
 from cases.written import NOTE
-from fpk.density import AnyDensity
-from fpk.errors import InvalidInput, Unavailable
-from fpk.observable import Observable, observable_name
+from fpk.answer.density import AnyDensity
+from fpk.answer.observable import Observable, observable_name
+from fpk.numeric.errors import InvalidInput, Unavailable
 
 TAIL = 1e-6
 """Share of the largest density down to which a logarithmic axis reaches."""

@@ -12,11 +12,11 @@ from cases.output.variables import CURVES, NUMBERS
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
 from cases.written import bound
-from fpk.arrays import Array
-from fpk.certificate import Certificate
-from fpk.dynamics import Curve, Rates
-from fpk.evolution import Passage, Transient
-from fpk.method import Method
+from fpk.answer.certificate import Certificate
+from fpk.answer.dynamics import Curve, Rates
+from fpk.answer.evolution import Passage, Transient
+from fpk.answer.method import Method
+from fpk.numeric.arrays import Array
 
 Record = dict[str, Any]
 

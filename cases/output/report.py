@@ -27,9 +27,9 @@ from cases.output.text import rendered, theory_table
 from cases.output.words import named
 from cases.scene.scene import Scene
 from cases.written import percent
-from fpk.contact_quantities import CLEARANCE_RULE
-from fpk.method import Progress, silent
-from sim.diagnostics import FALSE_ALARMS
+from fpk.answer.contact_quantities import CLEARANCE_RULE
+from fpk.answer.method import Progress, silent
+from sim.sample.diagnostics import FALSE_ALARMS
 
 GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left": "difference"}
 """Part of the page in which a picture stands, by the first word of its file; others: "density"."""

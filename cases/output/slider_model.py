@@ -11,9 +11,9 @@ from averaging.modal.resonance import MAX_NEGLECTED
 from cases.comparison.answers import Answers
 from cases.output.pictures.style import SUBSCRIPTS
 from cases.output.records import Record
-from fpk.arrays import Array
-from fpk.observable import Coordinate, Observable, observable_name
-from fpk.system import System
+from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.numeric.arrays import Array
+from fpk.system.system import System
 
 _UNITS = {
     "B": "contact_stiffness", "delta": "length", "c": "damping", "D": "noise_intensity"

@@ -17,7 +17,7 @@ from cases.output.records import Record
 from cases.output.words import effects_in_words, named, theory_of_route, with_key
 from cases.scene.units import bracketed
 from cases.written import NOTE, bound, concise, duration, number, up, with_error
-from fpk.method import solvers_of
+from fpk.answer.method import solvers_of
 
 
 def rendered(template: str, record: Mapping[str, Any]) -> str:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from cases.comparison.in_time import Replies, failure_of
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import Units, attribute
-from fpk.arrays import Array
-from fpk.evolution import Transient
-from fpk.number import Number
+from fpk.answer.evolution import Transient
+from fpk.answer.number import Number
+from fpk.numeric.arrays import Array
 
 if TYPE_CHECKING:
     from cases.comparison.stationary import Outcome

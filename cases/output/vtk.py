@@ -13,11 +13,11 @@ from cases.comparison.stationary import Outcome
 from cases.output.fields import attributes_of, curve_numbers, variable_name
 from cases.output.files import write_by
 from cases.scene.units import attribute, bracketed
-from fpk.arrays import Array
-from fpk.evolution import Transient
-from fpk.field import field_of
-from fpk.observable import Observable, observable_name
-from fpk.system import System
+from fpk.answer.evolution import Transient
+from fpk.answer.field import field_of
+from fpk.answer.observable import Observable, observable_name
+from fpk.numeric.arrays import Array
+from fpk.system.system import System
 
 
 def write_vtu(outcome: Outcome, path: Path) -> list[Path]:

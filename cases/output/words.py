@@ -4,8 +4,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from fpk.method import ROUTES, Route
-from fpk.system import System
+from fpk.answer.method import ROUTES, Route
+from fpk.system.system import System
 
 KEYS = re.compile(
     r"(?<![\w-])(?<!--method )(?<!--route )((?:non)?integrable|phase-space|montecarlo)(/[\w-]+)?\b"

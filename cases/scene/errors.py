@@ -7,7 +7,7 @@ from datetime import date, time
 from itertools import islice, zip_longest
 from typing import Any
 
-from fpk.errors import InvalidInput, shown
+from fpk.numeric.errors import InvalidInput, shown
 
 LONGEST = 600
 """Characters of a message; what is quoted in a longer one is cut out of its middle."""

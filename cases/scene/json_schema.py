@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cases.scene.schema import SCENE
-from fpk.contact_law import LAWS
+from fpk.system.contact_law import LAWS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 FILE = "scene.schema.json"

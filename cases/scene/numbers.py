@@ -9,11 +9,11 @@ import numpy as np
 
 from cases.scene.errors import refused_as
 from cases.scene.units import DERIVED, NUMBER, Powers
-from fpk.arrays import Array
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.errors import InvalidInput
-from fpk.system import System
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
 
 ARRAYS = ("mass", "stiffness", "damping", "noise_intensity", "noise_gain")
 RECORDS = {

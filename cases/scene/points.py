@@ -6,7 +6,7 @@ from decimal import Decimal, InvalidOperation
 import numpy as np
 
 from cases.scene.errors import BadInput, toml_value
-from fpk.arrays import Array
+from fpk.numeric.arrays import Array
 
 MAX_POINTS = 200_000
 """More than a picture or a table can use; a typing error in a step is caught by it."""

@@ -9,13 +9,13 @@ import numpy as np
 
 from cases.scene.errors import refused_as
 from cases.scene.expect import Range, Theory, range_of
-from fpk.errors import InvalidInput
-from fpk.evolution import checked_times
-from fpk.limit import Limit, parse_limit
-from fpk.linear import modal_energies
-from fpk.observable import Observable, observable_name, parse_observable
-from fpk.start import REST, Start, parse_start
-from fpk.system import System
+from fpk.answer.evolution import checked_times
+from fpk.answer.limit import Limit, parse_limit
+from fpk.answer.observable import Observable, observable_name, parse_observable
+from fpk.answer.start import REST, Start, parse_start
+from fpk.numeric.errors import InvalidInput
+from fpk.system.linear import modal_energies
+from fpk.system.system import System
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from cases.scene.numbers import Curve, curves_of
 from cases.scene.questions import PassageQuestion, TransientQuestion, passages_of, transients_of
 from cases.scene.schema import validated
 from cases.scene.units import NO_UNITS, Units
-from fpk.errors import InvalidInput
-from fpk.observable import Level, Observable, parse_observable
-from fpk.system import System
+from fpk.answer.observable import Level, Observable, parse_observable
+from fpk.numeric.errors import InvalidInput
+from fpk.system.system import System
 
 MAX_BYTES = 1 << 20
 """A scene is a page of text; what is larger than this is something else."""

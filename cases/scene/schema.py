@@ -14,11 +14,11 @@ from pydantic_core import core_schema as core
 from cases.scene.errors import misspelt
 from cases.scene.expect import RELATIONS
 from cases.scene.units import Units
-from fpk.contact import Contact, Side
-from fpk.contact_law import LAWS
-from fpk.damping import DampingTerm
-from fpk.errors import InvalidInput
-from fpk.modulation import Modulation
+from fpk.numeric.errors import InvalidInput
+from fpk.system.contact import Contact, Side
+from fpk.system.contact_law import LAWS
+from fpk.system.damping import DampingTerm
+from fpk.system.modulation import Modulation
 
 MAX_MASSES = 500
 """Matrices are full: a chain longer than this is not what they are for."""

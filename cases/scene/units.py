@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from cases.written import SUPERSCRIPTS
-from fpk.errors import InvalidInput
-from fpk.observable import Coordinate, Observable
+from fpk.answer.observable import Coordinate, Observable
+from fpk.numeric.errors import InvalidInput
 
 CONSISTENT = "the scene's own consistent units"
 """Attribute ``units`` in files of a scene without ``[units]``."""

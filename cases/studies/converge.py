@@ -23,9 +23,9 @@ from cases.studies.orders import (
     grid_convergence,
 )
 from cases.studies.weak import SampleSlope, WeakOrder, sample_slope, weak_order
-from fpk.arrays import Array
-from fpk.errors import NotApplicable, NotCertified
-from fpk.method import Progress, silent
+from fpk.answer.method import Progress, silent
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotApplicable, NotCertified
 from sim.montecarlo import MonteCarlo
 
 H_DEGREES = {1: (1, 2, 4), 2: (1, 2, 3)}

@@ -17,9 +17,9 @@ from cases.studies.law import FULL, Law, averaged_route, full_routes, solved_rou
 from cases.studies.levels import Discretisation, refined_levels, timed_first, timing
 from cases.studies.prices import NotTimed, Priced, crossovers, passage_routes, price_list
 from cases.studies.simulation import Reference, deterministic, full_reference
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.method import Progress, silent
-from fpk.system import System
+from fpk.answer.method import Progress, silent
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.system import System
 
 DEGREES = (1, 2, 4, 8)
 """Degrees of the elements that are timed."""

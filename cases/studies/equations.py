@@ -16,20 +16,20 @@ from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import solve_by_quadrature, solved_energies
 from cases.studies.levels import Discretisation, Solution, TimedCoefficients, density_of
-from fpk import operator
-from fpk.arrays import Array
-from fpk.density import Density
-from fpk.errors import NotApplicable, NotCertified
-from fpk.escape import require_held
-from fpk.line.stationary import solve_on_mesh
-from fpk.method import Route
-from fpk.observable import parse_observable
-from fpk.operator import null_vectors, solve_by_scikit_fem
-from fpk.plane.solution import graded, null_function, solve_plane_on_mesh
-from fpk.plane.weight import probed as probed_plane
-from fpk.probe import probed
-from fpk.process import Process
-from fpk.system import System
+from fpk.answer.density import Density
+from fpk.answer.method import Route
+from fpk.answer.observable import parse_observable
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotApplicable, NotCertified
+from fpk.solvers import operator
+from fpk.solvers.line.stationary import solve_on_mesh
+from fpk.solvers.operator import null_vectors, solve_by_scikit_fem
+from fpk.solvers.plane.solution import graded, null_function, solve_plane_on_mesh
+from fpk.solvers.plane.weight import probed as probed_plane
+from fpk.solvers.probe import probed
+from fpk.system.escape import require_held
+from fpk.system.process import Process
+from fpk.system.system import System
 
 OF_ENERGY, OF_MODES = "averaged equation (24)", "averaged equation (17)"
 ELEMENTS = {1: {1: 8, 2: 8, 4: 8, 8: 2}, 2: {1: 4, 2: 3, 3: 3, 4: 2, 8: 1}}

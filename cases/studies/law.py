@@ -11,15 +11,15 @@ from cases.studies.equations import Equation
 from cases.studies.levels import Level, timed_first, timing
 from cases.studies.prices import NotTimed, Priced, judged
 from cases.studies.simulation import SMALL_STEP, SMALLEST, Reference, largest_stable, observed, run
-from fpk.density import Density
-from fpk.errors import NotApplicable, NotCertified
-from fpk.method import Method, Progress, silent
-from fpk.observable import observable_name
-from fpk.system import System
+from fpk.answer.density import Density
+from fpk.answer.method import Method, Progress, silent
+from fpk.answer.observable import observable_name
+from fpk.numeric.errors import NotApplicable, NotCertified
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.report import Report
-from sim.schemes import SCHEMES
-from sim.settings import LEAST_PATHS
+from sim.sample.report import Report
+from sim.sample.settings import LEAST_PATHS
+from sim.step.schemes import SCHEMES
 
 FULL = "full system (6)"
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)

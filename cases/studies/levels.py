@@ -17,13 +17,13 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from averaging.zero_flux import POINTS, ZeroFluxDensity, density_of_energies
-from fpk.arrays import Array
-from fpk.density import Density
-from fpk.line.stationary import StationarySolution
-from fpk.observable import Observable
-from fpk.plane.solution import PlaneSolution
-from fpk.process import Coefficients
-from fpk.quadrature import gauss_grid, integral
+from fpk.answer.density import Density
+from fpk.answer.observable import Observable
+from fpk.numeric.arrays import Array
+from fpk.numeric.quadrature import gauss_grid, integral
+from fpk.solvers.line.stationary import StationarySolution
+from fpk.solvers.plane.solution import PlaneSolution
+from fpk.system.process import Coefficients
 
 T = TypeVar("T")
 

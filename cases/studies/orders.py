@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from fpk.arrays import Array
+from fpk.numeric.arrays import Array
 
 Kind = Literal["asymptotic", "pre-asymptotic", "at the floor", "oscillating", "diverging"]
 

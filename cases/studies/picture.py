@@ -20,7 +20,7 @@ from cases.output.pictures.style import COLOURS, INK, STYLE
 from cases.output.records import Record
 from cases.output.words import named
 from cases.studies.sweep.grid import Axis
-from fpk.arrays import Array
+from fpk.numeric.arrays import Array
 
 DASHES: Any = (0, (4, 2))
 HALO: Any = {"boxstyle": "square,pad=0.1", "fc": "#f4f4f4", "ec": "none", "alpha": 0.85}

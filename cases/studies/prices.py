@@ -16,12 +16,12 @@ import numpy as np
 from cases.comparison.routes import listed_routes
 from cases.scene.questions import PassageQuestion
 from cases.studies.levels import Level, timed_first, timing
-from fpk.arrays import Array
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.evolution import Passage, Passages
-from fpk.method import Progress, silent
-from fpk.number import Number
-from fpk.system import System
+from fpk.answer.evolution import Passage, Passages
+from fpk.answer.method import Progress, silent
+from fpk.answer.number import Number
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.system import System
 
 DIGITS = tuple(range(1, 11))
 """Digits that are priced."""

@@ -10,16 +10,16 @@ from cases.comparison.compare import chance_l1, joined
 from cases.comparison.routes import listed_routes
 from cases.comparison.stationary import answers_of
 from cases.studies.levels import timed_first
-from fpk.certificate import Measured
-from fpk.density import AnyDensity, Density, certified_density
-from fpk.errors import InvalidInput, NotCertified
-from fpk.method import Method, Result, Solves
-from fpk.observable import Coordinate, Observable, observable_name
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
+from fpk.answer.certificate import Measured
+from fpk.answer.density import AnyDensity, Density, certified_density
+from fpk.answer.method import Method, Result, Solves
+from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.errors import InvalidInput, NotCertified
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.report import Report
-from sim.settings import LEAST_PATHS
+from sim.sample.report import Report
+from sim.sample.settings import LEAST_PATHS
 
 LARGEST, SMALLEST = 4.0, 2.0**-10
 """Steps tried, in units of the chosen one: beyond the largest no scheme is stable in contact."""

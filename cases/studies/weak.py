@@ -17,12 +17,12 @@ from cases.studies.simulation import (
     run,
     squared,
 )
-from fpk.arrays import Array
-from fpk.errors import NotCertified
-from fpk.system import System
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotCertified
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.schemes import SCHEMES
-from sim.settings import LEAST_PATHS
+from sim.sample.settings import LEAST_PATHS
+from sim.step.schemes import SCHEMES
 
 LEVELS, FEW_LEVELS = 5, 4
 """Number of steps of a study; the second where they are small, as each then takes long."""

@@ -20,10 +20,10 @@ from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.method import ROUTES
-from fpk.observable import observable_name, parse_observable
-from fpk.quadrature import panel_rule
+from fpk.answer.method import ROUTES
+from fpk.answer.observable import observable_name, parse_observable
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.numeric.quadrature import panel_rule
 
 TOL = 1e-8
 """The L1 tolerance that is asked of every method."""

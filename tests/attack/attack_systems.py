@@ -3,9 +3,9 @@
 import numpy as np
 from attack_energy import Chain, Stop, Term
 
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.system import System
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
 
 LAWS = {"hertz": 1.5, "bilinear": 1.0}
 

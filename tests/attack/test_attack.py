@@ -6,7 +6,7 @@ from attack_energy import Chain, Term
 from attack_run import OF_METHOD, Attack
 
 from averaging.phase_space.method import PhaseSpace
-from fpk.method import ROUTES
+from fpk.answer.method import ROUTES
 
 FAST = (4, 8, 11, 16, 22, 24, 44)
 """Seeds of the default tier; ``attack_run.py`` runs any."""

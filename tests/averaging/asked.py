@@ -1,8 +1,8 @@
 """Questions about displacements, and a linear system that they are asked of."""
 
 import fpk
-from fpk.method import silent
-from fpk.observable import Coordinate
+from fpk.answer.method import silent
+from fpk.answer.observable import Coordinate
 
 TURNED = fpk.System([1, 2], [1, 1.5], [[0.08, 0.06], [-0.04, 0.05]], [0.01, 0.02])
 """Unequal temperatures and an antisymmetric part of the damping."""

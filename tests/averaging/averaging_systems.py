@@ -8,9 +8,9 @@ from scipy.optimize import brentq
 from scipy.special import beta
 
 from averaging.shell.averages import shell_averages
-from fpk.contact import Contact
-from fpk.quadrature import panel_rule
-from fpk.system import System
+from fpk.numeric.quadrature import panel_rule
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 
 def fig6(contacts=(), *, mass=(1.0, 1.0)):

@@ -3,11 +3,11 @@
 import numpy as np
 
 from averaging.modal.analysis import modal_analysis
-from fpk.damping import DampingTerm
-from fpk.errors import NotApplicable
-from fpk.method import silent
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import NotApplicable
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
 
 
 def solved(method, system, *names):

@@ -12,10 +12,10 @@ import fpk
 from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space.method import PhaseSpace
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.linear import diffusion_matrix, drift_matrix, stationary_covariance
-from fpk.method import silent
-from fpk.observable import Coordinate, parse_observable
+from fpk.answer.method import silent
+from fpk.answer.observable import Coordinate, parse_observable
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.linear import diffusion_matrix, drift_matrix, stationary_covariance
 
 UNEQUAL = fpk.System([1, 2], [1, 1.5], [0.08, 0.04], [0.01, 0.02])
 """Unequal temperatures."""

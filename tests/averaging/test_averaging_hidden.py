@@ -18,9 +18,9 @@ from averaging.energy_process import energy_process
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import flux_residual
-from fpk.contact import Contact
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.observable import parse_observable
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 ALPHA = 2.0
 METHODS = {

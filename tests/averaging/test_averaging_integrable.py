@@ -22,14 +22,14 @@ from averaging.modal.resonance import (
     resonances,
 )
 from averaging.nonintegrable import NonIntegrable
-from fpk.contact_quantities import stop_clearances
-from fpk.density import l1_distance
-from fpk.ends import classify
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.linear import stationary_covariance
-from fpk.observable import parse_observable
-from fpk.process import log_density_slope
-from fpk.system import System
+from fpk.answer.contact_quantities import stop_clearances
+from fpk.answer.density import l1_distance
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.ends import classify
+from fpk.system.linear import stationary_covariance
+from fpk.system.process import log_density_slope
+from fpk.system.system import System
 
 FULL_C = np.array([[0.08, 0.01, 0.0], [-0.02, 0.04, 0.01], [0.0, 0.01, 0.06]])
 FULL_D = np.array([[0.02, 0.01, 0.0], [0.01, 0.03, 0.005], [0.0, 0.005, 0.01]])

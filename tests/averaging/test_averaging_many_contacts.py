@@ -15,11 +15,11 @@ from averaging.shell import energy_shell, laplace
 from averaging.shell.averages import shell_averages, shell_columns
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.laplace import PartitionLines
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.errors import NotApplicable
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 TEMPERATURE = 0.5

@@ -20,12 +20,12 @@ from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
 from averaging.weyl import WeylIntegrals, continued, weyl_table
 from cases.scene.scene import load_scene
-from fpk.contact import Contact
-from fpk.density import l1_distance
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.linear import stationary_covariance
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.density import l1_distance
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.linear import stationary_covariance
+from fpk.system.system import System
 
 SOLVERS = ("fem", "quadrature", "closed-form")
 ALL = ("q1", "q2", "p1", "p2", "H", "q2,p2")

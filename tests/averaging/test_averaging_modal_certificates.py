@@ -10,10 +10,10 @@ from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.zero_flux import flux_residual
-from fpk.errors import InvalidInput
-from fpk.linear import linear_covariance
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import InvalidInput
+from fpk.system.linear import linear_covariance
+from fpk.system.system import System
 
 METHODS = [Linear(), *(Integrable(solver) for solver in ("closed-form", "quadrature", "fem"))]
 

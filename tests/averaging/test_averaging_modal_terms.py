@@ -20,10 +20,10 @@ from averaging.modal.resonance import (
     resonance_order,
     resonances,
 )
-from fpk.damping import DampingTerm
-from fpk.errors import NotApplicable
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import NotApplicable
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
 
 
 def flows(system, modes, Q, V):

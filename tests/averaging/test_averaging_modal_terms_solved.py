@@ -8,11 +8,11 @@ from scipy.integrate import quad
 
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.density import l1_distance
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.density import l1_distance
+from fpk.answer.observable import parse_observable
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
 
 NAMES = ("H2,H1", "H1", "H", "q1", "p2", "q1,q2", "q1,p2")
 

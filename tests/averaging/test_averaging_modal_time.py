@@ -10,16 +10,16 @@ from numpy.testing import assert_allclose
 
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
-from fpk.contact import Contact
-from fpk.dynamics import Relaxation
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passages, Transients
-from fpk.limit import parse_limit
-from fpk.method import silent
-from fpk.observable import parse_observable
-from fpk.square_root import SquareRoot
-from fpk.start import parse_start
-from fpk.system import System
+from fpk.answer.dynamics import Relaxation
+from fpk.answer.evolution import Passages, Transients
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import parse_start
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.solvers.square_root import SquareRoot
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 FIG8 = System([1.0, 1.0], [1.0, 1.0], [0.05, 0.07], [0.015, 0.015])
 ALIKE = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.05, 0.05])

@@ -8,17 +8,17 @@ from scipy.sparse import csc_array
 
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.limit import parse_limit
-from fpk.line.time.modulated import steps_of
-from fpk.method import silent
-from fpk.modulation import Modulation
-from fpk.observable import parse_observable
-from fpk.quadrature import panel_rule
-from fpk.start import parse_start
-from fpk.system import System
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import parse_start
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.time.modulated import steps_of
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.modulation import Modulation
+from fpk.system.system import System
 
 FREE = System([1.0, 2.0], [1.0, 3.0], [0.1, 0.3], [0.02, 0.05])
 FADING = replace(FREE, modulation=Modulation([0.0, 4.0, 10.0], [0.2, 1.4, 0.0]))
@@ -178,7 +178,7 @@ def test_what_has_failed_at_the_start_has_an_error_of_its_own():
 @pytest.mark.parametrize("name", ["H", "q1"])
 def test_the_tolerance_that_is_asked_for_is_the_one_that_judges(name, monkeypatch):
     # Steps halved once: their error is above 1e-10, and nothing may loosen that.
-    monkeypatch.setattr("fpk.line.time.modulated.LEVELS", (0, 1))
+    monkeypatch.setattr("fpk.solvers.line.time.modulated.LEVELS", (0, 1))
     answer = transient(FADING, [5.0], [0.1], name, tol=1e-10)
     assert answer.settings["tol"] == 1e-10 and answer.certificate.missed > 1e-10
 

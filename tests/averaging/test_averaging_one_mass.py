@@ -11,10 +11,10 @@ from scipy.special import beta
 from averaging.nonintegrable import NonIntegrable
 from averaging.shell.averages import shell_averages
 from averaging.shell.energy_shell import EnergyShell
-from fpk.contact import Contact
-from fpk.density import l1_distance
-from fpk.observable import parse_observable
-from fpk.quadrature import gauss_legendre
+from fpk.answer.density import l1_distance
+from fpk.answer.observable import parse_observable
+from fpk.numeric.quadrature import gauss_legendre
+from fpk.system.contact import Contact
 
 STOPS = {
     "both": (Contact(1, "both", 10.0, 0.5),),

@@ -7,8 +7,8 @@ import pytest
 from modal_terms import solved
 
 from averaging.exact import Exact
-from fpk.contact import Contact
-from fpk.system import System
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 EXPONENTS = {"hertz": 1.5, "bilinear": 1.0}
 X, W = np.polynomial.legendre.leggauss(80)

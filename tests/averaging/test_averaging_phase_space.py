@@ -18,11 +18,11 @@ from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.reference import start
 from averaging.phase_space.refinement import least_distance
 from cases.comparison.compare import compared
-from fpk.density import l1_distance
-from fpk.errors import NotApplicable
-from fpk.linear import stationary_covariance
-from fpk.observable import Coordinate, parse_observable
-from fpk.quadrature import gauss_grid, integral
+from fpk.answer.density import l1_distance
+from fpk.answer.observable import Coordinate, parse_observable
+from fpk.numeric.errors import NotApplicable
+from fpk.numeric.quadrature import gauss_grid, integral
+from fpk.system.linear import stationary_covariance
 from sim.montecarlo import MonteCarlo
 
 FIG6 = {"mass": [1, 1], "stiffness": [1, 1], "damping": [0.08, 0.04]}

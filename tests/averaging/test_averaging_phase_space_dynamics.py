@@ -14,9 +14,9 @@ from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import Options
-from fpk.errors import NotApplicable
-from fpk.method import silent
-from fpk.observable import Coordinate, parse_observable
+from fpk.answer.method import silent
+from fpk.answer.observable import Coordinate, parse_observable
+from fpk.numeric.errors import NotApplicable
 
 ONE_SIDED = fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.3)
 GIBBS = fpk.System([2.0], [1.0], [0.4], [0.1], contacts=(ONE_SIDED,))

@@ -14,8 +14,8 @@ from averaging.phase_space.equation.frame import contact_frame, gibbs_reference,
 from averaging.phase_space.equation.space import space_to
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.reference import fitted, refitted, start
-from fpk.observable import parse_observable
-from fpk.quadrature import gauss_grid, integral
+from fpk.answer.observable import parse_observable
+from fpk.numeric.quadrature import gauss_grid, integral
 
 DEGREES = Degrees(total=16, others=6, outer=18)
 

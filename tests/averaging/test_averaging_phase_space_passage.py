@@ -15,14 +15,14 @@ from averaging.phase_space.passage.mesh import (
     oscillator_of,
 )
 from fpk import Contact, System
-from fpk.damping import DampingTerm
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.evolution import Passage, Passages
-from fpk.limit import parse_limit
-from fpk.method import silent
-from fpk.modulation import Modulation
-from fpk.square_root import SquareRoot
-from fpk.start import parse_start
+from fpk.answer.evolution import Passage, Passages
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.start import parse_start
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.solvers.square_root import SquareRoot
+from fpk.system.damping import DampingTerm
+from fpk.system.modulation import Modulation
 from sim import MonteCarlo
 
 STOPS = (Contact(1, "both", 10.0, 0.5),)

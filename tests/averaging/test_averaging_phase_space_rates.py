@@ -11,7 +11,7 @@ import fpk
 from averaging.gaussian import Linear
 from averaging.phase_space.dynamics import questions, resolvent
 from averaging.phase_space.method import PhaseSpace
-from fpk.method import silent
+from fpk.answer.method import silent
 
 ONE_SIDED = fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.3)
 GIBBS = fpk.System([2.0], [1.0], [0.4], [0.1], contacts=(ONE_SIDED,))

@@ -19,11 +19,11 @@ from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.compare import compared
-from fpk.damping import gaussian_moment
-from fpk.density import l1_distance
-from fpk.errors import NotApplicable
-from fpk.method import silent
-from fpk.observable import Coordinate, parse_observable
+from fpk.answer.density import l1_distance
+from fpk.answer.method import silent
+from fpk.answer.observable import Coordinate, parse_observable
+from fpk.numeric.errors import NotApplicable
+from fpk.system.damping import gaussian_moment
 from sim.montecarlo import MonteCarlo
 
 Term = fpk.DampingTerm

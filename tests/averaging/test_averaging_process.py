@@ -10,12 +10,12 @@ from averaging.closed_form import averaged_density
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.zero_flux import solve_by_quadrature
-from fpk.contact import Contact
-from fpk.errors import NotApplicable, NotCertified
-from fpk.line.stationary import solve_stationary
-from fpk.process import Process
-from fpk.quadrature import panel_rule
-from fpk.system import System
+from fpk.numeric.errors import NotApplicable, NotCertified
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.stationary import solve_stationary
+from fpk.system.contact import Contact
+from fpk.system.process import Process
+from fpk.system.system import System
 
 
 def eq_25(system, energy, *, with_masses=True):

@@ -9,8 +9,8 @@ from scipy.special import betainc
 
 from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.shell.energy_shell import EnergyShell
-from fpk.contact import Contact
-from fpk.system import System
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 LAWS = {"hertz": (None, 1.5), "bilinear": (None, 1.0), "power": (1.3, 1.3)}
 REFERENCE = 1e-14

@@ -17,13 +17,13 @@ from scipy.stats import multivariate_normal
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from averaging.nonintegrable import NonIntegrable
-from fpk.contact import Contact
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.method import silent
-from fpk.observable import parse_observable
-from fpk.quadrature import panel_rule
-from fpk.start import parse_start
-from fpk.system import System
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import parse_start
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim import MonteCarlo
 
 ONE = System([1.5], [2.0], [0.1], [0.03])

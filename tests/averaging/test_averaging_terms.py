@@ -8,10 +8,10 @@ import pytest
 from averaging_systems import chain, term_power
 
 from averaging.energy_process import energy_process
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.process import log_density_slope
-from fpk.system import System
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.process import log_density_slope
+from fpk.system.system import System
 
 ONE = (
     DampingTerm(1, 1, 0.7, q=((1, 2),)),

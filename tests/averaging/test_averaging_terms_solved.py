@@ -12,15 +12,15 @@ from averaging.energy_process import energy_process
 from averaging.exact import Exact, compatibility
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import solve_by_quadrature
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.density import l1_distance
-from fpk.errors import NotApplicable
-from fpk.line.stationary import solve_stationary
-from fpk.observable import parse_observable
-from fpk.probe import probed
-from fpk.quadrature import panel_rule
-from fpk.system import System
+from fpk.answer.density import l1_distance
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.stationary import solve_stationary
+from fpk.solvers.probe import probed
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
 
 NAMES = ("H", "q1", "q2", "p2", "q2,p2")
 

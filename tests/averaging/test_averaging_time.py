@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from averaging.nonintegrable import NonIntegrable
-from fpk.contact import Contact
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passages, Transients
-from fpk.limit import parse_limit
-from fpk.method import silent
-from fpk.observable import parse_observable
-from fpk.start import parse_start
-from fpk.system import System
+from fpk.answer.evolution import Passages, Transients
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import parse_start
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 FREE = System([1.0, 2.0], [1.0, 3.0], [0.1, 0.3], [0.02, 0.05])
 """c = Σ(c_i/m_i)/2 = 0.125 and d = Σ(D_i/m_i)/2 = 0.0225, so that the temperature is 0.18."""

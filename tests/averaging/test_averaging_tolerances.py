@@ -5,10 +5,10 @@ import pytest
 
 from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace
 from fpk import System
-from fpk.errors import InvalidInput
-from fpk.limit import parse_limit
-from fpk.observable import parse_observable
-from fpk.start import REST
+from fpk.answer.limit import parse_limit
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import REST
+from fpk.numeric.errors import InvalidInput
 from sim import MonteCarlo
 
 FREE = System([1.0], [1.0], [0.1], [0.05])

@@ -18,10 +18,10 @@ from cases.scene.json_schema import DIRECTIVE, FILE, key_table, scene_schema, wi
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.schema import SCENE
 from cases.written import duration
-from fpk.contact_law import LAWS
-from fpk.contact_quantities import stop_clearances
+from fpk.answer.contact_quantities import stop_clearances
+from fpk.system.contact_law import LAWS
 from sim.montecarlo import MonteCarlo
-from sim.setup import expected_seconds
+from sim.sample.setup import expected_seconds
 
 QUICK = ("list", "new", "check", "schema", "show", "passage", "transient", "density", "crossings")
 """Commands whose first example takes a second or less once the program is compiled."""

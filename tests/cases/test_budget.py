@@ -11,13 +11,13 @@ from cases.comparison.attempts import LEAST, Budget, budget_of
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.stationary import run_scene
 from cases.scene.scene import load_scene
-from fpk.errors import InvalidInput, NotCertified
-from fpk.limit import parse_limit
-from fpk.method import silent
-from fpk.observable import parse_observable
-from fpk.start import REST
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import REST
+from fpk.numeric.errors import InvalidInput, NotCertified
 from sim.montecarlo import MonteCarlo
-from sim.splitting.run import Splitting, rare_failure
+from sim.questions.splitting.run import Splitting, rare_failure
 
 SCENE = """
 [system]

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from cases.comparison.routes import listed_routes, method_for
-from fpk.certificate import Measured, certify
-from fpk.contact import Contact
-from fpk.dynamics import Curve
-from fpk.evolution import Transient
-from fpk.method import ROUTES
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.dynamics import Curve
+from fpk.answer.evolution import Transient
+from fpk.answer.method import ROUTES
+from fpk.answer.observable import parse_observable
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 ROOT = Path(__file__).parents[2]
-ONE_MAKER = {"Certificate": "fpk/certificate.py", "Density": "fpk/density.py"}
+ONE_MAKER = {"Certificate": "fpk/answer/certificate.py", "Density": "fpk/answer/density.py"}
 
 STOPS = tuple(Contact(mass, "both", 10.0, 0.5) for mass in (1, 2))
 STIFF = System([1, 1], [1, 1e6], [0.1, 0.1], [0.05, 0.05], contacts=STOPS)

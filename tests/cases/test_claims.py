@@ -13,13 +13,13 @@ from cases.comparison.doubt import ACCEPTABLE_L1
 from cases.comparison.routes import listed_routes
 from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
-from fpk.bins import BinAxis
-from fpk.certificate import Certificate
-from fpk.contact_quantities import StopClearance
-from fpk.density import Density
-from fpk.method import ROUTES
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
+from fpk.answer.bins import BinAxis
+from fpk.answer.certificate import Certificate
+from fpk.answer.contact_quantities import StopClearance
+from fpk.answer.density import Density
+from fpk.answer.method import ROUTES
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
 
 FLAT = lambda x: np.where(np.abs(x) <= 1, 0.5, 0.0)  # noqa: E731
 FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)

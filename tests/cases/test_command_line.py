@@ -16,7 +16,7 @@ pytest.importorskip("sim.montecarlo")
 from cases.comparison.routes import all_methods, method_for
 from cases.comparison.stationary import run_scene
 from cases.scene.scene import load_scene, shipped_scenes
-from fpk.method import solvers_of
+from fpk.answer.method import solvers_of
 
 RUN = {"scene", "effects", "regime", "methods", "comparisons", "identities", "seconds"}
 COMPARISON = {"observable", "a", "b", "measures", "L1", "band", "holds"}

@@ -8,12 +8,12 @@ import pytest
 import fpk
 from cases.comparison.compare import chance_l1, compared, what_is_measured
 from cases.comparison.routes import register_routes
-from fpk.bins import BinAxis
-from fpk.certificate import Certificate
-from fpk.density import Density, l1_distance
-from fpk.method import ROUTES, Result, solvers_of
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
+from fpk.answer.bins import BinAxis
+from fpk.answer.certificate import Certificate
+from fpk.answer.density import Density, l1_distance
+from fpk.answer.method import ROUTES, Result, solvers_of
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
 
 register_routes()
 

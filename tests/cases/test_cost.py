@@ -19,9 +19,9 @@ from cases.studies.page import Table, cell
 from cases.studies.prices import NotTimed, Priced, crossovers, passage_routes, price_list
 from cases.studies.simulation import full_reference
 from cases.written import duration
-from fpk.density import l1_distance
-from fpk.line.stationary import solve_stationary
-from fpk.observable import parse_observable
+from fpk.answer.density import l1_distance
+from fpk.answer.observable import parse_observable
+from fpk.solvers.line.stationary import solve_stationary
 
 
 def sign_of_28(process):

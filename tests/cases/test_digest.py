@@ -5,7 +5,7 @@ from cases.comparison.compare import Comparison
 from cases.comparison.routes import register_routes
 from cases.output.digest import comparison_rows, refusal_record
 from cases.output.text import refusals_of
-from fpk.method import ROUTES
+from fpk.answer.method import ROUTES
 
 register_routes()
 

@@ -5,11 +5,11 @@ import pytest
 
 from averaging import Linear, NonIntegrable
 from cases.comparison.doubt import rms_ratios
-from fpk.contact import Contact
-from fpk.errors import NotApplicable
-from fpk.linear import natural_modes, stationary_covariance
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.linear import natural_modes, stationary_covariance
+from fpk.system.system import System
 from sim import MonteCarlo
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from averaging.phase_space.refinement import MEMORY
-from fpk.linear import stationary_covariance
-from fpk.system import System
+from fpk.system.linear import stationary_covariance
+from fpk.system.system import System
 
 CERTIFICATE = {"mass_defect", "minimum", "residual", "tail_mass", "certified"}
 CURVE = {

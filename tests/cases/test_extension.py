@@ -12,8 +12,8 @@ from cases.output.digest import digest_of
 from cases.output.fields import write_netcdf
 from cases.output.report import write_report
 from cases.scene.scene import load_scene
-from fpk.contact_law import LAWS
-from fpk.method import ROUTES
+from fpk.answer.method import ROUTES
+from fpk.system.contact_law import LAWS
 
 TOY = ("equipartition", "closed-form")
 

@@ -11,10 +11,10 @@ from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.facts import theories
 from cases.scene.scene import load_scene
-from fpk.contact import Contact
-from fpk.errors import NotApplicable
-from fpk.method import Method
-from fpk.system import System
+from fpk.answer.method import Method
+from fpk.numeric.errors import NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 TOL = 1e-2

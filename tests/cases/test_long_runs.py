@@ -12,7 +12,7 @@ import pytest
 distributed = pytest.importorskip("distributed")
 import dask  # noqa: E402
 
-from fpk.machine import locked  # noqa: E402
+from fpk.numeric.machine import locked  # noqa: E402
 
 DENSITY = ["fig3a", "--method", "montecarlo", "--of", "q2", "--at", "0:1:0.25", "--json"]
 GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--paths", 4096, "--time", 60, "--seed", 3]
@@ -83,7 +83,7 @@ def test_a_map_is_built_by_one_process_at_a_time(fpk, tmp_path):
 @pytest.mark.parametrize("command", [["run", "fig6a"], ["density", *DENSITY],
                                      ["regime", "fig6a", *GRID]])  # fmt: skip
 def test_a_cluster_that_does_not_answer_is_one_line(command, fpk, monkeypatch):
-    monkeypatch.setattr("sim.workers.PATIENCE", 0.5)
+    monkeypatch.setattr("sim.sample.workers.PATIENCE", 0.5)
     status, out, err = fpk(*command, "--cluster", "tcp://127.0.0.1:9")
     assert (status, out) == (2, "") and "no Dask scheduler" in err and err.count("\n") == 1
 

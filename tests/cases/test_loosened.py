@@ -5,7 +5,7 @@ from math import inf, nan
 import pytest
 
 from cases.comparison.attempts import LOOSEST, loosened
-from fpk.certificate import Measured, certify
+from fpk.answer.certificate import Measured, certify
 
 
 def asked(error, default, *, least=0.0, failures=()):

@@ -8,12 +8,12 @@ from scipy.special import expi
 
 from cases.comparison.rare import passage_answer
 from cases.scene.questions import PassageQuestion
-from fpk.limit import parse_limit
-from fpk.method import silent
-from fpk.start import parse_start
-from fpk.system import System
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.start import parse_start
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.motion.failure_times import LEAST_FAILURES
+from sim.questions.failure_times import LEAST_FAILURES
 
 
 @pytest.mark.parametrize(("last", "simulations"), [(400.0, 1), (20.0, 2)])

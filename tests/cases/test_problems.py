@@ -12,10 +12,10 @@ from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
 from cases.output.text import rendered, verdict_of
 from cases.scene.scene import load_scene
-from fpk.certificate import Measured
-from fpk.density import certified_density
-from fpk.method import Plan
-from fpk.observable import parse_observable
+from fpk.answer.certificate import Measured
+from fpk.answer.density import certified_density
+from fpk.answer.method import Plan
+from fpk.answer.observable import parse_observable
 
 
 def shifted(density, shift, tol):

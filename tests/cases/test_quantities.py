@@ -20,10 +20,10 @@ from cases.output.digest import digest_of
 from cases.output.text import quantity_tables
 from cases.scene.scene import load_scene
 from cases.written import concise, up, with_error
-from fpk.contact import Contact
-from fpk.density import Density
-from fpk.errors import InvalidInput, Unavailable
-from fpk.system import System
+from fpk.answer.density import Density
+from fpk.numeric.errors import InvalidInput, Unavailable
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 ROOT = Path(__file__).parent.parent.parent
 LINEAR = System([1.0, 2.0], [1.0, 0.5], [0.08, 0.04], [0.08 * 0.3, 0.04 * 0.3])

@@ -11,9 +11,9 @@ from averaging.exact import compatibility
 from cases.comparison.quantity import QUANTILES
 from cases.comparison.routes import method_for
 from cases.scene.scene import load_scene, shipped_scenes
-from fpk.contact import Contact
-from fpk.errors import NotApplicable
-from fpk.system import System
+from fpk.numeric.errors import NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.system import System
 
 FREE = System([1.0], [1.0], [0.08], [0.08 * 0.3])
 STOPPED = System([2.0], [1.0], [0.08], [0.024], contacts=(Contact(1, "right", 10.0, 0.3),))

@@ -31,7 +31,7 @@ from cases.scene.scene import load_scene
 from cases.scene.units import Units
 from cases.written import bound, with_error
 from fpk import Contact, System
-from fpk.method import ROUTES
+from fpk.answer.method import ROUTES
 
 register_routes()
 

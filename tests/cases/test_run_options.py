@@ -5,7 +5,7 @@ import json
 import pytest
 
 from cases.comparison.routes import chosen_methods, listed_routes
-from fpk.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput
 
 QUICK = ("run", "fig3a", "--of", "q2", "--method", "exact", "--method", "nonintegrable/closed-form")
 

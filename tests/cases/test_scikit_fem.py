@@ -11,12 +11,12 @@ from cases.scene.scene import load_scene, shipped_scenes
 from cases.studies.converge import ladders
 from cases.studies.equations import energy_equation, modal_equation
 from cases.studies.orders import NEAR, observed_orders
-from fpk.density import l1_distance
-from fpk.errors import NotApplicable, NotCertified
-from fpk.line.stationary import solve_on_mesh
-from fpk.observable import parse_observable
-from fpk.operator import null_function, null_vectors, solve_by_scikit_fem
-from fpk.plane.solution import graded, solve_plane_on_mesh
+from fpk.answer.density import l1_distance
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import NotApplicable, NotCertified
+from fpk.solvers.line.stationary import solve_on_mesh
+from fpk.solvers.operator import null_function, null_vectors, solve_by_scikit_fem
+from fpk.solvers.plane.solution import graded, solve_plane_on_mesh
 
 METHODS = ((NonIntegrable, "H"), (Integrable, "H1,H2"))
 QUICK = ("fig6a", "vanderpol", "stiff-stops", "chain-50")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cases.output.records import passage_text
-from fpk.errors import NotApplicable
+from fpk.numeric.errors import NotApplicable
 from sim.montecarlo import MonteCarlo
 
 DENSITY = {

@@ -21,14 +21,14 @@ from cases.output.report import write_report
 from cases.output.text import rendered
 from cases.output.vtk import write_time_pvd
 from cases.scene.scene import load_scene
-from fpk.certificate import Measured, certify
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passage, Passages, Transient
-from fpk.limit import parse_limit
-from fpk.method import ROUTES, Method, silent
-from fpk.number import Number
-from fpk.start import REST
-from sim.diagnostics import FALSE_ALARMS
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.evolution import Passage, Passages, Transient
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import ROUTES, Method, silent
+from fpk.answer.number import Number
+from fpk.answer.start import REST
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from sim.sample.diagnostics import FALSE_ALARMS
 
 register_routes()
 CIR = load_scene("cir")

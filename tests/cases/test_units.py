@@ -25,12 +25,12 @@ from cases.studies.picture import study_figure
 from cases.studies.prices import Priced
 from cases.studies.sweep.sweep import sweep
 from cases.studies.sweep.sweep_page import sweep_page
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.errors import InvalidInput
-from fpk.linear import stationary_covariance
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import InvalidInput
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.linear import stationary_covariance
+from fpk.system.system import System
 
 MM = '[units]\nlength = "mm"\nmass = "kg"\ntime = "s"\n'
 SI = Units("m", "kg", "s")

@@ -12,10 +12,10 @@ from cases.comparison.routes import method_for
 from cases.comparison.stationary import run_scene
 from cases.output.vtk import write_vtu
 from cases.scene.scene import load_scene
-from fpk.certificate import Certificate
-from fpk.density import Density
-from fpk.field import CUT, SUBDIVISION, field_of
-from fpk.observable import parse_observable
+from fpk.answer.certificate import Certificate
+from fpk.answer.density import Density
+from fpk.answer.field import CUT, SUBDIVISION, field_of
+from fpk.answer.observable import parse_observable
 
 FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
 

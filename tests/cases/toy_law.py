@@ -1,6 +1,6 @@
 """A contact law of one's own: force ~ overlap**3."""
 
-from fpk.contact_law import ContactLaw, register
+from fpk.system.contact_law import ContactLaw, register
 
 CUBIC = register(
     ContactLaw(

@@ -6,10 +6,10 @@ from typing import Self
 
 import numpy as np
 
-from fpk.certificate import NEGATIVE, Measured
-from fpk.density import certified_density
-from fpk.errors import NotApplicable
-from fpk.method import Method, Plan, Result, Route, register
+from fpk.answer.certificate import NEGATIVE, Measured
+from fpk.answer.density import certified_density
+from fpk.answer.method import Method, Plan, Result, Route, register
+from fpk.numeric.errors import NotApplicable
 
 REACH = 8.5
 

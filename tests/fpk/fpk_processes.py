@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from fpk.contact import Contact
-from fpk.process import Coefficients, Process
-from fpk.quadrature import panel_rule
-from fpk.system import System
+from fpk.numeric.quadrature import panel_rule
+from fpk.system.contact import Contact
+from fpk.system.process import Coefficients, Process
+from fpk.system.system import System
 
 
 def by_hand(dissipation, *, d=1.0, n=1.0, scale=1.0):

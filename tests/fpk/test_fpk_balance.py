@@ -7,13 +7,13 @@ import pytest
 from scipy.integrate import quad
 
 from averaging import Integrable, NonIntegrable
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.equivalent import _contact_states, damping_balance, equivalent_temperature
-from fpk.errors import NotApplicable
-from fpk.method import silent
-from fpk.observable import Coordinate
-from fpk.system import System
+from fpk.answer.method import silent
+from fpk.answer.observable import Coordinate
+from fpk.numeric.errors import NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.equivalent import _contact_states, damping_balance, equivalent_temperature
+from fpk.system.system import System
 from sim import MonteCarlo
 
 CUBIC = Contact(1, "both", 100.0, 0.3, "power", exponent=3.0)
@@ -116,7 +116,7 @@ def test_samples_of_many_contact_masses_give_what_gauss_points_give(
 ) -> None:
     system = stopped_chain(count)
     expected = damping_balance(system)
-    monkeypatch.setattr("fpk.equivalent.POINTS", {})
+    monkeypatch.setattr("fpk.system.equivalent.POINTS", {})
     sampled = damping_balance(system)
     assert sampled.temperature == pytest.approx(expected.temperature, rel=0.02)
     assert sampled.energy == pytest.approx(expected.energy, rel=0.03)

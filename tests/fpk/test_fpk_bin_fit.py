@@ -7,10 +7,10 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from fpk.bins import BinAxis
-from fpk.certificate import Measured, certify
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
+from fpk.answer.bins import BinAxis
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
 
 PASSED = certify(Measured(0.0, 0.0, 0.0, 0.0, 0.0), tol=1.0)
 Q1, PAIR = parse_observable("q1", 1), parse_observable("q1,p1", 1)

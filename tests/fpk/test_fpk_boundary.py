@@ -4,7 +4,7 @@ import pytest
 from fpk_processes import both, by_hand, chain, cox_ingersoll_ross
 
 from averaging.energy_process import energy_process
-from fpk.ends import classify
+from fpk.system.ends import classify
 
 
 @pytest.mark.parametrize(

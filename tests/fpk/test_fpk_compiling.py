@@ -13,11 +13,11 @@ from pathlib import Path
 import numba
 import pytest
 
-from fpk.compiling import COMPILER, abandon, interruptible_compile, is_compiling
+from fpk.numeric.compiling import COMPILER, abandon, interruptible_compile, is_compiling
 
 SOURCE = '''
 """A module whose folder is the test's own, and so is its cache."""
-from fpk.compiling import cached_njit
+from fpk.numeric.compiling import cached_njit
 
 def made(factor):
     @cached_njit()

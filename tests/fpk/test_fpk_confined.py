@@ -7,11 +7,11 @@ from processes import process_of
 
 from averaging.energy_process import energy_process
 from averaging.zero_flux import solve_by_quadrature
-from fpk.ends import require_confined
-from fpk.errors import NotCertified
-from fpk.line.stationary import solve_stationary
-from fpk.plane.stationary import solve_plane
-from fpk.process import Process
+from fpk.numeric.errors import NotCertified
+from fpk.solvers.line.stationary import solve_stationary
+from fpk.solvers.plane.stationary import solve_plane
+from fpk.system.ends import require_confined
+from fpk.system.process import Process
 
 WEAK_NOISE = 1e-6
 """So little that the bulk, at 1e-5, ends 5e5 times below the energy where damping turns around."""

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fpk.contact import Contact
-from fpk.contact_law import LAWS, ContactLaw, register
-from fpk.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput
+from fpk.system.contact import Contact
+from fpk.system.contact_law import LAWS, ContactLaw, register
 
 ROWS = [
     (name, exponent)

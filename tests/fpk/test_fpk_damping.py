@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from state_damping import damping_at
 
-from fpk.damping import DampingTerm, gaussian_moment
-from fpk.equivalent import equivalent_temperature
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.linear import stationary_covariance
-from fpk.system import System, effects_of
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.damping import DampingTerm, gaussian_moment
+from fpk.system.equivalent import equivalent_temperature
+from fpk.system.linear import stationary_covariance
+from fpk.system.system import System, effects_of
 
 CHAIN = System([1.0, 2.0], [1.0, 3.0], [0.08, 0.04], [0.01, 0.02])
 

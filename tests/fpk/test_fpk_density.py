@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from fpk.bins import BinAxis
-from fpk.certificate import Measured
-from fpk.density import (
+from fpk.answer.bins import BinAxis
+from fpk.answer.certificate import Measured
+from fpk.answer.density import (
     Certificate,
     Density,
     bin_differences,
     certified_density,
     l1_distance,
 )
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
 
 PASSED = Certificate(l1_error=0.0, mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)
 REACH = 9.0

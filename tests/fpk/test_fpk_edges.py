@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from processes import process_of
 
-from fpk.ends import classify
-from fpk.process import Process
+from fpk.system.ends import classify
+from fpk.system.process import Process
 
 
 def process(start: float, power: float = 1.0) -> Process:

@@ -9,10 +9,10 @@ from skfem import Basis, BilinearForm, ElementLineP1, ElementLineP2, ElementLine
 from skfem.helpers import dot, grad
 
 from averaging.energy_process import energy_process
-from fpk.line.elements import element_rule
-from fpk.line.stationary import solve_on_mesh
-from fpk.operator import Operator
-from fpk.plane.elements import shape_functions
+from fpk.solvers.line.elements import element_rule
+from fpk.solvers.line.stationary import solve_on_mesh
+from fpk.solvers.operator import Operator
+from fpk.solvers.plane.elements import shape_functions
 
 FORMS = ["flux", "drift-diffusion"]
 """The solver's elements, and p itself as the polynomial, by the readable operator."""

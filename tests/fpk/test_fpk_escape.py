@@ -13,15 +13,15 @@ from averaging import Integrable, NonIntegrable
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.routes import listed_routes
 from cases.studies.equations import energy_equation
-from fpk.arrays import Array
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.escape import escape
-from fpk.limit import parse_limit
-from fpk.observable import parse_observable
-from fpk.start import REST, parse_start
-from fpk.system import System
+from fpk.answer.limit import parse_limit
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import REST, parse_start
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.escape import escape
+from fpk.system.system import System
 from sim import MonteCarlo
 
 Monomial = tuple[float, str]

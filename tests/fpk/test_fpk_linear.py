@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from fpk.linear import (
+from fpk.system.linear import (
     decay_time,
     diffusion_matrix,
     drift_matrix,
     natural_modes,
     stationary_covariance,
 )
-from fpk.system import System
+from fpk.system.system import System
 
 EPS = np.finfo(float).eps
 

@@ -10,14 +10,14 @@ from test_fpk_plane import square_root_process
 from test_fpk_plane_time import frame
 
 from averaging.energy_process import energy_process
-from fpk.line.elements import _residual
-from fpk.line.time import resolvent
-from fpk.line.time.elements import degree_for, meshed
-from fpk.line.time.transition import Source
-from fpk.plane.solution import graded
-from fpk.plane.time import exponential, passage
-from fpk.plane.time.levels import PlaneStart
-from fpk.plane.time.operator import PlaneOperator
+from fpk.solvers.line.elements import _residual
+from fpk.solvers.line.time import resolvent
+from fpk.solvers.line.time.elements import degree_for, meshed
+from fpk.solvers.line.time.transition import Source
+from fpk.solvers.plane.solution import graded
+from fpk.solvers.plane.time import exponential, passage
+from fpk.solvers.plane.time.levels import PlaneStart
+from fpk.solvers.plane.time.operator import PlaneOperator
 
 TIMES = np.array([1.0, 100.0])
 """Apart by more than one contour and one Krylov space serve."""

@@ -4,9 +4,9 @@ import mpmath
 import numpy as np
 import pytest
 
-from fpk.errors import InvalidInput
-from fpk.modulation import ROUND_OFF, Modulation
-from fpk.quadrature import panel_rule
+from fpk.numeric.errors import InvalidInput
+from fpk.numeric.quadrature import panel_rule
+from fpk.system.modulation import ROUND_OFF, Modulation
 
 
 def test_the_energy_of_the_modulation():

@@ -2,10 +2,10 @@
 
 import pytest
 
-from fpk.errors import InvalidInput
-from fpk.method import Method
-from fpk.observable import Coordinate, observable_name, parse_observable
-from fpk.system import System
+from fpk.answer.method import Method
+from fpk.answer.observable import Coordinate, observable_name, parse_observable
+from fpk.numeric.errors import InvalidInput
+from fpk.system.system import System
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,11 @@ from processes import process_of
 from scipy.linalg import eig
 
 from averaging.energy_process import energy_process
-from fpk.errors import NotCertified
-from fpk.line.stationary import solve_on_mesh
-from fpk.operator import Operator
-from fpk.plane.solution import solve_plane_on_mesh
-from fpk.process import Process
+from fpk.numeric.errors import NotCertified
+from fpk.solvers.line.stationary import solve_on_mesh
+from fpk.solvers.operator import Operator
+from fpk.solvers.plane.solution import solve_plane_on_mesh
+from fpk.system.process import Process
 
 H = np.random.default_rng(20260705).uniform(0.05, 2.0, (200, 2))
 

@@ -7,12 +7,12 @@ from mpmath import findroot, hyp1f1, mpf
 from square_root_exact import failure, moments
 
 from averaging.energy_process import energy_process
-from fpk.contact import Contact
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.line.time.passage import fem_passage, first_passage
-from fpk.line.time.transition import Source
-from fpk.quadrature import panel_rule
-from fpk.square_root import SquareRoot
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.time.passage import fem_passage, first_passage
+from fpk.solvers.line.time.transition import Source
+from fpk.solvers.square_root import SquareRoot
+from fpk.system.contact import Contact
 
 NONE = np.zeros(0)
 

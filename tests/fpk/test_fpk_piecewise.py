@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fpk.piecewise import Piecewise, PiecewiseTensor, fit, interpolated
+from fpk.numeric.piecewise import Piecewise, PiecewiseTensor, fit, interpolated
 
 X = np.random.default_rng(20260101).uniform(0.0, 6.0, 400)
 NODES = np.array([0.0, 0.7, 1.5, 4.0, 6.0])

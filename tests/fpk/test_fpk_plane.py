@@ -9,11 +9,11 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from processes import process_of
 
-from fpk.errors import InvalidInput, NotCertified
-from fpk.plane.solution import PlaneSolution, solve_plane_on_mesh
-from fpk.plane.stationary import solve_plane
-from fpk.process import Process
-from fpk.quadrature import panel_rule
+from fpk.numeric.errors import InvalidInput, NotCertified
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.plane.solution import PlaneSolution, solve_plane_on_mesh
+from fpk.solvers.plane.stationary import solve_plane
+from fpk.system.process import Process
 
 Array = NDArray[np.float64]
 Log = Callable[[Array, Array], Array]

@@ -6,9 +6,9 @@ from numpy.testing import assert_allclose
 from processes import process_of
 from test_fpk_plane import manufactured
 
-from fpk.errors import NotCertified
-from fpk.plane.elements import by_element, coefficients_on_grid
-from fpk.plane.weight import AXIS, PROBE, Weight, fits, probed
+from fpk.numeric.errors import NotCertified
+from fpk.solvers.plane.elements import by_element, coefficients_on_grid
+from fpk.solvers.plane.weight import AXIS, PROBE, Weight, fits, probed
 
 PROCESS, LOG_P = manufactured(0.4, 0.2)
 X, Y = np.linspace(0.1, 3.0, 7), np.linspace(0.2, 2.0, 5)

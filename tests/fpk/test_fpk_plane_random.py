@@ -5,9 +5,9 @@ import pytest
 from test_fpk_plane import Log, l1_error, manufactured, van_der_pol
 from test_fpk_plane_weight import mixture
 
-from fpk.plane.solution import SAFETY
-from fpk.plane.stationary import solve_plane
-from fpk.process import Process
+from fpk.solvers.plane.solution import SAFETY
+from fpk.solvers.plane.stationary import solve_plane
+from fpk.system.process import Process
 
 LARGEST_RATIO = 2.1
 """Error over the distance to the enriched solution that the docstring of ``SAFETY`` names."""

@@ -8,16 +8,16 @@ from scipy.sparse.linalg import splu
 from scipy.special import ive
 from test_fpk_plane import COUPLED, FIG8, manufactured, square_root_process
 
-from fpk.errors import InvalidInput
-from fpk.operator import Operator
-from fpk.plane.solution import graded
-from fpk.plane.stationary import solve_plane
-from fpk.plane.time.exponential import evolved
-from fpk.plane.time.levels import Frame, PlaneStart
-from fpk.plane.time.operator import PlaneOperator
-from fpk.plane.time.passage import PlaneLimit, _hopeless, first_passage, relaxation_rates
-from fpk.plane.time.transient import transient_densities
-from fpk.quadrature import panel_rule
+from fpk.numeric.errors import InvalidInput
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.operator import Operator
+from fpk.solvers.plane.solution import graded
+from fpk.solvers.plane.stationary import solve_plane
+from fpk.solvers.plane.time.exponential import evolved
+from fpk.solvers.plane.time.levels import Frame, PlaneStart
+from fpk.solvers.plane.time.operator import PlaneOperator
+from fpk.solvers.plane.time.passage import PlaneLimit, _hopeless, first_passage, relaxation_rates
+from fpk.solvers.plane.time.transient import transient_densities
 
 
 def frame(process):

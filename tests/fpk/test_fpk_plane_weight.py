@@ -21,10 +21,11 @@ from test_fpk_plane import (
     van_der_pol,
 )
 
-from fpk.errors import NotCertified
-from fpk.plane import stationary
-from fpk.plane.solution import PlaneSolution, solve_plane_on_mesh
-from fpk.plane.stationary import (
+from fpk.numeric.errors import NotCertified
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.plane import stationary
+from fpk.solvers.plane.solution import PlaneSolution, solve_plane_on_mesh
+from fpk.solvers.plane.stationary import (
     RUNGS,
     detailed_balance,
     finer,
@@ -32,9 +33,8 @@ from fpk.plane.stationary import (
     solve_plane,
     solve_with_weight,
 )
-from fpk.plane.weight import Weight, fitted_weight, flux_free_weight, probed
-from fpk.process import Coefficients, Process
-from fpk.quadrature import panel_rule
+from fpk.solvers.plane.weight import Weight, fitted_weight, flux_free_weight, probed
+from fpk.system.process import Coefficients, Process
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fpk.quadrature import gauss_legendre, panel_rule
+from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 
 @pytest.mark.parametrize("points", [1, 2, 5, 20])

@@ -11,16 +11,16 @@ from scipy.linalg import solve_continuous_lyapunov
 from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
-from fpk.bins import BinAxis
-from fpk.certificate import Certificate
-from fpk.contact import Contact
-from fpk.contact_quantities import contact_quantities
-from fpk.density import Density
-from fpk.errors import InvalidInput
-from fpk.number import Number
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
+from fpk.answer.bins import BinAxis
+from fpk.answer.certificate import Certificate
+from fpk.answer.contact_quantities import contact_quantities
+from fpk.answer.density import Density
+from fpk.answer.number import Number
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.errors import InvalidInput
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 LINEAR = System([1.0, 2.0], [1.0, 0.5], [0.08, 0.04], [0.01, 0.02])

@@ -8,9 +8,9 @@ from scipy.stats import gamma
 
 from averaging.closed_form import averaged_density
 from averaging.energy_process import energy_process
-from fpk.contact import Contact
-from fpk.errors import NotCertified
-from fpk.line.stationary import NEGATIVE, solve_on_mesh, solve_stationary
+from fpk.numeric.errors import NotCertified
+from fpk.solvers.line.stationary import NEGATIVE, solve_on_mesh, solve_stationary
+from fpk.system.contact import Contact
 
 SYSTEMS = {
     "no contact": chain(2),

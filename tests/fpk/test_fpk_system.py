@@ -6,17 +6,17 @@ import re
 import numpy as np
 import pytest
 
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.linear import (
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.linear import (
     decay_time,
     diffusion_matrix,
     drift_matrix,
     natural_modes,
     stationary_covariance,
 )
-from fpk.system import System, effects_of
+from fpk.system.system import System, effects_of
 
 GOOD = {
     "mass": [1.0, 2.0],

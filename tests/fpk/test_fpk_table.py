@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fpk.arrays import Array
-from fpk.certificate import Measured
-from fpk.density import Density, certified_density, l1_distance
-from fpk.observable import parse_observable
-from fpk.quadrature import gauss_grid, integral
+from fpk.answer.certificate import Measured
+from fpk.answer.density import Density, certified_density, l1_distance
+from fpk.answer.observable import parse_observable
+from fpk.numeric.arrays import Array
+from fpk.numeric.quadrature import gauss_grid, integral
 
 NODES = np.linspace(-8.0, 8.0, 17)
 

@@ -7,15 +7,15 @@ from scipy.sparse.linalg import splu
 from square_root_exact import density
 
 from averaging.energy_process import energy_process
-from fpk.contact import Contact
-from fpk.contour import contours
-from fpk.errors import InvalidInput
-from fpk.line.stationary import solve_stationary
-from fpk.line.time.passage import fem_passage
-from fpk.line.time.spectrum import eigenvalues_below, spectrum
-from fpk.line.time.transition import Source, transition
-from fpk.operator import Operator
-from fpk.square_root import SquareRoot
+from fpk.numeric.errors import InvalidInput
+from fpk.solvers.contour import contours
+from fpk.solvers.line.stationary import solve_stationary
+from fpk.solvers.line.time.passage import fem_passage
+from fpk.solvers.line.time.spectrum import eigenvalues_below, spectrum
+from fpk.solvers.line.time.transition import Source, transition
+from fpk.solvers.operator import Operator
+from fpk.solvers.square_root import SquareRoot
+from fpk.system.contact import Contact
 
 DECADES = np.array([1e-3, 0.1, 1.0, 1e3])
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.special import erfc
 
-from fpk.certificate import Measured
-from fpk.density import certified_density
-from fpk.dynamics import upcrossings
-from fpk.observable import parse_observable
+from fpk.answer.certificate import Measured
+from fpk.answer.density import certified_density
+from fpk.answer.dynamics import upcrossings
+from fpk.answer.observable import parse_observable
 
 AT = np.array([-2.0, 0.0, 0.7, 5.0])
 

@@ -10,11 +10,11 @@ from hard_units import in_units, mirrored
 
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
-from fpk.density import Density, l1_distance
-from fpk.line.stationary import solve_on_mesh, solve_stationary
-from fpk.observable import Observable, parse_observable
-from fpk.quadrature import panel_rule
-from fpk.system import System
+from fpk.answer.density import Density, l1_distance
+from fpk.answer.observable import Observable, parse_observable
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.stationary import solve_on_mesh, solve_stationary
+from fpk.system.system import System
 
 TOL = 1e-8
 """L1 tolerance of hard cases: of some the coefficients themselves are not known to 1e-10."""

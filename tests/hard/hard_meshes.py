@@ -10,11 +10,11 @@ from scipy.integrate import quad
 
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
-from fpk.density import Density
-from fpk.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
-from fpk.process import Process
-from fpk.quadrature import panel_rule
-from fpk.system import System
+from fpk.answer.density import Density
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.stationary import StationarySolution, solve_on_mesh, solve_stationary
+from fpk.system.process import Process
+from fpk.system.system import System
 
 Array = NDArray[np.float64]
 

@@ -7,13 +7,13 @@ from hard_case import Check, HardCase
 from hard_systems import with_stops
 from numpy.typing import NDArray
 
-from fpk.observable import parse_observable
-from fpk.system import System
-from sim.arrays import LANES
-from sim.ensemble import Ensemble
+from fpk.answer.observable import parse_observable
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.schemes import SCHEMES
-from sim.step_size import chosen_step
+from sim.sample.ensemble import Ensemble
+from sim.step.arrays import LANES
+from sim.step.schemes import SCHEMES
+from sim.step.step_size import chosen_step
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import MatrixRankWarning, spsolve
 from skfem import Basis, BilinearForm, ElementLineP2, LinearForm, MeshLine
 
-from fpk.density import Density
-from fpk.process import Process
-from fpk.system import System
+from fpk.answer.density import Density
+from fpk.system.process import Process
+from fpk.system.system import System
 
 Array = NDArray[np.float64]
 

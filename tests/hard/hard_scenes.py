@@ -19,9 +19,9 @@ from averaging.energy_process import energy_process
 from averaging.integrable import Integrable
 from cases.scene.numbers import Curve
 from cases.scene.scene import Scene, load_scene, shipped_scenes
-from fpk.density import Density, l1_distance
-from fpk.observable import observable_name, parse_observable
-from fpk.system import System
+from fpk.answer.density import Density, l1_distance
+from fpk.answer.observable import observable_name, parse_observable
+from fpk.system.system import System
 
 TOLERANCES = {"three-contact-masses": 1e-4}
 """Tolerance where it is not that of the battery: of three contact masses the coefficients, inverse

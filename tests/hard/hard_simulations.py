@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from averaging.exact import Exact
 from cases.comparison.compare import compared
 from cases.scene.scene import load_scene
-from fpk.density import Density
-from fpk.errors import InvalidInput, NotCertified
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
-from sim.arrays import MAX_TRAJECTORIES
-from sim.ensemble import Ensemble
+from fpk.answer.density import Density
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.errors import InvalidInput, NotCertified
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.schemes import SCHEMES
-from sim.step_size import chosen_step
+from sim.sample.ensemble import Ensemble
+from sim.step.arrays import MAX_TRAJECTORIES
+from sim.step.schemes import SCHEMES
+from sim.step.step_size import chosen_step
 
 SHORT = MonteCarlo(paths=4096, relaxations=10.0, burn_in=5.0)
 """A simulation of a second or two."""

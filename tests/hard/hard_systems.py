@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from cases.scene.scene import load_scene
-from fpk.system import System
+from fpk.system.system import System
 
 
 def with_stops(stiffness: float) -> System:

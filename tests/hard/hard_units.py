@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from fpk.damping import DampingTerm
-from fpk.system import System
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
 
 
 def in_units(system: System, *, mass: float, length: float, time: float) -> System:

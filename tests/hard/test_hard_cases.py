@@ -16,7 +16,7 @@ from state_damping import damping_at
 
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
-from fpk.system import System
+from fpk.system.system import System
 
 
 def tiered(cases, slow, names):

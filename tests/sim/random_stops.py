@@ -3,11 +3,11 @@
 import numpy as np
 from sim_gibbs import Gibbs
 
-from fpk.contact import Contact
-from fpk.contact_quantities import contact_quantities
-from fpk.dynamics import upcrossings
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.contact_quantities import contact_quantities
+from fpk.answer.dynamics import upcrossings
+from fpk.answer.observable import parse_observable
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 Array = np.ndarray

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from fpk.contact import Contact
-from fpk.system import System
-from sim.ensemble import Ensemble
-from sim.histogram import Histogram, axis_of, covering, extremes
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.report import Report
+from sim.sample.ensemble import Ensemble
+from sim.sample.histogram import Histogram, axis_of, covering, extremes
+from sim.sample.report import Report
 
 
 def fig6(*, clearance: float = 0.5) -> System:

@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 from sim_systems import fig6
 
-import sim.checkpoint
-from fpk.errors import Unavailable
-from fpk.observable import parse_observable
-from sim.arrays import LANES
-from sim.checkpoint import Checkpoint, checkpoint_of, interruptible
-from sim.ensemble import Ensemble
+import sim.sample.checkpoint
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import Unavailable
 from sim.montecarlo import MonteCarlo
-from sim.report import Report
-from sim.schemes import SCHEMES
+from sim.sample.checkpoint import Checkpoint, checkpoint_of, interruptible
+from sim.sample.ensemble import Ensemble
+from sim.sample.report import Report
+from sim.step.arrays import LANES
+from sim.step.schemes import SCHEMES
 
 METHOD = MonteCarlo(paths=4096, time=2000.0, dt=0.2, seed=17, threads=1)
 OBSERVABLES = [parse_observable(name, 2) for name in ("q2", "p1", "q2,p2")]
@@ -33,11 +33,11 @@ IN_PIECES = """
 import sys
 from pathlib import Path
 import numpy as np
-import sim.checkpoint
+import sim.sample.checkpoint
 from dataclasses import replace
 from test_sim_checkpoint import METHOD, OBSERVABLES, arrays_of
 from sim_systems import fig6
-sim.checkpoint.INTERVAL = float(sys.argv[3])
+sim.sample.checkpoint.INTERVAL = float(sys.argv[3])
 method = replace(METHOD, checkpoint=Path(sys.argv[1]), time=float(sys.argv[4]))
 print("begun", flush=True)
 sys.stdin.readline()
@@ -159,7 +159,7 @@ def test_the_state_goes_to_disk_and_comes_back(tmp_path: Path) -> None:
     assert checkpoint.advance(ensembles[0], 10**6) and checkpoint.interrupted
     loaded = checkpoint.load()
     ensembles[1].restore(loaded)
-    assert ensembles[1].done == ensembles[0].done == sim.checkpoint.FIRST_PIECE
+    assert ensembles[1].done == ensembles[0].done == sim.sample.checkpoint.FIRST_PIECE
     np.testing.assert_array_equal(ensembles[1].states, ensembles[0].states)
     np.testing.assert_array_equal(loaded["note"], [2.5, np.inf])
     assert [p.name for p in tmp_path.iterdir()] == ["state.checkpoint"]
@@ -264,8 +264,8 @@ def test_control_c_leaves_a_partial_result_that_goes_on_later(
 ) -> None:
     expected = arrays_of(METHOD.solve(fig6(), OBSERVABLES))
     method = replace(METHOD, partial=True, checkpoint=tmp_path)
-    monkeypatch.setattr("sim.checkpoint.INTERVAL", 0.02)
-    monkeypatch.setattr("sim.simulation.interruptible", lambda partial: _pressed_after(10))
+    monkeypatch.setattr("sim.sample.checkpoint.INTERVAL", 0.02)
+    monkeypatch.setattr("sim.sample.simulation.interruptible", lambda partial: _pressed_after(10))
     found = method.solve(fig6(), OBSERVABLES)
     assert found.partial and isinstance(found.report, Report)
     assert found.report.interrupted.startswith("partial: interrupted after")

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from sim_systems import fig6, ranged
 
-from fpk.errors import NotCertified, Unavailable
-from fpk.observable import parse_observable
-from sim.arrays import LANES
-from sim.diagnostics import moment_products
-from sim.ensemble import Ensemble
-from sim.histogram import Histogram
-from sim.schemes import SCHEMES
-from sim.workers import Workers, workers_of
+from fpk.answer.observable import parse_observable
+from fpk.numeric.errors import NotCertified, Unavailable
+from sim.sample.diagnostics import moment_products
+from sim.sample.ensemble import Ensemble
+from sim.sample.histogram import Histogram
+from sim.sample.workers import Workers, workers_of
+from sim.step.arrays import LANES
+from sim.step.schemes import SCHEMES
 
 dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
 EXACT_FLOW = SCHEMES["exact_flow"]
@@ -92,7 +92,7 @@ def kill_one(client: Any) -> Callable[[], None]:
 def test_what_was_saved_goes_on_in_another_ensemble(
     apart: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.ensemble.APART", apart)
+    monkeypatch.setattr("sim.sample.ensemble.APART", apart)
     one, other = here(MANY), here(MANY)
     for ensemble in (one, other):
         ensemble.watch(histograms(), moment_products(2))
@@ -161,7 +161,7 @@ def test_a_task_that_kills_every_worker_ends_in_one_line() -> None:
 def test_an_address_that_does_not_answer_is_one_line(
     address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.workers.PATIENCE", 0.5)
+    monkeypatch.setattr("sim.sample.workers.PATIENCE", 0.5)
     with pytest.raises(Unavailable, match="no Dask scheduler") as end, workers_of(address):
         pass
     assert "\n" not in str(end.value)

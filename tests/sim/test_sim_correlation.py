@@ -7,14 +7,14 @@ import pytest
 from sim_systems import exact, fig6, linear
 
 from cases.comparison.routes import method_for
-from fpk.contact import Contact
-from fpk.dynamics import Curve, StationaryMotionMethod
-from fpk.errors import InvalidInput
-from fpk.method import silent
-from fpk.observable import Coordinate
-from fpk.system import System
+from fpk.answer.dynamics import Curve, StationaryMotionMethod
+from fpk.answer.method import silent
+from fpk.answer.observable import Coordinate
+from fpk.numeric.errors import InvalidInput
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.motion.curves import BEYOND, _curve, _products, _spline_error
+from sim.questions.curves import BEYOND, _curve, _products, _spline_error
 
 Z = 4.5
 """|z| of 31 degrees of freedom and more that chance explains: of 12 lags 1e-3."""
@@ -100,16 +100,16 @@ def test_the_same_for_any_threads_and_a_tolerance_is_met_or_not_certified() -> N
 
 def test_products_begin_in_less_time_where_memory_ends_them(monkeypatch: Any) -> None:
     system = System([1.0], [1.0], [0.002], [0.001])
-    monkeypatch.setattr("sim.motion.curves.MOST_SUMS", 1 << 16)
+    monkeypatch.setattr("sim.questions.curves.MOST_SUMS", 1 << 16)
     answer, expected = sampled(system, 0, AT, time=None), by_method("linear", system, 0, AT)
     assert answer.settings["time"] < 200.0 < 20.0 / 0.001
     assert np.all(np.abs(answer.values - expected.values) < Z * answer.errors)
 
 
 def test_too_few_blocks_to_take_an_error_from_are_not_certified(monkeypatch: Any) -> None:
-    monkeypatch.setattr("sim.motion.rounds.MOST_SUMS", 1)
+    monkeypatch.setattr("sim.questions.rounds.MOST_SUMS", 1)
     for all_at_once in ("MOST_STEPS", "MOST_SAMPLES"):
-        monkeypatch.setattr(f"sim.motion.rounds.{all_at_once}", 1 << 60)
+        monkeypatch.setattr(f"sim.questions.rounds.{all_at_once}", 1 << 60)
     answer = sampled(linear(1), 0, AT, seconds=1e-9)
     assert answer.settings["paths"] == 2 * 128
     assert answer.certificate.failures == ("it ended after 256 trajectories of 4096",)

@@ -7,15 +7,15 @@ import pytest
 from sim_systems import exact, fig6, linear
 
 from cases.comparison.routes import method_for
-from fpk.dynamics import CrossingsMethod, Curve
-from fpk.errors import NotApplicable
-from fpk.method import silent
-from fpk.observable import Coordinate
-from fpk.system import System
-from sim.arrays import LANES, in_blocks, in_rows
-from sim.ensemble import ensemble_from
+from fpk.answer.dynamics import CrossingsMethod, Curve
+from fpk.answer.method import silent
+from fpk.answer.observable import Coordinate
+from fpk.numeric.errors import NotApplicable
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.motion.passing import count_upcrossings
+from sim.questions.passing import count_upcrossings
+from sim.sample.ensemble import ensemble_from
+from sim.step.arrays import LANES, in_blocks, in_rows
 
 Z = 4.5
 """|z| that chance explains: of 11 levels, as if independent, 8e-5."""

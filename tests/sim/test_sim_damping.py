@@ -9,22 +9,22 @@ from scipy.integrate import quad
 from sim_systems import fig6, place
 from state_damping import damping_at
 
-from fpk.bins import BinAxis
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.errors import NotApplicable, NotCertified
-from fpk.method import Result, silent
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
-from sim.diagnostics import moment_identities, moment_products
-from sim.ensemble import Ensemble
-from sim.flow import lower_trapezoidal
-from sim.histogram import Histogram
+from fpk.answer.bins import BinAxis
+from fpk.answer.method import Result, silent
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.errors import NotApplicable, NotCertified
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.random import normals
-from sim.schemes import SCHEMES
-from sim.step_size import relaxation_time, temperature
+from sim.sample.diagnostics import moment_identities, moment_products
+from sim.sample.ensemble import Ensemble
+from sim.sample.histogram import Histogram
+from sim.step.flow import lower_trapezoidal
+from sim.step.random import normals
+from sim.step.schemes import SCHEMES
+from sim.step.step_size import relaxation_time, temperature
 
 
 def hardened(h1: float = 1.5) -> System:

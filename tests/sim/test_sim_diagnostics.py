@@ -9,9 +9,9 @@ from arviz_stats.base import array_stats
 from scipy.integrate import quad
 from sim_systems import exact, fig6, ranged
 
-from fpk.observable import parse_observable
-from sim.arrays import LANES
-from sim.diagnostics import (
+from fpk.answer.observable import parse_observable
+from sim.montecarlo import MonteCarlo
+from sim.sample.diagnostics import (
     diagnosis,
     drift_limit,
     drifts,
@@ -21,11 +21,11 @@ from sim.diagnostics import (
     split_r_hat,
     variance_error,
 )
-from sim.ensemble import Ensemble
-from sim.histogram import mirrored, sampled_density
-from sim.montecarlo import MonteCarlo
-from sim.record import Record, octiles
-from sim.schemes import SCHEMES
+from sim.sample.ensemble import Ensemble
+from sim.sample.histogram import mirrored, sampled_density
+from sim.sample.record import Record, octiles
+from sim.step.arrays import LANES
+from sim.step.schemes import SCHEMES
 
 
 def autoregression(phi: float, chains: int, draws: int, seed: int) -> np.ndarray:

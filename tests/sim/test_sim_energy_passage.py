@@ -9,20 +9,20 @@ from sim_systems import fig6, linear
 from test_sim_passage import CIR_MEAN, CIR_RATE, oscillator
 
 from cases.comparison.averaged import AveragedSimulation
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passage, Passages
-from fpk.limit import parse_limit
-from fpk.method import silent
-from fpk.start import parse_start
-from fpk.system import System
-from sim.averaged.square_root import (
+from fpk.answer.evolution import Passage, Passages
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.start import parse_start
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.system import System
+from sim.questions.averaged.square_root import (
     EnergyLimits,
     from_energies,
     square_root_form,
     square_root_step,
 )
-from sim.motion.passing import distance_to
-from sim.motion.rounds import Watch
+from sim.questions.passing import distance_to
+from sim.questions.rounds import Watch
 
 
 def passed(theory: Any, system: System, limit: str, start: str = "rest", times: Any = (),
@@ -169,7 +169,7 @@ def test_seconds_end_it_and_enough_of_them_change_nothing(contact: bool) -> None
 
 def test_an_end_by_the_wall_time_has_no_bias(monkeypatch: pytest.MonkeyPatch) -> None:
     # Each round of 512 paths ends after another number of looks at the time, 4 to 13.
-    monkeypatch.setattr("sim.averaged.paths.AT_ONCE", 512)
+    monkeypatch.setattr("sim.questions.averaged.paths.AT_ONCE", 512)
     numbers, left = iter(range(10**6)), [0]
 
     def ends(_: Any) -> bool:
@@ -178,8 +178,8 @@ def test_an_end_by_the_wall_time_has_no_bias(monkeypatch: pytest.MonkeyPatch) ->
             left[0] = 4 + 7 * next(numbers) % 10
         return left[0] == 0
 
-    monkeypatch.setattr("sim.motion.rounds.Watch.ends", ends)
-    monkeypatch.setattr("sim.motion.rounds.Watch.until", until_the_last)
+    monkeypatch.setattr("sim.questions.rounds.Watch.ends", ends)
+    monkeypatch.setattr("sim.questions.rounds.Watch.until", until_the_last)
     answer = passed("integrable", oscillator(0.1), "H=1.5", paths=8192)
     assert int(answer.settings["not failed"]) > 200 and answer.certificate.certified
     assert abs(answer.mean.value - CIR_MEAN / 0.1) < 4.0 * answer.mean.error

@@ -12,15 +12,15 @@ from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.compare import chance_l1, compared
 from cases.comparison.routes import method_for
 from cases.scene.scene import load_scene
-from fpk.certificate import Certificate
-from fpk.density import Density, l1_distance
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.line.stationary import solve_stationary
-from fpk.observable import Coordinate
-from fpk.plane.stationary import solve_plane
-from fpk.process import Coefficients, Process
-from sim.averaged.paths import simulate_energies
-from sim.averaged.square_root import line_form, square_root_form, square_root_step
+from fpk.answer.certificate import Certificate
+from fpk.answer.density import Density, l1_distance
+from fpk.answer.observable import Coordinate
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.solvers.line.stationary import solve_stationary
+from fpk.solvers.plane.stationary import solve_plane
+from fpk.system.process import Coefficients, Process
+from sim.questions.averaged.paths import simulate_energies
+from sim.questions.averaged.square_root import line_form, square_root_form, square_root_step
 
 SAMPLING: Any = {"interval": 1.0, "steps": 5, "time": 10.0, "burn_in": 10.0, "paths": 4096}
 """Modes that decay at the rate 0.4 or faster: e⁻⁴ of the start's deviation is left at first, and a

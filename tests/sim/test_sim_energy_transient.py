@@ -10,13 +10,13 @@ from test_sim_passage import oscillator
 
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.routes import method_for
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Transient, Transients
-from fpk.method import silent
-from fpk.observable import parse_observable
-from fpk.square_root import SquareRoot
-from fpk.start import parse_start
-from fpk.system import System
+from fpk.answer.evolution import Transient, Transients
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import parse_start
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.solvers.square_root import SquareRoot
+from fpk.system.system import System
 
 Z = 4.5
 """|z| that chance explains: of some 40 points 3e-4."""

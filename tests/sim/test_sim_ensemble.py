@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from sim_systems import fig6, linear, mixed, ranged
 
-from fpk.compiling import ROOT
-from fpk.observable import parse_observable
-from sim.arrays import LANES
-from sim.checkpoint import program_checksum
-from sim.diagnostics import moment_products
-from sim.ensemble import Ensemble
-from sim.kernel import KERNEL, KernelKey, kernel_checksum
-from sim.motion.passing import SOURCES
-from sim.plan import step_arrays, watched
-from sim.schemes import SCHEMES
-from sim.splitting.kernel import OWN
+from fpk.answer.observable import parse_observable
+from fpk.numeric.compiling import ROOT
+from sim.questions.passing import SOURCES
+from sim.questions.splitting.kernel import OWN
+from sim.sample.checkpoint import program_checksum
+from sim.sample.diagnostics import moment_products
+from sim.sample.ensemble import Ensemble
+from sim.sample.plan import step_arrays, watched
+from sim.step.arrays import LANES
+from sim.step.kernel import KERNEL, KernelKey, kernel_checksum
+from sim.step.schemes import SCHEMES
 
 EXACT_FLOW = SCHEMES["exact_flow"]
 
@@ -58,7 +58,7 @@ def test_what_is_not_in_the_scene_is_not_compiled(monkeypatch: pytest.MonkeyPatc
     def refuse(*_: object) -> None:
         raise AssertionError("a law was compiled")
 
-    monkeypatch.setattr("sim.kernel.compiled_laws", refuse)
+    monkeypatch.setattr("sim.step.kernel.compiled_laws", refuse)
     system = linear(2)
     ensemble = Ensemble(system, EXACT_FLOW, 0.5, 2 * LANES, 1, 1)
     assert watched(system, EXACT_FLOW, ensemble.step, (), ())[0] == KernelKey()
@@ -82,7 +82,7 @@ def test_a_stop_equal_on_both_sides_is_evaluated_once() -> None:
 def test_sums_of_blocks_are_those_of_their_trajectories(monkeypatch: pytest.MonkeyPatch) -> None:
     """To 1e-12: the same numbers added in another order; and bitwise for any threads and chunks."""
     apart = run(1, (60,))
-    monkeypatch.setattr("sim.ensemble.APART", 2)
+    monkeypatch.setattr("sim.sample.ensemble.APART", 2)
     folded, other = run(1, (60,)), run(2, (1, 7, 20, 32))
     assert folded.sums.shape[0] == 2 and folded.saved()["folded"].shape[0] == 3
     np.testing.assert_array_equal(folded.sums, apart.sums[:2])
@@ -102,12 +102,12 @@ def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> 
 
     assert checksums(tmp_path) == checksums(ROOT)
     for name, compiled in (
-        ("sim/parts/forces.py", True),
-        ("sim/lanes.py", True),
-        ("fpk/laws/hertz.py", True),
-        ("fpk/laws/power.py", False),
-        ("sim/diagnostics.py", False),
-        ("fpk/damping.py", False),
+        ("sim/step/parts/forces.py", True),
+        ("sim/step/lanes.py", True),
+        ("fpk/system/laws/hertz.py", True),
+        ("fpk/system/laws/power.py", False),
+        ("sim/sample/diagnostics.py", False),
+        ("fpk/system/damping.py", False),
     ):
         before = checksums(tmp_path)
         with (tmp_path / name).open("a") as file:
@@ -115,7 +115,7 @@ def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> 
         after = checksums(tmp_path)
         assert (after[0] != before[0]) == compiled
         assert after[1] != before[1]
-    (tmp_path / "sim/random.py").unlink()
+    (tmp_path / "sim/step/random.py").unlink()
     with pytest.raises(FileNotFoundError):
         kernel_checksum(("hertz",), tmp_path)
     with pytest.raises(FileNotFoundError):
@@ -132,9 +132,9 @@ def test_whatever_is_compiled_is_in_the_checksum() -> None:
 
 
 SECOND_PROCESS = """
-from sim.ensemble import Ensemble
-from sim.kernel import compiled_kernel
-from sim.schemes import SCHEMES
+from sim.sample.ensemble import Ensemble
+from sim.step.kernel import compiled_kernel
+from sim.step.schemes import SCHEMES
 from sim_systems import fig6
 e = Ensemble(fig6(), SCHEMES["exact_flow"], 0.2, 128, 1, 1)
 e.advance(2)

@@ -6,9 +6,9 @@ import sys
 IMPORTED = """
 import sys
 import sim
-from fpk.method import ROUTES
+from fpk.answer.method import ROUTES
 assert ROUTES["montecarlo", "simulation"].make() == sim.MonteCarlo()
-print([name for name in ("numba", "distributed", "sim.kernel") if name in sys.modules])
+print([name for name in ("numba", "distributed", "sim.step.kernel") if name in sys.modules])
 """
 
 

@@ -5,9 +5,9 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 from sim_systems import linear, mixed
 
-from fpk.linear import diffusion_matrix, drift_matrix
-from fpk.system import System
-from sim.flow import exact_flow, factored, flow_covariance
+from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.system import System
+from sim.step.flow import exact_flow, factored, flow_covariance
 
 
 @pytest.mark.parametrize("dt", [0.01, 1.0, 10.0])

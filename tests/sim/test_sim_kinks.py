@@ -8,11 +8,11 @@ from random_stops import deviations, exact_density, random_stops
 from sim_gibbs import Gibbs
 from test_sim_transient import sampled as transient
 
-from fpk.contact import Contact
-from fpk.dynamics import upcrossings
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
+from fpk.answer.dynamics import upcrossings
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 Z = 5.0

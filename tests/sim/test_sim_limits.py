@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from sim_systems import fig6
 
-from fpk.errors import InvalidInput
-from fpk.observable import Coordinate
-from fpk.system import System
+from fpk.answer.observable import Coordinate
+from fpk.numeric.errors import InvalidInput
+from fpk.system.system import System
 from sim import MonteCarlo
-from sim.report import Report
-from sim.setup import Setup
-from sim.simulation import simulate
+from sim.sample.report import Report
+from sim.sample.setup import Setup
+from sim.sample.simulation import simulate
 
 OF = [(Coordinate("q", 1),)]
 SHORT = MonteCarlo(paths=4096, threads=1, seconds=0.5)
@@ -83,7 +83,7 @@ def test_the_limit_holds_for_the_second_simulation_of_a_pair(
         setups.append(setup)
         return simulate(setup, **options)
 
-    monkeypatch.setattr("sim.simulation.simulate", slow)
+    monkeypatch.setattr("sim.sample.simulation.simulate", slow)
     method = replace(SHORT, step_pair=True, burn_in=0.1, seconds=3.0)
     report = method.solve(fig6(), OF).report
     assert isinstance(report, Report) and report.diagnosis is not None

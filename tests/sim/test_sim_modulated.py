@@ -8,23 +8,23 @@ from scipy.linalg import expm
 
 from averaging.nonintegrable import NonIntegrable
 from cases.comparison.averaged import AveragedSimulation
-from fpk.contact import Contact
-from fpk.errors import NotApplicable
-from fpk.limit import parse_limit
-from fpk.linear import diffusion_matrix, drift_matrix
-from fpk.method import silent
-from fpk.modulation import Modulation
-from fpk.observable import parse_observable
-from fpk.quadrature import panel_rule
-from fpk.start import parse_start
-from fpk.system import System
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import parse_start
+from fpk.numeric.errors import NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.system.contact import Contact
+from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.modulation import Modulation
+from fpk.system.system import System
 from sim import MonteCarlo
-from sim.arrays import in_rows
-from sim.ensemble import ensemble_from
-from sim.flow import flow_covariance
-from sim.motion.passing import spread_of
-from sim.motion.starts import Origin
-from sim.motion.transient import ensembles
+from sim.questions.passing import spread_of
+from sim.questions.starts import Origin
+from sim.questions.transient import ensembles
+from sim.sample.ensemble import ensemble_from
+from sim.step.arrays import in_rows
+from sim.step.flow import flow_covariance
 
 ENVELOPE = Modulation([0.0, 2.0, 4.0, 9.0], [0.0, 1.5, 1.5, 0.0])
 ONE = System([1.5], [2.0], [0.3], [0.03], modulation=ENVELOPE)

@@ -11,22 +11,22 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.stats import chi2
 from sim_systems import exact, fig6, linear, mixed
 
-from fpk.contact import Contact
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.linear import diffusion_matrix, drift_matrix
-from fpk.method import Result
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
-from sim.kernel import KernelKey, WatchArrays
+from fpk.answer.method import Result
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.plan import watched
-from sim.report import Report
-from sim.schemes import SCHEMES
-from sim.setup import Setup
-from sim.simulation import simulate
-from sim.step_size import chosen_step, contact_frequency
-from sim.workers import workers_of
+from sim.sample.plan import watched
+from sim.sample.report import Report
+from sim.sample.setup import Setup
+from sim.sample.simulation import simulate
+from sim.sample.workers import workers_of
+from sim.step.kernel import KernelKey, WatchArrays
+from sim.step.schemes import SCHEMES
+from sim.step.step_size import chosen_step, contact_frequency
 
 Q2 = (parse_observable("q2", 2),)
 
@@ -146,7 +146,7 @@ def test_damping_term_of_the_observed_momentum(monkeypatch: pytest.MonkeyPatch) 
         key, arrays = watched(*arguments, **settings)
         return key, arrays._replace(cross=0.0 * arrays.cross)
 
-    monkeypatch.setattr("sim.ensemble.watched", without)
+    monkeypatch.setattr("sim.sample.ensemble.watched", without)
     assert abs(method.solve(system, Q2).identities[-1].z) > 7.0
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from sim_systems import fig6, linear, mixed
 
-from fpk.damping import DampingTerm
-from fpk.errors import NotApplicable
-from fpk.observable import Coordinate
-from fpk.system import System
-from sim.arrays import LANES, in_blocks, in_rows
-from sim.ensemble import ensemble_from
-from sim.kernel import KernelKey
-from sim.workers import workers_of
+from fpk.answer.observable import Coordinate
+from fpk.numeric.errors import NotApplicable
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
+from sim.sample.ensemble import ensemble_from
+from sim.sample.workers import workers_of
+from sim.step.arrays import LANES, in_blocks, in_rows
+from sim.step.kernel import KernelKey
 
 H = (Coordinate("H"),)
 

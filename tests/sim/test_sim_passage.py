@@ -8,22 +8,22 @@ import pytest
 from scipy.stats import kstest
 from sim_systems import exact, fig6, linear
 
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.evolution import Passage, Passages
-from fpk.limit import parse_limit
-from fpk.method import silent
-from fpk.observable import Coordinate
-from fpk.start import parse_start
-from fpk.system import System
-from sim.arrays import LANES, in_blocks, in_rows
-from sim.ensemble import ensemble_from
+from fpk.answer.evolution import Passage, Passages
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.observable import Coordinate
+from fpk.answer.start import parse_start
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.motion.failure_times import Times, estimates, passage_of, tail_begin
-from sim.motion.limits import energies_of
-from sim.motion.passing import reader_of
-from sim.motion.starts import on_shell
+from sim.questions.failure_times import Times, estimates, passage_of, tail_begin
+from sim.questions.limits import energies_of
+from sim.questions.passing import reader_of
+from sim.questions.starts import on_shell
+from sim.sample.ensemble import ensemble_from
+from sim.step.arrays import LANES, in_blocks, in_rows
 
 CIR_RATE = 0.13742123052434
 """Failure rate of dH = (kT − H) dt + √(2 kT H) dB at 3 kT: 1F1(−λ; 1; 3) = 0, per decay time."""

@@ -13,15 +13,15 @@ import pytest
 from random_stops import exact_density, random_stops
 
 from averaging.exact import Exact
-from fpk.arrays import Array
-from fpk.contact import Contact
-from fpk.density import Density
-from fpk.dynamics import upcrossings
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.density import Density
+from fpk.answer.dynamics import upcrossings
+from fpk.answer.observable import parse_observable
+from fpk.numeric.arrays import Array
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.setup import default_step
-from sim.step_size import JOINT_BIAS, chosen_step, expected_error, samples_in, step_for
+from sim.sample.setup import default_step
+from sim.step.step_size import JOINT_BIAS, chosen_step, expected_error, samples_in, step_for
 
 SECONDS = float(os.environ.get("SECONDS_OF_POINTWISE", "6"))
 SEEDS = int(os.environ.get("SEEDS_OF_POINTWISE", "4"))

@@ -7,8 +7,8 @@ import pytest
 from numba import njit
 from scipy.stats import chi2, norm
 
-from fpk.compiling import FLAGS
-from sim import random
+from fpk.numeric.compiling import FLAGS
+from sim.step import random
 
 SEED = 8131
 

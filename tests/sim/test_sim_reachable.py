@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from scipy.special import gammaincc
 
-from fpk.contact import Contact
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.limit import parse_limit
-from fpk.observable import parse_observable
-from fpk.start import REST, parse_start
-from fpk.system import System
-from sim.averaged.square_root import SquareRootForm, square_root_step
+from fpk.answer.limit import parse_limit
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import REST, parse_start
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.reachable import CHANCE, Reachable, hottest
-from sim.schemes import SCHEMES
-from sim.step_size import stability_limit
+from sim.questions.averaged.square_root import SquareRootForm, square_root_step
+from sim.step.reachable import CHANCE, Reachable, hottest
+from sim.step.schemes import SCHEMES
+from sim.step.step_size import stability_limit
 
 Q = parse_observable("q1", 1)
 

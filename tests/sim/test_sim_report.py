@@ -11,18 +11,18 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.stats import chi2
 from sim_systems import exact, fig6, linear, mixed, report_of
 
-from fpk.damping import DampingTerm
-from fpk.linear import diffusion_matrix, drift_matrix
-from fpk.observable import parse_observable
-from fpk.sampled_density import SampledDensity
-from fpk.system import System
-from sim.diagnostics import batch_moments, moment_identities, moment_products
-from sim.ensemble import Ensemble
+from fpk.answer.observable import parse_observable
+from fpk.answer.sampled_density import SampledDensity
+from fpk.system.damping import DampingTerm
+from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.record import Record
-from sim.report import Moment, Report
-from sim.schemes import SCHEMES
-from sim.step_size import chosen_step, relaxation_time
+from sim.sample.diagnostics import batch_moments, moment_identities, moment_products
+from sim.sample.ensemble import Ensemble
+from sim.sample.record import Record
+from sim.sample.report import Moment, Report
+from sim.step.schemes import SCHEMES
+from sim.step.step_size import chosen_step, relaxation_time
 
 Q2 = [parse_observable("q2", 2)]
 

@@ -6,9 +6,9 @@ from scipy.linalg import block_diag
 from sim_systems import linear
 from test_sim_transient import gaussian, sampled
 
-from fpk.arrays import Array
-from fpk.linear import natural_modes
-from fpk.system import System
+from fpk.numeric.arrays import Array
+from fpk.system.linear import natural_modes
+from fpk.system.system import System
 
 Z = 4.5
 """|z| that chance explains: of some 100 points 1e-3."""

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from sim_systems import exact, fig6, linear, mixed, place
 
-from fpk.contact import Contact
-from fpk.contact_law import LAWS, ContactLaw
-from fpk.system import System
-from sim.ensemble import Ensemble
-from sim.flow import exact_flow, factored, flow_covariance, lower_trapezoidal
-from sim.random import normals
-from sim.schemes import SCHEMES
+from fpk.system.contact import Contact
+from fpk.system.contact_law import LAWS, ContactLaw
+from fpk.system.system import System
+from sim.sample.ensemble import Ensemble
+from sim.step.flow import exact_flow, factored, flow_covariance, lower_trapezoidal
+from sim.step.random import normals
+from sim.step.schemes import SCHEMES
 
 Array = NDArray[np.float64]
 Step = Callable[[System, float, Array, Array, Callable[[int], Array]], tuple[Array, Array]]

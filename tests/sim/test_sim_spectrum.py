@@ -8,12 +8,12 @@ from scipy.linalg import expm
 from sim_systems import exact, linear
 
 from cases.comparison.routes import method_for
-from fpk.contact import Contact
-from fpk.dynamics import Curve, StationaryMotionMethod
-from fpk.linear import drift_matrix, stationary_covariance
-from fpk.method import silent
-from fpk.observable import Coordinate
-from fpk.system import System
+from fpk.answer.dynamics import Curve, StationaryMotionMethod
+from fpk.answer.method import silent
+from fpk.answer.observable import Coordinate
+from fpk.system.contact import Contact
+from fpk.system.linear import drift_matrix, stationary_covariance
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 Z = 4.5

@@ -12,22 +12,22 @@ from scipy.stats import kstest
 from scipy.stats import t as student
 from sim_systems import exact, fig6, mixed
 
-import sim.splitting.run as splitting_run
+import sim.questions.splitting.run as splitting_run
 from fpk import Contact, DampingTerm, System
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.limit import parse_limit
-from fpk.linear import natural_modes
-from fpk.start import REST, Start, parse_start
-from sim.averaged.square_root import SquareRootForm
-from sim.flow import exact_flow
-from sim.motion.passing import cubic_of, largest_of
-from sim.motion.starts import on_shell
-from sim.random import GOLDEN, mixed_seed
-from sim.splitting import RareFailure, Splitting, rare_failure
-from sim.splitting.kernel import LEVELS, draw_normals
-from sim.splitting.problem import system_problem
-from sim.splitting.run import mean_and_error, split
-from sim.workers import workers_of
+from fpk.answer.limit import parse_limit
+from fpk.answer.start import REST, Start, parse_start
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.linear import natural_modes
+from sim.questions.averaged.square_root import SquareRootForm
+from sim.questions.passing import cubic_of, largest_of
+from sim.questions.splitting import RareFailure, Splitting, rare_failure
+from sim.questions.splitting.kernel import LEVELS, draw_normals
+from sim.questions.splitting.problem import system_problem
+from sim.questions.splitting.run import mean_and_error, split
+from sim.questions.starts import on_shell
+from sim.sample.workers import workers_of
+from sim.step.flow import exact_flow
+from sim.step.random import GOLDEN, mixed_seed
 
 QUICK = Splitting(replicas=64, killed=4, repetitions=8, threads=1)
 DECAY, NOISE = 0.1, 0.05

@@ -11,23 +11,23 @@ from scipy.stats import norm
 from averaging.gaussian import Linear
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.averaged import AveragedSimulation
-from fpk.arrays import Array
-from fpk.certificate import Measured, certify
-from fpk.contact import Contact
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.evolution import Passage
-from fpk.limit import Limit, parse_limit
-from fpk.linear import diffusion_matrix, drift_matrix
-from fpk.method import silent
-from fpk.number import Number
-from fpk.observable import parse_observable
-from fpk.start import REST, Start, parse_start
-from fpk.system import System
-from sim.flow import flow_covariance
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.evolution import Passage
+from fpk.answer.limit import Limit, parse_limit
+from fpk.answer.method import silent
+from fpk.answer.number import Number
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import REST, Start, parse_start
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.contact import Contact
+from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.motion.failure_times import Times, passage_of
-from sim.motion.limits import STEPS_SINCE_START, stages
-from sim.splitting.run import Splitting, rare_failure
+from sim.questions.failure_times import Times, passage_of
+from sim.questions.limits import STEPS_SINCE_START, stages
+from sim.questions.splitting.run import Splitting, rare_failure
+from sim.step.flow import flow_covariance
 
 LOOSE = System([1.0], [1e-4], [1e-4], [0.5])
 """A mass whose own period is 628: noise alone moves it by 0.6 in the time 1."""

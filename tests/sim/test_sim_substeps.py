@@ -10,20 +10,18 @@ from sim_systems import fig6, linear, mixed, place
 from test_sim_random import word
 from test_sim_schemes import contact
 
-from fpk.bins import BinAxis
-from fpk.contact import Contact
-from fpk.damping import DampingTerm
-from fpk.linear import diffusion_matrix, drift_matrix
-from fpk.method import Identity
-from fpk.observable import parse_observable
-from fpk.system import System
-from sim.arrays import LANES
-from sim.diagnostics import batch_moments, moment_identities, moment_products
-from sim.ensemble import Ensemble
-from sim.flow import exact_flow, flow_covariance, lower_trapezoidal
-from sim.histogram import Histogram
+from fpk.answer.bins import BinAxis
+from fpk.answer.method import Identity
+from fpk.answer.observable import parse_observable
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.plan import (
+from sim.sample.diagnostics import batch_moments, moment_identities, moment_products
+from sim.sample.ensemble import Ensemble
+from sim.sample.histogram import Histogram
+from sim.sample.plan import (
     LARGEST_NORMAL,
     LONG_COST,
     bends,
@@ -33,9 +31,11 @@ from sim.plan import (
     watched,
     with_long_steps,
 )
-from sim.random import normals
-from sim.schemes import SCHEMES, Scheme
-from sim.step_size import chosen_step, sampling_interval
+from sim.step.arrays import LANES
+from sim.step.flow import exact_flow, flow_covariance, lower_trapezoidal
+from sim.step.random import normals
+from sim.step.schemes import SCHEMES, Scheme
+from sim.step.step_size import chosen_step, sampling_interval
 
 Array = NDArray[np.float64]
 EXACT_FLOW = SCHEMES["exact_flow"]

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from fpk.linear import diffusion_matrix, drift_matrix
-from fpk.observable import parse_observable
-from fpk.system import System
+from fpk.answer.observable import parse_observable
+from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.system import System
 from sim import MonteCarlo
-from sim.flow import LinearMap, factored
-from sim.schemes import SCHEMES, Scheme, register
+from sim.step.flow import LinearMap, factored
+from sim.step.schemes import SCHEMES, Scheme, register
 
 FREE = System([1.0], [1.0], [0.2], [0.1])
 """σ² of q and v is D/(c k) = ½."""

@@ -8,15 +8,15 @@ from scipy.stats import norm
 from sim_systems import exact, fig6, linear
 
 from cases.comparison.routes import method_for
-from fpk.errors import InvalidInput
-from fpk.evolution import Transient, Transients
-from fpk.linear import diffusion_matrix, drift_matrix
-from fpk.method import silent
-from fpk.observable import parse_observable
-from fpk.start import parse_start
-from fpk.system import System
-from sim.flow import flow_covariance
+from fpk.answer.evolution import Transient, Transients
+from fpk.answer.method import silent
+from fpk.answer.observable import parse_observable
+from fpk.answer.start import parse_start
+from fpk.numeric.errors import InvalidInput
+from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
+from sim.step.flow import flow_covariance
 
 Z = 4.5
 """|z| that chance explains: of some 40 points 3e-4."""

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from sim_systems import fig6, linear
 
-from fpk.contact import Contact
-from fpk.dynamics import Curve
-from fpk.errors import InvalidInput
-from fpk.observable import Coordinate
-from fpk.system import System
+from fpk.answer.dynamics import Curve
+from fpk.answer.observable import Coordinate
+from fpk.numeric.errors import InvalidInput
+from fpk.system.contact import Contact
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 

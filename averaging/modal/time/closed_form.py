@@ -26,16 +26,16 @@ from averaging.time.start import (
     limited_modes,
     observed_modes,
 )
-from fpk.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
-from fpk.certificate import Measured, certify
-from fpk.dynamics import Rates, certified_rates
-from fpk.errors import NotApplicable
-from fpk.evolution import Passage, Transient, certified_passage, checked_times
-from fpk.limit import Limit
-from fpk.modulation import ROUND_OFF, Modulation
-from fpk.number import Number
-from fpk.quadrature import panel_rule
-from fpk.square_root import SquareRoot
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.dynamics import Rates, certified_rates
+from fpk.answer.evolution import Passage, Transient, certified_passage, checked_times
+from fpk.answer.limit import Limit
+from fpk.answer.number import Number
+from fpk.numeric.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
+from fpk.numeric.errors import NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.square_root import SquareRoot
+from fpk.system.modulation import ROUND_OFF, Modulation
 
 SUM_PANELS, SUM_POINTS = 16, (20, 24)
 """Panels and Gauss points of each along H1 + H2 = H: answer and error."""

@@ -12,18 +12,18 @@ from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from averaging.modal.observables import unsolved
 from averaging.time.start import DensityQuestion, EnergyStart, limited_modes, observed_modes
-from fpk.arrays import ROUNDINGS, SMALLEST, Array
-from fpk.certificate import Measured, outside
-from fpk.density import Density, certified_density
-from fpk.dynamics import Rates
-from fpk.errors import NotApplicable
-from fpk.evolution import LARGEST_ERROR, Passage, Transient, checked_times
-from fpk.limit import Limit
-from fpk.observable import Coordinate
-from fpk.plane.stationary import solve_plane
-from fpk.plane.time.levels import Frame, PlaneStart
-from fpk.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
-from fpk.plane.time.transient import Level, Seen, seen_on, transient_densities
+from fpk.answer.certificate import Measured, outside
+from fpk.answer.density import Density, certified_density
+from fpk.answer.dynamics import Rates
+from fpk.answer.evolution import LARGEST_ERROR, Passage, Transient, checked_times
+from fpk.answer.limit import Limit
+from fpk.answer.observable import Coordinate
+from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
+from fpk.numeric.errors import NotApplicable
+from fpk.solvers.plane.stationary import solve_plane
+from fpk.solvers.plane.time.levels import Frame, PlaneStart
+from fpk.solvers.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
+from fpk.solvers.plane.time.transient import Level, Seen, seen_on, transient_densities
 
 
 def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:

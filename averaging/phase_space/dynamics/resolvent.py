@@ -16,8 +16,8 @@ from averaging.phase_space.equation.chain import Chain, chain_of
 from averaging.phase_space.equation.elimination import Expansion, factored
 from averaging.phase_space.krylov import EVERY, RESIDUAL, VECTORS, krylov
 from averaging.phase_space.marginals import form_of, moments
-from fpk.arrays import EPS, Array, Complexes
-from fpk.observable import Coordinate
+from fpk.answer.observable import Coordinate
+from fpk.numeric.arrays import EPS, Array, Complexes
 
 CONVERGED = 1e-8
 """Relative residual of an eigenvalue that counts as one of A."""

@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.krylov import krylov
-from fpk.arrays import SMALLEST, Array
-from fpk.quadrature import gauss_legendre
+from fpk.numeric.arrays import SMALLEST, Array
+from fpk.numeric.quadrature import gauss_legendre
 
 DEEP = 75.0
 """−ln w at the ends of the support: w is 3e-33 of its largest value there."""

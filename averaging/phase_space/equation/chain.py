@@ -30,7 +30,7 @@ from averaging.phase_space.equation.basis import Basis
 from averaging.phase_space.equation.damping import damped, levels_per_stage
 from averaging.phase_space.equation.frame import linear_part
 from averaging.phase_space.equation.space import Matrix, Space, combined, space_to
-from fpk.arrays import Array, Integers
+from fpk.numeric.arrays import Array, Integers
 
 
 @dataclass(frozen=True, eq=False)

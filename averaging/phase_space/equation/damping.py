@@ -14,7 +14,7 @@ from scipy import sparse
 from averaging.phase_space.equation.basis import Basis
 from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.equation.space import Matrix, Space, combined, space_to
-from fpk.arrays import Array
+from fpk.numeric.arrays import Array
 
 Polynomial = dict[tuple[int, int], Matrix]
 """Matrices on the degrees, by the powers of y and of U(y) that they stand before."""

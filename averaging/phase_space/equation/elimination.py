@@ -17,7 +17,7 @@ from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.equation.space import Matrix, Space
 from averaging.phase_space.krylov import RESIDUAL
-from fpk.arrays import Array, Integers
+from fpk.numeric.arrays import Array, Integers
 
 ELIMINATED_IN: type = np.float32
 """Numbers of the first elimination, before any in double precision."""

@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fpk.arrays import Array
-from fpk.equivalent import equivalent_temperature
-from fpk.errors import NotApplicable
-from fpk.observable import Coordinate
-from fpk.system import System, looks_the_same_mirrored
+from fpk.answer.observable import Coordinate
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotApplicable
+from fpk.system.equivalent import equivalent_temperature
+from fpk.system.system import System, looks_the_same_mirrored
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from fpk.arrays import Array
+from fpk.numeric.arrays import Array
 
 Indices = NDArray[np.intp]
 Matrix = sparse.csr_array

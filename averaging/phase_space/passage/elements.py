@@ -14,9 +14,9 @@ from scipy.sparse.linalg import LinearOperator, eigs, splu
 
 from averaging.phase_space.krylov import EVERY, VECTORS, krylov
 from averaging.phase_space.passage.mesh import Mesh
-from fpk.arrays import Array
-from fpk.errors import NotCertified
-from fpk.quadrature import gauss_legendre
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotCertified
+from fpk.numeric.quadrature import gauss_legendre
 
 MORE_POINTS = 12
 """Gauss points in each direction beyond the degree: over a panel of large velocities, and of a

@@ -13,12 +13,12 @@ from averaging.phase_space.passage.mesh import (
     energy_mesh,
     oscillator_of,
 )
-from fpk.arrays import EPS, Array
-from fpk.certificate import tolerance
-from fpk.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.evolution import Passage, PassageAsked, certified_passage, checked_times
-from fpk.number import Number
-from fpk.quadrature import panel_rule
+from fpk.answer.certificate import tolerance
+from fpk.answer.evolution import Passage, PassageAsked, certified_passage, checked_times
+from fpk.answer.number import Number
+from fpk.numeric.arrays import EPS, Array
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.numeric.quadrature import panel_rule
 
 TOL, GLANCING_TOL = 1e-6, 1e-5
 """Error wanted where none is asked for: of an energy; of a displacement, which takes ten times as
@@ -71,8 +71,8 @@ def first_passage(asked: PassageAsked) -> Passage:
 
     Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,
     absolute in the reliability; the answer is that of the finer one. Raises as the module
-    ``fpk.evolution`` says, ``NotApplicable`` for other limits and starts than the method knows, and
-    ``NotCertified`` for a limit that is beyond what double precision reaches.
+    ``fpk.answer.evolution`` says, ``NotApplicable`` for other limits and starts than the method
+    knows, and ``NotCertified`` for a limit that is beyond what double precision reaches.
     """
     times, o = checked_times(asked.times), oscillator_of(asked.system)
     limit, start, contacts = asked.limit, asked.start, asked.system.contacts

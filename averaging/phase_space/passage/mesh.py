@@ -9,10 +9,10 @@ import numpy as np
 from scipy.optimize import brentq
 
 from averaging.phase_space.equation.frame import contact_frame
-from fpk.arrays import SMALLEST, Array
-from fpk.errors import NotApplicable
-from fpk.modulation import require_constant_noise
-from fpk.system import System
+from fpk.numeric.arrays import SMALLEST, Array
+from fpk.numeric.errors import NotApplicable
+from fpk.system.modulation import require_constant_noise
+from fpk.system.system import System
 
 BEYOND = 8.5
 """Kicks of noise by which velocities are followed beyond the one that reaches the limit."""

@@ -4,7 +4,7 @@ from markupsafe import Markup, escape
 
 from cases.output.pictures.style import SUBSCRIPTS
 from cases.scene.units import NO_UNITS, Units
-from fpk.system import System
+from fpk.system.system import System
 
 SHOWN_MASSES = 8
 """Masses that are drawn; of a longer chain the first ones, and the words say so."""

@@ -24,9 +24,9 @@ from cases.output.pictures.style import (
     words_of,
 )
 from cases.scene.questions import PassageQuestion, TransientQuestion
-from fpk.arrays import Array
-from fpk.evolution import Passage, Transient
-from fpk.method import Route
+from fpk.answer.evolution import Passage, Transient
+from fpk.answer.method import Route
+from fpk.numeric.arrays import Array
 
 MARKS = {"full": "os", "averaged": "^v"}
 """Markers of simulations, by what they solve."""

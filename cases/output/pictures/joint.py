@@ -21,11 +21,11 @@ from cases.output.pictures.style import (
     solver_difference,
     words_of,
 )
-from fpk.arrays import Array
-from fpk.density import AnyDensity
-from fpk.method import Route
-from fpk.observable import Observable, observable_name
-from fpk.sampled_density import SampledDensity
+from fpk.answer.density import AnyDensity
+from fpk.answer.method import Route
+from fpk.answer.observable import Observable, observable_name
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.arrays import Array
 
 LOWEST = 1e-3
 """Lowest level of a picture in decades, relative to the largest."""

@@ -27,11 +27,11 @@ from cases.output.pictures.style import (
     symbol_of,
     words_of,
 )
-from fpk.arrays import Array
-from fpk.density import bin_differences
-from fpk.method import ROUTES, Route
-from fpk.observable import Observable, observable_name
-from fpk.sampled_density import SampledDensity
+from fpk.answer.density import bin_differences
+from fpk.answer.method import ROUTES, Route
+from fpk.answer.observable import Observable, observable_name
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.arrays import Array
 
 POINTS = 300
 """Points of a line: one for each point of a picture's width."""

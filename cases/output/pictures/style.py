@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 
 from cases.comparison.answers import Answers
 from cases.scene.units import NO_UNITS, Units, bracketed
-from fpk.arrays import Array
-from fpk.density import Density
-from fpk.method import Route
-from fpk.observable import Coordinate, Observable
-from fpk.sampled_density import SampledDensity
+from fpk.answer.density import Density
+from fpk.answer.method import Route
+from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.arrays import Array
 
 STYLE: Any = rc_params_from_file(
     Path(__file__).with_name("fpk.mplstyle"), use_default_template=False

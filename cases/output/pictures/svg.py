@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from cases.output.pictures.style import INK, STYLE
-from fpk.arrays import Array
+from fpk.numeric.arrays import Array
 
 NUMBERS = re.compile(r'( (?:d|x|y)=")([^"]*)"')
 LINES = re.compile(r"(?=M)([ML]-?\d+(\.\d+)? -?\d+(\.\d+)?)+z?")

@@ -24,16 +24,16 @@ from cases.comparison.stationary import answers_of
 from cases.scene.questions import PassageQuestion
 from cases.studies.simulation import best_answer, deterministic
 from cases.studies.sweep.result import SweepPoint, Value
-from fpk.density import AnyDensity
-from fpk.dynamics import CrossingsMethod, Curve, Rates, Relaxation
-from fpk.errors import NotApplicable, NotCertified
-from fpk.evolution import Passage, Passages
-from fpk.limit import parse_limit
-from fpk.method import Method, silent
-from fpk.number import Number
-from fpk.observable import Observable, observable_name
-from fpk.start import REST
-from fpk.system import System
+from fpk.answer.density import AnyDensity
+from fpk.answer.dynamics import CrossingsMethod, Curve, Rates, Relaxation
+from fpk.answer.evolution import Passage, Passages
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import Method, silent
+from fpk.answer.number import Number
+from fpk.answer.observable import Observable, observable_name
+from fpk.answer.start import REST
+from fpk.numeric.errors import NotApplicable, NotCertified
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
 Answer = TypeVar("Answer", Passage, Curve, Rates)

@@ -14,9 +14,9 @@ import numpy as np
 from cases.scene.errors import BadInput, toml_value
 from cases.scene.numbers import VARIED, place_of, with_numbers
 from cases.scene.units import NO_UNITS, Units, bracketed
-from fpk.arrays import Array
-from fpk.errors import InvalidInput
-from fpk.system import System
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput
+from fpk.system.system import System
 
 LABELS = {"contact.stiffness": "contact stiffness B", "contact.clearance": "clearance δ"}
 """Labels of axes that have one of their own."""

@@ -19,7 +19,7 @@ from cases.scene.errors import BadInput
 from cases.scene.scene import read_text
 from cases.scene.units import attribute, bracketed
 from cases.studies.sweep.grid import Axis, place_words
-from fpk.recognition import fingerprint
+from fpk.numeric.recognition import fingerprint
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,16 +21,16 @@ from cases.scene.units import NO_UNITS
 from cases.studies.sweep.answering import REFERENCE_TOL, SIMULATION, sweep_point
 from cases.studies.sweep.grid import parse_axes, place_words
 from cases.studies.sweep.result import PointStore, Sweep, SweepPoint
-from fpk.errors import InvalidInput, NotApplicable
-from fpk.machine import usable_cores
-from fpk.method import Method, Progress, silent
-from fpk.observable import observable_name
-from fpk.recognition import canonical
-from fpk.system import System
-from sim.checkpoint import PROGRAM, program_checksum
+from fpk.answer.method import Method, Progress, silent
+from fpk.answer.observable import observable_name
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.machine import usable_cores
+from fpk.numeric.recognition import canonical
+from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.settings import ANYWHERE
-from sim.workers import workers_of
+from sim.sample.checkpoint import PROGRAM, program_checksum
+from sim.sample.settings import ANYWHERE
+from sim.sample.workers import workers_of
 
 METHODS = ("exact", "linear", "nonintegrable", "integrable")
 """Methods that are asked where none is named: they take milliseconds a point."""

@@ -8,7 +8,7 @@ from cases.scene.units import bracketed
 from cases.studies.page import Page, Table
 from cases.studies.picture import Field, Panel, curves_over, spans_decades
 from cases.studies.sweep.result import Sweep
-from fpk.arrays import Array
+from fpk.numeric.arrays import Array
 
 
 def sweep_table(result: Sweep, remarks: tuple[str, ...] = ()) -> Table:

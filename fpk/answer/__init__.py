@@ -1,0 +1,1 @@
+"""Answers: densities, numbers and curves with their errors, certificates, methods and routes."""

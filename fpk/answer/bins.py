@@ -1,0 +1,351 @@
+"""Bins of coordinates, and the density between their edges: exp(polynomial) on boxes of bins.
+
+On a box the density of one or two coordinates is ``p = r exp(Σ_j θ_j P_j)``, P_j products of
+Legendre polynomials of the bin number and r a known reference. The θ are those of maximum
+likelihood of the *contents* of the bins, integrals of p: the width of the bins is not in the
+answer, and p is positive. Boxes end at the known kinks of p. A box whose highest coefficients are
+not consistent with 0 is halved, and each box that fits is halved once more, so that a misfit that
+the test does not see is small beside the sampling error. Errors follow from independent batches.
+Kooperberg and Stone, Comput. Stat. Data Anal. 12, 1991, 327 (logspline density estimation).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+from itertools import pairwise, product
+from math import comb
+
+import numpy as np
+import scipy  # its parts are loaded at their first use
+from numpy.polynomial.legendre import legvander
+from scipy.special import chdtrc, fdtrc, stdtr
+
+from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.quadrature import panel_rule
+
+LogReference = Callable[[Array, Integers], Array]
+"""ln r of one coordinate at values and their bins, up to a constant, such as −U/kT."""
+Bins = tuple[int, ...]
+"""A bin number for each axis."""
+
+NODES = 3
+"""Gauss points along a bin: its content is right to 1e-4 where ln p changes by 2 within it."""
+LARGEST_LOG = 700.0
+"""Largest |ln p/r| of a trial: its exponential is a number."""
+DEGREE = 8
+"""Largest total degree of ln p on a box."""
+HIGHEST = {1: 3, 2: 2}
+"""How many of the highest degrees must be consistent with 0, by the number of coordinates."""
+PER_COEFFICIENT = 30
+"""Least number of independent samples for each coefficient, which is then known to some 20 %."""
+PER_BATCH = 10
+"""Samples in each batch above which the mean of all batches is nearly normal."""
+STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
+"""Largest number of Newton steps and of the halvings of one, and the squared distance from the
+maximum, in units of the standard error, at which they end."""
+ROUNDING = 1e-13
+"""Change of the mean log-likelihood of a sample that is round-off."""
+SPREAD = 10.0
+"""Size of a coefficient of which no sample says anything: ln p changes by less within a box."""
+DOUBT, ALARM = 0.01, 1e-6
+"""Probabilities with which a right fit is halved needlessly, and with which it is called wrong."""
+STEEPEST = 2.0
+"""Change of ln p from bin to bin above which the contents of bins do not show the density."""
+
+
+def no_reference(x: Array, bins: Integers) -> Array:
+    """Return ln 1."""
+    return np.zeros_like(x)
+
+
+@dataclass(frozen=True, eq=False)
+class BinAxis:
+    """Bins of one coordinate: ascending ``edges``, positions of ``kinks`` among them, and ln r.
+
+    Between kinks bins are equally wide; above those of ``widening`` their edges are in proportion
+    to the fourth power of their number.
+    """
+
+    edges: Array
+    kinks: Sequence[float] = ()
+    widening: Sequence[float] = ()
+    log_reference: LogReference = no_reference
+
+    @cached_property
+    def cuts(self) -> list[int]:
+        """Numbers of the edges at both ends and at the kinks, ascending."""
+        return sorted({0, self.edges.size - 1, *np.searchsorted(self.edges, self.kinks).tolist()})
+
+    @property
+    def pieces(self) -> Iterator[tuple[float, float, int, bool]]:
+        """Yield between each two kinks both ends, the number of bins, and whether these widen."""
+        for a, b in pairwise(self.cuts):
+            low, high = self.edges[[a, b]].tolist()
+            yield low, high, b - a, low in self.widening
+
+    def number(self, x: Array, bins: Integers) -> Array:
+        """Return the continuous bin number at ``x``, a whole number at each edge.
+
+        It is a smooth function of x between kinks. ``bins`` are the bins that x lies in.
+        """
+        value = np.empty(x.shape)
+        for (a, b), interpolant in zip(pairwise(self.cuts), self._numbers, strict=True):
+            own = (bins >= a) & (bins < b)
+            value[own] = interpolant(x[own])
+        return value
+
+    @cached_property
+    def _numbers(self) -> list[Callable[[Array], Array]]:
+        number, interpolant = np.arange(self.edges.size) + 0.0, scipy.interpolate.PchipInterpolator
+        own = [slice(a, b + 1) for a, b in pairwise(self.cuts)]
+        return [interpolant(self.edges[s], number[s]) for s in own]
+
+    @cached_property
+    def rule(self) -> tuple[Array, Array]:
+        """Bin numbers of the Gauss points of all bins (bins, ``NODES``), and weights times r."""
+        x, w = panel_rule(self.edges, NODES)
+        bins = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
+        return self.number(x, bins), w * np.exp(self.log_r(x, bins))
+
+    def log_r(self, x: Array, bins: Integers) -> Array:
+        """Return ln r, no less than half of ``LARGEST_LOG`` below 0: r is not to underflow."""
+        return np.maximum(self.log_reference(x, bins), -0.5 * LARGEST_LOG)
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """Fit of ln p on the bins ``first`` <= bin < ``last`` of each axis.
+
+    ``theta`` (coefficients,), empty without samples: p is 0. ``deviations`` (batches, coefficients)
+    are by what the θ of single batches differ from that of all; ``covariance`` is that of θ for
+    independent samples. ``chance`` is the probability of a misfit as large as there is, 0 where the
+    density changes too much from bin to bin.
+    """
+
+    first: Bins
+    last: Bins
+    theta: Array
+    deviations: Array
+    covariance: Array
+    chance: float = 1.0
+
+    @property
+    def bins(self) -> tuple[slice, ...]:
+        """The slice of the bins along each axis."""
+        return tuple(map(slice, self.first, self.last))
+
+    @property
+    def degrees(self) -> Integers:
+        """Degrees (axes, coefficients) of the polynomials along each axis."""
+        return powers(len(self.first), self.theta.size)
+
+    def basis(self, numbers: Sequence[Array]) -> Array:
+        """Return the polynomials (points, coefficients) at bin ``numbers`` (points,), by axis."""
+        ends = zip(numbers, self.first, self.last, self.degrees, strict=True)
+        factors = [_polynomials(u, a, b, max(k, default=0))[:, k] for u, a, b, k in ends]
+        return reduce(np.multiply, factors)
+
+
+def _polynomials(numbers: Array, first: int, last: int, degree: int) -> Array:
+    """P_0 to P_degree (..., degree + 1) of bin ``numbers`` scaled to [−1, 1]."""
+    return np.asarray(legvander(2.0 * (numbers - first) / (last - first) - 1.0, int(degree)))
+
+
+def powers(axes: int, count: int) -> Integers:
+    """Return the degrees (axes, count) along each axis, in ascending order of the total degree."""
+    if axes == 1:
+        return np.arange(count)[None]
+    pairs = [(total - k, k) for total in range(count) for k in range(total + 1)]
+    return np.array(pairs[:count], dtype=np.int64).reshape(-1, 2).T
+
+
+def boxes(
+    axes: Sequence[BinAxis], shares: Array, batch_shares: Array, samples: float, *, halve: bool
+) -> Iterator[Box]:
+    """Yield the fits that cover all bins of ``axes``, none of them across a kink.
+
+    ``shares`` (bins of each axis) of all samples and ``batch_shares`` (batches, bins of each axis)
+    of independent batches are those in each bin; ``samples`` is the number of independent samples.
+    ``halve`` False: one box between each two kinks, whether it fits or not.
+    """
+
+    def parts(first: Bins, last: Bins, *, halved: bool) -> Iterator[Box]:
+        own = tuple(map(slice, first, last))
+        box = _fit(axes, first, last, shares[own], batch_shares[(slice(None), *own)], samples)
+        fits = box.chance > DOUBT  # ``halved``: this is half of a box that fits
+        halves = _halves(box, shares[own], samples) if halve else []
+        if not halves or (halved and fits):
+            yield box
+            return
+        for half in halves:
+            yield from parts(*half, halved=halved or fits)
+
+    for piece in product(*(list(pairwise(axis.cuts)) for axis in axes)):
+        first, last = zip(*piece, strict=True)
+        yield from parts(first, last, halved=False)
+
+
+def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
+    """Both parts of a box cut near the middle of the axis that fits worst; none if one is small."""
+    axes, bins = range(shares.ndim), DEGREE + 4  # more bins than coefficients: a misfit shows
+    needed = PER_COEFFICIENT * comb(DEGREE + shares.ndim, shares.ndim) / samples
+    for axis in sorted(axes, key=lambda k: _chance_of_highest(box, alone=k)):
+        below = np.cumsum(shares.sum(axis=tuple(k for k in axes if k != axis)))[:-1]
+        enough = np.flatnonzero((below >= needed) & (below <= below[-1] - needed)) + 1
+        enough = enough[(enough >= bins) & (enough <= below.size + 1 - bins)]
+        if enough.size:
+            middle = 0.5 * (below.size + 1)
+            cut = box.first[axis] + int(enough[np.argmin(np.abs(enough - middle))])
+            low = tuple(cut if k == axis else x for k, x in enumerate(box.last))
+            high = tuple(cut if k == axis else x for k, x in enumerate(box.first))
+            return [(box.first, low), (high, box.last)]
+    return []
+
+
+def _fit(
+    axes: Sequence[BinAxis], first: Bins, last: Bins, shares: Array, batches: Array, samples: float
+) -> Box:
+    """Return the fit of one box, of the largest degree that has a largest likelihood."""
+    many = len(batches)
+    if not shares.any():
+        return Box(first, last, np.zeros(0), np.zeros((many, 0)), np.zeros((0, 0)))
+    held = shares * samples
+    most = min(float(shares.sum()) * samples / PER_COEFFICIENT, float(np.count_nonzero(shares)))
+    degrees = range(min(DEGREE, min(shares.shape) - 1) + 1)
+    for degree in reversed([k for k in degrees if k == 0 or comb(k + len(axes), k) <= most]):
+        model = Model(axes, first, last, degree)
+        theta, information, solved = model.solved(shares.ravel(), samples)
+        if solved:
+            break
+    content, covariance = model.contents(theta), np.asarray(np.linalg.inv(information))
+    weighted = model.design * content[:, None]
+    apart = batches.reshape(many, -1) - content
+    deviations = apart @ model.design @ covariance
+    box = Box(first, last, theta, deviations, covariance / samples)
+    log_p = (model.design @ theta).reshape(shares.shape)
+    steep = np.zeros(log_p.shape, dtype=bool)
+    for axis in range(log_p.ndim):
+        change = np.moveaxis(np.abs(np.diff(log_p, axis=axis)), axis, 0) > STEEPEST
+        along = np.moveaxis(steep, axis, 0)
+        along[1:] |= change
+        along[:-1] |= change
+    if np.any(steep & (held > PER_COEFFICIENT)):
+        return replace(box, chance=0.0)
+    residuals = (apart - deviations @ weighted.T).reshape(batches.shape)
+    highest = _chance_of_highest(box)
+    if float(held.sum()) < PER_BATCH * many * theta.size:  # too few for deviations to be normal
+        highest = max(highest, ALARM)
+    return replace(box, chance=min(highest, _chance_of_misfit(residuals, held)))
+
+
+class Model:
+    """Contents of the bins ``first`` <= bin < ``last`` as functions of θ, by Gauss points.
+
+    ``design`` (bins of all axes, coefficients) has the means of the polynomials over each bin, the
+    statistics that a fit matches.
+    """
+
+    def __init__(self, axes: Sequence[BinAxis], first: Bins, last: Bins, degree: int):
+        """Evaluate the polynomials."""
+        ends = list(zip(axes, first, last, strict=True))
+        numbers, weights = zip(*([x[a:b] for x in axis.rule] for axis, a, b in ends), strict=True)
+        self.shape = tuple(map(len, numbers))
+        self.powers = powers(len(axes), comb(degree + len(axes), degree))
+        self.vander = list(map(_polynomials, numbers, first, last, [degree] * len(axes)))
+        self.weights = reduce(np.multiply.outer, [w.ravel() for w in weights])
+        means = [
+            np.einsum("bg,bgk->bk", w / w.sum(axis=1, keepdims=True), v)[:, k]
+            for w, v, k in zip(weights, self.vander, self.powers, strict=True)
+        ]
+        products: Array = means[0] if len(means) == 1 else means[0][:, None] * means[1]
+        self.design = products.reshape(-1, self.powers.shape[1])
+
+    def contents(self, theta: Array) -> Array:
+        """Return the integral of p over each bin, (bins of all axes,)."""
+        split = self.spread(theta)
+        return np.asarray(split.sum(axis=tuple(range(1, split.ndim, 2)))).ravel()
+
+    def spread(self, theta: Array) -> Array:
+        """Return p times the weight of each Gauss point, (bins, ``NODES``) for each axis."""
+        size = self.vander[0].shape[-1]
+        square = np.zeros((size,) * len(self.shape))
+        square[tuple(self.powers)] = theta
+        log_p = self.vander[0].reshape(-1, size) @ square
+        if len(self.shape) == 2:
+            log_p = log_p @ self.vander[1].reshape(-1, size).T
+        p = self.weights * np.exp(np.clip(log_p, -LARGEST_LOG, LARGEST_LOG))
+        return np.asarray(p.reshape([k for bins in self.shape for k in (bins, NODES)]))
+
+    def solved(self, shares: Array, samples: float) -> tuple[Array, Array, bool]:
+        """Return θ of the largest likelihood, the information, and whether the maximum was reached.
+
+        By Newton's method with halved steps, from a fit to ln of the counts and half a sample more
+        in each bin, or from a constant where that is likelier.
+        Where samples say nothing coefficients are about 0 ± ``SPREAD``.
+        """
+        constant = np.zeros(self.design.shape[1])
+        held, volume = samples * shares + 0.5, self.contents(constant)
+        weighted, log_p = self.design.T * held, np.log(held / (samples * volume))
+        fitted = np.linalg.lstsq(weighted @ self.design, weighted @ log_p)[0]
+        constant[0] = np.log(shares.sum() / volume.sum())
+        prior = np.where(self.powers.any(axis=0), 1.0 / (samples * SPREAD**2), 0.0)
+
+        def unlikely(theta: Array, content: Array) -> float:
+            own = shares[shares > 0.0] @ np.log(content[shares > 0.0])
+            return float(content.sum() - own + 0.5 * prior @ theta**2)
+
+        starts = np.asarray(fitted), constant
+        theta: Array = min(starts, key=lambda x: unlikely(x, self.contents(x)))
+        content = self.contents(theta)
+        value = unlikely(theta, content)
+        for _ in range(STEPS):
+            score = (shares - content) @ self.design - prior * theta
+            information = (self.design * content[:, None]).T @ self.design + np.diag(prior)
+            step = np.linalg.solve(information, score)
+            if float(score @ step) < max(CONVERGED / samples, ROUNDING):
+                return theta + step, information, True
+            for _ in range(HALVINGS):
+                content = self.contents(theta + step)
+                if (less := unlikely(theta + step, content)) < value + ROUNDING:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            theta, value = theta + step, less
+        return theta, information, False
+
+
+def _chance_of_highest(box: Box, alone: int | None = None) -> float:
+    """Probability by Hotelling's T² that the highest coefficients (of an axis ``alone``) are 0."""
+    total = box.degrees.sum(axis=0)
+    highest = total > max(0, int(total.max(initial=0)) - HIGHEST[len(box.first)])
+    if alone is not None:
+        highest &= box.degrees[alone] == total
+    size, batches = int(np.count_nonzero(highest)), len(box.deviations)
+    theta, freedom = box.theta[highest], batches - size
+    if not size:
+        return 1.0
+    known = freedom > 2 * size  # enough batches to know a covariance from them
+    spread = np.cov(box.deviations[:, highest].T).reshape(size, size) / batches
+    covariance = spread if known else box.covariance[np.ix_(highest, highest)]
+    square = float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta)
+    if known:
+        return float(fdtrc(size, freedom, square * freedom / (size * (batches - 1.0))))
+    return float(chdtrc(size, square))
+
+
+def _chance_of_misfit(residuals: Array, held: Array) -> float:
+    """Probability of the largest of ``residuals`` (batches, *bins) in blocks of 1, 2, 4, … bins."""
+    least, count, batches, size = 1.0, 0, len(residuals), 1
+    while 4 * size <= max(held.shape):
+        blocks, own = residuals, held
+        for axis, bins in enumerate(held.shape):
+            starts = np.arange(0, bins, size)
+            blocks = np.add.reduceat(blocks, starts, axis=axis + 1)
+            own = np.add.reduceat(own, starts, axis=axis)
+        blocks = blocks[:, own > PER_BATCH * batches]
+        error, mean = blocks.std(axis=0, ddof=1) / np.sqrt(batches), np.abs(blocks.mean(axis=0))
+        z = np.divide(mean, error, out=np.zeros_like(mean), where=error > 0.0)
+        least = min(least, 2.0 * float(stdtr(batches - 1, -z.max(initial=0.0))))
+        count, size = count + z.size, 2 * size
+    return min(1.0, count * least) if count else 1.0

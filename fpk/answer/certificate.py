@@ -1,0 +1,133 @@
+"""Certificates of answers: the measured numbers, their limits, and the one place that compares."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.numeric.arrays import ROUND_OFF
+from fpk.numeric.errors import InvalidInput
+
+Default = TypeVar("Default")
+
+NEGATIVE = -1e-14
+"""Smallest p / max p that counts as round-off of a density that is not negative; its size is the
+departure of a mass from 1 that counts as round-off of its own sum."""
+MISSED = "the estimated error"
+"""First words of the failure that an estimated error exceeds the tolerance."""
+
+
+def tolerance(tol: float | None, default: Default) -> float | Default:
+    """Return the tolerance asked for, or else the default; ``InvalidInput`` unless it is > 0."""
+    if tol is None:
+        return default
+    if not tol > 0.0:
+        raise InvalidInput("tol", tol, "must be > 0")
+    return tol
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Numbers measured on an answer; each is computed from the answer, none is typed.
+
+    ``l1_error`` estimates ∫|p − p_exact| and holds all that the numerics contribute: truncation of
+    the mesh, quadrature, interpolation, tails. ``mass_defect`` is |∫p − 1| over the support, before
+    any tail; ``minimum`` the smallest value of p divided by its largest; ``residual`` how far p is
+    from solving its equation, relative to the terms that cancel (for sampling: the largest |z| of
+    the moment identities, NaN where none is evaluated); ``tail_mass`` a bound (for sampling: the
+    share) of the mass outside the support; ``net_flux`` the largest probability flux through an
+    element relative to its one-way parts, None where none is computed. ``absolute_error`` is a
+    bound of the error of p anywhere, in units of its largest value, where one is part of the stated
+    error (0 where none is): to that the sign of p is known. ``failures``: what else does not hold,
+    in words.
+
+    A number is None where the answer has no such thing: no mass where it is no density, no residual
+    where a formula is evaluated or paths are counted, no tail where nothing is cut off.
+    """
+
+    l1_error: float
+    mass_defect: float | None
+    minimum: float | None
+    residual: float | None
+    tail_mass: float | None
+    net_flux: float | None = None
+    failures: tuple[str, ...] = ()
+    absolute_error: float = 0.0
+
+    def with_failures(self, *words: str) -> "Measured":
+        """Return the same with more that does not hold."""
+        return replace(self, failures=(*self.failures, *words))
+
+
+@dataclass(frozen=True)
+class Certificate(Measured):
+    """Checks that an answer passed or failed; nothing was mended to make them pass.
+
+    The numbers are those of ``Measured``. ``failures`` says in words what does not hold; the answer
+    is certified when it is empty. ``missed`` is the estimated error where it exceeds the tolerance,
+    None where it does not. Made by ``certify`` only. ::
+
+        certificate = fpk.solve(system, ["q2"], methods=["integrable"])["q2"].certificate
+        certificate.certified, certificate.failures, certificate.mass_defect
+    """
+
+    missed: float | None = None
+
+    @property
+    def certified(self) -> bool:
+        """Whether every check holds."""
+        return not self.failures
+
+    @property
+    def besides(self) -> tuple[str, ...]:
+        """The failures but that the estimated error exceeds the tolerance."""
+        return tuple(words for words in self.failures if not words.startswith(MISSED))
+
+
+def outside(of: Measured) -> float:
+    """Return the mass outside the support, 0 where nothing is cut off."""
+    return of.tail_mass or 0.0
+
+
+def worst(values: Iterable[float | None]) -> float | None:
+    """Return the largest of what was measured, NaN if one is; None where nothing was."""
+    given = [x for x in values if x is not None]
+    return float(np.max(given)) if given else None
+
+
+def with_values(certificate: Certificate, *values: NDArray[Any]) -> Certificate:
+    """Return the certificate of ``values`` and errors made of an answer: a NaN is not certified."""
+    if missing := sum(int(np.isnan(x).sum()) for x in values):
+        words = f"{missing} of the values and errors are not numbers"
+        return replace(certificate, failures=(*certificate.failures, words))
+    return certificate
+
+
+def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certificate:
+    """Return the certificate of an answer: the only place where one is made.
+
+    ``tol`` is the tolerance of the L1 error that was asked for, infinite where none was. Of a
+    sampled answer (``sampled``) the residual is a |z| that the simulation judges itself, and no
+    error bound follows from its mass. Comparisons are written so that a NaN fails.
+    """
+    m, failures = measured, list(measured.failures)
+    if m.minimum is not None and not m.minimum >= NEGATIVE - m.absolute_error:
+        failures.append(f"the density falls to {m.minimum:.2g} of its maximum")
+    missed = None if m.l1_error <= tol else m.l1_error
+    if missed is not None:
+        failures.append(f"{MISSED} {m.l1_error:.2g} exceeds the tolerance {tol:.2g}")
+    if m.tail_mass is not None and not m.tail_mass < float("inf"):
+        failures.append("the density does not fall off at the end of the mesh")
+    # ∫|p − p_exact| cannot be less than |∫p − ∫p_exact|.
+    off = None if sampled else m.mass_defect
+    if off is not None and not off <= m.l1_error - NEGATIVE:
+        failures.append(
+            f"the mass is off by {off:.2g}, more than the stated error {m.l1_error:.2g}"
+        )
+    if not sampled and m.residual is not None and not m.residual < ROUND_OFF:
+        failures.append(f"the residual of the equation is {m.residual:.2g}")
+    if m.net_flux is not None and not m.net_flux < ROUND_OFF:
+        failures.append(f"the net flux is {m.net_flux:.2g} of the one-way flux")
+    return Certificate(**{**vars(m), "failures": tuple(failures), "missed": missed})

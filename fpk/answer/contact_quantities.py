@@ -1,0 +1,122 @@
+"""Contacts in answers: clearances over the motion, kinks of densities, quantities at stops."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpk.answer.number import Number, Quantities
+from fpk.answer.observable import Coordinate, Observable
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.linear import natural_modes, stationary_covariance
+from fpk.system.system import System
+
+CLEARANCE_RULE = 2.0
+"""Section 6.3: contacts may be neglected beyond this many root mean squares of the motion."""
+
+
+@dataclass(frozen=True)
+class StopClearance:
+    """One stop: its clearance in units of the motion that the mass would have without contact.
+
+    ``mass`` counts from 1; ``rms`` and ``ratio`` are None where the motion has no stationary state.
+    """
+
+    mass: int
+    side: str
+    clearance: float
+    rms: float | None
+    ratio: float | None
+
+    @property
+    def beyond_rule(self) -> bool | None:
+        """Whether the rule of section 6.3 lets this contact be neglected."""
+        return None if self.ratio is None else self.ratio > CLEARANCE_RULE
+
+
+def stop_clearances(system: System) -> tuple[StopClearance, ...]:
+    """Return every stop with its clearance over the rms displacement of the linear system."""
+    try:
+        rms = np.sqrt(np.diag(stationary_covariance(system))).tolist()
+    except NotApplicable:
+        rms = [None] * system.n
+    return tuple(
+        StopClearance(s.mass, s.side, s.clearance, scale, s.clearance / scale if scale else None)
+        for s in system.stops
+        for scale in [rms[s.index]]
+    )
+
+
+def kinks_of(system: System, coordinate: Coordinate) -> list[float]:
+    """Return the values, ascending, at which the density of a coordinate may have a kink.
+
+    Of q_i the positions of the stops of mass i; of H the least energy at which each stop is
+    touched, ½ δ²/C_ii and the contact energy of nearer stops there, C the compliance; of H_m the
+    energy at which mode m alone touches it, ½ (ω_m δ/T_im)². Of a momentum there are none.
+    """
+    at = [(stop.index, stop.sign * stop.clearance) for stop in system.stops]
+    kinks: list[float] = []
+    if coordinate.kind == "q":
+        kinks = [x for i, x in at if i == coordinate.row]
+    elif coordinate.kind == "H" and coordinate.index is None:
+        C = system.compliance
+        kinks = [0.5 * x * x / float(C[i, i]) + float(system.contact_energy(i, x)) for i, x in at]
+    elif coordinate.kind == "H":
+        shapes, omega = (x[..., coordinate.row] for x in natural_modes(system))
+        kinks = [0.5 * float(omega * x / shapes[i]) ** 2 for i, x in at if shapes[i] != 0.0]
+    return sorted(set(kinks))
+
+
+def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, Number]:
+    """Return numbers of the contact at a one-sided ``stop``, by their names.
+
+    ``displacement`` is the density of the displacement of the stop's mass.
+    "contact probability": P(overlap > 0), the share of time in contact; "mean overlap" and "mean
+    force": expectations over all time, 0 while there is no contact (force in force units, Eq. (2));
+    "overlap in contact" and "force in contact": the same over the time in contact alone, whose
+    errors count those of the probability in full. ::
+
+        q2 = fpk.solve(system, ["q2"], methods=["nonintegrable/fem"])["q2"]
+        contact_quantities(system.stops[0], q2)["mean force"]
+    """
+    names = "contact probability", "mean overlap", "mean force"
+    touching, depth, force = (contact_quantity(name, stop, displacement) for name in names)
+    return {
+        **dict(zip(names, (touching, depth, force), strict=True)),
+        "overlap in contact": ratio(depth, touching),
+        "force in contact": ratio(force, touching),
+    }
+
+
+def contact_quantity(name: str, stop: Contact, displacement: Quantities) -> Number:
+    """Return the quantity ``name`` of ``contact_quantities``, one of the first three."""
+    at = stop.sign * stop.clearance
+    if name == "contact probability":
+        return displacement.exceedance(at) if stop.sign > 0 else displacement.cdf(at)
+
+    def value(q: Array) -> Array:
+        overlap = np.maximum(stop.sign * q - stop.clearance, 0.0)
+        return overlap if name == "mean overlap" else np.asarray(stop.force(overlap))
+
+    return displacement.expectation(value, kinks=(at,))
+
+
+def joint_at_stops(system: System, observables: Sequence[Observable]) -> list[Observable]:
+    """Return pairs (q, p) of masses at stops: the rates of touching these follow from them.
+
+    They are those of the masses whose q is one of the ``observables``, less the pairs that are
+    among the ``observables`` themselves.
+    """
+    touching = [Coordinate("q", i) for i in system.contact_masses]
+    pairs = [(q, Coordinate("p", q.row)) for q in touching if (q,) in observables]
+    return [pair for pair in pairs if pair not in observables]
+
+
+def ratio(a: Number, b: Number) -> Number:
+    """Return a/b and the most that it can be off by; b may be 0: NaN with an infinite error."""
+    if not b.value > b.error:
+        return Number(np.nan, np.inf)
+    value = a.value / b.value
+    return Number(value, (a.error + abs(value) * b.error) / (b.value - b.error))

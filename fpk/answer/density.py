@@ -1,0 +1,282 @@
+"""Probability densities that carry their error, their certificate and where they come from."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, partial, reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify, outside
+from fpk.answer.number import ErrorKind, Function, Number, Quantities, beyond, with_points
+from fpk.answer.observable import Observable
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.arrays import EPS, SMALLEST, Array
+from fpk.numeric.piecewise import PiecewiseTensor, interpolated_tensor
+from fpk.numeric.quadrature import GAUSS_POINTS, gauss_grid, integral
+
+FEWER = {1: 16, 2: 9}
+"""Gauss points per panel and axis, by the number of axes, of a coarser rule: its distance from the
+rule of ``GAUSS_POINTS`` is part of the error of an expectation."""
+CHECKED, SAFETY = 7, 3.0
+"""Gauss points per panel and axis at which the table of a joint density is compared with it, none
+of them one of its own; and the multiple of the distance there, an integral of few points, that is
+the error of the table."""
+
+
+@dataclass(frozen=True)
+class Density(Quantities):
+    """Density of one or two coordinates, as a function, with its numerical error.
+
+    ``panels`` holds for every axis the ascending nodes between which the density is smooth; the
+    first and last are its support. ``pdf`` takes one array per axis (broadcast together) and
+    returns the density; ``pointwise`` likewise the estimate of its error there. ``l1_error``
+    estimates ∫|p − p_exact| including the mass outside the support. ``source(observable)`` computes
+    the density again: where there is one, the density can be pickled without its functions. A joint
+    density has a ``table`` for all that takes many points; its L1 error ``table_error`` adds to
+    ``l1_error`` there, and is no larger. ::
+
+        p = fpk.solve(fpk.load("fig6a").system, ["q2"], methods=["nonintegrable/fem"])["q2"]
+        value, error = p.at(np.linspace(-1.5, 1.5, 31))
+        p.mean(), p.std(), p.rms(), p.variance(), p.skewness(), p.kurtosis(), p.moment(4)
+        p.exceedance(0.5), p.cdf(0.5), p.probability(-0.5, 0.5), p.quantile(0.99)
+        p.expectation(np.abs, kinks=[0.0]), p.certificate.certified
+        p.to_meshio(), p.to_pyvista()
+    """
+
+    observable: Observable
+    panels: tuple[Array, ...]
+    pdf: Callable[..., Array]
+    pointwise: Callable[..., Array]
+    l1_error: float
+    certificate: Certificate
+    provenance: Mapping[str, str | float | int] = field(default_factory=dict)
+    error_kind: ErrorKind = "numerical"
+    source: Callable[[Observable], "AnyDensity"] | None = None
+    table: PiecewiseTensor | None = None
+    table_error: float = 0.0
+
+    def axes(self) -> tuple[Array, ...]:
+        """Return ``panels``."""
+        return self.panels
+
+    def __repr__(self) -> str:
+        """Return what the density is of, its error and its support in one line."""
+        return self.described(f"L1 error {self.l1_error:.2g}")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: all but the functions, which ``source`` computes again."""
+        if self.source is None:
+            raise TypeError(
+                f"the density of {self.name} does not know what it follows from and cannot be "
+                "pickled; take it from the result of a method"
+            )
+        own = self.__dataclass_fields__.keys() - {"pdf", "pointwise"}
+        return {k: v for k, v in self.__dict__.items() if k in own}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore the density; its functions are computed when they are first called."""
+        again = cache(partial(state["source"], state["observable"]))
+        self.__dict__.update(
+            state,
+            pdf=lambda *x: again().pdf(*x),
+            pointwise=lambda *x: again().pointwise(*x),
+        )
+
+    def __call__(self, *points: ArrayLike) -> Array:
+        """Return the density at ``points``, one number or array per axis."""
+        return np.asarray(self.pdf(*(np.asarray(x, dtype=float) for x in points)))
+
+    def at(self, *points: Array) -> tuple[Array, Array]:
+        """Return the density and its error at ``points``, one array per axis."""
+        return self.pdf(*points), self.pointwise(*points)
+
+    def tabulated(self, *points: Array) -> Array:
+        """Return the density at ``points`` by its table; by itself where there is none."""
+        return self.pdf(*points) if self.table is None else self.table(*points)
+
+    def cell_averages(self, *edges: Array) -> Array:
+        """Return the mean of the density over each cell of the grid of ``edges``."""
+        mesh, grids = gauss_grid(list(map(with_points, edges, self.panels)))
+        values = self.tabulated(*mesh)
+        for axis, (e, (x, w)) in enumerate(zip(edges, grids, strict=True)):
+            cell = np.searchsorted(e, x, side="right") - 1
+            starts = np.searchsorted(cell, np.arange(e.size - 1))
+            shape = [-1 if a == axis else 1 for a in range(values.ndim)]
+            values = np.add.reduceat(values * w.reshape(shape), starts, axis=axis)
+            values = values / np.diff(e).reshape(shape)
+        return values
+
+    def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
+        """Return E f(X) and its error: the density's error weighted by |f|, and the tails.
+
+        ``function`` takes an array per axis; ``kinks`` (one axis only) are where it is not smooth.
+        """
+        panels = (self._axis(kinks),) if kinks else self.panels
+        known = not kinks and len(panels) == 1
+        coarse_p, p, e = self._at_nodes if known else self._at_nodes_of(panels)
+        mesh, grids = gauss_grid(panels, points=FEWER[len(panels)])
+        coarse = integral(function(*mesh) * coarse_p, grids)
+        mesh, grids = gauss_grid(panels)
+        f = np.asarray(function(*mesh))
+        value = integral(f * p, grids)
+        e = e + SMALLEST  # where there is none at points the L1 error is spread evenly
+        least_l1 = max(self.l1_error, self.certificate.mass_defect or 0.0)
+        error = integral(np.abs(f) * e, grids) * max(1.0, least_l1 / integral(e, grids))
+        sizes = [np.repeat(_condition(nodes), GAUSS_POINTS[len(panels)]) for nodes in panels]
+        rounding = EPS * integral(np.abs(f * p) * reduce(np.add.outer, sizes), grids)
+        tail = outside(self.certificate) * beyond(function, self.panels, kinks)
+        return Number(value, error + rounding + abs(value - coarse) + tail)
+
+    def _probability(self, low: float, high: float) -> Number:
+        """Return P(low < X <= high) and its error.
+
+        The error is the integral of the error at points over the interval or, as the whole mass is
+        1, over all that is outside it, whichever is less. The part of the L1 error that the errors
+        at points do not add up to, at least |1 − mass|, may lie anywhere and is added.
+        """
+        nodes = self._axis()
+        first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
+        ends = (low < nodes[0], high > nodes[-1])
+        beyond_ends = sum(outside(self.certificate) for beyond_end in ends if beyond_end)
+        value, error, rounding = (float(x) for x in self._share(first, last))
+        of_all = float(self._panel_shares[1].sum())
+        unlocated = max(self.l1_error - of_all, self.certificate.mass_defect or 0.0)
+        located = max(min(error, of_all - error), 0.0)
+        return Number(value, located + unlocated + beyond_ends + rounding)
+
+    def share(self, low: float, high: float) -> float:
+        """Return P(low < X <= high) without its error, which takes as long again."""
+        ends = np.clip([low, high], *self._axis()[[0, -1]])
+        return float(self._share(*ends, rows=1)[0])
+
+    def _share(self, low: float, high: float, *, rows: int = 3) -> Array:
+        """Integrals between two points of the support: the first ``rows`` of ``_panel_shares``."""
+        nodes = self.panels[0]
+        first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
+        whole: Array = self._panel_shares[:rows, first:last].sum(axis=1)
+        cut = [(low, nodes[first]), (nodes[last], high)] if first <= last else [(low, high)]
+        for a, b in cut:
+            if a < b:
+                mesh, grids = gauss_grid([np.array([a, b])])
+                own = [integral(f(*mesh), grids) for f in (self.pdf, self.pointwise)[:rows]]
+                k = np.clip(np.searchsorted(nodes, a, side="right") - 1, 0, nodes.size - 2)
+                whole = whole + [*own, EPS * _condition(nodes)[k] * own[0]][:rows]
+        return whole
+
+    @cached_property
+    def _panel_shares(self) -> Array:
+        """∫ of the density, of its error and of its round-off over every panel of the one axis."""
+        _, [(_, w)] = gauss_grid(self.panels)
+        weighted = [np.broadcast_to(f, w.shape) * w for f in self._at_nodes[1:]]
+        value, error = np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
+        return np.array([value, error, EPS * _condition(self.panels[0]) * value])
+
+    @cached_property
+    def _at_nodes(self) -> tuple[Array, Array, Array]:
+        return self._at_nodes_of(self.panels)
+
+    def _at_nodes_of(self, panels: Sequence[Array]) -> tuple[Array, Array, Array]:
+        """The density at the Gauss points of the coarser and finer rule, and its error at these."""
+        coarse, mesh = gauss_grid(panels, points=FEWER[len(panels)])[0], gauss_grid(panels)[0]
+        return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
+
+
+def _condition(nodes: Array) -> Array:
+    """1 + |x|/width of panels: times EPS the relative round-off of an integral over each."""
+    largest = np.maximum(np.abs(nodes[1:]), np.abs(nodes[:-1]))
+    return np.asarray(1.0 + largest / np.diff(nodes))
+
+
+def certified_density(
+    observable: Observable,
+    panels: tuple[Array, ...],
+    pdf: Callable[..., Array],
+    pointwise: Callable[..., Array],
+    *,
+    measured: Measured,
+    tol: float,
+    added_error: Callable[..., Array] | None = None,
+    frame: tuple[Array, tuple[Array, ...]] | None = None,
+) -> Density:
+    """Return a density with its certificate: the one place where densities by a function are made.
+
+    ``panels``, ``pdf`` and ``pointwise`` as in ``Density``. ``measured`` holds what the solver
+    measured, ``tol`` is the L1 tolerance that was asked for. ``added_error`` returns,
+    from the density at points and the points, the part of the error there that is not in
+    ``measured.l1_error`` (that of integrating coordinates out, say); its integral is added. The
+    mass and the smallest value are measured here, on the density itself: whatever a caller believes
+    of them does not count.
+    ``frame``, a matrix F and panels, has them measured at x = F y on panels of y: for coordinates
+    so strongly correlated that no affordable panels of x resolve the ridge.
+    """
+    jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
+    mesh, grids = gauss_grid(axes)
+    if frame is not None:
+        mesh = tuple(np.einsum("ij,j...->i...", jacobian, np.array(np.broadcast_arrays(*mesh))))
+        grids[0] = (grids[0][0], grids[0][1] * abs(float(np.linalg.det(jacobian))))
+    values = np.asarray(pdf(*mesh))
+    largest = float(values.max(initial=0.0))
+    smallest = float(values.min(initial=0.0)) / largest if largest > 0.0 else np.nan
+    # To its stated error the sign of p is known.
+    known = float(np.max(pointwise(*mesh))) / largest if smallest < NEGATIVE else 0.0
+    if measured.minimum is not None and measured.minimum < smallest:
+        solved = measured.minimum, measured.absolute_error
+        smallest, known = min((smallest, known), solved, key=sum)
+    added = 0.0 if added_error is None else integral(np.asarray(added_error(values, *mesh)), grids)
+    checked = replace(
+        measured,
+        l1_error=measured.l1_error + added,
+        mass_defect=abs(integral(values, grids) - 1.0),
+        minimum=smallest,
+        absolute_error=known,
+    )
+    certificate = certify(checked, tol=tol)
+    table, table_error = None, 0.0
+    if len(panels) == 2 and frame is None:
+        table = interpolated_tensor((panels[0], panels[1]), values, GAUSS_POINTS[2])
+        mesh, grids = gauss_grid(panels, points=CHECKED)
+        table_error = SAFETY * integral(np.abs(table(*mesh) - np.asarray(pdf(*mesh))), grids)
+        if not table_error <= checked.l1_error:
+            table, table_error = None, 0.0
+
+    def pointwise_error(*x: Array) -> Array:
+        return np.asarray(pointwise(*x)) + SMALLEST
+
+    return Density(
+        observable, panels, pdf, pointwise_error, checked.l1_error, certificate, table=table,
+        table_error=table_error,
+    )  # fmt: skip
+
+
+AnyDensity = Density | SampledDensity
+
+
+def l1_distance(a: AnyDensity, b: AnyDensity) -> float:
+    """Return ∫|p_a − p_b|; beside a histogram a function enters by its averages over the bins.
+
+    What lies outside the bins of a histogram counts as one more bin.
+
+    Raises ``ValueError`` for different observables, or two histograms on different bins.
+    """
+    if a.observable != b.observable:
+        raise ValueError(f"densities of {a.name} and of {b.name} cannot be compared")
+    if isinstance(a, SampledDensity) or isinstance(b, SampledDensity):
+        first, second = (a, b) if isinstance(a, SampledDensity) else (b, a)
+        assert isinstance(first, SampledDensity)
+        areas = reduce(np.multiply.outer, map(np.diff, first.edges))
+        shares = bin_differences(first, second) * areas
+        # All that lies outside is one more bin; as both masses are one, its share is minus the sum.
+        return float(np.sum(np.abs(shares)) + abs(np.sum(shares)))
+    mesh, grids = gauss_grid(list(map(np.union1d, a.panels, b.panels)))
+    return integral(np.abs(a.tabulated(*mesh) - b.tabulated(*mesh)), grids)
+
+
+def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:
+    """Return the bin values of ``sampled`` minus the averages of ``other`` over the same bins."""
+    if isinstance(other, Density):
+        return sampled.values - other.cell_averages(*sampled.edges)
+    if not all(map(np.array_equal, sampled.edges, other.edges)):
+        raise ValueError("two histograms can be compared on the same bins only")
+    return sampled.values - other.values

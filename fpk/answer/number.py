@@ -1,0 +1,273 @@
+"""Numbers that follow from a density: moments, probabilities, quantiles, correlations.
+
+Both kinds of density have them as methods. Each is a ``Number``: with an estimate of the numerical
+error where the density is a function, with one standard error where it was sampled.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from math import inf, isfinite, isnan, prod
+from numbers import Integral, Real
+from typing import Any, Literal
+
+import numpy as np
+from scipy.optimize import brentq
+
+from fpk.answer.certificate import Certificate
+from fpk.answer.observable import Observable, observable_name
+from fpk.numeric.arrays import Array, Complexes
+from fpk.numeric.errors import InvalidInput, Unavailable
+
+Function = Callable[..., Array]
+ErrorKind = Literal["numerical", "sampling"]
+"""Estimate of a numerical error, or one standard error of sampling."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number and its error: an estimate of the numerical one, or one standard error.
+
+    An example::
+
+        rms = fpk.solve(system, ["q2"], methods=["integrable"])["q2"].rms()
+        print(f"{rms.value:.6f} ± {rms.error:.0e}")
+    """
+
+    value: float
+    error: float
+
+
+class Quantities(ABC):
+    """Moments, probabilities, quantiles: of a coordinate X, or of a pair (X, Y), from its density.
+
+    All but ``expectation``, ``moment`` and ``plot`` raise ``InvalidInput`` for a joint density,
+    ``covariance`` and ``correlation`` for any other. ::
+
+        q2 = fpk.solve(fpk.load("fig6a").system, ["q2"])["q2"]
+        q2.std().value, q2.std().error
+        q2.exceedance(0.5)   # P(q2 > 0.5)
+        q2.probability(-0.5, 0.5)
+    """
+
+    observable: Observable
+    certificate: Certificate
+
+    @property
+    def name(self) -> str:
+        """The observable's name, such as ``q2,p2``."""
+        return observable_name(self.observable)
+
+    @abstractmethod
+    def axes(self) -> tuple[Array, ...]:
+        """Return the ascending nodes of every axis; the first and last are the support."""
+
+    def described(self, error: str) -> str:
+        """Return what the density is of, its support, whether it is certified and its error."""
+        support = " x ".join(f"[{x[0]:.3g}, {x[-1]:.3g}]" for x in self.axes())
+        certified = "certified" if self.certificate.certified else "not certified"
+        return f"{type(self).__name__}({self.name} on {support}; {certified}, {error})"
+
+    @abstractmethod
+    def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
+        """Return E f(X) of a ``function`` of arrays that is smooth but at its ``kinks``."""
+
+    def probability(self, low: float, high: float) -> Number:
+        """Return P(low < X <= high) and its error; either end may be infinite.
+
+        Raises ``InvalidInput`` unless both ends are numbers.
+        """
+        return self._probability(_number("low", low), _number("high", high))
+
+    @abstractmethod
+    def _probability(self, low: float, high: float) -> Number:
+        """Return P(low < X <= high) and its error."""
+
+    def share(self, low: float, high: float) -> float:
+        """Return P(low < X <= high) without its error."""
+        return self._probability(low, high).value
+
+    def moment(self, *powers: int, about: float = 0.0) -> Number:
+        """Return E (X − about)^power, of two coordinates E (X − about)^power (Y − about)^other.
+
+        Raises ``InvalidInput`` for a power that is no integer >= 0, or unless each coordinate has
+        one.
+        """
+        given: tuple[Any, ...] = powers
+        whole = all(isinstance(power, Integral) and int(power) >= 0 for power in given)
+        if len(given) != len(self.axes()) or not whole:
+            raise InvalidInput("power", powers, "takes one integer >= 0 for each coordinate")
+        return self.expectation(_monomial(powers, [about] * len(powers)))
+
+    def mean(self) -> Number:
+        """Return E X."""
+        self._axis()
+        return self.moment(1)
+
+    def rms(self) -> Number:
+        """Return √E X²."""
+        return self._of_moments(lambda m: np.sqrt(m[1]), 0.0)
+
+    def std(self) -> Number:
+        """Return the standard deviation, √E (X − E X)²."""
+        return self._of_moments(lambda m: np.sqrt(m[1] - m[0] ** 2), self.mean().value)
+
+    def variance(self) -> Number:
+        """Return E (X − E X)²."""
+        return self._of_moments(lambda m: m[1] - m[0] ** 2, self.mean().value)
+
+    def skewness(self) -> Number:
+        """Return E (X − E X)³ over the cube of the standard deviation, 0 of a symmetric density."""
+        return self._of_moments(
+            lambda m: (m[2] - 3.0 * m[0] * m[1] + 2.0 * m[0] ** 3) / (m[1] - m[0] ** 2) ** 1.5,
+            self.mean().value,
+        )
+
+    def kurtosis(self) -> Number:
+        """Return E (X − E X)⁴ over the square of the variance: 3 of a Gaussian."""
+
+        def kurtosis(m: Complexes) -> Any:
+            fourth = m[3] - 4.0 * m[0] * m[2] + 6.0 * m[0] ** 2 * m[1] - 3.0 * m[0] ** 4
+            return fourth / (m[1] - m[0] ** 2) ** 2
+
+        return self._of_moments(kurtosis, self.mean().value)
+
+    def covariance(self) -> Number:
+        """Return E (X − E X)(Y − E Y) of a joint density."""
+        return self._of_moments(lambda m: m[3] - m[0] * m[1], *self._middle())
+
+    def correlation(self) -> Number:
+        """Return the covariance over both standard deviations, from −1 to 1 but for its error."""
+
+        def correlation(m: Complexes) -> Any:
+            variances = (m[2] - m[0] ** 2) * (m[4] - m[1] ** 2)
+            return (m[3] - m[0] * m[1]) / np.sqrt(variances)
+
+        return self._of_moments(correlation, *self._middle())
+
+    def cdf(self, x: float) -> Number:
+        """Return P(X <= x). Raises ``InvalidInput`` unless x is a number."""
+        return self._probability(-inf, _number("x", x))
+
+    def exceedance(self, x: float) -> Number:
+        """Return P(X > x): its relative digits are kept where it is small.
+
+        Raises ``InvalidInput`` unless x is a number.
+        """
+        return self._probability(_number("x", x), inf)
+
+    def quantile(self, p: float) -> Number:
+        """Return the x with P(X <= x) = p; its error is that of x at p plus and minus its error.
+
+        Raises ``InvalidInput`` unless 0 < p < 1.
+        """
+        if not 0.0 < _number("p", p) < 1.0:
+            raise InvalidInput("p", p, "must be a probability between 0 and 1")
+        low, high = (float(x) for x in self._axis()[[0, -1]])
+        # The smaller of P(X <= x) and P(X > x) is inverted: its relative digits are kept.
+        upper, rounding = p > 0.5, 1e-14 * (high - low)
+
+        def inverse(wanted: float) -> float:
+            def excess(x: float) -> float:
+                return (self.share(x, inf) if upper else self.share(-inf, x)) - wanted
+
+            at_low = excess(low)
+            if at_low * excess(high) >= 0.0:
+                return -inf if upper == (at_low < 0.0) else inf
+            return float(brentq(excess, low, high, xtol=rounding))
+
+        wanted = 1.0 - p if upper else p
+        x = inverse(wanted)
+        if not isfinite(x):
+            return Number(x, inf)
+        error = (self.exceedance(x) if upper else self.cdf(x)).error
+        return Number(x, max(abs(inverse(wanted + s * error) - x) for s in (-1.0, 1.0)) + rounding)
+
+    def plot(self, *, log: bool = False) -> Any:
+        """Return a figure of pyplot with the density and its error; of two coordinates as contours.
+
+        ``log``: on a logarithmic scale. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"])["q2"].plot(log=True)
+        """
+        return import_module("fpk").plot(self, log=log)
+
+    def to_meshio(self) -> Any:
+        """Return the density as a ``meshio.Mesh`` of quadratic cells that follow it.
+
+        ``point_data`` has ``density``, ``log10 density`` and ``error of p``, the stated error. ::
+
+            fpk.solve(system, ["q2,p2"], methods=["nonintegrable/fem"])["q2,p2"].to_meshio()
+        """
+        from fpk.answer.field import field_of  # noqa: PLC0415  (meshio is needed here only)
+
+        return field_of({"p": self})[0]
+
+    def to_pyvista(self) -> Any:
+        """Return the density as an ``UnstructuredGrid`` of pyvista, see ``to_meshio``.
+
+        Raises ``Unavailable`` without pyvista.
+        """
+        try:
+            pyvista = import_module("pyvista")
+        except ImportError:
+            raise Unavailable("pyvista is not installed; pip install pyvista brings it") from None
+        return pyvista.from_meshio(self.to_meshio())
+
+    def _axis(self, points: Sequence[float] = ()) -> Array:
+        """The nodes of the one coordinate, and those of ``points`` that lie between them."""
+        if len(self.axes()) != 1:
+            raise InvalidInput("density", "joint", "of two coordinates: ask for that of one")
+        return with_points(self.axes()[0], np.asarray(points))
+
+    def _middle(self) -> tuple[float, float]:
+        """E X and E Y of a joint density."""
+        if len(self.axes()) != 2:
+            raise InvalidInput("density", "single", "of one coordinate: ask for that of a pair")
+        return self.moment(1, 0).value, self.moment(0, 1).value
+
+    def _of_moments(self, function: Callable[[Complexes], Any], *about: float) -> Number:
+        """A ``function`` of the first four moments about a point, of two axes of the first five."""
+        pair = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+        powers = [(1,), (2,), (3,), (4,)] if len(about) == 1 else pair
+        terms = [_monomial(k, about) for k in powers]
+        moments = np.array([self.expectation(term).value for term in terms])
+        squares = moments[[1]] if len(about) == 1 else moments[[2, 4]]
+        # An imaginary step, whose square is nothing beside 1, differentiates without a difference.
+        steps = 1e-20 * np.prod(np.sqrt(squares) ** np.array(powers), axis=1)
+        gradient = np.imag([function(m) for m in moments + 1j * np.diag(steps)]) / steps
+        # The error is that of the expectation of the gradient times the powers.
+        own = self.expectation(
+            lambda *x: sum(g * term(*x) for g, term in zip(gradient, terms, strict=True))
+        )
+        return Number(float(np.real(function(moments.astype(complex)))), own.error)
+
+
+def _number(key: str, value: Any) -> float:
+    """Return ``value``, one real number; raise ``InvalidInput`` for anything else."""
+    if isinstance(value, bool) or not isinstance(value, Real) or isnan(value):
+        raise InvalidInput(key, value, "must be one number; of several, ask for each")
+    return float(value)
+
+
+def _monomial(powers: Sequence[int], about: Sequence[float]) -> Function:
+    """Return the product of the powers of the distances of each coordinate from ``about``."""
+    return lambda *x: prod((y - a) ** k for y, a, k in zip(x, about, powers, strict=True))
+
+
+def with_points(nodes: Array, points: Array) -> Array:
+    """Return the nodes and those of ``points`` that lie between the first and the last."""
+    return np.union1d(nodes, points[(points > nodes[0]) & (points < nodes[-1])])
+
+
+def beyond(function: Function, panels: Sequence[Array], kinks: Sequence[float] = ()) -> float:
+    """Return the largest |f| on the corners of the box twice as wide as the support.
+
+    It bounds f in the tails: a density falls at least exponentially beyond the end of its support.
+    A function that begins farther out, at one of its ``kinks``, is taken at twice their distance.
+    """
+    reach = 2.0 * float(np.max(np.abs(kinks), initial=0.0))
+    ends = (2.0 * x[[0, -1]] for x in panels)
+    corners = np.meshgrid(*([min(a, -reach), max(b, reach)] for a, b in ends))
+    return float(np.max(np.abs(function(*corners))))

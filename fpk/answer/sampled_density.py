@@ -1,0 +1,350 @@
+"""Densities sampled in bins: fits of ln p on boxes of bins, and what follows, with its error."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, reduce
+from math import inf, nan
+
+import numpy as np
+from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
+
+from fpk.answer.bins import ALARM, LARGEST_LOG, NODES, BinAxis, Box, Model, boxes
+from fpk.answer.certificate import Certificate, outside
+from fpk.answer.number import ErrorKind, Function, Number, Quantities, beyond
+from fpk.answer.observable import Observable
+from fpk.numeric.arrays import CHUNK, EPS, SMALLEST, Array, Flags, Integers
+from fpk.numeric.quadrature import panel_rule
+
+Values = tuple[Array, Array]
+"""Values and one standard error each."""
+Fits = tuple[tuple[BinAxis, ...], tuple[Box, ...]]
+"""Axes with the references of the fits, and the fits of ``fpk.answer.bins.boxes`` that
+cover all bins."""
+
+NEAR = 1e-9
+"""Distance from a kink, as a share of the axis, in which a continuous density hardly changes."""
+CELLS = 100
+"""Joined bins of an axis from which the correlation of rare samples is taken."""
+
+
+def standard_error(batches: Array) -> Array:
+    """Return one standard error of the mean of independent ``batches`` (batches, ...)."""
+    spread: Array = np.std(batches, axis=0, ddof=1) / np.sqrt(batches.shape[0])
+    return spread
+
+
+@dataclass(frozen=True)
+class SampledDensity(Quantities):
+    """Density of one or two coordinates from the contents of bins, with its sampling error.
+
+    ``bins`` are those of every axis, with what is known of the density along it;
+    ``values`` is the share of samples in each bin divided by its area, ``batch_values``
+    (batches, *bins) the same of each of the independent batches. Samples outside are counted in
+    ``certificate.tail_mass``, never folded in. ``samples`` is how many were counted, 0 where that
+    is not known. ``l1_error`` is the expected ∫|p − p_exact| by chance of the density as ``at``
+    returns it, not a number where it was not computed. ::
+
+        sampled = MonteCarlo(paths=4096, relaxations=20.0)
+        p = fpk.solve(system, ["q2"], methods=[sampled])["q2"]
+        value, error = p.at(np.linspace(-1.0, 1.0, 21))
+    """
+
+    observable: Observable
+    bins: tuple[BinAxis, ...]
+    values: Array
+    batch_values: Array
+    certificate: Certificate
+    provenance: Mapping[str, str | float | int] = field(default_factory=dict)
+    error_kind: ErrorKind = "sampling"
+    samples: float = 0.0
+    l1_error: float = nan
+    made: Fits | None = None
+
+    def __repr__(self) -> str:
+        """Return what the density is of, its samples and its bins in one line."""
+        return self.described(f"{self.values.size} bins, {self.batch_values.shape[0]} batches")
+
+    def __call__(self, *points: ArrayLike) -> Array:
+        """Return the density at ``points``, one number or array per axis, as ``at`` does."""
+        return self.at(*(np.asarray(x, dtype=float) for x in points))[0]
+
+    tabulated = __call__
+
+    @property
+    def edges(self) -> tuple[Array, ...]:
+        """The ascending bin edges of every axis."""
+        return tuple(axis.edges for axis in self.bins)
+
+    panels = edges
+
+    def axes(self) -> tuple[Array, ...]:
+        """Return ``edges``."""
+        return self.edges
+
+    @cached_property
+    def areas(self) -> Array:
+        """Length or area of each bin."""
+        return np.asarray(reduce(np.multiply.outer, map(np.diff, self.edges)))
+
+    @property
+    def standard_error(self) -> Array:
+        """One standard error of each of ``values``, from the spread of the independent batches."""
+        return standard_error(self.batch_values)
+
+    def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
+        """Return E f(X) and one standard error, by the spread of the independent batches.
+
+        Within a bin samples are spread as the fitted density is.
+        """
+        x = [panel_rule(e, NODES)[0].ravel() for e in self.edges]
+        f = np.asarray(function(*np.meshgrid(*x, indexing="ij")))
+        within = self.within
+        f = np.broadcast_to(f, [a.size for a in x]).reshape(within.shape) * within
+        f = f.sum(axis=tuple(range(1, f.ndim, 2)))  # the mean of f over each bin
+        shares = self.batch_values * self.areas
+        total = np.tensordot(self.values * self.areas, f, f.ndim)
+        chance = standard_error(np.tensordot(shares, f, f.ndim))
+        # One visit more, at what was seen; where only what was not seen counts, there.
+        seen = float(np.max(np.abs(f), initial=0.0, where=self.values > 0.0))
+        far = beyond(function, self.edges, kinks)
+        visit = self.visit * (seen or float(np.max(np.abs(f))) or far)
+        error = float(np.hypot(chance, visit) + outside(self.certificate) * far)
+        return Number(float(total), error)
+
+    def _probability(self, low: float, high: float) -> Number:
+        """Return P(low < X <= high) and one standard error, at least that of one visit.
+
+        Of a bin that is cut the share counts that the fitted density has there.
+        """
+        edges = self._axis()
+        inside = np.clip(edges, low, high)
+        whole = (np.diff(inside) == np.diff(edges)).astype(float)
+        for k in np.flatnonzero((np.diff(inside) > 0.0) & (whole == 0.0)):
+            ends = [edges[k], inside[k], inside[k + 1], edges[k + 1]]
+            x, w = panel_rule(np.array(ends), NODES)
+            value = self.at(x.ravel())[0].reshape(w.shape)
+            before, within, after = (w * value).sum(axis=1)
+            total = before + within + after
+            whole[k] = within / total if total > 0.0 else (ends[2] - ends[1]) / (ends[3] - ends[0])
+        inside = whole * np.diff(edges)
+        tail = outside(self.certificate) if low < edges[0] or high > edges[-1] else 0.0
+        chance = standard_error(self.batch_values @ inside)
+        return Number(float(self.values @ inside), float(np.hypot(chance, self.visit) + tail))
+
+    def joined(self, most: int) -> "SampledDensity":
+        """Return the density with up to ``most`` neighbouring bins joined along every axis.
+
+        It is the largest such number that divides the bins of each between its kinks.
+        """
+        cuts = [np.diff(axis.cuts) for axis in self.bins]
+        factor = max(k for k in range(1, max(most, 1) + 1) if not np.any(np.concatenate(cuts) % k))
+        every = np.concatenate([self.values[None], self.batch_values]) * self.areas
+        for axis, bins in enumerate(self.values.shape, start=1):
+            split = (*every.shape[:axis], bins // factor, factor, *every.shape[axis + 1 :])
+            every = every.reshape(split).sum(axis=axis + 1)
+        bins = tuple(replace(axis, edges=axis.edges[::factor]) for axis in self.bins)
+        every = every / reduce(np.multiply.outer, (np.diff(axis.edges) for axis in bins))
+        return replace(
+            self, bins=bins, values=every[0], batch_values=every[1:], l1_error=nan, made=None
+        )
+
+    @cached_property
+    def samples_per_visit(self) -> float:
+        """How many samples come together: variance over mean of what a batch holds of a rare cell.
+
+        Rare are cells, a hundredth of each axis, that some batches visited and some did not: the
+        samples of one excursion are correlated, and there only the excursions are independent.
+        """
+        if not self.samples > 0.0:
+            return 1.0
+        few = self.joined(min(self.values.shape) // CELLS)
+        batches = len(few.batch_values)
+        held = (few.batch_values * few.areas).reshape(batches, -1) * (self.samples / batches)
+        visited = np.count_nonzero(held, axis=0)
+        rare = held[:, (visited > 0) & (visited < batches)]
+        if not rare.size:
+            return 1.0
+        return max(1.0, float(rare.var(axis=0, ddof=1).sum() / rare.mean(axis=0).sum()))
+
+    @property
+    def visit(self) -> float:
+        """Share of the samples that come together in one excursion."""
+        return self.samples_per_visit / self.samples if self.samples > 0.0 else 0.0
+
+    @cached_property
+    def fits(self) -> Fits:
+        """The fits of ln p on boxes of bins, ``made`` or else made now."""
+        return self.made or self._fitted()
+
+    def _fitted(self, *, halve: bool = True) -> Fits:
+        """Fit ln p; ``halve`` as of ``fpk.answer.bins.boxes``."""
+        axes = self.bins
+        if len(axes) == 2:
+            # The reference is the product of plain fits of each coordinate alone: a box has few
+            # coefficients where there are few samples, and none where p is large depends on it.
+            alone = [self.alone(k) for k in range(2)]
+            plain = [replace(one, made=one._fitted(halve=False))._log_p for one in alone]
+            pairs = zip(axes, plain, strict=True)
+            axes = tuple(replace(axis, log_reference=log_r) for axis, log_r in pairs)
+        shares, batches = self.values * self.areas, self.batch_values * self.areas
+        samples = 1.0 / (self.visit or EPS)  # where their number is not known there is no chance
+        with threadpool_limits(1, user_api="blas"):  # the matrices are small
+            return axes, tuple(boxes(axes, shares, batches, samples, halve=halve))
+
+    def alone(self, axis: int) -> "SampledDensity":
+        """Return the density of one coordinate of a pair."""
+        width = np.diff(self.edges[1 - axis])
+        return replace(
+            self,
+            observable=(self.observable[axis],),
+            bins=(self.bins[axis],),
+            values=np.moveaxis(self.values, axis, 0) @ width,
+            batch_values=np.moveaxis(self.batch_values, axis + 1, 1) @ width,
+            l1_error=nan,
+            made=None,
+        )
+
+    def at(self, *points: Array) -> tuple[Array, Array]:
+        """Return the density and one standard error at ``points``, one array per axis.
+
+        The error is that of the fit by the independent batches; where fewer visits are expected
+        than there are batches, at least that of Poisson's law of the visits. One visit more is
+        always added: the variance of k visits is k, of which 0 may have been seen. At a kink the
+        fit of the two with the smaller error counts. Outside the bins the density is 0, with the
+        error at the nearest point of these.
+        """
+        batches = len(self.batch_values)
+
+        def on_side(points: Array, bins: Integers) -> Values:
+            value, deviations, poisson, cells = self._evaluated(points, bins)
+            variance, cell = standard_error(deviations.T) ** 2, cells.prod(axis=0)
+            rare = value * cell < batches * self.visit
+            variance = np.where(rare, np.maximum(variance, poisson), variance)
+            relative, visit = np.sqrt(variance), self.visit / cell
+            # ln p is normal: three errors of p reach as far up as three of ln p. The fit may leave
+            # p open by decades where nothing was seen; that nothing was does not.
+            chance = value * np.expm1(np.minimum(3.0 * relative, LARGEST_LOG)) / 3.0
+            error = np.hypot(np.minimum(chance, value * relative + visit), visit)
+            for axis, b in zip(self.bins, bins, strict=True):
+                if axis.edges[0] in axis.kinks:  # p may change by any factor in the first bin
+                    error[b == 0] = inf
+            return value, error
+
+        arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in points))
+        x = np.stack([a.ravel() for a in arrays])
+        near = np.stack([np.clip(a, *e[[0, -1]]) for a, e in zip(x, self.edges, strict=True)])
+        value, error = np.zeros((2, x.shape[1]))
+        together = CHUNK // batches
+        for first in range(0, value.size, together):
+            k = slice(first, first + together)
+            value[k], error[k] = self._better(near[:, k], on_side)
+        value = np.where(np.any(near != x, axis=0), 0.0, value)
+        return value.reshape(arrays[0].shape), error.reshape(arrays[0].shape)
+
+    @cached_property
+    def within(self) -> Array:
+        """Share of each bin at its Gauss points, (bins, ``NODES``) for each axis."""
+        axes, every = self.fits
+        spread = np.empty([k for axis in axes for k in (axis.edges.size - 1, NODES)])
+        for box in every:
+            theta = box.theta if box.theta.size else np.zeros(1)
+            degree = int(box.degrees.sum(axis=0).max(initial=0))
+            own = tuple(s for bins in box.bins for s in (bins, slice(None)))
+            spread[own] = Model(axes, box.first, box.last, degree).spread(theta)
+        points = tuple(range(1, spread.ndim, 2))
+        whole = spread.sum(axis=points, keepdims=True)
+        none = whole == 0.0  # so far beyond a stop that p underflows
+        shares: Array = np.where(none, 1.0 / NODES ** len(points), spread / (whole + none))
+        return shares
+
+    @property
+    def unresolved(self) -> list[Box]:
+        """The fits that do not give back the contents of the bins."""
+        return [box for box in self.fits[1] if box.chance < ALARM]
+
+    def are_unresolved(self, points: Array) -> Flags:
+        """Return which points (axes, points) lie where a fit is wrong."""
+        inside = np.zeros(points.shape[1], dtype=bool)
+        for box in self.unresolved:
+            ends = zip(points, self.edges, box.first, box.last, strict=True)
+            rows = [(x >= e[a]) & (x <= e[b]) for x, e, a, b in ends]
+            inside |= np.all(rows, axis=0)
+        return inside
+
+    def _log_p(self, x: Array, bins: Integers) -> Array:
+        """Return ln p of one coordinate by the fits of the ``bins``, at kinks of their side."""
+        value = self._evaluated(x.reshape(1, -1), bins.reshape(1, -1))[0]
+        return np.log(np.maximum(value, SMALLEST)).reshape(x.shape)
+
+    def flux(self, weight: Callable[[Array], Array], nodes: Array, at: Array) -> Values:
+        """Return ∫ weight(y) p(x, y) dy over the panels of ``nodes``, and one standard error.
+
+        Of a joint density of (x, y), at x = ``at`` (points,). At a kink the fit with the smaller
+        error counts; outside the bins it is 0, with the error at the end of these.
+        """
+        y, w = (a.ravel() for a in panel_rule(nodes, NODES))
+        weights, shape = weight(y), (at.size, y.size)
+
+        def on_side(points: Array, bins: Integers) -> Values:
+            value, deviations, _, cells = self._evaluated(points, bins)
+            shares = value.reshape(shape) * w * weights
+            flow = shares.sum(axis=1)
+            apart = np.einsum("xy,xyb->bx", shares, deviations.reshape(*shape, -1))
+            # One visit more counts by the mean of the weights, each weighted by itself.
+            most = np.full(at.size, np.max(weights))
+            more = np.divide(shares @ weights, flow, out=most, where=flow > 0.0)
+            more = self.visit * more / cells[0].reshape(shape).min(axis=1)
+            return flow, np.hypot(standard_error(apart), more)
+
+        near = np.clip(at, *self.edges[0][[0, -1]])
+        points = np.stack([np.repeat(near, y.size), np.tile(y, at.size)])
+        value, error = self._better(points, on_side)
+        return np.where(near == at, value, 0.0), error
+
+    def _better(self, points: Array, on_side: Callable[[Array, Integers], Values]) -> Values:
+        """Values and errors of ``on_side`` at points and their bins; at kinks the better side."""
+        edges = self.edges
+        inside = (np.searchsorted(e, x, "right") - 1 for e, x in zip(edges, points, strict=True))
+        bins = np.array([np.clip(b, 0, e.size - 2) for b, e in zip(inside, edges, strict=True)])
+        value, error = on_side(points, bins)
+        for k, (axis, x) in enumerate(zip(self.bins, points, strict=True)):
+            other = bins.copy()
+            for cut in axis.cuts[1:-1]:
+                close = np.abs(x - edges[k][cut]) <= NEAR * (edges[k][-1] - edges[k][0])
+                other[k][close] = np.where(bins[k] < cut, cut, cut - 1)[close]
+            if np.any(other != bins):
+                values, errors = on_side(points, other)
+                better = errors < error
+                value, error = np.where(better, values, value), np.where(better, errors, error)
+        return value, error
+
+    def _evaluated(self, points: Array, bins: Integers) -> tuple[Array, Array, Array, Array]:
+        """Density, deviations of ln p (points, batches), its Poisson variance, and sizes of cells.
+
+        A cell (axes, points) has as many bins as there are for a coefficient of its box.
+        """
+        (axes, every), count, many = self.fits, points.shape[1], len(self.batch_values)
+        value, deviations, variance = np.zeros(count), np.zeros((count, many)), np.zeros(count)
+        cells = np.empty(points.shape)
+        rows = list(zip(axes, points, bins, strict=True))
+        numbers = np.array([axis.number(x, b) for axis, x, b in rows])
+        for box in every:
+            inside = [(b >= i) & (b < j) for b, i, j in zip(bins, box.first, box.last, strict=True)]
+            k = np.flatnonzero(np.all(inside, axis=0))
+            if not k.size:
+                continue
+            half = np.subtract(box.last, box.first) // (
+                2 * (box.degrees.max(axis=1, initial=0) + 1)
+            )
+            for a, axis in enumerate(axes):
+                first = np.maximum(bins[a, k] - half[a], box.first[a])
+                last = np.minimum(bins[a, k] + half[a] + 1, box.last[a])
+                cells[a, k] = axis.edges[last] - axis.edges[first]
+            if box.theta.size:
+                basis = box.basis(list(numbers[:, k]))
+                log_r = sum(axis.log_r(x[k], b[k]) for axis, x, b in rows)
+                value[k] = np.exp(basis @ box.theta + log_r)
+                deviations[k] = basis @ box.deviations.T
+                variance[k] = np.einsum("pk,kl,pl->p", basis, box.covariance, basis)
+        return value, deviations, variance, cells

@@ -1,0 +1,1 @@
+"""Arrays, functions by polynomials, quadrature, compiling, and what the machine offers."""

@@ -1,0 +1,197 @@
+"""Options and disk cache of compiled code; Ctrl-C does not wait for compiling.
+
+The cache holds checksums of its files and of the sources that they were made from.
+"""
+
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, InvalidStateError
+from contextlib import contextmanager, suppress
+from functools import partial
+from hashlib import sha256
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+from zlib import crc32
+
+import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+from fpk.numeric.machine import left_out
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+FLAGS = {"contract", "nsz", "arcp", "afn"}
+"""Liberties of arithmetic that are taken: none that assumes there is no NaN, and no reassociation,
+which would undo exact differences."""
+
+COMPILER = "fpk compiler"
+"""Name of the threads that compile."""
+
+_njit: Any = numba.njit
+
+
+class CheckedFiles(IndexDataCacheFile):
+    """Index and data files of one function's disk cache, which are damaged or as written.
+
+    numba unpickles and executes whatever they hold. Here each ends with the SHA-256 of the bytes
+    before, which no reader unpickles, and data are stored with the key that they belong to: two
+    processes may have given one name to two of them.
+    """
+
+    def load(self, key: Any) -> Any:
+        """Return the data of ``key``; None where there are none or they are damaged."""
+        stored_key, data = super().load(key) or (None, None)
+        return data if stored_key == key else None
+
+    def save(self, key: Any, data: Any) -> None:
+        """Write the data of ``key``; where that is not possible the next process compiles anew."""
+        try:
+            super().save(key, (key, data))
+        except OSError as error:
+            warnings.warn(f"{self._index_path}: cannot be written: {error}", stacklevel=2)
+
+    def _load_index(self) -> Any:
+        if not _is_whole(Path(self._index_path)):
+            return {}
+        try:
+            return super()._load_index()
+        except (ImportError, AttributeError):  # it names a type that another version had elsewhere
+            return {}
+
+    def _load_data(self, name: str) -> Any:
+        return super()._load_data(name) if _is_whole(Path(self._data_path(name))) else None
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[BinaryIO]:
+        content = BytesIO()
+        with super()._open_for_write(filepath) as file:
+            yield content
+            file.write(content.getvalue() + sha256(content.getvalue()).digest())
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a cache file is as written or not there; a damaged one is removed, with a warning."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return True
+    except OSError:
+        content = b""
+    size = sha256().digest_size
+    whole = sha256(content[:-size]).digest() == content[-size:]
+    if not whole:
+        warnings.warn(f"{path}: is damaged; the code in it is compiled again", stacklevel=2)
+        with suppress(OSError):
+            path.unlink()
+    return whole
+
+
+_awaited: set[Future[Any]] = set()
+_abandoned: set[Future[Any]] = set()
+
+
+def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return ``compile_for``, a function of a signature, that works in a thread of its own.
+
+    LLVM works for many seconds without a look at signals; one who waits for a thread receives them.
+    What is compiled on the way, for a function that calls it, is so in the same thread. Raises
+    ``KeyboardInterrupt`` where ``abandon`` is called meanwhile, and until what was abandoned is
+    compiled: numba compiles one function at a time.
+    """
+
+    def compiled(signature: Any) -> Any:
+        if threading.current_thread().name == COMPILER:
+            return compile_for(signature)
+        if _abandoned:
+            raise KeyboardInterrupt
+        result = Future[Any]()
+
+        def work() -> None:
+            try:
+                done = partial(result.set_result, compile_for(signature))
+            except BaseException as error:
+                done = partial(result.set_exception, error)
+            with suppress(InvalidStateError):  # abandoned
+                done()
+            _abandoned.discard(result)
+
+        _awaited.add(result)
+        try:
+            with left_out():
+                threading.Thread(target=work, name=COMPILER).start()
+                return result.result()
+        finally:
+            _awaited.discard(result)
+
+    return compiled
+
+
+def abandon() -> None:
+    """Raise ``KeyboardInterrupt`` in all threads that wait for a function to be compiled.
+
+    The compiling cannot be ended and goes on: a process ends after it, or by ``os._exit``.
+    """
+    for result in tuple(_awaited):
+        _abandoned.add(result)
+        try:
+            result.set_exception(KeyboardInterrupt())
+        except InvalidStateError:  # it is there
+            _abandoned.discard(result)
+
+
+def is_compiling() -> bool:
+    """Return whether a function is being compiled for which nobody waits any more."""
+    return bool(_abandoned)
+
+
+def cached_njit() -> Callable[[Function], Function]:
+    """Return the decorator of a compiled function with a disk cache where one can be written.
+
+    Where no folder can be written it is compiled again in every process. Ctrl-C does not wait until
+    it is compiled.
+    """
+
+    def decorated(function: Function) -> Function:
+        compiled = _njit(fastmath=FLAGS, error_model="numpy", nogil=True)(function)
+        compiled.compile = interruptible_compile(compiled.compile)
+        try:
+            cache = FunctionCache(compiled.py_func)
+        except RuntimeError as error:
+            # numba's message where neither the source's cache folder nor the user's can be written
+            if "no locator available" not in str(error):
+                raise
+        else:
+            files = cache._cache_file
+            # A name of its own: files of numba's own format are not damaged, only of no use here.
+            name = files._index_name.removesuffix(".nbi") + ".sha256"
+            cache._cache_file = CheckedFiles(cache._cache_path, name, files._source_stamp)
+            compiled._cache = cache
+        result: Function = compiled
+        return result
+
+    return decorated
+
+
+def inlined(function: Function) -> Function:
+    """Return the function compiled as a part of each compiled function that calls it.
+
+    It cannot be called from Python, as compiling the code for that takes long.
+    """
+    options = {"fastmath": FLAGS, "error_model": "numpy", "forceinline": True}
+    compiled: Function = _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
+    return compiled
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def checksum(files: Sequence[Path]) -> int:
+    """Return a checksum of source files; one that is missing raises ``FileNotFoundError``.
+
+    The disk cache of a compiled function reads the function's own file only. A function that closes
+    over the checksum of all that it is compiled from, and returns it, is compiled again when any of
+    it was edited.
+    """
+    return crc32(b"".join(file.read_bytes() for file in files))

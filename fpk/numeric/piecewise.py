@@ -1,0 +1,188 @@
+"""Functions on an interval, and on a rectangle, by polynomials on panels.
+
+The idea is chebfun's: a function known to round-off is an object that can be evaluated and
+integrated (T. A. Driscoll, N. Hale and L. N. Trefethen, Chebfun Guide, 2014).
+Here series are of Legendre polynomials, as Gauss points serve to fit and to integrate them alike.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
+
+from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.quadrature import gauss_legendre
+
+DEGREE = 15
+"""Degree of a fit: with 16 Gauss points a panel, e^(−x) is met to round-off over five e-folds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piecewise:
+    """``f(x) = exp(log_scale_k) Σ_j coefficients_kj P_j(t)``, t from −1 to 1 over panel k.
+
+    ``nodes`` (panels + 1,) ascend; ``coefficients`` (panels, degree + 1, ...) may have values of
+    any shape behind them; ``log_scale`` (panels,) lets a density span more than the range of double
+    precision. Beyond the nodes f is ``outside``. ``error`` (panels,) is the estimate of the largest
+    error on each panel that a fit made, before the scale.
+    """
+
+    nodes: Array
+    coefficients: Array
+    log_scale: Array | None = None
+    outside: float = 0.0
+    error: Array | None = None
+
+    def __call__(self, x: ArrayLike, *, log_factor: ArrayLike = 0.0) -> Array:
+        """Return f times exp(``log_factor``), an array of one factor a point, at any points."""
+        from fpk.numeric.series import summed  # noqa: PLC0415  (numba takes 0.4 s)
+
+        at, shape = np.asarray(x, dtype=float), self.coefficients.shape
+        series = np.ascontiguousarray(self.coefficients).reshape(*shape[:2], -1)
+        log_scale = np.zeros(shape[0]) if self.log_scale is None else self.log_scale
+        factor = np.zeros(at.size) + np.asarray(log_factor, float).ravel()
+        value = summed(self.nodes, series, log_scale, self.outside, at.ravel(), factor)
+        return value.reshape((*at.shape, *shape[2:]))
+
+    def antiderivative(self) -> "Piecewise":
+        """Return ∫f from the first node, continuous."""
+        factor, log_scale = 0.5 * np.diff(self.nodes), None
+        if self.log_scale is not None:
+            top = float(self.log_scale.max())
+            factor = factor * np.exp(self.log_scale - top)
+            log_scale = np.full(self.log_scale.size, top)
+        within = np.asarray(legendre.legint(self.coefficients, axis=1, lbnd=-1), float)
+        within *= factor.reshape(-1, *(1,) * (within.ndim - 1))
+        within[1:, 0] += np.cumsum(within.sum(axis=1), axis=0)[:-1]
+        return replace(self, coefficients=within, log_scale=log_scale, error=None)
+
+
+def fit(
+    f: Callable[[Array], Array],
+    nodes: Array,
+    tol: float,
+    *,
+    degree: int = DEGREE,
+    cut: Callable[[Array, Array], Array] | None = None,
+    estimate: Callable[[Array, Array], Array] | None = None,
+    rounds: int = 60,
+) -> Piecewise:
+    """Return the interpolant of ``f`` on panels between ``nodes``, each split until it fits.
+
+    ``f`` maps points (points,) to values (points, ...), and is called with those of all new panels
+    at once. A panel is split at ``cut(left, right)``, half-way unless given, while its error
+    exceeds ``tol``, ``rounds`` times at the most (2^−60 of a length is below round-off): ``error``
+    says what was reached. It is ``estimate(lengths, coefficients)``, unless given ``degree`` times
+    the last two coefficients, the largest of all values.
+    """
+    middle = cut if cut is not None else lambda left, right: 0.5 * (left + right)
+
+    def last_two(lengths: Array, coefficients: Array) -> Array:
+        # Σ|c_j| beyond the degree n for c_j ~ j^(−3/2) (a kink) and faster: Σ j^(−r) from n on is
+        # n c_n/(r − 1); two coefficients, as one may vanish by symmetry.
+        tail = (coefficients.shape[1] - 1) * np.abs(coefficients[:, -2:]).sum(axis=1)
+        return np.asarray(tail.reshape(lengths.size, -1).max(axis=1))
+
+    judge = estimate if estimate is not None else last_two
+    left, right = nodes[:-1], nodes[1:]
+    coefficients = interpolated(f, left, right, degree)
+    error = judge(right - left, coefficients)
+    for _ in range(rounds):
+        at = middle(left, right)
+        split = (error > tol) & (at > left) & (at < right)
+        if not split.any():
+            break
+        new = np.concatenate([left[split], at[split]]), np.concatenate([at[split], right[split]])
+        added = interpolated(f, *new, degree)
+        left, right = (np.append(a[~split], b) for a, b in zip((left, right), new, strict=True))
+        coefficients = np.concatenate([coefficients[~split], added])
+        error = np.append(error[~split], judge(new[1] - new[0], added))
+    order = np.argsort(left)
+    ends = np.append(left[order], nodes[-1])
+    return Piecewise(ends, coefficients[order], error=error[order])
+
+
+def interpolated(f: Callable[[Array], Array], left: Array, right: Array, degree: int) -> Array:
+    """Return Legendre coefficients (panels, degree + 1, ...) of f, exact for ``degree``."""
+    t, _ = gauss_legendre(degree + 1)
+    x = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * t
+    values = np.asarray(f(x.ravel()))
+    values = values.reshape(*x.shape, *values.shape[1:])
+    return np.asarray(np.moveaxis(np.tensordot(projection(degree), values, (1, 1)), 1, 0))
+
+
+def projection(degree: int) -> Array:
+    """Matrix from values at ``degree`` + 1 Gauss points to Legendre coefficients."""
+    t, w = gauss_legendre(degree + 1)
+    return np.asarray(
+        (np.arange(degree + 1.0) + 0.5)[:, None] * (legendre.legvander(t, degree).T * w)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewiseTensor:
+    """``f(x, y) = Σ_ij coefficients_klij P_i(s) P_j(t)`` on the rectangle of panels k and l.
+
+    ``nodes`` along both axes; ``coefficients`` (panels, panels, degrees + 1, degrees + 1); 0
+    outside.
+    """
+
+    nodes: tuple[Array, Array]
+    coefficients: Array
+
+    def __call__(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Return f at points that broadcast together; of a grid (m, 1), (n,) one axis at a time."""
+        a, b = np.asarray(x, float), np.asarray(y, float)
+        if a.ndim == 2 and a.shape[1] == 1 and b.ndim <= 2 and b.shape[-1:] == (b.size,):
+            return self.on_grid(a.ravel(), b.ravel())
+        if b.ndim == 2 and b.shape[1] == 1 and a.ndim <= 2 and a.shape[-1:] == (a.size,):
+            return self.on_grid(a.ravel(), b.ravel()).T
+        a, b = np.broadcast_arrays(a, b)
+        (k, P), (m, Q) = (self._legendre(axis, z.ravel()) for axis, z in enumerate((a, b)))
+        # Sorted by panel, every panel is one small matrix product.
+        panel = k * (self.nodes[1].size - 1) + m
+        order = np.argsort(panel, kind="stable")
+        used, first = np.unique(panel[order], return_index=True)
+        blocks = self.coefficients.reshape(-1, *self.coefficients.shape[2:])
+        value = np.empty(panel.size)
+        for block, at in zip(used, np.split(order, first[1:]), strict=True):
+            value[at] = np.sum((P[at] @ blocks[block]) * Q[at], axis=1)
+        return value.reshape(a.shape)
+
+    def on_grid(self, x: Array, y: Array) -> Array:
+        """Return f on the grid (x.size, y.size)."""
+        rows = []
+        for axis, z in enumerate((x, y)):
+            k, P = self._legendre(axis, z)
+            full = np.zeros((z.size, self.nodes[axis].size - 1, P.shape[1]))
+            full[np.arange(z.size), k] = P
+            rows.append(full.reshape(z.size, -1))
+        matrix = self.coefficients.transpose(0, 2, 1, 3).reshape(rows[0].shape[1], -1)
+        return np.asarray(rows[0] @ matrix @ rows[1].T)
+
+    def _legendre(self, axis: int, x: Array) -> tuple[Integers, Array]:
+        nodes, degree = self.nodes[axis], self.coefficients.shape[2 + axis] - 1
+        k, P = legendre_at(nodes, x, degree)
+        return k, P * ((x >= nodes[0]) & (x <= nodes[-1]))[:, None]
+
+
+def interpolated_tensor(panels: tuple[Array, Array], values: Array, points: int) -> PiecewiseTensor:
+    """Return the polynomials through ``values`` at ``points`` Gauss points a panel and axis.
+
+    ``values`` broadcast to (panels · points, panels · points).
+    """
+    counts = [nodes.size - 1 for nodes in panels]
+    blocks = np.broadcast_to(values, [points * n for n in counts])
+    blocks = blocks.reshape(counts[0], points, counts[1], points)
+    project = projection(points - 1)
+    coefficients = np.einsum("ia,jb,kalb->klij", project, project, blocks, optimize=True)
+    return PiecewiseTensor(panels, coefficients)
+
+
+def legendre_at(nodes: Array, x: Array, degree: int) -> tuple[Integers, Array]:
+    """Return panels of the points x, and all P_j there (points, degree + 1), constant beyond."""
+    k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
+    t = (2.0 * x - nodes[k] - nodes[k + 1]) / (nodes[k + 1] - nodes[k])
+    return k, np.asarray(legendre.legvander(np.clip(t, -1.0, 1.0), degree), float)

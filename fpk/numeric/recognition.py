@@ -1,0 +1,77 @@
+"""Recognition of stored results: by the whole record of settings that they were made from.
+
+A record that gains a field is compared by it, too. Fields that cannot matter are left out by name,
+``less``, as "MonteCarlo.threads"; each such list has the reasons beside the names.
+"""
+
+import json
+from collections.abc import Container, Mapping, Set
+from dataclasses import fields, is_dataclass
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from types import CodeType, EllipsisType, FunctionType, MethodType
+from typing import Any
+
+import numpy as np
+
+from fpk.numeric.errors import InvalidInput
+
+REGISTRY = "registry"
+"""Key in the metadata of a field that names an entry of a registry: the entry is compared."""
+
+
+def fingerprint(value: Any, less: Container[str] = ()) -> str:
+    """Return the SHA-256 of ``canonical(value, less)`` in hexadecimal digits."""
+    return sha256(json.dumps(canonical(value, less)).encode()).hexdigest()
+
+
+def canonical(value: Any, less: Container[str] = ()) -> Any:
+    """Return ``value`` as JSON has it, with every digit and field that a result may depend on.
+
+    A dataclass has all fields that it was made from, but for those in ``less``, "Class.field", at
+    any depth; its other fields follow from these. A function has its code, its defaults, what it
+    closes over and the numbers, texts and arrays among the global names in it; functions that it
+    calls count by their names. Equal values may differ: a list has an order, 1 is not 1.0.
+
+    Raises ``InvalidInput`` for an object of any other kind.
+    """
+    return json.loads(json.dumps(value, default=partial(_parts, less)))
+
+
+def _parts(less: Container[str], value: Any) -> Any:
+    """Return a JSON value for one that JSON does not have; its parts may be such values again."""
+    value = getattr(value, "py_func", value)  # of a compiled function
+    if is_dataclass(value) and not isinstance(value, type):
+        kind, own = type(value), {}
+        for f in fields(value):
+            if f.init and f"{kind.__qualname__}.{f.name}" not in less:
+                entry, registry = getattr(value, f.name), f.metadata.get(REGISTRY)
+                own[f.name] = registry[entry] if registry else entry
+        return {f"{kind.__module__}.{kind.__qualname__}": own}
+    match value:
+        case Mapping():
+            return [*value.items()]
+        case Set():
+            return sorted(value, key=repr)
+        case np.ndarray() | np.generic():
+            return [value.dtype.str, value.tolist()]
+        case partial():
+            return [value.func, value.args, value.keywords]
+        case MethodType():
+            return [value.__func__, value.__self__]
+        case FunctionType():
+            code, known = value.__code__, value.__globals__
+            held = [cell.cell_contents for cell in value.__closure__ or ()]
+            named = {name: known.get(name) for name in code.co_names}
+            data = {k: v for k, v in named.items() if isinstance(v, int | float | str | np.ndarray)}
+            name = value.__module__, value.__qualname__
+            return [name, code, value.__defaults__, value.__kwdefaults__, held, data]
+        case CodeType():
+            return [value.co_code, value.co_names, value.co_consts]
+        case bytes():
+            return sha256(value).hexdigest()
+        case Path() | complex() | EllipsisType() | type() | np.ufunc():
+            return repr(value)
+    remedy = "cannot be compared with what is stored; do without, or store nothing"
+    raise InvalidInput(type(value).__name__, value, remedy)

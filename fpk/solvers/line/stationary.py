@@ -1,0 +1,331 @@
+"""Certified finite element solution of the stationary FPK equation of one energy.
+
+A tolerance is given, not a mesh: degree and mesh adapt until the estimate of the L1 error is met.
+No boundary condition is imposed at H = 0 (an entrance boundary) nor at the far end: zero flux is
+natural. The equation is solved from its coefficients alone, never from the known solution.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.polynomial.legendre import legvander
+
+from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify, outside
+from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
+from fpk.numeric.compiling import cached_njit
+from fpk.numeric.piecewise import Piecewise
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
+from fpk.solvers.line.mesh import (
+    GRADED_LAYERS,
+    LOG_GROWTH,
+    NATS_PER_ELEMENT,
+    SMOOTH_NATS,
+    initial_nodes,
+    split_points,
+    with_layers,
+)
+from fpk.solvers.probe import Probe, probed
+from fpk.system.process import Process, log_density_slope_error
+
+SAFETY = 2.0
+"""Factor on the distance to the enriched solution: at an algebraic singularity of order r of u it
+keeps the share (p/(p+2))^(2r+2) of the error, at most a half for p >= 4; integrals beside a contact
+energy have twice as many points there (``fpk.solvers.line.elements``)."""
+POINTWISE_SAFETY = 4.0
+"""Factor on that distance for the error of p at a point. Where the density of states rises by
+decades over an element 2 is too little: of 779 chains of 1 to 100 masses at tolerances from 2e-2 to
+2e-10 the error at a point was above twice the distance in 8, up to three times it."""
+MOST_ELEMENTS = 20_000
+"""Elements beyond which none is cut any more: a solution of so many takes seconds."""
+HALF_WAVE = 4
+"""Points at which the distance to the enriched solution is sampled, for each of its half-waves."""
+
+
+@dataclass(frozen=True, eq=False)
+class StationarySolution:
+    """Finite element density p(H) with its error estimate and certificate.
+
+    ``answer`` is u = p/T, and ``enriched`` that of a higher degree,
+    there for the pointwise error. ``common_error`` is the relative error that shifts all of p
+    alike, of the coefficients and of the mass. ``measured`` is what ``certificate`` was made of, to
+    the tolerance asked for: densities made of the solution are certified from it.
+    """
+
+    process: Process
+    degree: int
+    answer: Piecewise
+    enriched: Piecewise
+    common_error: float
+    measured: Measured
+    certificate: Certificate
+
+    @property
+    def l1_error(self) -> float:
+        """Estimate of ∫|p_h − p| on (0, ∞)."""
+        return self.measured.l1_error
+
+    @property
+    def nodes(self) -> Array:
+        """Ends of the elements, (elements + 1,)."""
+        return self.answer.nodes
+
+    @property
+    def panels(self) -> Array:
+        """The nodes, with layers where p is not smooth: between them, quadrature of p is exact."""
+        return with_layers(self.nodes, self.process.nonsmooth)
+
+    @property
+    def unknowns(self) -> int:
+        """Degrees of freedom of the global finite element space."""
+        return self.degree * (self.nodes.size - 1) + 1
+
+    def density(self, energy: Array) -> Array:
+        """p_h at energies of any shape; 0 outside the mesh."""
+        return self.answer(energy, log_factor=self._log_states(energy))
+
+    def phase_space_density(self, energy: Array) -> Array:
+        """p_h/T (up to the constant left out of ln T) at energies of any shape; 0 outside."""
+        return self.answer(energy)
+
+    def pointwise_error(self, energy: Array) -> Array:
+        """Estimate of |p_h − p| at energies of any shape."""
+        return self._error(energy, self._log_states(energy))
+
+    def phase_space_error(self, energy: Array) -> Array:
+        """Estimate of |p_h − p|/T at energies of any shape."""
+        return self._error(energy, np.zeros(np.shape(energy)))
+
+    def _error(self, energy: Array, factor: Array) -> Array:
+        """Error of u e^``factor``: distance to the enriched one, and what shifts all of p alike."""
+        x = np.asarray(energy, dtype=float)
+        k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
+        share = np.clip((x - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k]), 0.0, 1.0)
+        count = self._log_distance.shape[1] - 1
+        point = (np.arccos(1.0 - 2.0 * share) * count / np.pi).astype(int)
+        ends = self._log_distance[k, point], self._log_distance[k, np.minimum(point + 1, count)]
+        distance = np.exp(np.maximum(*ends) + factor)
+        floor = self.common_error + outside(self.measured)
+        error = POINTWISE_SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor))
+        return np.asarray(error + np.exp(np.interp(x, *self._log_round_off) + factor))
+
+    def _log_states(self, energy: Array) -> Array:
+        """ln T at energies of any shape; beyond the last node, ln T of that node."""
+        end = float(self.nodes[-1])
+        x, positive = self.process.on_mesh(np.asarray(energy, dtype=float), end)
+        log_T = self.process.coefficients(x.ravel()).log_density_of_states.reshape(x.shape)
+        return np.where(positive | (np.asarray(energy) > end), log_T, -np.inf)
+
+    @cached_property
+    def _log_distance(self) -> Array:
+        """ln of the largest distance of u to the enriched solution around points of each element.
+
+        It is an array (elements, points), the points at equal angles θ, H rising as 1 − cos θ over
+        the element: so the distance has about as many half-waves of one length as its degree. The
+        error does not vanish where the distance does, and where T changes by decades in an element
+        both may be as small as each other over a half-wave: the largest within two is taken, as
+        √T u, since the equations weight errors of u by T, which rises like H^(n−1) at the most.
+        """
+        count = self.enriched.coefficients.shape[1] - 1
+        t = -np.cos(np.pi * np.arange(HALF_WAVE * count + 1) / (HALF_WAVE * count))
+        u, better = (
+            f.coefficients @ legvander(t, f.coefficients.shape[1] - 1).T
+            for f in (self.answer, self.enriched)
+        )
+        log_scale = np.array([self.answer.log_scale, self.enriched.log_scale])
+        distance = np.abs(u - np.exp(log_scale[1] - log_scale[0])[:, None] * better)
+        x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * 0.5 * (1.0 + t)
+        n = self.process.degrees_of_freedom
+        first = self.nodes[1] * element_rule(self.degree, n).share[0]
+        log_root = 0.5 * (n - 1) * np.log(np.maximum(x, first))
+        weighted = np.log(np.maximum(distance, SMALLEST)) + log_root
+        wide = 2 * HALF_WAVE
+        around = np.pad(weighted, ((0, 0), (wide, wide)), constant_values=-np.inf)
+        largest = sliding_window_view(around, 2 * wide + 1, axis=1).max(axis=2)
+        return np.asarray(largest - log_root + log_scale[0][:, None])
+
+    @cached_property
+    def _log_round_off(self) -> tuple[Array, Array]:
+        """Energies, and the logarithm of the round-off of u there.
+
+        Elimination of m unknowns, sums of m terms in m steps, leaves between m and m² roundings of
+        the largest p in the element, everywhere in it, m^(3/2) by the largest that was measured;
+        the answer and the enriched solution have them alike. At a node where p is much less it
+        spoils the scale of all elements on the side of less mass.
+        """
+        share = np.concatenate(
+            [[0.0], element_rule(self.degree, self.process.degrees_of_freedom).share, [1.0]]
+        )
+        x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * share
+        x[0, 0] = x[0, 1]  # towards H = 0 p/T has no bound
+        log_T = self._log_states(x)
+        p = np.abs(self.answer(x, log_factor=log_T))
+        most = self.degree**1.5 * p.max(axis=1)
+        at_nodes = np.maximum(np.abs(self.density(self.nodes[1:-1])), SMALLEST)
+        steps, top = (most[:-1] + most[1:]) / at_nodes, int(most.argmax())
+        # Added up from the most massive element outwards: farther out they grow without bound.
+        below, above = np.cumsum(steps[:top][::-1])[::-1], np.cumsum(steps[top:])
+        relative = self.nodes.size + np.concatenate([below, [0.0], above])
+        error = 2.0 * EPS * (most[:, None] + relative[:, None] * p)
+        return x.ravel(), (np.log(np.maximum(error, SMALLEST)) - log_T).ravel()
+
+
+def solve_stationary(
+    process: Process, *, tol: float = 1e-10, degree: int | None = None
+) -> StationarySolution:
+    """Return the stationary density to the L1 tolerance ``tol``, adapting the mesh.
+
+    The degree follows from ``tol`` unless given. The answer is certified or says what failed.
+    Raises ``NotCertified`` where no stationary density exists.
+    """
+    # u is smooth where T is not, as long as 2 F/b does not depend on H.
+    smooth = not process.state_damping
+    if degree is None:
+        digits = round(-math.log10(tol))
+        degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
+    probe = probed(process)
+    end = probe.extent(1e-2 * tol)
+    nats: Array | float = NATS_PER_ELEMENT
+    if smooth:
+        # The error of an element counts by its mass, and rises with the nats to this power.
+        fall = probe.log_mass.max() - probe.log_mass
+        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), LOG_GROWTH))
+    layers = 0 if smooth else GRADED_LAYERS
+    nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
+    elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
+    special = np.array([0.0, *process.nonsmooth])
+    for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
+        solution, marked = _assembled(process, probe, elements, degree, tol)
+        if not marked.any() or marked.size > MOST_ELEMENTS:
+            break
+        left, right = elements.left[marked], elements.right[marked]
+        cut = split_points(left, right, special)
+        if np.any((cut <= left) | (cut >= right)):
+            break
+        halves = np.concatenate([left, cut]), np.concatenate([cut, right])
+        new = solve_elements(process, *halves, degree)
+        elements = joined([Elements(*(x[~marked] for x in elements)), new])
+    return solution
+
+
+def solve_on_mesh(
+    process: Process,
+    nodes: Array,
+    degree: int,
+    *,
+    tol: float = np.inf,
+    null_vectors: NullVectors | None = None,
+) -> StationarySolution:
+    """Return the finite element solution on a given mesh; ``null_vectors`` as in elements."""
+    elements = solve_elements(process, nodes[:-1], nodes[1:], degree, null_vectors)
+    return _assembled(process, probed(process), elements, degree, tol)[0]
+
+
+def _assembled(
+    process: Process, probe: Probe, e: Elements, degree: int, tol: float
+) -> tuple[StationarySolution, Flags]:
+    """Return the elements scaled to one density, judged, and which of them to cut in two."""
+    nodes = np.concatenate([e.left, e.right[-1:]])
+    sign, log_scale, log_mass, share = _chained(e)
+    p, better = share[0, :, None] * e.values, share[1, :, None] * e.enriched_values
+    difference = np.abs(p - better)
+    distance = float((e.weights * difference).sum())
+    # The enriched solution has the mass 1 by a lesser rule: by that of the answer it has another,
+    # by which the two differ everywhere alike, so that their distance may vanish where p is wrong.
+    enriched_mass = float((e.weights * better).sum())
+    size = np.abs(share[0])
+    least, most, residual = float(p.min()), float(p.max()), float(e.residual.max())
+    net_flux = float((size * e.net_flux).max() / (size * e.one_way).max())
+    tail = probe.tail_bound(float(nodes[-1]), abs(float(share[0, -1] * e.at_end[-1])))
+    # Errors of s and b shift d ln p/dH by as much. Their effect on ln p is bounded by the error
+    # times the fall of ln p over the bulk of the mass, about one per energy scale; the worst
+    # point of each element counts by its share of the mass.
+    coefficient_error = 2.0 * float(size @ e.coefficient_error)
+    # They add up where they do not cancel: over one element an error of ln p moves mass from one
+    # side of it to the other, at most twice the smaller of the two with the element on both sides.
+    moved, accumulated, below = 0.0, 0.0, np.cumsum(size)
+    if process.state_damping:
+        x, w = panel_rule(nodes, degree)
+        c = process.coefficients(x.ravel())
+        steps = np.sum(w * log_density_slope_error(c).reshape(x.shape), axis=1)
+        sides = np.minimum(below, np.maximum(1.0 - below, 0.0) + size)
+        moved, accumulated = 2.0 * float(steps @ sides), float(steps.sum())
+    estimate = SAFETY * distance + 2.0 * tail + coefficient_error + moved
+    estimate += 2.0 * EPS * (size.size + degree**2)  # a sum over elements and functions
+    measured = Measured(
+        l1_error=estimate,
+        mass_defect=abs(float((e.weights * p).sum()) - 1.0),
+        minimum=least / most,
+        residual=residual,
+        tail_mass=tail,
+        net_flux=net_flux,
+    )
+    if not residual < 0.1 * ROUND_OFF:  # elimination in one element leaves some hundred roundings
+        measured = measured.with_failures(f"the algebraic residual is {residual:.2g}")
+    solution = StationarySolution(
+        process=process,
+        degree=degree,
+        answer=Piecewise(nodes, sign[0, :, None] * e.u, log_scale[0]),
+        enriched=Piecewise(
+            nodes,
+            sign[1, :, None] * e.enriched,
+            log_scale[1] - math.log(max(abs(enriched_mass), SMALLEST)),
+        ),
+        common_error=coefficient_error + accumulated + abs(enriched_mass - 1.0),
+        measured=measured,
+        certificate=certify(measured, tol=tol),
+    )
+    # Half of the tolerance is left to the tail, the coefficients and round-off.
+    if SAFETY * distance <= 0.5 * tol and least >= NEGATIVE * most:
+        return solution, np.zeros(size.size, dtype=bool)
+    # What of the distance is an element's own making: that in shape, and a wrong step between two
+    # neighbours, which moves the smaller of the masses on its sides.
+    own = size * np.sum(e.weights * np.abs(e.values - e.enriched_values), axis=1)
+    below = below[:-1]
+    step = np.abs(np.diff(log_mass[0] - log_mass[1]))
+    step *= np.minimum(below, np.maximum(1.0 - below, 0.0))
+    own += np.append(step, 0.0) + np.append(0.0, step)
+    return solution, (p.min(axis=1) < NEGATIVE * most) | (own > 0.1 * tol / own.size)
+
+
+@cached_njit()
+def _chained(e: Elements) -> tuple[Array, Array, Array, Array]:
+    """Return signs and logarithms of the scales by which elements make a density of mass 1.
+
+    Returned are arrays (2, elements), for the answer and the enriched solution, of them and of the
+    logarithm and the signed value of each element's mass. The scales that match the elements at
+    the nodes are added up as logarithms, so that no density is too steep; where mass is most it is
+    positive.
+    """
+    count = e.left.size
+    sign, log_scale = np.ones((2, count)), np.zeros((2, count))
+    log_mass, share = np.empty((2, count)), np.empty((2, count))
+    for s in range(2):
+        series = e.u if s == 0 else e.enriched
+        before, most = 0.0, 0
+        for k in range(count):
+            start, end = 0.0, 0.0  # u at both ends of the element, where P_j is (−1)^j and 1
+            for j in range(series.shape[1]):
+                start += series[k, j] * (1.0 - 2.0 * (j % 2))
+                end += series[k, j]
+            if k > 0:
+                ratio = max(abs(before), SMALLEST) / max(abs(start), SMALLEST)
+                log_scale[s, k] = log_scale[s, k - 1] + np.log(ratio)
+                sign[s, k] = -sign[s, k - 1] if (before < 0.0) != (start < 0.0) else sign[s, k - 1]
+            log_mass[s, k] = log_scale[s, k] + e.log_factor[k]
+            most = k if log_mass[s, k] > log_mass[s, most] else most
+            before = end
+        positive, total = sign[s, most], 0.0
+        for k in range(count):
+            sign[s, k] *= positive
+            share[s, k] = sign[s, k] * np.exp(log_mass[s, k] - log_mass[s, most])
+            total += share[s, k]
+        log_total = log_mass[s, most] + np.log(total)
+        for k in range(count):
+            share[s, k] /= total
+            log_mass[s, k] -= log_total
+            log_scale[s, k] -= log_total
+    return sign, log_scale, log_mass, share

@@ -1,0 +1,356 @@
+"""Finite elements of one energy that hang together at their ends alone, for questions of time.
+
+With the stationary density π and m = ½ b π the generator is L f = (m f')'/π, and its weak form
+−∫ m f' v' is symmetric. From the hierarchical functions of an element two kinds are made (Craig
+and Bampton, AIAA J. 6 (1968) 1313): h_0 and h_1 = 1 − h_0, one at its left and right end, and v_j,
+zero at both, orthogonal to these in m and to each other in m and in π. The elements are then
+conductances 1/∫dx/m in a chain, and every sum along it has positive terms only: a probability of
+1e-200 keeps its relative digits.
+They come in pairs: the elements of the answer, and those of the enriched solution that judges it.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.polynomial.legendre import legint, legvander
+from scipy.special import roots_jacobi
+
+from fpk.numeric.arrays import Array, Flags, Integers
+from fpk.numeric.quadrature import gauss_legendre
+from fpk.solvers.line.mesh import split_points
+from fpk.solvers.line.time.mesh import HIGHEST, NONE, first_degree
+from fpk.solvers.plane.elements import shape_functions
+from fpk.system.process import Coefficients, Process, log_density_slope_error
+
+ENRICHMENT = 2
+"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
+SAFETY = 3.0
+"""Factor on the distance to the enriched solution, of densities, first passage and rates."""
+MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
+"""Most rounds of cutting elements in two, and elements beyond which none is cut."""
+Settings = dict[str, str | float | int]
+
+
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """Elements of one degree of a ``process``; every array has one entry for each, from H = 0 up.
+
+    π is e^``log_scale`` times the local density in which the integrals are given. ``shapes`` (…,
+    degree + 1, functions) has in its columns the coefficients of h_0, h_1 and the v_j in the
+    ``shape_functions``: of these f_i are ``mass`` ∫π f_i f_j and ``drift`` ∫π F f_i' f_j (…,
+    functions, functions), F the part of the drift due to damping; ``conductance`` is 1/∫dx/m, and
+    ∫m v_j'² = 1. At H = 0 no flux is natural: in the first element h_0 = 0, h_1 = 1 and v_j(0) is
+    free; it may have fewer v_j, and the others are 0. ``x`` and ``weight`` (…, points) integrate π
+    times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln u, u = π/T, less its
+    value at the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from
+    0 to 1. ``relative_error`` is the error of π and m by the coefficients; ``slope_error`` the
+    error that it leaves in ln π from one end to the other.
+    """
+
+    process: Process
+    left: Array
+    right: Array
+    contact: Flags
+    shapes: Array
+    mass: Array
+    drift: Array
+    conductance: Array
+    x: Array
+    weight: Array
+    log_local: Array
+    log_rise: Array
+    relative_error: Array
+    slope_error: Array
+
+    @property
+    def count(self) -> int:
+        """Number of elements."""
+        return self.left.size
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials."""
+        return int(self.shapes.shape[1]) - 1
+
+    @property
+    def nodes(self) -> Array:
+        """Ends of the elements, (elements + 1,)."""
+        return np.append(self.left, self.right[-1])
+
+    @cached_property
+    def log_u(self) -> Array:
+        """ln u at the nodes, 0 at H = 0."""
+        return np.append(0.0, np.cumsum(self.log_rise.sum(axis=1)))
+
+    @cached_property
+    def log_scale(self) -> Array:
+        """ln of the unit of π in each element."""
+        return self.log_u[:-1] + self.log_local
+
+    @cached_property
+    def steps(self) -> Array:
+        """Unit of π in each element but the last, divided by that in the next."""
+        return np.exp(self.log_scale[:-1] - self.log_scale[1:])
+
+    @cached_property
+    def load(self) -> Array:
+        """∫π f_i (elements, functions)."""
+        return self.mass[:, :, 0] + self.mass[:, :, 1]
+
+    @cached_property
+    def relaxation(self) -> Array:
+        """ν_j = ∫π v_j² of the v_j (elements, degree − 1), their relaxation times."""
+        return np.asarray(np.einsum("eii->ei", self.mass)[:, 2:])
+
+    @cached_property
+    def log_mass(self) -> Array:
+        """ln ∫π over each element."""
+        return np.asarray(self.log_scale + np.log(self.load[:, :2].sum(axis=1)))
+
+    @property
+    def log_range(self) -> float:
+        """ln of the largest ratio of the units of π in two elements."""
+        return float(np.ptp(self.log_scale))
+
+    def coefficient_error(self, upto: float = 0.0) -> float:
+        """Relative error that the coefficients leave in densities and rates.
+
+        An element counts by its share of the mass and of the way through the bulk, in units of
+        √b: near a contact energy errors are large on very short elements. Beyond the bulk is 1e-6
+        of the mass. ``upto`` is an energy that the way reaches at least.
+        """
+        mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
+        bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
+        way = np.sqrt(self.relaxation.sum(axis=1))
+        weights = mass + way / way[bulk].sum()
+        return float(weights @ self.relative_error + self.slope_error.sum())
+
+    def element_of(self, x: Array) -> Integers:
+        """Elements that hold the points x."""
+        return np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.count - 1)
+
+    def functions(self, x: Array) -> tuple[Integers, Array]:
+        """Return the elements of the points x and their f_i there, (points, functions)."""
+        k, t = self._within(x)
+        return k, np.einsum("px,xpi->xi", shape_functions(self.degree, t)[0], self.shapes[k])
+
+    def at(self, x: Array, f: Array, size: Array | None = None) -> tuple[Array, Array]:
+        """Return Σ f_i at the points x (…, points), and the size of what cancels in it.
+
+        ``f`` (…, elements, functions) are the coefficients and ``size`` the sizes of theirs.
+        """
+        k, values = self.functions(x)
+        both = (f, values), (np.abs(f) if size is None else size, np.abs(values))
+        rows = [
+            [np.einsum("xi,xi->x", each[k], v) for each in a.reshape(-1, *f.shape[-2:])]
+            for a, v in both
+        ]
+        p, sizes = np.array(rows).reshape(2, *f.shape[:-2], x.size)
+        return p, sizes
+
+    def log_phase_density(self, x: Array) -> Array:
+        """Return ln u = ln π/T at the points x, 0 at H = 0."""
+        k, t = self._within(x)
+        s = np.where(self.contact[k], np.cbrt(t), t)
+        series = legvander(2.0 * s - 1.0, self.log_rise.shape[1] - 1)
+        return np.asarray(self.log_u[k] + (series * self.log_rise[k]).sum(axis=1))
+
+    def log_density(self, x: Array) -> Array:
+        """Return ln π at points x > 0, in the unit of ``log_scale``."""
+        log_T = self.process.coefficients(x).log_density_of_states
+        return np.asarray(log_T + self.log_phase_density(x))
+
+    def _within(self, x: Array) -> tuple[Integers, Array]:
+        """The elements of the points x and the shares of these that lie below, in [0, 1]."""
+        k = self.element_of(x)
+        return k, np.clip((x - self.left[k]) / (self.right[k] - self.left[k]), 0.0, 1.0)
+
+
+Answer = TypeVar("Answer")
+Pair = tuple[Elements, Elements]
+"""The elements of the answer and of the enriched solution."""
+
+
+class Evolved(NamedTuple):
+    """A density of ``elements`` at several times: the coefficients ``values`` of p/π.
+
+    They are in the units 1/e^``log_scale`` of the elements, ``size`` the sizes of the terms that
+    cancel in them; both are (times, elements, functions). ``residual`` is the largest one of the
+    equations solved, relative to the terms that cancel. What is no density has no such units.
+    """
+
+    elements: Elements
+    values: Array
+    size: Array
+    residual: float
+
+    def density(self, x: Array, *, of_states: bool = False) -> tuple[Array, Array]:
+        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms.
+
+        Or u = p/T ``of_states``, by its own: T vanishes at H = 0.
+        """
+        e = self.elements
+        log_factor = e.log_phase_density(x) if of_states else e.log_density(x)
+        p, size = e.at(x, self.values, self.size)
+        factor = np.exp(log_factor - e.log_scale[e.element_of(x)])
+        return p * factor, size * factor
+
+
+@lru_cache
+def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
+    """Return points t on [0, 1] of an element of ``degree``, which may begin at ``contact``.
+
+    With their weights; Legendre polynomials of s there (points, terms), s = ∛t at contact and t
+    elsewhere; the coefficients (terms, points) of such a series of ∫_0^t; the ``shape_functions``
+    and their slopes (points, degree + 1). Where π ~ t^``steepness`` with more than a few powers
+    the points are Gauss and Jacobi's; over such an element, which is short, what else varies is
+    linear.
+    """
+    # π is no polynomial, and above a contact energy it is smooth in the cubic root of H − H_c.
+    count = 3 * degree + 8 if contact else degree + 6
+    if steepness > 7 and not contact:
+        x, w = roots_jacobi(count, 0, steepness)
+        t = 0.5 * (1.0 + x)
+        weight = np.exp(np.log(w) - (steepness + 1) * np.log(2.0) - steepness * np.log(t))
+        integral = np.zeros((count + 1, count))
+        integral[:2] = 0.5 / count
+    else:
+        x, w = gauss_legendre(count)
+        s = 0.5 * (1.0 + x)
+        t, stretch = (s**3, 3.0 * s**2) if contact else (s, np.ones(count))
+        project = (np.arange(count) + 0.5)[:, None] * (legvander(x, count - 1).T * w)
+        integral = 0.5 * np.asarray(legint(project, lbnd=-1.0)) * stretch
+        weight = 0.5 * w * stretch
+    values, slopes = shape_functions(degree, t)
+    series = np.asarray(legvander(x, count), dtype=float)
+    return t, weight, series, integral, values.T, slopes.T
+
+
+def elements(
+    process: Process, left: Array, right: Array, degree: int, *, enriched: bool = False
+) -> Elements:
+    """Return the elements between ``left`` and ``right`` (elements,), sorted.
+
+    The element at H = 0 may be of a lower degree; ``enriched`` has it one higher.
+    """
+    contact, first = np.isin(left, np.array(process.nonsmooth)), left == 0.0
+    parts = []
+    for kind in ((True, True), (True, False), (False, True), (False, False)):
+        k = np.flatnonzero((first == kind[0]) & (contact == kind[1]))
+        if k.size:
+            parts.append(_alike(process, left[k], right[k], degree, *kind, enriched))
+    return _joined(*parts)
+
+
+def _joined(*parts: Elements, chosen: Flags | slice = slice(None)) -> Elements:
+    """The elements of all parts in one record, ascending; of the first part the ``chosen`` ones."""
+
+    def every(name: str) -> Array:
+        first, *others = (getattr(part, name) for part in parts)
+        return np.concatenate([first[chosen], *others])
+
+    order = np.argsort(every("left"))
+    arrays: dict[str, Any] = {
+        x.name: every(x.name)[order] for x in fields(Elements) if x.name != "process"
+    }
+    return replace(parts[0], **arrays)
+
+
+def _alike(
+    process: Process, left: Array, right: Array, degree: int, first: bool, contact: bool,
+    enriched: bool,
+) -> Elements:  # fmt: skip
+    """Elements that all begin at H = 0, or at contact, or all do not."""
+    n = process.degrees_of_freedom
+    t, w, series, integral, values, derivatives = rule(degree, contact, n - 1 if first else 0)
+    h = (right - left)[:, None]
+    x = left[:, None] + h * t
+    flat = process.coefficients(x.ravel())
+    c = Coefficients(*(np.broadcast_to(a, x.size).reshape(x.shape) for a in flat))
+    slope = 2.0 * c.dissipation / c.diffusion
+    if not process.state_damping:
+        slope = np.broadcast_to(np.median(slope, axis=1, keepdims=True), x.shape)
+    log_rise = h * (slope @ integral.T)
+    log_density = c.log_density_of_states + log_rise @ series.T
+    log_local = log_density.max(axis=1)
+    weight = h * w * np.exp(log_density - log_local[:, None])
+    # The functions that vanish at both ends, and behind them the one of the right end.
+    own = min(first_degree(degree - 1, n) + enriched, degree - 1) if first else degree - 1
+    inner = [0, *range(2, own + 1)] if first else [*range(2, degree + 1)]
+    slopes = derivatives[:, [*inner, 1]] / h[:, :, None]
+    half = np.sqrt(0.5 * c.diffusion * weight)
+    R: Array = np.asarray(np.linalg.qr(half[:, :, None] * slopes, mode="r"), dtype=float)
+    inverse = np.linalg.inv(R[:, :own, :own])
+    v = values[:, inner] @ inverse
+    turn = np.linalg.eigh(np.swapaxes(v, 1, 2) @ (weight[:, :, None] * v))[1]
+    shapes = np.zeros((left.size, degree + 1, degree + 1))
+    shapes[:, inner, 2 : 2 + own] = inverse @ turn
+    shapes[:, 1, 1] = 1.0
+    # The constant has no slope: at H = 0 it is h_1.
+    shapes[:, inner, 1] = np.eye(1, own) if first else -(inverse @ R[:, :own, own:])[:, :, 0]
+    shapes[:, :2, 0] = 1.0
+    shapes[:, :, 0] -= shapes[:, :, 1]
+    f = values @ shapes
+    slopes = np.swapaxes(derivatives @ shapes / h[:, :, None], 1, 2)
+    steps = np.zeros(left.size)
+    if process.state_damping:
+        steps = (h * log_density_slope_error(c)) @ integral.sum(axis=0)
+    # All kinds of elements have as many points and terms as the kind that has the most.
+    more = rule(degree, bool(process.nonsmooth), 0)[0].size - t.size
+    behind = np.zeros((left.size, max(more, 0)))
+    return Elements(
+        process=process,
+        left=left,
+        right=right,
+        contact=np.full(left.size, contact),
+        shapes=shapes,
+        mass=np.swapaxes(f, 1, 2) @ (weight[:, :, None] * f),
+        drift=slopes @ ((weight * c.dissipation)[:, :, None] * f),
+        conductance=np.zeros(left.size) if first else R[:, own, own] ** 2,
+        x=np.hstack([x, behind + x[:, -1:]]),
+        weight=np.hstack([h * w, behind]),
+        log_local=log_local,
+        log_rise=np.hstack([log_rise, behind]),
+        relative_error=c.relative_error.max(axis=1),
+        slope_error=steps,
+    )
+
+
+def degree_for(tol: float) -> int:
+    """Return the degree of elements for the tolerance ``tol``: four more than its digits."""
+    return int(np.clip(round(-math.log10(tol)), 4, HIGHEST - 4)) + 4
+
+
+def meshed(process: Process, nodes: Array, degree: int, *, beyond: Array = NONE) -> Pair:
+    """Return elements between ``nodes``; those of the enriched solution end at ``beyond``, too."""
+    every = np.append(nodes, beyond)
+    return (
+        elements(process, nodes[:-1], nodes[1:], degree),
+        elements(process, every[:-1], every[1:], degree + ENRICHMENT, enriched=True),
+    )
+
+
+def refined(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
+    """Return the answer of ``solve`` on a pair whose elements are cut until it marks none.
+
+    Elements of the answer that it marks are cut in two in both, towards a singular point if they
+    begin there.
+    """
+    for _ in range(MOST_ROUNDS):
+        answer, marked = solve(pair)
+        if not marked.any() or marked.size > MOST_ELEMENTS:
+            break
+        process, left, right = pair[0].process, pair[0].left[marked], pair[0].right[marked]
+        at = split_points(left, right, np.array([0.0, *process.nonsmooth]))
+        ends = np.append(left, at), np.append(at, right)
+        kept = [np.append(~marked, np.ones(e.count - marked.size, dtype=bool)) for e in pair]
+        halves = [elements(process, *ends, e.degree, enriched=e is pair[1]) for e in pair]
+        own, enriched = (
+            _joined(*parts, chosen=k) for *parts, k in zip(pair, halves, kept, strict=True)
+        )
+        pair = own, enriched
+    return answer

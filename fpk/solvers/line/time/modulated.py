@@ -1,0 +1,294 @@
+"""Densities of one energy in time under modulated noise, by implicit Runge-Kutta steps.
+
+With noise e² times that of a reference and π that of the reference, p = π g has the flux
+J = π ((1 − e²) F g − e² ½ b g'), F the part of the drift due to damping, so that
+M ∂g/∂t = (−e² K + (1 − e²) C) g.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial.legendre import legint, legvander
+from scipy.integrate import solve_ivp
+from scipy.sparse import block_diag, coo_array, csc_array, kron
+from scipy.sparse.linalg import splu
+from scipy.special import roots_jacobi
+
+from fpk.answer.certificate import certify
+from fpk.answer.evolution import LARGEST_ERROR, NO_NOISE_YET, Transient
+from fpk.answer.observable import number_text
+from fpk.numeric.arrays import SMALLEST, Array
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.solvers.line.time.elements import SAFETY, Elements, Evolved, Settings
+from fpk.solvers.line.time.transition import Source, Transition, adapted, judged, posed
+from fpk.system.modulation import Modulation
+from fpk.system.process import Process
+
+STAGES = 5
+"""Stages of a step of Radau IIA: of the order 2 · 5 − 1."""
+FIRST = 1e-3
+"""The first step, in units of the first time or kink of e: what it errs by is forgotten."""
+RATIO = 3.0
+"""Ratio of the ends of a step at the level 0, as long as steps grow with the time."""
+LEVELS = (1, 4)
+"""Halvings of all steps: those with which the mesh is adapted, and the most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Modulated:
+    """An energy under modulated noise, which begins with ``source``.
+
+    ``under(F)`` is its process under F times the noise intensity.
+    """
+
+    under: Callable[[float], Process]
+    modulation: Modulation
+    source: Source
+
+    @property
+    def quiet(self) -> float:
+        """Return the time at which the density begins to change.
+
+        Raises ``InvalidInput`` for an energy > 0 that decays before there is any noise.
+        """
+        quiet, energy = self.modulation.quiet, self.source.energy
+        if self.source.process is not None:
+            return 0.0
+        if quiet > 0.0 and energy > 0.0:
+            remedy = f"decays without noise until t = {quiet:g}; begin there"
+            raise InvalidInput(
+                "start", f"H={number_text(energy)}", f"{remedy}, at rest or from noise=F"
+            )
+        return quiet
+
+
+def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
+    """Return M, K and C of the free functions, scaled to a mass of one, for the reference noise.
+
+    No flux leaves at the last end, or it absorbs. The last matrix (functions of all elements, free
+    functions) has e^(½ ``log_scale``) times the factor of each free function, where it is one of
+    the element's.
+    """
+    size = e.degree + 1
+    K_local = np.tile(np.eye(size), (e.count, 1, 1))
+    K_local[:, :2, :2] = e.conductance[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    # A vertex is of two elements, of which the one on its left has the function h_1.
+    place = np.arange(e.count * size).reshape(e.count, size)
+    place[1:, 0] = place[:-1, 1]
+    masses = np.einsum("eii->ei", e.mass)
+    used = masses != 0.0
+    used[-1, 1] &= not absorbing
+    numbers, free = np.unique(place[used], return_inverse=True)
+    unit = np.broadcast_to(e.log_scale[:, None], place.shape)[used]
+    log_mass = np.full(numbers.size, -np.inf)
+    np.logaddexp.at(log_mass, free, np.log(masses[used]) + unit)
+    factor, shape = np.exp(0.5 * (unit - log_mass[free])), (used.size, numbers.size)
+    spread = csc_array(coo_array((factor, (np.flatnonzero(used), free)), shape))
+    blocks = (block_diag(A, format="csc") for A in (e.mass, K_local, e.drift))
+    return *(csc_array(spread.T @ A @ spread) for A in blocks), spread
+
+
+@lru_cache
+def radau() -> tuple[Array, Array]:
+    """Return the coefficients a_ij and the points c_i of Radau IIA, the last of which is 1."""
+    x = np.append(roots_jacobi(STAGES - 1, 1, 0)[0], 1.0)
+    V = legvander(x, STAGES - 1)
+    A = 0.5 * legvander(x, STAGES) @ legint(np.linalg.inv(V), lbnd=-1.0)
+    return A, 0.5 * (1.0 + x)
+
+
+def steps_of(
+    MKC: tuple[csc_array, ...], load: Array, modulation: Modulation, unit: float, times: Array,
+    *, level: int,
+) -> Iterator[tuple[float, float, Array, float]]:  # fmt: skip
+    """Yield the steps from the start up to the last of ``times`` > 0.
+
+    The end and the length of each, g at its stages (stages, functions), and the relative residual.
+    e² is in units of ``unit``, the reference's. Steps grow like the time, end at the times and at
+    the kinks of e, and there are 2^``level`` of them in each of the level 0.
+    """
+    stops = np.unique(np.append(times, modulation.times[modulation.times < times[-1]]))
+    stops = stops[stops > 0.0]
+    first = FIRST * stops[0]
+    grown = first * RATIO ** np.arange(0.0, np.ceil(np.log(stops[-1] / first) / np.log(RATIO)))
+    ends = [0.0]
+    for stop in stops.tolist():
+        inner = grown[(grown > ends[-1] * (1.0 + FIRST)) & (grown < stop * (1.0 - FIRST))]
+        ends += [*inner.tolist(), stop]
+    M, K, C = MKC
+    (A, c), eye, parts = radau(), np.eye(STAGES), 2**level
+    g, before = None, 0.0
+    for a, b in pairwise(ends):
+        step = (b - a) / parts
+        for k in range(1, parts + 1):
+            r = modulation(before + step * c) ** 2 / unit
+            system = csc_array(kron(M, eye) + kron(K, step * A * r) - kron(C, step * A * (1.0 - r)))
+            right = np.repeat(load if g is None else M @ g, STAGES)
+            stages = splu(system).solve(right)
+            size = float(np.max(abs(system) @ np.abs(stages)))
+            missed = float(np.max(np.abs(system @ stages - right)))
+            residual = missed / size if size > 0.0 else missed  # all is 0: nothing is left
+            g = stages[STAGES - 1 :: STAGES]
+            before = b if k == parts else a + (b - a) * k / parts
+            yield before, step, stages.reshape(-1, STAGES).T, residual
+
+
+def stepped(
+    e: Elements, load: Array, modulation: Modulation, unit: float, times: Array, *, level: int,
+    absorbing: bool = False,
+) -> tuple[Evolved, Array, Array, Array]:  # fmt: skip
+    """Return the density at ``times`` > 0 of what begins with ``load``, by ``steps_of``.
+
+    No flux leaves at the last end, or it is ``absorbing``. With it come the times of the stages of
+    all steps, weights that integrate over time, and the mass there, (steps · stages,) each.
+    """
+    *MKC, spread = matrices(e, absorbing=absorbing)
+    root, (A, c) = np.exp(0.5 * e.log_scale)[:, None], radau()
+    begun, shares = (spread.T @ each.ravel() for each in (load / root, e.load * root))
+    steps = list(steps_of(tuple(MKC), begun, modulation, unit, times, level=level))
+    ends, lengths = np.array([step[:2] for step in steps]).T[:, :, None]
+    last = np.array([steps[k][2][-1] for k in np.searchsorted(ends[:, 0], times)])
+    values = root * (spread @ last.T).T.reshape(-1, *e.load.shape)
+    return (
+        Evolved(e, values, np.abs(values), float(np.max([step[3] for step in steps]))),
+        (ends - lengths * (1.0 - c)).ravel(),
+        (lengths * A[-1]).ravel(),
+        np.array([step[2] @ shares for step in steps]).ravel(),
+    )
+
+
+def modulated_transition(motion: Modulated, times: Array, *, tol: float) -> Transition:
+    """Return the density of the energy at ``times`` > 0.
+
+    By steps of Radau IIA of the order 9 on elements that adapt; the error is the distance to
+    elements of a higher degree and to steps twice as long, and settings have the order that the
+    last three levels of steps show. Without noise it is the equation of the decay alone, of first
+    order. Raises ``InvalidInput`` for times at which the density is still one energy, and as
+    ``Modulated.quiet`` and ``posed`` do.
+    """
+    quiet, source = motion.quiet, motion.source
+    if times[0] <= quiet:
+        raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
+    modulation, times = motion.modulation.after(quiet), times - quiet
+    unit = modulation.largest or 1.0
+    first = float(modulation.energy(times[0])) / unit
+    question, pair = posed(motion.under(unit), source, first, tol)
+
+    @lru_cache(maxsize=len(pair))
+    def carried(e: Elements, level: int) -> Evolved:
+        return stepped(e, source.load(e), modulation, unit, times, level=level)[0]
+
+    solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0]))
+    e, finer = solved.elements, solved.enriched.elements
+    x, w = e.x, e.weight
+
+    def values(level: int) -> Array:
+        return carried(e, level).density(x.ravel())[0].reshape(solved.distance.shape)
+
+    def l1(moved: Array, _: Array) -> float:
+        return float((moved * w).sum(axis=(1, 2)).max())
+
+    level, _, moved, settings = halved(e, values, l1, 0.25 * tol, tol)
+    own = carried(e, level)
+    # In steps twice as long, so that what is compared with it sees the error of both.
+    enriched = solved.enriched if level - 1 == LEVELS[0] else carried(finer, level - 1)
+    solved, _, _ = judged(question, own, enriched, distance=solved.distance + moved)
+    # At the ends of elements, where no point is, distances are largest while there is no noise.
+    at_ends = np.abs(own.density(e.right)[0] - enriched.density(e.right)[0])
+    beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
+    return replace(
+        solved,
+        distance=np.maximum(solved.distance, beside[..., None]),
+        settings={**solved.settings, **settings},
+    )
+
+
+def halved(
+    e: Elements,
+    values: Callable[[int], Array],
+    size: Callable[[Array, Array], float],
+    wanted: float,
+    tol: float,
+) -> tuple[int, Array, Array, Settings]:
+    """Halve all steps until the ``values(level)`` change by no more than ``wanted``.
+
+    ``size(changes, values)`` is what counts of the absolute changes. Returned are the last level,
+    its values and changes, and the settings, with the order that the changes show.
+    """
+    finer, sizes = values(LEVELS[0]), []
+    for level in range(LEVELS[0] + 1, LEVELS[1] + 1):
+        coarse, finer = finer, values(level)
+        moved = np.abs(finer - coarse)
+        sizes.append(size(moved, finer))
+        if SAFETY * sizes[-1] <= wanted:
+            break
+    settings: Settings = {
+        "equation": f"modulated noise, Radau IIA of order {2 * STAGES - 1}",
+        "elements": e.count,
+        "halvings of the steps": level,
+        "tol": tol,
+    }
+    if len(sizes) > 1 and sizes[-1] > 0.0:
+        settings["observed order"] = math.log2(sizes[-2] / sizes[-1])
+    return level, finer, moved, settings
+
+
+def modulated_transient(motion: Modulated, times: Array, at: Array, *, tol: float) -> Transient:
+    """Return the densities at energies ``at``; all else as of ``modulated_transition``.
+
+    Where the modulation ends with 0, dH/dt = F(H) leads from H_0 at its end to H at a later time,
+    so that p(H, t) dH = p(H_0, 0) dH_0, where dH_0/dH = F(H_0)/F(H). Where the estimated error
+    exceeds ``LARGEST_ERROR`` errors are infinite. Raises ``NotApplicable`` where damping feeds
+    energy in after the end of the noise.
+    """
+    modulation = motion.modulation
+    end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
+    later = times > end
+    stops = np.unique(np.minimum(times, end))
+    solved = modulated_transition(motion, stops, tol=tol)
+    values, errors = np.zeros((2, times.size, at.size))
+    values[~later], errors[~later] = (a[: int((~later).sum())] for a in solved.density(at))
+    process, e, l1_error = motion.under(1.0), solved.elements, solved.measured.l1_error
+    inner, last = e.x.ravel(), e.right[-1]
+    H, positive = process.on_mesh(at, float(np.max(at, initial=last)))
+
+    def rate(_: float, z: Array) -> Array:
+        # Of z = ln H; beyond the last element there is nothing.
+        energy = np.exp(np.minimum(z, np.log(last)))
+        return np.asarray(-process.coefficients(energy).dissipation / energy)
+
+    if np.any(later) and np.any(process.coefficients(inner).dissipation >= 0.0):
+        raise NotApplicable("damping feeds energy in: after the end of the noise fem has no answer")
+    for k in np.flatnonzero(later):
+        time, z = float(times[k] - end), np.log(H)
+        # The answer, and another one whose distance is its error.
+        ends = [
+            solve_ivp(rate, (0.0, time), z, method="DOP853", rtol=rtol, atol=rtol).y[:, -1]
+            for rtol in (1e-12, 1e-10)
+        ]
+        began = np.exp(ends[0])
+        jacobian = began * rate(0.0, ends[0]) / (H * rate(0.0, z))
+        inside = np.minimum(began, last)
+        # An error of F by ε shifts ln H_0 by ε F/H t.
+        relative = float(e.relative_error.max())
+        fastest = float(np.max(rate(0.0, np.log(inner))))
+        moved = float(np.max(np.abs(ends[0] - ends[1]), initial=0.0)) + relative * fastest * time
+        p, error = (a[-1] for a in solved.density(began))
+        shifted = solved.density(np.minimum(inside * np.exp(moved), last))[0][-1]
+        changed = np.abs(shifted - p) * (began <= last) + (moved + 2.0 * relative) * np.abs(p)
+        # Beyond the last element p falls faster than 1/H.
+        lost = jacobian * (error * inside / began + SAFETY * changed)
+        values[k] = np.where(positive, jacobian * p, 0.0)
+        errors[k] = np.where(at >= 0.0, lost + SMALLEST, 0.0)
+        # The variation of the density of ln H, of one or two maxima.
+        height = float(np.max(np.abs(solved.solution.density(inner)[0][-1]) * inner))
+        own = solved.measured.l1_error + 4.0 * SAFETY * moved * height + 2.0 * relative
+        l1_error = float(np.max([l1_error, own]))
+    if not l1_error <= LARGEST_ERROR:
+        errors[:] = np.inf
+    certificate = certify(replace(solved.measured, l1_error=l1_error), tol=tol)
+    return Transient(times, values, errors, "numerical", certificate, solved.settings)

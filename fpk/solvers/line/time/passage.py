@@ -1,0 +1,368 @@
+"""First passage of one energy through a limit: moments, failure rate and probability of failure.
+
+Under constant noise by the backward equation, for all starts at once; under modulated noise by the
+forward equation, whose mass is P(T > t).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from fpk.answer.evolution import BEYOND_RANGE, STARTS, Passage, StartCurve, certified_passage
+from fpk.answer.number import Number
+from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.solvers.line.time.elements import (
+    ENRICHMENT,
+    SAFETY,
+    Elements,
+    Evolved,
+    Pair,
+    Settings,
+    degree_for,
+    meshed,
+    refined,
+)
+from fpk.solvers.line.time.mesh import HIGHEST, NONE, layer_at, time_nodes
+from fpk.solvers.line.time.modulated import LEVELS, Modulated, halved, stepped
+from fpk.solvers.line.time.resolvent import evolved, moment
+from fpk.solvers.line.time.transition import Source, adapted, posed
+from fpk.solvers.probe import probed
+from fpk.system.process import Process
+
+FARTHEST = 900.0
+"""Fall of ln(π H) from its maximum to the limit beyond which none is solved for: e^900 times."""
+LARGEST_MEAN = 1e300
+"""Mean times beyond it are out of the range of double precision in what is made of them."""
+MOST_STEPS = 2_000
+"""Most iterations for the failure rate; a hundred do for a hundred masses."""
+SAMPLES = np.array([0.0, 0.1, 0.35, 0.65, 0.9])
+"""Points of an element, as shares of its length, at which the answer is compared."""
+SHARE = 0.1
+"""Share of the tolerance for the mesh, and for the steps of modulated noise: variances have more
+error than p."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """First passage of the right end of the last element, on one mesh in one degree."""
+
+    elements: Elements
+    more: int = 0
+
+    @cached_property
+    def mean(self) -> Array:
+        """T: mean time of first passage over the start, L T = −1, (elements, functions)."""
+        return moment(self.elements, self.elements.load)
+
+    @cached_property
+    def longest(self) -> float:
+        """Mean time from H = 0, the longest."""
+        return float(self.elements.at(np.zeros(1), self.mean)[0][0])
+
+    @cached_property
+    def second(self) -> Array:
+        """(−L)⁻¹ T in units of the square of the longest T: half of the second moment."""
+        unit = self.longest
+        return moment(self.elements, self._load(self.mean / unit)) / unit
+
+    @cached_property
+    def rate(self) -> tuple[float, float]:
+        """The least eigenvalue λ of −L, and an error of the iteration.
+
+        By powers of (−L)⁻¹, which is positive: f/(−L)⁻¹f, at its largest and least, are bounds of
+        λ (Barta), whatever its size; the error of the Rayleigh quotient is the square of their
+        relative distance, which is round-off where that is 1e-9.
+        """
+        e, f = self.elements, self.mean
+        share = np.exp(e.log_scale - e.log_mass.max())  # what underflows counts nothing
+        quotient = bracket = np.nan
+        for _ in range(MOST_STEPS):
+            f = f / f[0, 1]
+            load = self._load(f)
+            g = moment(e, load)
+            quotient = float(share @ (load * f).sum(axis=1) / (share @ (load * g).sum(axis=1)))
+            before, bracket = bracket, float(np.ptp(f[:, 0] / g[:, 0])) / quotient
+            if bracket < 1e-9 or (bracket < 1e-6 and not bracket < before):
+                break
+            f = g
+        return quotient, quotient * bracket**2
+
+    def _load(self, f: Array) -> Array:
+        """∫π f f_i (elements, functions) in the units of the elements."""
+        return np.asarray(np.einsum("eij,ej->ei", self.elements.mass, f))
+
+    def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
+        """Return P(T <= t) (times, points) from the starts x, and its round-off."""
+        e, later = self.elements, times > 0.0
+        nothing = np.zeros(e.load.shape)
+        f = evolved(e, nothing, times[later], held=1.0, more=self.more, density=False)
+        p, size = np.zeros((2, times.size, x.size))
+        p[later], size[later] = e.at(x, f.values, f.size)
+        return p, EPS * size
+
+
+@dataclass(frozen=True, eq=False)
+class FirstPassage:
+    """First passage of an energy through a ``limit`` with errors: ``answer`` and ``enriched``."""
+
+    limit: float
+    answer: Answers
+    enriched: Answers
+
+    @property
+    def round_off(self) -> float:
+        """Relative round-off of sums along the chain."""
+        e = self.answer.elements
+        return ROUNDINGS * EPS * (e.count + e.log_range + e.degree)
+
+    @cached_property
+    def _coefficients(self) -> Array:
+        """Error of T, by those of the coefficients, at the left ends of the elements.
+
+        T = ∫dx/m ∫π: an element counts by what T falls over it, and by its mass in all below.
+        """
+        e, T = self.answer.elements, self.answer.mean
+        mass = np.exp(e.log_mass - e.log_mass.max())
+        below = np.cumsum(e.relative_error * mass) / np.maximum(np.cumsum(mass), SMALLEST)
+        fall = T[:, 0] - T[:, 1]
+        fall[0] = self.longest - T[0, 1]
+        own = (e.relative_error + below + e.slope_error.sum()) * fall
+        return np.asarray(own[::-1].cumsum()[::-1])
+
+    @property
+    def relative(self) -> float:
+        """Relative error of the mean time from H = 0 by coefficients and round-off."""
+        return float(self._coefficients[0]) / self.longest + self.round_off
+
+    @property
+    def longest(self) -> float:
+        """Mean time from H = 0."""
+        return self.answer.longest
+
+    def moments(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """Return mean and variance of the time from the starts x, each with its error after it.
+
+        In units of the ``longest`` mean time and of its square.
+        """
+        (T, of_T, U, of_U), (better, _, half, _) = (
+            (*a.elements.at(x, a.mean / self.longest), *a.elements.at(x, a.second))
+            for a in (self.answer, self.enriched)
+        )
+        # T is about linear in H_f − x, and has the round-off of energies.
+        rounding = ROUNDINGS * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
+        error = SAFETY * np.abs(T - better) + rounding * T + self.round_off * of_T
+        error += self._coefficients[self.answer.elements.element_of(x)] / self.longest
+        V = 2.0 * U - T**2
+        distance = np.abs(V - 2.0 * half * (self.enriched.longest / self.longest) ** 2 + better**2)
+        # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
+        V_error = SAFETY * distance + (3.0 * self.relative + rounding) * V
+        return T, error, V, V_error + self.round_off * 2.0 * (V + of_U + T * of_T)
+
+    def rate(self) -> tuple[float, float]:
+        """Return the failure rate and its error."""
+        (value, left), (better, other) = self.answer.rate, self.enriched.rate
+        error = SAFETY * abs(value - better) + left + other + 2.0 * self.relative * value
+        return value, error
+
+    def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
+        """Return P(T <= t), (times, points), from the starts x and its error."""
+        (p, own), (better, other) = (a.failure(times, x) for a in (self.answer, self.enriched))
+        error = SAFETY * np.abs(p - better) + _by_coefficients(2.0 * self.relative, p)
+        return p, error + ROUNDINGS * (own + other) + EPS**2
+
+
+def _by_coefficients(relative: float, failure: Array) -> Array:
+    """Error of P(T <= t) by a relative one: at short times ln P ~ −(distance)²/(2 b t)."""
+    steep = 2.0 - np.log(np.clip(np.abs(failure), SMALLEST, 1.0))
+    return np.asarray(relative * steep * np.abs(failure))
+
+
+def first_passage(
+    process: Process, limit: float, *, times: Array, tol: float = 1e-10, nodes: Array = NONE
+) -> FirstPassage:
+    """Return the first passage of ``limit`` > 0 with errors below ``tol`` where that is possible.
+
+    Errors are relative ones of the moments and of the rate, absolute ones of the probability of
+    failure at ``times`` >= 0. The mesh adapts; elements end at ``nodes``, too. Raises
+    ``InvalidInput`` for a limit whose mean time is beyond double precision.
+    """
+    degree, wanted = degree_for(tol), 0.25 * tol
+    beyond = InvalidInput("limit", limit, BEYOND_RANGE)
+    later = times[times > 0.0]
+    fine = (layer_at(process, limit, float(later.min())),) if later.size else ()
+    probe = probed(process)
+    log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
+    if not probe.log_mass.max() - log_mass < FARTHEST:
+        raise beyond
+    nodes = time_nodes(process, limit, degree, fine=fine, more=nodes)
+
+    def solved(pair: Pair) -> tuple[FirstPassage, Flags]:
+        # Sums to beyond the range are judged below.
+        with np.errstate(over="ignore", invalid="ignore"):
+            answer = FirstPassage(limit, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT))
+            longest = answer.longest
+        if not longest < LARGEST_MEAN:
+            raise beyond
+        a, b = pair
+        unit = np.exp(a.log_local - b.log_local)
+        marked = np.zeros(a.count, dtype=bool)
+        masses = (e.load[:, :2].sum(axis=1) for e in pair)
+        for own, better in ((a.conductance, b.conductance), masses):
+            marked |= np.abs(own * unit - better) > wanted * better
+        if times.size:
+            x = (a.left[:, None] + (a.right - a.left)[:, None] * SAMPLES).ravel()
+            p, better = (each.failure(times, x)[0] for each in (answer.answer, answer.enriched))
+            distance = np.abs(p - better)
+            marked |= (distance.max(axis=0) > wanted).reshape(a.count, -1).any(axis=1)
+        return answer, marked
+
+    return refined(meshed(process, nodes, degree), solved)
+
+
+def fem_passage(
+    process: Process, limit: float, source: Source, times: Array, *, tol: float
+) -> Passage:
+    """Return the first passage of the energy through ``limit`` from ``source`` below it.
+
+    Of a density that begins beyond the limit in part, that part has failed at the time 0. Raises
+    ``InvalidInput`` where the mean time is beyond double precision.
+    """
+    nodes = source.nodes(limit, HIGHEST)
+    solved = first_passage(process, limit, times=times, tol=tol, nodes=nodes)
+    e = solved.answer.elements
+    # The means over the source by the points of the elements, and by those of the enriched ones.
+    x, weights = source.samples(e)
+    y, better = source.samples(solved.enriched.elements)
+    unit, beyond = solved.longest, float(1.0 - weights.sum())
+    off = 0.0 if source.process is None else solved.round_off
+    starts, both = np.linspace(0.0, limit, STARTS), x.size + y.size
+
+    def over(values: Array, errors: Array) -> tuple[Array, Array]:
+        mean, finer = values[..., : x.size] @ weights, values[..., x.size : both] @ better
+        distance = SAFETY * np.abs(mean - finer) + off * np.abs(mean)
+        return mean, errors[..., : x.size] @ weights + distance
+
+    T, T_error, V, V_error = solved.moments(np.concatenate([x, y, starts]))
+    share, share_error = map(float, over(T, T_error))
+    mean = share * unit
+    # The variance is that of each start, and of their means: (E T − mean)² − mean² + mean².
+    own, own_error = over(V, V_error)
+    spread, spread_error = over(T * (T - 2.0 * share), 2.0 * np.abs(T - share) * T_error)
+    with np.errstate(over="ignore"):
+        variance, variance_error = (
+            float(a * unit * unit) for a in (own + (spread + share**2), own_error + spread_error)
+        )
+        curves = T * unit, T_error * unit, V * unit * unit, V_error * unit * unit
+    numbers = Number(mean, share_error * unit), Number(variance, variance_error)
+    # Forward and backward equation are compared at the mean time where no other is asked for.
+    compared = times if times.size else np.array([mean])
+    failure, failure_error = over(*solved.failure(compared, np.append(x, y)))
+    failure = failure + beyond
+    failure_error = failure_error + SAFETY * np.abs(weights.sum() - better.sum()) + off
+    # ∫p where the limit absorbs, by the forward equation.
+    load, later = source.load(e), compared > 0.0
+    g = evolved(e, load, compared[later], held=0.0)
+    kept = np.full(compared.size, load[:, :2].sum())
+    kept[later] = np.einsum("tei,ei->t", g.values, e.load)
+    settings: Settings = {"degree": e.degree, "elements": e.count, "tol": tol}
+    if source.process is not None:
+        settings["beyond the limit at the start"] = float(beyond)
+    return certified_passage(
+        (*numbers, Number(*solved.rate())),
+        times,
+        failure[: times.size],
+        failure_error[: times.size],
+        tol=tol,
+        mass_defect=float(np.abs(kept + failure - 1.0).max()),
+        residual=g.residual,
+        starts=StartCurve(starts, *(a[both:] for a in curves)),
+        settings=settings,
+    )
+
+
+def modulated_passage(motion: Modulated, limit: float, times: Array, *, tol: float) -> Passage:
+    """Return the first passage of ``limit`` under modulated noise.
+
+    P(T > t) is the mass that the forward equation with p = 0 at the limit keeps; mean, variance
+    and failure rate are those of the noise that the modulation ends with. Where it ends with 0 who
+    lives then never fails: moments are infinite, and there is no failure rate. Errors as of
+    ``modulated_transition``, in probabilities and in the moments. Raises ``NotApplicable`` where
+    damping feeds energy in at the limit while there is no noise, and as ``first_passage`` does.
+    """
+    under, modulation, source = motion.under, motion.modulation, motion.source
+    unit, last, quiet = modulation.largest, modulation.last, motion.quiet
+    if unit == 0.0:
+        raise NotApplicable("there is no noise at any time: nothing passes a limit")
+    if modulation.times.size == 1:
+        return fem_passage(under(last), limit, source, times, tol=tol)
+    process = under(unit)
+    at_limit = process.coefficients(np.array([limit]))
+    if float(modulation.factor.min()) == 0.0 and at_limit.dissipation[0] > 0.0:
+        raise NotApplicable(
+            "damping feeds energy in at the limit: while there is no noise, no mesh sees it"
+        )
+    modulation = modulation.after(quiet)
+    end = float(modulation.times[-1])
+    asked = np.maximum(times - quiet, 0.0)
+    asked = asked if last else np.minimum(asked, end)
+    stops = np.unique([0.0, *asked, end])
+    later = first_passage(under(last), limit, times=NONE, tol=0.01 * tol) if last else None
+    first = float(modulation.energy(stops[1])) / unit
+    question, pair = posed(process, source, first, SHARE * tol, limit=limit)
+
+    @lru_cache(maxsize=len(pair))
+    def solve(e: Elements, level: int) -> tuple[Evolved, Array, Array]:
+        """p at the stops > 0; P(T > t) at all stops, E T and E T², and errors by ``later``.
+
+        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end, and those of the time that
+        is left, E(t_e + τ)², over the density of then; the errors are of the two moments.
+        """
+        load = source.load(e)
+        g, t, weight, mass = stepped(
+            e, load, modulation, unit, stops[1:], level=level, absorbing=True
+        )
+        kept = np.append(load[:, :2].sum(), np.einsum("tei,ei->t", g.values, e.load))
+        density = weight * mass * (t <= end)
+        moments, lost = np.array([density.sum(), 2.0 * density @ t]), np.zeros(2)
+        if later is not None:
+            x, longest = e.x.ravel(), later.longest
+            p = g.density(x)[0][np.searchsorted(stops[1:], end)] * e.weight.ravel()
+            T, T_error, V, V_error = later.moments(x)
+            of_square = 2.0 * T * T_error + V_error
+            with np.errstate(over="ignore"):
+                one = np.array([p @ T, np.abs(p) @ T_error]) * longest
+                two = np.array([p @ (T**2 + V), np.abs(p) @ of_square]) * longest * longest
+            moments += [one[0], 2.0 * end * one[0] + two[0]]
+            lost += [one[1], 2.0 * end * one[1] + two[1]]
+        return g, np.append(kept, moments), lost
+
+    solved = adapted(question, pair, lambda e, **_: solve(e, LEVELS[0])[0])
+    e, finer = solved.elements, solved.enriched.elements
+    off = np.abs(solve(e, LEVELS[0])[1] - solve(finer, LEVELS[0])[1])
+
+    def size(moved: Array, numbers: Array) -> float:
+        return float(np.max(moved / np.maximum(numbers, 1.0)))
+
+    level, numbers, moved, settings = halved(e, lambda k: solve(e, k)[1], size, SHARE * tol, tol)
+    g, _, lost = solve(e, level)
+    error, failure, at = SAFETY * (off + moved), 1.0 - numbers[:-2], np.searchsorted(stops, asked)
+    relative = 2.0 * e.coefficient_error(source.energy)
+    relative += ROUNDINGS * EPS * (e.count + e.log_range)
+    failure_error = error[:-2] + _by_coefficients(relative, failure) + ROUNDINGS * EPS
+    never = Number(np.inf, np.inf)
+    moments: tuple[Number, Number, Number | None] = (never, never, None)
+    if later is not None:
+        mean, square = numbers[-2:].tolist()
+        mean_error, square_error = (error[-2:] + lost + 2.0 * relative * numbers[-2:]).tolist()
+        moments = (
+            Number(mean + quiet, mean_error),
+            Number(square - mean**2, square_error + 2.0 * mean * mean_error),
+            Number(*later.rate()),
+        )
+    answer = failure[at], failure_error[at]
+    return certified_passage(
+        moments, times, *answer, tol=tol, residual=g.residual, settings=settings
+    )

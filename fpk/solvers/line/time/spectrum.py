@@ -1,0 +1,98 @@
+"""Relaxation rates of one energy: eigenvalues of −L without flux at the ends, by counting them."""
+
+import math
+
+import numpy as np
+
+from fpk.answer.dynamics import Rates, certified_rates
+from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Integers
+from fpk.numeric.errors import NotCertified
+from fpk.solvers.line.mesh import split_points
+from fpk.solvers.line.time.elements import MOST_ELEMENTS, SAFETY, Elements, degree_for, meshed
+from fpk.solvers.line.time.mesh import time_nodes
+from fpk.solvers.line.time.resolvent import eliminated
+from fpk.solvers.line.time.transition import TAIL
+from fpk.solvers.probe import probed
+from fpk.system.process import Process
+
+LONGER = 1.3
+"""Factor on the last energy from one round to the next."""
+WAVES = 10
+"""Waves of an eigenfunction that an element takes: towards H = 0 the k-th has k a temperature."""
+POINTS = 160
+"""Trial values at which eigenvalues are counted at once: fewer take no less time, and halving the
+interval of each eigenvalue takes the fewest in all."""
+ROUNDS = 6
+"""Most rounds, at every second of which all elements are cut in two."""
+
+
+def eigenvalues_below(e: Elements, rates: Array) -> Integers:
+    """Return how many eigenvalues, 0 among them, are less than each of ``rates`` (points,).
+
+    As many as pivots of A − λM are negative (Sylvester), those of the own functions of the elements
+    among them (Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263).
+    """
+    c = eliminated(e, -rates)
+    inner, ends = (c.damped < 0.0).sum(axis=(0, 1)), (c.total[1:] < 0.0).sum(axis=0)
+    return np.asarray(inner + ends + (c.passed[-1] + c.shunt[-1, 1] < 0.0))
+
+
+def eigenvalues(e: Elements, count: int, scale: float) -> Array:
+    """Return the ``count`` least eigenvalues > 0 of −L, by section; ``scale`` is of their order."""
+    trial = scale * 2.0 ** np.arange(-80.0, 81.0)
+    below = eigenvalues_below(e, trial)
+    wanted, sections = np.arange(2, count + 2), 1 + max(1, POINTS // count)
+    low, high = (trial[np.searchsorted(below, wanted) + k] for k in (-1, 0))
+    while np.any(high - low > 2.0 * EPS * high):
+        share = np.arange(1.0, sections) / sections
+        grid = low[:, None] * (high / low)[:, None] ** share
+        below = eigenvalues_below(e, grid.ravel()).reshape(grid.shape)
+        k = (below < wanted[:, None]).sum(axis=1)
+        every = np.column_stack([low, grid, high])
+        before = high - low
+        low, high = np.take_along_axis(every, np.stack([k, k + 1], 1), 1).T
+        if not np.any(high - low < before):
+            break
+    return 0.5 * (low + high)
+
+
+def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
+    """Return the ``count`` least eigenvalues of −L but 0, all of them real.
+
+    To the relative tolerance ``tol``; the mesh adapts. It ends where π φ², φ ~ H^``count``, has the
+    share ``TAIL``.
+    """
+    degree, scale = degree_for(tol), process.energy_scale
+    special = np.array([0.0, *process.nonsmooth])
+    order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
+    temperature = scale / process.degrees_of_freedom
+    wave = WAVES / count * temperature
+    # ln π φ² is linear in ln H between energies of the probe; φ rises from the temperature on.
+    probe = probed(process)
+    log_energy = np.sort(np.append(np.log(probe.energy), math.log(temperature)))
+    log_mass = np.interp(log_energy, np.log(probe.energy), probe.log_mass)
+    grown = log_mass + 2.0 * count * np.maximum(log_energy - math.log(temperature), 0.0)
+    ends = []
+    for share in TAIL:
+        wanted = log_mass.max() + math.log(share * tol)
+        if not grown[-1] < wanted:
+            raise NotCertified("the density does not fall faster than the eigenfunctions rise")
+        k = int(np.flatnonzero(grown >= wanted)[-1])
+        fall = (grown[k] - wanted) / (grown[k] - grown[k + 1])
+        ends.append(math.exp(log_energy[k] + fall * (log_energy[k + 1] - log_energy[k])))
+    for turn in range(ROUNDS):
+        end, last = (LONGER**turn * energy for energy in ends)
+        nodes = time_nodes(process, end, degree, fine=((0.0, wave),) if count > WAVES else ())
+        for _ in range(turn // 2):
+            nodes = np.sort(np.append(nodes, split_points(nodes[:-1], nodes[1:], special)))
+        pair = meshed(process, nodes, degree, beyond=np.array([last]))
+        answer, (rates, better) = pair[0], (eigenvalues(e, count, order) for e in pair)
+        common = 2.0 * answer.coefficient_error()
+        common += ROUNDINGS * EPS * (answer.count + answer.log_range)
+        errors = SAFETY * np.abs(rates - better) + common * rates
+        if (errors <= tol * rates).all() or 2 * answer.count > MOST_ELEMENTS:
+            break
+    # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost.
+    residual = float(eigenvalues_below(answer, rates[:1] * 0.5)[0] != 1)
+    settings = {"elements": answer.count, "tol": tol}
+    return certified_rates(rates, errors, tol=tol, residual=residual, settings=settings)

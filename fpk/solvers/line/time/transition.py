@@ -1,0 +1,281 @@
+"""Densities of one energy at times after a start, from its transition density."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+
+from fpk.answer.certificate import Certificate, Measured, certify
+from fpk.answer.observable import number_text
+from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
+from fpk.numeric.errors import InvalidInput
+from fpk.solvers.line.time.elements import (
+    ENRICHMENT,
+    SAFETY,
+    Elements,
+    Evolved,
+    Pair,
+    Settings,
+    degree_for,
+    elements,
+    meshed,
+    refined,
+)
+from fpk.solvers.line.time.mesh import GROWTH, HIGHEST, LAYER, NONE, layer_at, time_nodes
+from fpk.solvers.line.time.resolvent import evolved
+from fpk.solvers.probe import probed
+from fpk.system.process import Process
+
+TAIL = (1e-3, 1e-8)
+"""Share of the tolerance that may lie beyond the mesh: of the answer, and of the enriched one."""
+FARTHEST = -600.0
+"""ln of the least stationary probability beyond a start that double precision can relate to one;
+four times as much where the start is a density and not one energy (at −5000 errors exceed it)."""
+STALLED = 0.9
+"""Ratio of the error to that of the round before that shows that finer elements do not help."""
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Initial density of a transient: at one energy, or the stationary one of another process."""
+
+    energy: float = 0.0
+    process: Process | None = None
+
+    def load(self, e: Elements) -> Array:
+        """Return its moments with the functions of each element, (elements, functions)."""
+        x, weights = self.samples(e)
+        k, values = e.functions(x)
+        load = np.zeros(e.load.shape)
+        np.add.at(load, k, weights[:, None] * values)
+        return load
+
+    def nodes(self, end: float, degree: int) -> Array:
+        """Return energies up to ``end`` at which elements have to end to see the source.
+
+        Beyond its extent they grow: it spreads from there.
+        """
+        if self.process is None:
+            return NONE
+        last = min(end, self.extent)
+        steps = np.arange(1.0, np.log(end / last) / np.log(GROWTH))
+        return np.append(time_nodes(self.process, last, degree), last * GROWTH**steps)
+
+    def samples(self, e: Elements) -> tuple[Array, Array]:
+        """Return energies within the elements, and their weights in a mean over the source."""
+        if self.process is None:
+            return np.array([self.energy]), np.ones(1)
+        k = int(np.searchsorted(e.left, self.extent))
+        own, x = elements(self.process, e.left[:k], e.right[:k], e.degree), e.x[:k]
+        log = own.log_density(x.ravel()) - self._log_total
+        return x.ravel(), (e.weight[:k] * np.exp(log).reshape(x.shape)).ravel()
+
+    @cached_property
+    def extent(self) -> float:
+        """Energy above which no more than the round-off of the source is."""
+        return self.energy if self.process is None else float(probed(self.process).extent(EPS))
+
+    @cached_property
+    def _log_total(self) -> float:
+        """ln ∫π of the process, in the unit in which u = 1 at H = 0."""
+        assert self.process is not None
+        nodes = time_nodes(self.process, self.extent, HIGHEST)
+        mass = elements(self.process, nodes[:-1], nodes[1:], HIGHEST).log_mass
+        return float(np.logaddexp.reduce(mass))
+
+
+@dataclass(frozen=True)
+class Question:
+    """A density that begins with ``source``, to the L1 tolerance ``tol``.
+
+    ``width`` is that of the density at the first of the times.
+    """
+
+    source: Source
+    width: float
+    tol: float
+
+    def common_error(self, e: Elements, p: Array, size: Array, x: Array) -> Array:
+        """Return errors that the densities ``p`` at x have in common on any elements.
+
+        By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more
+        the smaller p is. By the rounding of energies: p changes over the width of the density at
+        the first time. By what cancels in p, of which ``size`` is that of the terms.
+        """
+        rounding = ROUNDINGS * EPS * (1.0 + x / self.width + e.log_range)
+        top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
+        steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
+        coefficients = 2.0 * e.coefficient_error(self.source.energy) * steep
+        coefficients += e.relative_error[e.element_of(x)]
+        return np.asarray((coefficients + rounding) * np.abs(p) + ROUNDINGS * EPS * size)
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """The density of an energy at several times after a start, with its error and certificate.
+
+    ``distance`` (times, elements, points) is that to more accurate solutions at the ``points`` of
+    the elements, ``top`` (times,) the largest density there.
+    """
+
+    question: Question
+    solution: Evolved
+    enriched: Evolved
+    distance: Array
+    top: Array
+    measured: Measured
+    settings: Settings
+
+    @property
+    def elements(self) -> Elements:
+        """The elements of the answer."""
+        return self.solution.elements
+
+    @property
+    def certificate(self) -> Certificate:
+        """The certificate by the tolerance that was asked for."""
+        return certify(self.measured, tol=self.question.tol)
+
+    def density(self, x: Array) -> tuple[Array, Array]:
+        """Return p and its error at energies x (points,): two arrays (times, points).
+
+        Below 0 both are 0; beyond the last element p is 0 and the error what it is at the end.
+        """
+        e = self.elements
+        end = float(e.right[-1])
+        inside, positive = e.process.on_mesh(x, end)
+        p, size = self.solution.density(inside)
+        error = SAFETY * self.distance.max(axis=2)[:, e.element_of(inside)]
+        error = error + self.question.common_error(e, p, size, inside)
+        # Far from the peak p is a difference of larger numbers.
+        error += ROUNDINGS * EPS * self.top[:, None]
+        error = np.where(x > end, error + np.abs(p), error)
+        return np.where(positive, p, 0.0), np.where(x >= 0.0, error + SMALLEST, 0.0)
+
+
+def transition(process: Process, source: Source, times: Array, *, tol: float = 1e-10) -> Transition:
+    """Return the density at ``times`` > 0 after ``source``, to the L1 tolerance ``tol``.
+
+    The mesh adapts, fine at the start; what is not met is said in the certificate. Raises
+    ``InvalidInput`` for a start beyond the range of double precision.
+    """
+
+    def propagated(times: Array, e: Elements, more: int) -> Evolved:
+        return evolved(e, source.load(e), times, more=more)
+
+    question, pair = posed(process, source, float(times.min()), tol)
+    # The mesh is adapted at six of the times first, then at all.
+    few = np.unique(np.linspace(0, times.size - 1, 6).astype(int))
+    for chosen in (times[few], times) if few.size < times.size else (times,):
+        solved = adapted(question, pair, partial(propagated, chosen))
+        pair = solved.elements, solved.enriched.elements
+    return solved
+
+
+def posed(
+    process: Process, source: Source, time: float, tol: float, *, limit: float | None = None
+) -> tuple[Question, Pair]:
+    """Return the question, ``time`` the first one asked for, and the meshes to begin with.
+
+    Those of the answer and of the enriched solution, which reaches farther where there is no
+    absorbing ``limit``: beyond it is no more than ``TAIL`` at any time. From a start in the
+    stationary state beyond the energy H_0 it is not more, at any energy, than the stationary tail
+    over that beyond H_0; and from H_0 itself still less. Raises ``InvalidInput`` for a start beyond
+    the range of double precision.
+    """
+    degree, start = degree_for(tol), source.energy
+    width, fine, beyond = process.energy_scale, [], NONE
+    if source.process is None:
+        # √(b t), b ~ H at H = 0, where b' is wanted beside it.
+        c = process.coefficients(np.array([max(start, 1e-9 * process.energy_scale)]))
+        spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0
+        width = max(spread, 0.5 * float(c.divergence[0]) * time)
+        fine.append((start, LAYER * width))
+    if limit is not None:
+        fine.append(layer_at(process, limit, time))
+        end = limit
+    else:
+        probe = probed(process)
+        top, shares = int(probe.log_mass.argmax()), [0.0, 0.0]
+        for k, energy in enumerate((start, source.extent)):
+            if energy > probe.energy[top]:
+                above = np.interp(np.log(energy), np.log(probe.energy), probe.log_mass)
+                shares[k] = float(above - probe.log_mass[top])
+        if shares[0] < FARTHEST or shares[1] < 4.0 * FARTHEST:
+            remedy = "the stationary probability beyond it is out of the range of double precision"
+            raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
+        ends = []
+        for tail in TAIL:
+            extents = [probe.extent(math.exp(math.log(tail * tol) + shares[0])), 1.05 * start]
+            if source.process is not None:
+                extents.append(probed(source.process).extent(tail * tol))
+            ends.append(max(extents))
+        # The enriched solution reaches farther, by a fiftieth at least.
+        end, last = ends[0], max(ends[1], 1.02 * ends[0])
+    nodes = time_nodes(process, end, degree, fine=tuple(fine), more=source.nodes(end, degree))
+    if limit is None:
+        length = float(nodes[-1] - nodes[-2])
+        beyond = np.linspace(end, last, 1 + max(1, math.ceil((last - end) / length)))[1:]
+    return Question(source, width, tol), meshed(process, nodes, degree, beyond=beyond)
+
+
+def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Transition:
+    """Return what ``solve(e=elements, more=0)`` gives on meshes cut where they have to be, judged.
+
+    For the enriched solution ``more`` is ``ENRICHMENT``.
+    """
+    before, tol = math.inf, question.tol
+
+    def solved(pair: Pair) -> tuple[Transition, Flags]:
+        nonlocal before
+        solutions = solve(e=pair[0], more=0), solve(e=pair[1], more=ENRICHMENT)
+        answer, own, rounding = judged(question, *solutions)
+        marked = own > np.maximum(0.1 * tol / own.size, rounding)
+        small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < STALLED * before
+        before = own.sum()
+        return answer, marked & (not small)
+
+    return refined(pair, solved)
+
+
+def judged(
+    question: Question, own: Evolved, finer: Evolved, *, distance: Array | None = None
+) -> tuple[Transition, Array, Array]:
+    """Return the solution, judged, each element's part of its error, and of its round-off.
+
+    ``distance`` as of ``Transition``; left out, it is that to the enriched solution ``finer``.
+    """
+    answer, enriched = own.elements, finer.elements
+    x, w = answer.x, answer.weight
+    p, size = own.density(x.ravel())
+    shape = (len(p), *x.shape)
+    if distance is None:
+        better, other = finer.density(x.ravel())
+        distance, size = np.abs(p - better).reshape(shape), size + other
+    last = float(enriched.right[-1])
+    # What the enriched solution has beyond the last element of the answer.
+    far, far_w = enriched.x[answer.count :], enriched.weight[answer.count :]
+    beyond = np.abs(finer.density(np.append(far.ravel(), last))[0])
+    tail = (beyond[:, :-1] @ far_w.ravel()).max()
+    tail += probed(answer.process).tail_bound(last, float(beyond[:, -1].max()))
+    common = question.common_error(answer, p, size, x.ravel())
+    pointwise = SAFETY * distance.reshape(p.shape) + common
+    common = common.reshape(shape) * w
+    top = p.max(axis=1)
+    measured = Measured(
+        l1_error=float(((SAFETY * distance * w) + common).sum(axis=(1, 2)).max() + 2.0 * tail),
+        mass_defect=float(np.abs(p @ w.ravel() - 1.0).max()),
+        minimum=float((p.min(axis=1) / top).min()),
+        residual=own.residual,
+        tail_mass=float(tail),
+        absolute_error=float((pointwise.max(axis=1) / top).max()),
+    )
+    settings: Settings = {
+        "degree": answer.degree, "elements": answer.count, "last energy": float(answer.right[-1]),
+        "tol": question.tol,
+    }  # fmt: skip
+    solved = Transition(question, own, finer, distance, top, measured, settings)
+    each = (distance * w).sum(axis=2).max(axis=0)
+    return solved, each, common.sum(axis=2).max(axis=0)

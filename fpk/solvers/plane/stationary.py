@@ -1,0 +1,298 @@
+"""Certified solution of the stationary FPK equation of two energies, Eq. (19).
+
+One discretisation on a ladder of rungs: p = w u, w a weight near p, u of high degree on a few
+panels. In the norm that the weak form weights by w ≈ p an error ε of u is one of ε √p of p, so that
+p stays positive far below the tolerance. Where that does not get to the tolerance, w = 1 on more
+elements: the smaller the smallest p that must be right, the more of them. Any w gives the same p,
+so that neither rests on a guess. Under detailed balance, where no probability flows, the weight is
+the density: p = w/∫w.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from math import ceil
+
+import numpy as np
+
+from fpk.answer.certificate import Measured, certify, outside
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput, NotCertified
+from fpk.numeric.piecewise import PiecewiseTensor
+from fpk.solvers.plane.solution import (
+    ENRICHMENT,
+    ROUND_OFF,
+    PlaneSolution,
+    gauss_grid,
+    graded,
+    null_function,
+    solve_plane_on_mesh,
+    tails,
+)
+from fpk.solvers.plane.weight import (
+    BEYOND,
+    NATS,
+    RISE_PER_DEGREE,
+    Probe,
+    Weight,
+    divided_by_diffusion,
+    fitted_weight,
+    flux_free_weight,
+    probed,
+)
+from fpk.system.ends import require_confined
+from fpk.system.process import Process
+
+RUNGS = ((2, 6), (2, 10), *((4, p) for p in range(8, 19)), *((n, 18) for n in range(5, 9)))
+"""Panels along each axis and degree of the attempts. Those on two panels cost little, and give the
+weight; of higher degree over so long panels the equations lose digits to round-off. From four on
+the degree is raised first: a digit costs less so."""
+DIGITS = 0.6
+"""Digits of the error that a rung of the ladder gains: 0.4 to 0.85, measured for circulating van
+der Pol damping and mixtures of exponentials."""
+COARSE = 1e-4
+"""Error above which a better weight is tried on the same rung, or five rungs on, first: it gains
+more."""
+LONGER = 4.0
+"""Rise of −ln w from the far edges of the answer to those of the enriched solution, and to those of
+the next answer where too much mass lies beyond."""
+MIN_EXTENSION = 1.05
+"""Least relative lengthening of the mesh for the enriched solution: ``Weight.ends`` is good to 7 %
+only."""
+KNOWN = 0.1
+"""Relative error of p up to which ln p is fitted."""
+SAMPLES = 32
+"""Points along each axis at which a weight is fitted."""
+MAX_ENTRIES = 2e7
+"""Entries of all element matrices of the enriched solution: 160 MB, several times over."""
+
+
+def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
+    """Return the stationary density of two energies to the L1 tolerance ``tol``.
+
+    No boundary condition is imposed: at H_i = 0 the diffusion across vanishes, and zero flux is
+    natural there and far out. If no attempt is certified, the one of the least error estimate is
+    returned, not certified.
+
+    Raises ``NotCertified`` where the density does not fall off, ``InvalidInput`` for a process
+    that has not two energies.
+    """
+    if process.dimension != 2:
+        raise InvalidInput("process", process.dimension, "must have two energies")
+    require_confined(process)
+    probe = probed(process)
+    best: PlaneSolution | None = None
+    for solution in _attempts(process, probe, tol):
+        if solution.certificate.certified:
+            return solution
+        if best is None or not best.l1_error <= solution.l1_error:
+            best = solution
+    if best is None:
+        raise NotCertified("neither a weight nor an affordable mesh gives the density")
+    return best
+
+
+def _attempts(process: Process, probe: Probe, tol: float) -> Iterator[PlaneSolution]:
+    """Solutions, each made after the one before was not certified.
+
+    Where no polynomial falls off, the first w is the product of exponentials of the scales.
+    """
+    weight = flux_free_weight(probe, process.energy_scales)
+    if weight is None:
+        first, second = process.energy_scales
+        weight = Weight(np.array([[0.0, 1.0], [1.0, 0.0]]), (first, second))
+    balanced = detailed_balance(process, weight, tol=tol)
+    if balanced is not None:
+        yield balanced
+    try:
+        yield from solve_with_weight(process, weight, tol=tol)
+        yield solve_by_elements(process, probe, tol=tol)
+    except NotCertified:
+        return
+
+
+def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSolution | None:
+    """Return p = w/∫w if the flux of w vanishes, as far as the error ``tol`` is concerned.
+
+    Zero flux is ``∇ ln p = b⁻¹ (2s − ∇·b)``; the integral along each axis of what −∇ ln w misses of
+    it bounds how far ln p is off. There p does not count: behind a barrier a small difference in
+    its slope moves mass from one side to the other. Returned is None where the bound is more than
+    half the tolerance, or where w varies too fast for 24 panels along each axis, 3e5 points.
+    """
+    weight = replace(weight, floor=0.0)
+    try:
+        ends = weight.ends(max(NATS, -float(np.log(BEYOND * tol))))
+    except NotCertified:
+        return None
+    points = 22  # of Gauss on each panel: e^(−32 t) is integrated to 4e-14
+    for panels in (2, 4, 8, 16, 24):
+        (x, y), (v, area) = gauss_grid(graded(ends, panels), points)
+        w, *slopes = weight.on_grid(x, y)
+        mass = float(v @ w @ area)
+        (fewer_x, fewer_y), fewer = gauss_grid(graded(ends, panels), points - 2)
+        p = weight(fewer_x[:, None], fewer_y) / mass
+        mass_defect = abs(float(fewer[0] @ p @ fewer[1]) - 1.0)
+        if mass_defect <= 1e-12:  # what is left of it is in the stated error
+            break
+    else:
+        return None
+    at = np.stack(np.broadcast_arrays(x[:, None], y), axis=-1)
+    c = process.coefficients(at.reshape(-1, 2))
+    slope = np.stack(slopes, axis=-1).reshape(-1, 2)
+    flow = 2.0 * c.drift - c.divergence
+    flux = np.einsum("nij,nj->ni", c.diffusion, slope) + flow
+    missed = np.abs(divided_by_diffusion(flux, c.diffusion)).reshape(at.shape)
+    missed[w < np.exp(-NATS) * w.max()] = 0.0
+    # Twice, as p is normalised: a factor in one place is a factor everywhere else.
+    wrong = 2.0 * float(missed[..., 0].max(axis=1) @ v + missed[..., 1].max(axis=0) @ area)
+    if not wrong <= 0.5 * tol:
+        return None
+    # Four parts of each panel: over a rise of 8 twelve Gauss points give e^(−8 t) to 3e-16, for
+    # all that integrates p over its panels.
+    nodes = graded(ends, 4 * panels)
+    u = PiecewiseTensor(nodes, np.full((4 * panels,) * 2 + (1, 1), 1.0 / mass))
+    tail = float(tails(w / mass, (x, y), (v, area), points)[0].sum())
+    sizes = p * weight.terms(fewer_x[:, None], fewer_y)
+    rounding = ROUND_OFF * float(fewer[0] @ sizes @ fewer[1])
+    terms = np.abs(flow) * w.reshape(-1, 1)
+    measured = Measured(
+        l1_error=wrong + 2.0 * tail + mass_defect + rounding,
+        mass_defect=mass_defect,
+        minimum=float(w.min() / w.max()),
+        residual=float(np.max(np.abs(flux) * w.reshape(-1, 1)) / terms.max()),
+        tail_mass=tail,
+    )
+    relative, certificate = wrong + tail + mass_defect, certify(measured, tol=tol)
+    return PlaneSolution(process, u, u, weight, relative, measured, certificate)
+
+
+def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterator[PlaneSolution]:
+    """Yield solutions on more and more unknowns, each with a better weight.
+
+    Ends where the weight does not fall off, the error no longer falls, or after the last rung.
+    """
+    rung, least, stalled, best = 0, np.inf, 0, weight
+    rise = -float(np.log(BEYOND * tol))
+    reach = max(rise, 25.0)  # the first weight may be far from p
+    while rung < len(RUNGS) and stalled < 2:
+        panels, degree = RUNGS[rung]
+        try:
+            ends, farther = weight.ends(reach), weight.ends(reach + LONGER)
+        except NotCertified:
+            return
+        nodes = graded(ends, panels)
+        # All panels grow alike: to lengthen the last one alone would cost the enriched solution as
+        # much there, where u is least smooth, as its degree gains.
+        first, second = (
+            H * max(end / H[-1], MIN_EXTENSION) for H, end in zip(nodes, farther, strict=True)
+        )
+        solution = solve_plane_on_mesh(
+            process, nodes, degree, tol=tol, weight=weight, longer=(first, second)
+        )
+        yield solution
+        error, better = solution.l1_error, None
+        halved = error < 0.5 * least
+        # A mass beyond that is a millionth of the error is not known so well.
+        if outside(solution.measured) > 0.1 * max(tol, 1e-6 * error) or not halved:
+            rise = reach + LONGER
+        reach = rise
+        if halved:
+            best, better, least = weight, weight_of(solution), error
+        # On the first rung an error above ten times that says too little of p.
+        if better is None or error < COARSE or (rung == 0 and error > 10.0 * COARSE):
+            rung = finer(rung, error / tol, coarse=error > COARSE)
+        # A weight that does not lower the error extrapolates badly: back to the one before.
+        weight = best if better is None else better
+        stalled = 0 if halved else stalled + 1
+
+
+def finer(rung: int, missing: float, *, coarse: bool) -> int:
+    """Return the next of ``RUNGS`` where the error is ``missing`` times the tolerance.
+
+    As many rungs on as the missing digits take, if ``coarse`` five at the most; no rung beyond the
+    highest degree is skipped to. Where the density does not fall off at the edges infinitely many
+    digits are missing.
+    """
+    gain = ceil(min(float(np.log10(max(missing, 1.0))) / DIGITS, float(len(RUNGS))))
+    gain = min(gain, 5) if coarse else gain
+    # The second rung is four degrees above the first.
+    return max(rung + 1, min(rung + gain - (3 if rung == 0 else 0), RUNGS.index((4, 18))))
+
+
+def weight_of(solution: PlaneSolution) -> Weight | None:
+    """Return a weight fitted to −ln p where p is known, None where no fit is much better.
+
+    An error ε of p in the norm weighted by w ≈ p is one of ε √p: relative to p it is below
+    ``KNOWN`` as far as p > (ε/KNOWN)² of its maximum.
+    """
+    rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / KNOWN))
+    if not rise > 2.0 * RISE_PER_DEGREE:
+        return None
+    ends = [nodes[-1] for nodes in solution.nodes]
+    # First on the whole mesh, to see how far p is known; then on the box in which it is.
+    for _ in range(2):
+        x, y = (np.linspace(0.0, end, SAMPLES) for end in ends)
+        p, better = (f(x[:, None], y) for f in (solution.density, solution.enriched_density))
+        known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < KNOWN * better)
+        known &= better > np.exp(-rise) * better.max()
+        if not known.any():
+            return None
+        ends = [
+            float(H[min(int(np.flatnonzero(known.any(axis=1 - axis))[-1]) + 1, SAMPLES - 1)])
+            for axis, H in enumerate((x, y))
+        ]
+    log_p = np.log(np.where(known, better, 1.0))
+    return fitted_weight((x, y), log_p, known, rise, present=solution.weight)
+
+
+def solve_by_elements(
+    process: Process,
+    probe: Probe,
+    *,
+    tol: float,
+    degree: int | None = None,
+    marked: float = 0.1,
+    solved: Callable[..., tuple[PiecewiseTensor, float]] = null_function,
+) -> PlaneSolution:
+    """Return the plain solution, w = 1, to the L1 tolerance ``tol``, refining the mesh.
+
+    ``degree`` follows from ``tol`` unless given. Of the intervals, four along each axis at first,
+    those are halved whose highest modes exceed the share ``marked`` of the largest, all of them for
+    0; the mesh is lengthened where mass lies beyond: until the answer is certified, or the next
+    mesh has more than ``MAX_ENTRIES``. The ends of the first mesh are from the ``probe``.
+    ``solved`` as of ``solve_plane_on_mesh``.
+
+    Raises ``NotCertified`` where the first mesh has more than ``MAX_ENTRIES``.
+    """
+    if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
+        degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))
+    points, solution = degree + ENRICHMENT, None
+    first, second = graded(np.array(process.energy_scales) * probe.extent(1e-2 * tol), 4)
+    while (first.size - 1) * (second.size - 1) * (points + 1) ** 4 <= MAX_ENTRIES:
+        longer = _lengthened(first), _lengthened(second)
+        solution = solve_plane_on_mesh(
+            process, (first, second), degree, tol=tol, longer=longer, solved=solved
+        )
+        if solution.certificate.certified:
+            break
+        energies, weights = gauss_grid(solution.nodes, points)
+        p = solution.density(energies[0][:, None], energies[1])
+        beyond = tails(p, energies, weights, points)[0] > 0.1 * tol
+        area = np.multiply.outer(np.diff(first), np.diff(second))
+        size = np.abs(solution.u.coefficients) * area[:, :, None, None]
+        highest = size[:, :, -2:].sum(axis=(1, 2, 3)), size[..., -2:].sum(axis=(0, 2, 3))
+        limit = marked * max(x.max() for x in highest)
+        first, second = (
+            np.sort(np.append(x, 0.5 * (x[1:] + x[:-1])[rough >= limit]))
+            for x, rough in zip((first, second), highest, strict=True)
+        )
+        first, second = (
+            _lengthened(x) if far else x for x, far in zip((first, second), beyond, strict=True)
+        )
+    if solution is None:
+        raise NotCertified(f"the tolerance {tol:.2g} takes more elements than are affordable")
+    return solution
+
+
+def _lengthened(nodes: Array) -> Array:
+    """The nodes with another interval as long as the last one."""
+    return np.append(nodes, 2.0 * nodes[-1] - nodes[-2])

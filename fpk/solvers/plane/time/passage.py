@@ -1,0 +1,281 @@
+"""First passage of two energies and their slowest relaxation rates.
+
+u(t) = P(T > t) of a start solves ∂u/∂t = L u with u = 0 on the limit, its mean L T = −1 and
+L E[T²] = −2 T: the transpose of the operator of the density.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigs
+
+from fpk.answer.dynamics import Rates, certified_rates
+from fpk.answer.evolution import BEYOND_RANGE, Passage, certified_passage
+from fpk.answer.number import Number
+from fpk.answer.observable import number_text
+from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes
+from fpk.numeric.errors import InvalidInput, NotCertified
+from fpk.solvers.plane.solution import SAFETY, Nodes, graded
+from fpk.solvers.plane.time.exponential import KRYLOV, evolved, factorised, relative_residual
+from fpk.solvers.plane.time.levels import Frame, PlaneStart
+from fpk.solvers.plane.time.operator import PlaneOperator
+
+FOLDS = 5.0
+"""Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
+of its exponential."""
+HIGHEST = 300.0
+"""Largest rise of −ln w up to a limit: E T² of the order of e^600 is within double precision."""
+MOST_UNKNOWNS = 300_000
+"""Unknowns of the largest level, of 3 GB; two levels are needed for an answer with an error."""
+SHARE = 0.1
+"""Share of the largest error of the reliability that is in each: levels agree by chance, too."""
+VECTORS = (4, 30)
+"""Arnoldi vectors: so many times those sought, and so many more. Rates of the same size are common,
+of modes that decay alike, and a small space may miss one."""
+HEIGHT = 8.0
+"""Rise of −ln w by which meshes are longer than for densities: modes grow with the energy."""
+
+
+@dataclass(frozen=True)
+class PlaneLimit:
+    """Limits of H1, of H2 (None: none), whichever is passed first, or of H1 + H2."""
+
+    first: float | None = None
+    second: float | None = None
+    total: float | None = None
+
+    @property
+    def collapsed(self) -> bool:
+        """Whether the limit is an edge of a rectangle in the coordinates (H, H1/H)."""
+        return self.total is not None
+
+    @property
+    def absorbing(self) -> tuple[bool, bool]:
+        """Which far edges are limits."""
+        return self.collapsed or self.first is not None, self.second is not None
+
+    def edge(self, far: Array) -> tuple[Array, Array]:
+        """Return energies along the limit, up to ``far`` where there is none."""
+        t = np.linspace(0.0, 1.0, 41)
+        if self.total is not None:
+            return self.total * t, self.total * (1.0 - t)
+        a, b = (far[k] if x is None else x for k, x in enumerate((self.first, self.second)))
+        lines = np.array([[a + 0.0 * t, b * t], [a * t, b + 0.0 * t]])[np.array(self.absorbing)]
+        return np.concatenate(lines[:, 0]), np.concatenate(lines[:, 1])
+
+    def nodes(self, frame: Frame, rise: float, panels: int) -> Nodes:
+        """Return nodes up to the limit, or to where −ln w exceeds ``rise``; more where it rises."""
+        if self.total is not None:
+            corners = frame.heights(
+                self.total * np.array([0.0, 1.0]), self.total * np.array([1.0, 0.0])
+            )
+            rise, across = float(corners.max()), abs(float(corners[1] - corners[0]))
+            angles = np.linspace(0.0, 0.5 * np.pi, 1 + max(panels, int(across / FOLDS)))
+            along = graded((self.total, 1.0), max(panels, int(rise / FOLDS)))[0]
+            return along, np.sin(angles) ** 2
+        limits = zip((self.first, self.second), frame.ends(rise), strict=True)
+        ends = [far if limit is None else limit for limit, far in limits]
+        rises = frame.heights(np.array([ends[0], 0.0]), np.array([0.0, ends[1]]))
+        first, second = (
+            graded((end, 1.0), max(panels, int(rise / FOLDS)))[0]
+            for end, rise in zip(ends, rises, strict=True)
+        )
+        return first, second
+
+
+class _Answer(NamedTuple):
+    """Mean, variance and rate (3,), the reliability, round-off and residual of one level."""
+
+    op: PlaneOperator
+    numbers: Array
+    rounding: Array
+    survival: Array
+    survival_error: Array
+    residual: float
+
+
+def first_passage(
+    frame: Frame,
+    start: PlaneStart,
+    limit: PlaneLimit,
+    times: Array,
+    *,
+    tol: float,
+    coefficients_error: float = 0.0,
+) -> Passage:
+    """Return the first passage of ``limit``, with the reliability at ascending ``times`` >= 0.
+
+    Levels rise until two of them agree to ``tol``, relative to mean, variance and rate; the answer
+    is that of the finer one. What a density at the start has beyond the limit fails at 0.
+    ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
+    limit whose mean time is beyond double precision, or that takes more than ``MOST_UNKNOWNS``.
+    Levels end early where they are nearer to each other than the error that no level lowers, or
+    come nearer so slowly that those left could not meet it, see ``_hopeless``.
+    """
+    height = start.height(frame)
+    far = frame.ends(frame.rise(tol, height, 0))
+    lowest = float(np.min(frame.heights(*limit.edge(far))))
+    given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
+    words = ", ".join(map(number_text, given))
+    if lowest > HIGHEST:
+        raise InvalidInput("limit", words, BEYOND_RANGE)
+    operators = frame.operators(
+        lambda rise, panels: limit.nodes(frame, rise, panels),
+        tol=tol,
+        height=max(height, lowest),
+        absorbing=limit.absorbing,
+        collapsed=limit.collapsed,
+    )
+    every = [op for op in operators if op.sizes[0] * op.sizes[1] <= MOST_UNKNOWNS]
+    if len(every) < 2:
+        remedy = "so rare a failure takes more equations than fit into memory; take a lower one"
+        raise InvalidInput("limit", words, remedy)
+    distances = list[float]()
+    levels = (_answer(op, start, times, tol) for op in every)
+    for left, (coarse, fine) in zip(reversed(range(len(every) - 1)), pairwise(levels), strict=True):
+        edge = limit.edge(np.array([x[-1] for x in fine.op.nodes]))
+        # The relative error by coefficients, weight and start.
+        model = coefficients_error * (2.0 + 2.0 * float(np.min(frame.heights(*edge))))
+        model += 2.0 * frame.relative_error + start.l1_error
+        values = fine.numbers
+        errors = np.abs(values - coarse.numbers) + fine.rounding + model * np.abs(values)
+        # The variance is the difference of two moments, each with the error of the coefficients.
+        errors[1] += model * 2.0 * values[0] ** 2
+        lost = np.abs(fine.survival - coarse.survival) + fine.survival_error + model
+        mean, variance, rate = map(Number, values.tolist(), errors.tolist())
+        answer = certified_passage(
+            (mean, variance, rate),
+            times,
+            1.0 - fine.survival,
+            lost + SHARE * np.max(lost, initial=0.0),
+            tol=tol,
+            residual=float(np.max([fine.residual, coarse.residual])),
+            settings={"unknowns": int(fine.op.free.size), "degree": fine.op.degree},
+        )
+        apart = values / coarse.numbers - 1.0, fine.survival - coarse.survival
+        distances.append(float(np.max(np.abs(np.concatenate(apart)))))
+        if answer.certificate.certified or _hopeless(distances, left, max(tol, model)):
+            break
+    return answer
+
+
+def _hopeless(distances: list[float], left: int, tol: float) -> bool:
+    """Whether ``left`` levels more gain nothing, or cannot come to ``tol``, by their distances.
+
+    Even if each gained the square of what the last did: modes whose rates differ by 1e20 lose half
+    of the error a level, and the last levels take a minute.
+    """
+    if distances[-1] <= tol or len(distances) < 2 or not left:
+        return distances[-1] <= 0.1 * tol
+    gain = distances[-1] / distances[-2]
+    return bool(distances[-1] * gain ** (2 ** (left + 1) - 2) > tol)
+
+
+def _answer(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> _Answer:
+    # Equal factors on all three change nothing; without them small energies underflow.
+    A, M, shares = (part / op.matrices[2].max() for part in op.matrices)
+    transposed, dual = (-A.T).tocsc(), start.dual(op)
+    backward = factorised(transposed)
+    sizes = abs(transposed)
+
+    def solved(right: Array) -> tuple[Array, Array, float]:
+        """K⁻ᵀ of a vector, what one step of refinement changed, and the residual."""
+        first = backward.solve(right)
+        change = backward.solve(right - transposed @ first)
+        x = first + change
+        return x, change, relative_residual(transposed, sizes, x, right)
+
+    T, change, residual = solved(shares)
+    square, _, _ = solved(2.0 * (M @ T))
+    mean, second = float(dual @ T), float(dual @ square)
+    if not mean > 0.0:
+        remedy = "the elements do not see so narrow a density; start from rest or louder noise"
+        raise InvalidInput("start", "stationary", remedy)
+    # A multiple of the change by a step of iterative refinement, and 1e-14 always.
+    relative = ROUNDINGS * abs(float(dual @ change)) / mean + 1e-14
+    # The least λ of K u = λ M u is real and simple; 1/λ is of the order of the longest mean time.
+    # Of a rare failure, far below all other rates, two Arnoldi vectors would do.
+    longest = np.max(np.abs(T))
+    inverse = LinearOperator(A.shape, matvec=lambda u: backward.solve(M @ u) / longest, dtype=float)
+    (largest,) = eigs(inverse, k=1, ncv=8, v0=T / longest, tol=0.0, return_eigenvectors=False)
+    rate = 1.0 / (largest.real * longest)
+    numbers = np.array([mean, second - mean**2, rate])
+    rounding = relative * np.array([mean, second + 2.0 * mean**2, rate])
+    survival, lost = np.full(times.size, float(np.nan)), np.zeros(times.size)
+    at_zero = times <= 0.0
+    if start.density is None:
+        survival[at_zero] = 1.0
+    else:
+        survival[at_zero] = float(dual @ factorised(M).solve(shares))
+    # E T <= t + P(T > t) max E T: where failure is rare that is enough.
+    top = float(op.largest(T))
+    bound = (top - mean + times) / top + relative
+    early = ~at_zero & (bound <= KRYLOV * tol)
+    survival[early], lost[early] = 1.0, bound[early]
+    late = ~at_zero & ~early
+    if np.any(late):
+        u = evolved(-transposed, M, shares, times[late], tol=KRYLOV * tol)
+        survival[late] = u.values @ dual
+        lost[late] = np.abs(u.change @ dual) + ROUNDINGS * u.rounding * op.largest(u.values)
+        residual = float(np.max([residual, u.residual]))
+    return _Answer(op, numbers, rounding, survival, lost, residual)
+
+
+def relaxation_rates(frame: Frame, count: int, *, tol: float, relative: float = 0.0) -> Rates:
+    """Return the ``count`` eigenvalues of −L with the least real parts but 0.
+
+    Levels rise until two of them agree to ``tol``, relative to each; the answer is that of the
+    finer one. ``relative`` is the relative error of the coefficients. Raises ``NotCertified`` where
+    the two finest levels have fewer unknowns than that.
+    """
+
+    def nodes(rise: float, panels: int) -> Nodes:
+        return graded(frame.ends(rise), panels)
+
+    # A rate of the order of the slowest: b/H² of the energies at their scales, the lesser one.
+    scales = np.array(frame.process.energy_scales)
+    b = frame.process.coefficients(scales[None, :]).diffusion[0]
+    shift, sought, answer = float(np.min(np.diag(b) / scales**2)), 2 * count + 2, None
+    vectors = VECTORS[0] * sought + VECTORS[1]
+    levels = (
+        (op, *_eigenvalues(op, sought, vectors, shift))
+        for op in frame.operators(nodes, tol=tol, height=HEIGHT)
+        if vectors < op.free.size
+    )
+    for (_, coarse, _), (op, every, residual) in pairwise(levels):
+        values = every[:count]
+        size = np.abs(values)
+        errors = SAFETY * np.abs(coarse - values[:, None]).min(axis=1)
+        # Round-off of an eigenvalue of the shifted inverse, relative to its largest.
+        errors += 50.0 * EPS * (size + shift) ** 2 / shift
+        errors += (relative + 2.0 * frame.relative_error) * size
+        settings = {"unknowns": int(op.free.size), "degree": op.degree}
+        answer = certified_rates(values, errors, tol=tol, residual=residual, settings=settings)
+        if answer.certificate.certified:
+            break
+    if answer is None:
+        raise NotCertified(f"{count} rates take more unknowns than are affordable")
+    return answer
+
+
+def _eigenvalues(
+    op: PlaneOperator, sought: int, vectors: int, shift: float
+) -> tuple[Complexes, float]:
+    """Return the eigenvalues of −L but 0 with Im λ >= 0, and the residual of their equation."""
+    A, M, _ = op.matrices
+    factors = factorised((shift * M - A).tocsc())
+    inverse = LinearOperator(A.shape, matvec=lambda x: factors.solve(M @ x), dtype=float)
+    start: Array = np.random.default_rng(0).normal(size=A.shape[0])
+    s, X = eigs(inverse, k=sought, ncv=vectors, v0=start, tol=0.0)
+    values = 1.0 / s - shift
+    # A double eigenvalue, which is real, splits by the root of round-off.
+    values = np.where(np.abs(values.imag) <= 1e-9 * np.abs(values), values.real, values)
+    defect = np.asarray(A @ X + (M @ X) * values)
+    terms = np.asarray(abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(values))
+    residual = float(np.max(np.abs(defect)) / np.max(terms))
+    order = np.lexsort((values.imag, values.real))
+    order = order[(values.imag[order] >= 0.0)]
+    stationary = int(np.argmin(np.abs(values[order])))
+    return np.asarray(np.delete(values[order], stationary)), residual

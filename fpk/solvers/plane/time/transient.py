@@ -1,0 +1,181 @@
+"""Densities of two energies at times after a start, as they are seen, with their errors."""
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.evolution import LARGEST_ERROR, Transient
+from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.plane.solution import Nodes, gauss_grid, graded
+from fpk.solvers.plane.time.exponential import KRYLOV, Evolved, evolved
+from fpk.solvers.plane.time.levels import MORE, Frame, PlaneStart
+from fpk.solvers.plane.time.operator import PlaneOperator
+
+Seen = Literal["pair", "first", "second", "sum"]
+"""The coordinates in which a density of two energies is seen."""
+HEIGHT = 12.0
+"""Largest rise of −ln w up to a start: errors of p grow by the root of its exponential, here 400.
+A start higher up gets a flatter weight."""
+SHARE = 0.05
+"""Share of the largest difference of two levels, anywhere, that is in the error at every point:
+their difference crosses zero."""
+GIVEN_UP = (13, 0.5)
+"""Degree from which on an L1 distance larger than that ends the search: the last level resolves
+times a quarter as long, and no shorter ones."""
+
+
+class Level(NamedTuple):
+    """Densities at all times on the elements of one operator.
+
+    ``evolved`` holds the free unknowns; ``g`` and ``change`` (times, n1, n2) are its ``values`` and
+    ``change`` as coefficients of all shape functions.
+    """
+
+    op: PlaneOperator
+    evolved: Evolved
+    g: Array
+    change: Array
+
+
+def seen_at(op: PlaneOperator, seen: Seen, g: Array, points: tuple[Array, ...]) -> Array:
+    """Return the densities (times, points) of g (times, n1, n2) at points (points,) each."""
+    if seen == "pair":
+        first, second = (op.along(k, H) for k, H in enumerate(points))
+        values = np.array([np.sum((first @ each) * second, axis=1) for each in g])
+        return np.asarray(values * op.weight_at(*points))
+    (energy,) = points
+    if seen == "sum":
+        # ∫ w φ_i(x) ψ_j(H − x) dx, cut where panels end.
+        rows = np.zeros((energy.size, *op.sizes))
+        for row, H in zip(rows, energy, strict=True):
+            low, high = max(0.0, H - op.nodes[1][-1]), min(H, op.nodes[0][-1])
+            if low < high:
+                cuts = np.concatenate([op.nodes[0], H - op.nodes[1]])
+                nodes = np.unique(np.clip(cuts, low, high))
+                x, v = (a.ravel() for a in panel_rule(nodes, op.points + MORE))
+                y, weighted = np.maximum(H - x, 0.0), v * op.weight_at(x, H - x)
+                row[...] = (op.along(0, x) * weighted[:, None]).T @ op.along(1, y)
+    else:
+        # ∫ w φ_i ψ_j over the other energy.
+        axis = int(seen == "second")
+        y, v = (a.ravel() for a in panel_rule(op.nodes[1 - axis], op.points + MORE))
+        own, other = op.along(axis, energy), op.along(1 - axis, y)
+        H1, H2 = (energy[:, None], y) if axis == 0 else (y, energy[:, None])
+        inner = (op.weight_at(H1, H2) * v) @ other
+        rows = own[:, :, None] * inner[:, None, :]
+        rows = rows if axis == 0 else np.swapaxes(rows, 1, 2)
+    return np.asarray(g.reshape(len(g), -1) @ rows.reshape(len(rows), -1).T)
+
+
+def seen_on(op: PlaneOperator, seen: Seen, g: Array, axes: tuple[Array, ...]) -> Array:
+    """Return the densities (times, *grid) of g (times, n1, n2) on the grid of ``axes``."""
+    if seen != "pair":
+        return seen_at(op, seen, g, axes)
+    first, second = op.along(0, axes[0]), op.along(1, axes[1])
+    return np.asarray((first @ g @ second.T) * op.weight_at(axes[0][:, None], axes[1]))
+
+
+def seen_grid(op: PlaneOperator, seen: Seen) -> tuple[tuple[Array, ...], Array, list[float]]:
+    """Return axes of energies, weights of an integral on their grid, and the last energies."""
+    ends = [float(x[-1]) for x in op.nodes]
+    if seen == "sum":
+        # Panels equidistant in √H.
+        x, w = panel_rule(graded((sum(ends), 1.0), 12)[0], 8)
+        return (x.ravel(),), w.ravel(), [sum(ends)]
+    axes, weights = gauss_grid(op.nodes, op.degree + 2)
+    if seen == "pair":
+        return axes, np.multiply.outer(*weights).ravel(), ends
+    k = int(seen == "second")
+    return (axes[k],), weights[k], [ends[k]]
+
+
+def transient_densities(
+    frame: Frame,
+    start: PlaneStart,
+    seen: Seen,
+    times: Array,
+    at: tuple[Array, ...],
+    *,
+    tol: float,
+    coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
+) -> tuple[Transient, tuple[Level, Level]]:
+    """Return the densities seen at ``times`` > 0, ascending, at points ``at`` (points,) each.
+
+    Levels rise until two of them agree to ``tol`` in L1 and in units of the largest density; the
+    answer is that of the finer one, its error the distance to the coarser one. A time too short for
+    the last level is not certified. ``coefficients_error(t, *at)`` is the relative error of p by
+    that of the coefficients. With the answer come the last two levels, the finer one last.
+    """
+    for coarse, fine in pairwise(_levels(frame, start, times, tol)):
+        axes, area, ends = seen_grid(fine.op, seen)
+        points = [x.ravel() for x in np.meshgrid(*axes, indexing="ij")]
+        solutions = (fine.op, fine.g), (coarse.op, coarse.g), (fine.op, fine.change)
+        p, other, change = (
+            seen_on(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions
+        )
+        lost = np.abs(p - other) + np.abs(change)
+        largest, distance = np.max(np.abs(p), axis=1), lost @ area
+        mass = fine.evolved.values @ fine.op.matrices[2]
+        # Up to 3 times the estimated round-off was measured.
+        rounding = ROUNDINGS * fine.evolved.rounding + 2.0 * np.abs(mass - 1.0)
+        highest = np.max(lost, axis=1) + rounding * largest
+        values, coarser, change = (seen_at(op, seen, g, at) for op, g in solutions)
+        # What lies beyond the mesh is less than what there is at its end.
+        within = tuple(np.clip(x, 0.0, end) for x, end in zip(at, ends, strict=True))
+        outside = np.any([x != y for x, y in zip(at, within, strict=True)], axis=0)
+        beyond = np.abs(seen_at(fine.op, seen, fine.g, within)) * outside
+        errors = np.abs(values - coarser) + np.abs(change) + beyond + SHARE * highest[:, None]
+        errors = np.maximum(errors, (rounding * largest)[:, None])
+        errors += np.abs(values) * np.array([coefficients_error(t, *at) for t in times])
+        model = (np.abs(p) * np.array([coefficients_error(t, *points) for t in times])) @ area
+        unresolved = ~(distance <= LARGEST_ERROR)
+        errors = np.where(unresolved[:, None], np.inf, errors)
+        errors = np.where(np.min(np.broadcast_arrays(*at), axis=0) < 0.0, 0.0, errors) + SMALLEST
+        l1 = distance + model + rounding + start.l1_error
+        farther = zip(points, seen_grid(coarse.op, seen)[2], strict=True)
+        tail = np.abs(p * np.any([x > end for x, end in farther], axis=0)) @ area
+        absolute = float(np.max(highest / largest))
+        short = (f"the time {t:.4g} is too short for the mesh" for t in times[unresolved])
+        measured = Measured(
+            l1_error=float(np.max([*l1, absolute])),
+            mass_defect=float(np.max(np.abs(mass - 1.0))),
+            minimum=float(np.min(p.min(axis=1) / largest)),
+            residual=float(np.max([fine.evolved.residual, coarse.evolved.residual])),
+            tail_mass=float(np.max(tail)),
+            absolute_error=absolute,
+            failures=tuple(short),
+        )
+        settings = {
+            "unknowns": fine.g[0].size,
+            "degree": fine.op.degree,
+            "L1 error at the first time": float(l1[0]),
+            "L1 error at the last time": float(l1[-1]),
+        }
+        certificate = certify(measured, tol=tol)
+        answer = Transient(times, values, errors, "numerical", certificate, settings)
+        degree, least = GIVEN_UP
+        hopeless = fine.op.degree >= degree and float(np.max(distance)) > least
+        if answer.certificate.certified or hopeless:
+            break
+    return answer, (coarse, fine)
+
+
+def _levels(frame: Frame, start: PlaneStart, times: Array, tol: float) -> Iterator[Level]:
+    height, least = start.height(frame), np.zeros(2)
+    share = min(1.0, HEIGHT / max(height, HEIGHT), 1.0 / start.factor)
+    if start.density is not None:
+        least = np.array([x[-1] for x in start.density.nodes])
+    longest = frame.rise(tol, height, 0)
+
+    def nodes(rise: float, panels: int) -> Nodes:
+        longer = 1.0 + 0.03 * (rise - longest)
+        return graded(np.maximum(frame.ends(rise), least * longer), panels)
+
+    for op in frame.operators(nodes, tol=tol, height=height, share=share):
+        A, M, _ = op.matrices
+        parts = evolved(A, M, start.dual(op), times, tol=KRYLOV * tol)
+        yield Level(op, parts, op.spread(parts.values), op.spread(parts.change))

@@ -1,0 +1,328 @@
+"""The square-root process dH = (n d − c H) dt + √(2 d H) dB in time, in closed form.
+
+It is the averaged energy of n masses without contact, or of one mode; Cox, Ingersoll and Ross.
+"""
+
+from dataclasses import dataclass
+from math import exp, expm1, pi, sqrt
+
+import numpy as np
+from scipy.special import gammaln, ive, xlogy
+
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.dynamics import Rates, certified_rates
+from fpk.answer.evolution import (
+    BEYOND_RANGE,
+    NO_NOISE_YET,
+    STARTS,
+    Passage,
+    StartCurve,
+    Transient,
+    certified_passage,
+)
+from fpk.answer.number import Number
+from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.contour import contours
+from fpk.system.modulation import Modulation, require_constant_noise
+
+FARTHEST = 690.0
+"""Largest c H/d of a limit: the mean time is e^690 of its unit."""
+MORE = 8
+"""Points of the contour beyond those of another one, whose distance is the error of the rule."""
+CANCELLED = 1e3
+"""Error in roundings beyond which a transform or P(T <= t) is sought in another way."""
+STEEPEST, NEGLIGIBLE = 1e5, 1e-20
+"""Largest s x_f/c of Chernoff's bound: 1F1 ~ e^(2 √(s x_f/c)) is within double precision; a bound
+below which P(T <= t) is given as 0."""
+NEAR = (0.02, 40.0)
+"""Least x_0/x_f and largest x_f − x_0 of starts for which a series that cancels is replaced: from
+farther ones hardly any motion fails so early."""
+WIDTHS = 40.0
+"""Standard deviations above the mean within which a density is integrated: e^(−√2·40) is beyond."""
+MOST_TERMS = 20_000
+"""Terms of a series of 1F1, or of a continued fraction, beyond which it is left to the finite
+elements."""
+BESSEL = 50.0
+"""Error of scipy's ``ive`` in roundings, and of the power series beside it."""
+FEW, MOST_POWERS = 60.0, 40
+"""x y below which the Bessel function is summed as a power series, and its powers: 60^41/41!² is
+1e-26, beside a sum of 1 or more."""
+LARGE = 1e4
+"""Argument of a Bessel function, over the square of its order, beyond which it is asymptotic."""
+LEAST_SIZE = 4.0
+"""Least |a|: about the relaxation rates, small negative a, 1F1 has zeros near the real x."""
+RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14
+"""Largest ratio and difference of the ends of a panel of x, and its Gauss points."""
+
+
+@dataclass(frozen=True)
+class SquareRoot:
+    """The process of the shape ``n``, the damping ``c`` (1/time) and the noise ``d``: θ = d/c.
+
+    ``relative_error`` is that of c and of d, which all stated errors include. ``modulation`` e(t)
+    multiplies d by e²: densities stay what they are, with θ_t = ∫d e(s)² e^(−c(t−s)) ds.
+    """
+
+    n: int
+    c: float
+    d: float
+    relative_error: float = 0.0
+    modulation: Modulation | None = None
+
+    def rates(self, count: int, *, tol: float) -> Rates:
+        """Return k c, the eigenvalues of −L; the eigenfunctions are Laguerre polynomials."""
+        values = self.c * np.arange(1.0, count + 1.0)
+        return certified_rates(values, (4.0 * EPS + self.relative_error) * values, tol=tol)
+
+    def transient(
+        self, start: float, noise: float | None, times: Array, at: Array, *, tol: float
+    ) -> Transient:
+        """Return the densities at ``times`` after the energy ``start``, or a stationary state.
+
+        The latter, under the multiple ``noise`` of the noise, stays a gamma density. From an energy
+        H_0 it is noncentral χ² of 2n degrees: Cox, Ingersoll and Ross, Econometrica 53 (1985) 385.
+        """
+        values, errors = np.empty((2, times.size, at.size))
+        judged = []
+        for k, t in enumerate(times.tolist()):
+            values[k], errors[k] = self.density(start, noise, t, at)
+            judged.append(self.judged(start, noise, t))
+        error, mass, least = np.max(judged, axis=0).tolist()
+        measured = Measured(error, mass, -least, None, None)
+        return Transient(times, values, errors, "numerical", certify(measured, tol=tol))
+
+    def density(self, start: float, noise: float | None, t: float, H: Array) -> tuple[Array, Array]:
+        """Return the density at the time ``t`` at energies ``H`` of any shape, and its error."""
+        theta, left = self.scales(start, noise, t)
+        x, y = np.maximum(H, 0.0) / theta, left / theta
+        log_p, log_error = noncentral(self.n, x, y)
+        # |∂ ln p/∂ ln θ| and that to ln y are below these terms.
+        log_error = log_error + 2.0 * self.relative_error * (self.n + x + start / theta)
+        p = np.where(H >= 0.0, np.exp(log_p) / theta, 0.0)
+        return p, np.where(H >= 0.0, p * log_error + SMALLEST, 0.0)
+
+    def judged(self, start: float, noise: float | None, t: float) -> tuple[float, float, float]:
+        """Return L1 error, departure of the mass from one and minus the least p, by quadrature."""
+        theta, left = self.scales(start, noise, t)
+        mean, width = self.n * theta + left, sqrt(theta * (self.n * theta + 2.0 * left))
+        nodes = np.linspace(max(mean - WIDTHS * width, 0.0), mean + WIDTHS * width, 161)
+        H, w = (part.ravel() for part in panel_rule(nodes, 20))
+        p, error = self.density(start, noise, t, H)
+        return float(w @ error), abs(float(w @ p) - 1.0), -float(p.min() / p.max())
+
+    def scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
+        """Return θ_t and the mean that is left of the start: H is half a noncentral χ² of 2n.
+
+        Raises ``InvalidInput`` for an energy on which no noise has acted.
+        """
+        left, theta = exp(-self.c * t), self.d / self.c
+        grown = -theta * expm1(-self.c * t)
+        if self.modulation is not None:
+            grown = self.d * float(self.modulation.faded(0.0, t, np.array(self.c)))
+        if noise is not None:
+            return grown + theta * noise * left, 0.0
+        if grown == 0.0:
+            raise InvalidInput("times", t, NO_NOISE_YET)
+        return grown, start * left
+
+    def passage(self, limit: float, start: float, times: Array, *, tol: float) -> Passage:
+        """Return the first passage of ``limit`` from a ``start`` below it.
+
+        E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d. Moments are its derivatives at
+        s = 0, power series of positive terms. Raises ``InvalidInput`` and ``NotApplicable`` as
+        ``rate`` and ``failure`` do.
+        """
+        require_constant_noise(self.modulation)
+        rate, xf = self.rate(limit), limit * self.c / self.d
+        starts = np.linspace(0.0, limit, STARTS)
+        x, k = np.append(starts, start) * self.c / self.d, np.arange(1.0, series_terms(xf) + 1.0)
+        # Of 1F1(a; n; x_f) the terms x_f^k/(k (n)_k), and 1 − (x/x_f)^k, without a difference of
+        # large numbers. The coefficient of a is A_1 = Σ x^k/(k (n)_k), that of a² is
+        # A_2 = Σ x^k (1 + … + 1/(k−1))/(k (n)_k).
+        terms = np.cumprod(xf / (self.n + k - 1.0)) / k
+        with np.errstate(divide="ignore"):
+            less = -np.expm1(k * np.log(x / xf)[:, None])
+        harmonic = np.cumsum(1.0 / k) - 1.0 / k
+        unit, lost = terms.sum(), self._lost(xf)
+        first, second = less @ terms, less @ (terms * harmonic)
+        relative = 4.0 * EPS * (k.size + 2.0)
+        # Per unit²: A_1(x_f)² − A_1(x)² = first (2 A_1 − first).
+        a, b, c = first / unit, 2.0 - first / unit, 2.0 * second / unit / unit
+        with np.errstate(over="ignore"):
+            variance = (a * b - c) * unit * unit / self.c**2
+            variance_error = (relative + 2.0 * lost) * (a * b + c) * unit * unit / self.c**2
+        mean = first / self.c
+        curves = mean, (relative + lost) * mean, variance, variance_error
+        own = [float(curve[-1]) for curve in curves]
+        return certified_passage(
+            (Number(*own[:2]), Number(*own[2:]), rate),
+            times,
+            *self.failure(limit, start, times, tol=tol),
+            tol=tol,
+            starts=StartCurve(starts, *(curve[:-1] for curve in curves)),
+        )
+
+    def rate(self, limit: float) -> Number:
+        """Return the failure rate, c times the least a with 1F1(−a; n; x_f) = 0.
+
+        By Newton's method, which rises to the root of a convex curve. Raises ``InvalidInput`` where
+        the mean time to the limit is beyond double precision.
+        """
+        xf = limit * self.c / self.d
+        if not xf <= FARTHEST:
+            raise InvalidInput("limit", limit, BEYOND_RANGE)
+        k = np.arange(1.0, series_terms(xf) + 1.0)
+        a, relative = 0.0, 4.0 * EPS * (k.size + 2.0)
+        for _ in range(100):
+            # Terms of 1F1(−a; n; x) − 1 and of its derivative in a, of which the first has a left
+            # out: it may be as small as 1e-290.
+            factors = k[:-1] - a
+            factors[factors == 0.0] = EPS  # a rounding beside an integer a, where 0/0 follows
+            rest = np.cumprod(np.append(1.0, factors) * xf / ((self.n + k - 1.0) * k))
+            slopes = np.cumsum(np.append(0.0, 1.0 / factors))
+            f, slope = 1.0 - a * rest.sum(), -rest.sum() + a * (rest * slopes).sum()
+            step = f / slope
+            a -= step
+            if abs(step) <= EPS * a:
+                break
+        error = relative * (1.0 + a * np.abs(rest).sum()) / abs(slope) + 2.0 * EPS * a
+        return Number(self.c * a, self.c * error + self._lost(xf) * (self.c * a))
+
+    def failure(
+        self, limit: float, start: float, times: Array, *, tol: float
+    ) -> tuple[Array, Array]:
+        """Return P(T <= t) at ``times`` by inverse transform, and its error.
+
+        At short times the series of 1F1 cancel, which a continued fraction does not. Where times
+        are too short for both it is 0 within Chernoff's bound e^(st) E e^(−sT), of positive terms.
+        Raises ``NotApplicable`` where that exceeds ``tol``.
+        """
+        x0, xf = start * self.c / self.d, limit * self.c / self.d
+        p, error = np.zeros((2, times.size))
+        if not np.any(times > 0.0):
+            return p, error
+        # Chernoff's bound, with positive terms only.
+        a = np.geomspace(1.0, STEEPEST / xf, 60)
+        ratio, relative = self._transform(a.astype(complex), x0, xf)
+        with np.errstate(over="ignore", invalid="ignore"):
+            powers = np.exp(np.multiply.outer(self.c * times, a))
+            bound = np.nanmin(powers * (ratio.real * (1.0 + relative)), axis=1)
+        later = np.flatnonzero((times > 0.0) & (bound > NEGLIGIBLE))
+        for contour, other in zip(
+            *(contours(times[later], more=k) for k in (MORE, 0)), strict=True
+        ):
+            at, values = later[contour.places], []
+            for c in (other, contour):
+                ratio, relative = self._transform(c.z / self.c, x0, xf)
+                with np.errstate(invalid="ignore", over="ignore"):
+                    values.append((c.factors @ (ratio / c.z)).imag)
+                    sizes = np.abs(c.factors) * np.abs(ratio / c.z)
+                    error[at] = sizes @ relative + ROUNDINGS * EPS * sizes.sum(axis=1)
+            p[at] = values[1]
+            error[at] += np.abs(values[1] - values[0])
+        bounded = (times > 0.0) & ((bound <= NEGLIGIBLE) | ~(error <= bound))
+        p[bounded], error[bounded] = 0.0, bound[bounded]
+        error[times > 0.0] += self._lost(xf)
+        if not np.all(error <= tol):
+            first = times[~(error <= tol)][0]
+            raise NotApplicable(
+                f"at the time {first:g} the series of 1F1 cancels to more than {tol:g}; use fem"
+            )
+        return p, error
+
+    def _transform(self, a: Complexes, x0: float, xf: float) -> tuple[Complexes, Array]:
+        """Return 1F1(a; n; x_0)/1F1(a; n; x_f) and its relative error."""
+        (above, above_error), (below, below_error) = (kummer(a, self.n, x) for x in (x0, xf))
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            relative = above_error / np.abs(above) + below_error / np.abs(below) + 4.0 * EPS
+            ratio = above / below
+        cancels = np.flatnonzero(~(relative <= CANCELLED * EPS))
+        if cancels.size and x0 > NEAR[0] * xf and xf - x0 < NEAR[1]:
+            log_ratio, error = log_kummer_ratio(a[cancels], self.n, x0, xf)
+            better = ~(relative[cancels] <= error)
+            ratio[cancels[better]] = np.exp(log_ratio[better])
+            relative[cancels[better]] = error[better]
+        return ratio, relative
+
+    def _lost(self, xf: float) -> float:
+        """Relative error of mean times and rates, which rise by e^(x_f) at most, by c and d."""
+        return (3.0 + 2.0 * xf) * self.relative_error
+
+
+def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
+    """Return ln of e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)), n >= 1, and its error.
+
+    As a density of x it is that of half a noncentral χ² of 2n degrees, noncentrality 2y.
+    """
+    few = x * y < FEW
+    # Σ (x y)^k/(k! (n)_k), of positive terms.
+    product, series = np.where(few, x * y, 0.0), np.ones(x.shape)
+    for k in range(MOST_POWERS if y > 0.0 else 0, 0, -1):
+        series = 1.0 + product / (k * (n + k - 1.0)) * series
+    # e^(−z) I_(n−1)(z): scipy's has no value at very large z, where Abramowitz and Stegun (9.7.1)
+    # has a next term below 1/LARGE^4.
+    z, mu = 2.0 * np.sqrt(x) * np.sqrt(y), 4.0 * (n - 1) ** 2
+    large = z > LARGE * n**2
+    near, w = ive(n - 1, np.where(large, 1.0, z)), np.where(large, 8.0 * z, 1.0)
+    tail = 1.0 - (mu - 1.0) / w * (1.0 - (mu - 9.0) / (2.0 * w) * (1.0 - (mu - 25.0) / (3.0 * w)))
+    far = np.log(np.where(large, tail, 1.0)) - 0.5 * np.log(np.where(large, 2.0 * pi * z, 1.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_series = xlogy(n - 1, x) - x - y + np.log(series) - gammaln(n)
+        root, other = np.sqrt(x), np.sqrt(y)
+        ratio = 0.0 if n == 1 else (n - 1) * np.log(root / other)
+        by_bessel = np.where(large, far, np.log(near)) + ratio - (root - other) ** 2
+    value = np.where(few, by_series, by_bessel)
+    # Of an exponent, relative errors of its parts are errors of ln p.
+    parts = np.where(few, x + y, np.abs(root - other) * (root + other))
+    steep = np.where(x > 0.0, (n - 1) * np.abs(np.log(np.maximum(x, SMALLEST))), 0.0)
+    return value, EPS * (BESSEL + 4.0 * parts + 2.0 * (gammaln(n + 1.0) + steep))
+
+
+def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
+    """Return 1F1(a; n; x) at complex ``a`` (points,), x >= 0, by its series, and its error.
+
+    The error is infinite where ``MOST_TERMS`` are too few or overflow.
+    """
+    term, total = np.ones_like(a), np.ones_like(a)
+    size = np.ones(a.size)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(1, MOST_TERMS):
+            term = term * ((a + (k - 1)) * (x / ((n + k - 1) * k)))
+            total, last = total + term, np.abs(term)
+            size += last
+            if k > x and np.all(~(last > EPS * np.abs(total))):
+                break
+        else:
+            size[:] = np.inf
+    return total, np.where(np.isfinite(size), 4.0 * EPS * sqrt(k) * size, np.inf)
+
+
+def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Complexes, Array]:
+    """Return ln 1F1(a; n; low)/1F1(a; n; high), 0 < low < high, and its error, at ``a`` (points,).
+
+    It is −∫ 1F1'/1F1 dx, in which nothing cancels however large a is, away from the negative axis.
+    The slope is Gauss's continued fraction, DLMF (13.5.1). The error is infinite for |a| below
+    ``LEAST_SIZE``, and where that would need more than ``MOST_TERMS`` terms.
+    """
+    nodes = [low]
+    while nodes[-1] < high:  # zeros of 1F1 are of angles beyond a radian, or an imaginary part of π
+        nodes.append(min(high, RATIO_PANELS[0] * nodes[-1], nodes[-1] + RATIO_PANELS[1]))
+    x, w = (part.reshape(-1, 1) for part in panel_rule(np.array(nodes), RATIO_POINTS))
+    terms = 3.0 * np.sqrt(np.abs(a) * high) + high + 60.0
+    near = (terms <= MOST_TERMS) & (np.abs(a) >= LEAST_SIZE)
+    inside, fraction = a[near], np.ones((x.size, int(near.sum())), dtype=complex)
+    for k in range(int(np.max(terms[near], initial=0.0)), 0, -1):
+        top = inside + k // 2 if k % 2 == 0 else inside - (n + k // 2)
+        fraction = 1.0 + top * x / ((n + k - 1) * (n + k)) / fraction
+    slopes = w * inside / n / fraction
+    value, error = np.zeros_like(a), np.full(a.size, np.inf)
+    value[near] = -slopes.sum(axis=0)
+    error[near] = 2.0 * ROUNDINGS * EPS * (1.0 + np.abs(slopes).sum(axis=0))
+    return value, error
+
+
+def series_terms(x: float) -> int:
+    """Terms of a power series like that of e^x, up to round-off."""
+    return int(x + 12.0 * sqrt(x)) + 60

@@ -1,0 +1,99 @@
+"""Contact laws in compiled code."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from inspect import getfile
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba import types
+from numba.core.imputils import lower_constant
+from numba.extending import models, overload, register_model, typeof_impl
+
+from fpk.numeric.compiling import FLAGS, ROOT
+from fpk.numeric.recognition import fingerprint
+from fpk.system.contact_law import LAWS
+
+
+@dataclass(frozen=True)
+class CompiledLaws:
+    """One ``part`` of the laws ``names``, to be called by ``of_law`` in compiled code.
+
+    Plain data: a kernel that closes over it is found again in the disk cache, with the laws inside
+    it, and they need not be compiled or loaded again. ``stamps`` tell laws of one name apart.
+    """
+
+    names: tuple[str, ...]
+    part: str
+    stamps: tuple[str, ...]
+
+
+class LawsType(types.Type):
+    """The type of ``CompiledLaws`` in compiled code, one for every value."""
+
+    def __init__(self, laws: CompiledLaws) -> None:
+        """Take the name of the type from the value."""
+        self.laws = laws
+        super().__init__(name=repr(laws))
+
+
+def compiled_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
+    """Return "force", "energy" or "slope" of the laws, to be called by ``of_law``."""
+    stamps = (fingerprint(getattr(LAWS[name], part)) for name in names)
+    return CompiledLaws(names, part, tuple(stamps))
+
+
+def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
+    """Return the files that the compiled laws ``names`` are made of, below ``root``.
+
+    A law that was typed into a session has no file, and nothing that it is compiled into a cache.
+    """
+    laws = (Path(getfile(LAWS[name].force)) for name in names)
+    own = (root / f.relative_to(ROOT) if f.is_relative_to(ROOT) else f for f in laws)
+    compiled = (root / "fpk/numeric/compiling.py", root / "fpk/system/compiled_laws.py")
+    return *compiled, *(f for f in own if not f.name.startswith("<"))
+
+
+def of_law(function: Any, law: int, overlap: float, exponent: float) -> float:
+    """Stand for a call of ``compiled_laws`` in compiled code; ``law`` picks one of several."""
+    raise NotImplementedError
+
+
+@overload(of_law, jit_options={"fastmath": FLAGS, "error_model": "numpy", "forceinline": True})
+def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
+    """Return the call that the type of ``function`` asks for; None, for no law, gives 0."""
+    if isinstance(function, types.NoneType):
+        return lambda function, law, overlap, exponent: 0.0
+    parts = [_compiled(getattr(LAWS[name], function.laws.part)) for name in function.laws.names]
+    if len(parts) == 1:
+        only = parts[0]
+        return lambda function, law, overlap, exponent: only(overlap, exponent)
+    last = parts[-1]
+    choice = _compiled(lambda law, x, e: last(x, e))
+    for part in reversed(parts[:-1]):
+        choice = _compiled(_chosen(part, choice))
+    return lambda function, law, overlap, exponent: choice(law, overlap, exponent)
+
+
+register_model(LawsType)(models.OpaqueModel)
+
+
+@typeof_impl.register(CompiledLaws)
+def _typeof(value, context):  # type: ignore[no-untyped-def]
+    return LawsType(value)
+
+
+@lower_constant(LawsType)
+def _constant(context, builder, kind, value):  # type: ignore[no-untyped-def]
+    return context.get_dummy_value()
+
+
+def _compiled(function: Callable[..., Any]) -> Any:
+    """Compiled without liberties of arithmetic: a law is what its file says."""
+    return numba.njit(error_model="numpy")(function)
+
+
+def _chosen(first: Any, others: Any) -> Any:
+    """The law ``first`` where the number of the law is 0, one of the ``others`` at one less."""
+    return lambda law, x, e: first(x, e) if law == 0 else others(law - 1, x, e)

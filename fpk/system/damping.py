@@ -1,0 +1,132 @@
+"""Damping that depends on the state: monomials beside the matrix of Eq. (1), and their means."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from math import isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput
+
+Powers = tuple[tuple[int, int], ...]
+
+MOST_POWERS = 8
+"""Degree of a term, an energy counting twice: beyond, averages lose digits and steps stability."""
+
+
+@dataclass(frozen=True)
+class DampingTerm:
+    """One monomial that an entry of the damping matrix of Eq. (1) gains.
+
+    ``c_ij += coefficient · Π q_a^m · Π v_a^n · H^energy``: on mass i it adds the force
+    ``−coefficient · … · v_j``, and nothing on mass j (give a second term where it should). ``i``,
+    ``j`` and the masses in ``q`` and ``v``, pairs (mass, power), count from 1; powers are whole and
+    at least 1; ``energy`` >= 0. A negative coefficient feeds energy in, as van der Pol's does.
+
+    Van der Pol's oscillator, c = −0.1 + 0.4 q²::
+
+        term = fpk.DampingTerm(1, 1, 0.4, q=((1, 2),))
+        fpk.System([1.0], [1.0], [-0.1], [0.005], damping_terms=(term,))
+        term.value(q=[0.5], v=[0.0], energy=0.125)
+
+    Raises ``InvalidInput`` naming the field that cannot be used.
+    """
+
+    i: int
+    j: int
+    coefficient: float
+    q: Powers = ()
+    v: Powers = ()
+    energy: int = 0
+    degree: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Check the fields, and sort the powers so that equal terms are equal."""
+        if not isfinite(self.coefficient):
+            raise InvalidInput("coefficient", self.coefficient, "must be a finite number")
+        for key in ("q", "v"):
+            powers: Powers = tuple(sorted(getattr(self, key)))
+            for mass, power in powers:
+                if power < 1:
+                    raise InvalidInput(f"{key}.{mass}", power, "must be a power of 1 or more")
+            object.__setattr__(self, key, powers)
+        if self.energy < 0:
+            raise InvalidInput("energy", self.energy, "must be a power of 0 or more")
+        degree = sum(power for _, power in self.q + self.v) + 2 * self.energy
+        if degree > MOST_POWERS:
+            remedy = f"is the degree, an energy counting 2; use at most {MOST_POWERS}"
+            raise InvalidInput("degree", degree, remedy)
+        object.__setattr__(self, "degree", degree)
+
+    @property
+    def row(self) -> int:
+        """The mass i counted from 0, for arrays."""
+        return self.i - 1
+
+    @property
+    def column(self) -> int:
+        """The mass j counted from 0, for arrays."""
+        return self.j - 1
+
+    @property
+    def masses(self) -> dict[str, int]:
+        """Every mass that the term mentions, by where it does: i, j, q.1, v.2 and so on."""
+        powers = {f"{key}.{m}": m for key in ("q", "v") for m, _ in getattr(self, key)}
+        return {"i": self.i, "j": self.j, **powers}
+
+    def powers(self, key: str, n: int) -> tuple[int, ...]:
+        """Return the powers of all n masses' q or v, 0 where one does not occur."""
+        power_of: Mapping[int, int] = dict(getattr(self, key))
+        return tuple(power_of.get(mass, 0) for mass in range(1, n + 1))
+
+    @property
+    def factors(self) -> int:
+        """How many displacements and velocities are multiplied in the power c_ij v_i v_j."""
+        return self.degree - 2 * self.energy + 2
+
+    def velocities(self, n: int) -> tuple[int, ...]:
+        """Return the powers of all n velocities in the power c_ij v_i v_j."""
+        v = list(self.powers("v", n))
+        v[self.row] += 1
+        v[self.column] += 1
+        return tuple(v)
+
+    def value(self, q: ArrayLike, v: ArrayLike, energy: ArrayLike) -> Array:
+        """Return what c_ij gains at displacements and velocities (..., n) and energies (...)."""
+        q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
+        value = np.asarray(self.coefficient * np.asarray(energy, dtype=float) ** self.energy)
+        for x, powers in ((q, self.q), (v, self.v)):
+            for mass, power in powers:
+                value = value * x[..., mass - 1] ** power
+        return value
+
+
+def gaussian_moment(covariance: Array, powers: tuple[int, ...]) -> float:
+    """Return E Π x_a^powers[a] of x ~ N(0, covariance), shape (n, n), by Isserlis' theorem.
+
+    Integration by parts, ``E x_a f = Σ_b cov_ab E ∂f/∂x_b``, leads from one monomial to others two
+    degrees lower. It is 0 where the total power is odd.
+    """
+
+    def lowered(powers: tuple[int, ...], index: int) -> tuple[int, ...]:
+        return tuple(power - (i == index) for i, power in enumerate(powers))
+
+    @cache
+    def moment(powers: tuple[int, ...]) -> float:
+        total = sum(powers)
+        if total % 2:
+            return 0.0
+        if total == 0:
+            return 1.0
+        a = next(i for i, power in enumerate(powers) if power)
+        rest = lowered(powers, a)
+        return sum(
+            float(covariance[a, b]) * power * moment(lowered(rest, b))
+            for b, power in enumerate(rest)
+            if power
+        )
+
+    return moment(tuple(powers))

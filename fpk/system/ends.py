@@ -1,0 +1,143 @@
+"""Ends of the energies of a process: Feller classes, and whether anything brings it back."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotCertified
+from fpk.system.process import Coefficients, Process, log_density_slope_error
+
+NEAR, FAR = 1e-6, 1e4
+"""Energies, in units of the process's scale, at which the limits at both ends are read off."""
+BESIDE = 1.05
+"""Ratio of a second energy far out to the first, from which the order of the drift is read off: so
+near that many contact masses are mostly integrated along one line, which takes a second of 30."""
+LINEAR = 1e-2
+"""Orders of the drift up to 1 + ``LINEAR``, beyond what its error makes of them, count as linear:
+damping by q² between stops of a power law of exponent e has the order 1 + 2/(1 + e)."""
+OTHERS = (0.0, 1.0, 10.0)
+"""Levels of the other energies, in units of their scales: of all alike, and of one alone."""
+FAR_OUT = np.logspace(4.0, 16.0, 13)
+"""Energies, in units of the scale, at which a process has to come back. A term of the damping that
+outweighs one of a lower degree only beyond 1e16 is less than the round-off (2e-16) of it at the
+scale: up to there everything shows that is not round-off."""
+MAX_ENERGY = 1e154
+"""Largest energy whose square is a number in double precision."""
+OUT_OF_RANGE = "the coefficients leave the range of double precision: choose other units"
+"""Message where the equation cannot be evaluated as far out as its density has to fall off."""
+LOG_RATIOS = np.log(10.0) * np.concatenate(
+    [np.arange(-48.0, -3.0, 0.5), np.linspace(-3.0, 3.0, 49), np.arange(3.5, 48.5, 0.5)]
+)
+"""ln of the ratios of two energies at which they are judged far out: an energy that the other one,
+1e16 times its scale, damps is held by noise at 1e-16 of its own scale."""
+
+
+@dataclass(frozen=True)
+class BoundaryClass:
+    """Kind of one end in Feller's sense, in the words of stochastic averaging, and why."""
+
+    end: str
+    kind: str
+    reason: str
+
+
+def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryClass]:
+    """Return the classes of H_i = 0 and H_i = ∞ of energy ``axis``; none takes a condition.
+
+    At H = 0 with b ~ β H the scale density behaves as H^(−κ) and the speed density as H^(κ−1),
+    κ = 2 s(0)/β. At infinity the scale diverges where the drift points inwards, and the process
+    comes back from there in finite time when ∫dH/|s| converges. Of several energies the others
+    stand still while H_i is small: the least favourable of their ``OTHERS`` decides.
+    """
+    name = "H" if process.dimension == 1 else f"H{axis + 1}"
+    rest = process.dimension - 1
+    levels = [np.full(rest, level) for level in OTHERS[: None if rest else 1]]
+    levels += [level * row for level in OTHERS if level and rest > 1 for row in np.eye(rest)]
+
+    def along(share: float) -> tuple[Array, Array, Array, Coefficients]:
+        """H_i = ``share`` of its scale, s_i and b_ii there with the others at ``OTHERS``."""
+        energy = np.insert(np.array(levels), axis, share, axis=1) * np.array(process.energy_scales)
+        c = process.at(energy)
+        return energy[:, axis], c.drift[:, axis], c.diffusion[:, axis, axis], c
+
+    energy, drift, diffusion, _ = along(NEAR)
+    order = np.log2(along(2.0 * NEAR)[2] / diffusion)
+    worst = float(order[np.argmax(np.abs(order - 1.0))])
+    # The extrapolated κ is that of H = NEAR, whose distance from the limit is of order NEAR.
+    kappa = float(np.min(2.0 * drift * energy / diffusion))
+    if abs(worst - 1.0) > 1e-2:
+        lower = BoundaryClass(f"{name} = 0", "not classified", f"σ² ~ H^{worst:.3g}, not ~ H")
+    else:
+        kind, words = "exit", "the process ends there"
+        if kappa > 1.0 - 1e-3:
+            kind, words = "entrance", "the process leaves it and never comes back"
+        elif kappa > 0.0:
+            kind, words = "regular", "the process reaches it"
+        least = "" if process.dimension == 1 else " at the least"
+        reason = f"σ² ~ H and 2 s H/σ² → {kappa:.4g}{least}: {words}"
+        lower = BoundaryClass(f"{name} = 0", kind, reason)
+    (_, drift, _, near), (_, farther, _, _) = along(FAR), along(BESIDE * FAR)
+    if np.any(farther >= 0.0):
+        outwards = "the drift points outwards"
+        return lower, BoundaryClass(f"{name} = ∞", "not confining", outwards)
+    inwards = drift < 0.0
+    power = float(np.min(np.log(farther / drift))) / np.log(BESIDE) if inwards.all() else 0.0
+    reason = "the drift points inwards, about as −" + name
+    reason += "" if f"{power:.2g}" == "1" else f"^{power:.2g}"
+    # An error of either drift; 0 where the process gives none.
+    slack = 2.0 * float(np.max(np.nan_to_num(near.relative_error))) / np.log(BESIDE)
+    kind, words = "natural", ": neither reached nor left in finite time"
+    if power > 1.0 + LINEAR + slack:
+        kind, words = "entrance", ", so it is left in finite time"
+    return lower, BoundaryClass(f"{name} = ∞", kind, reason + words)
+
+
+def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
+    """Raise ``NotCertified`` where p H of one energy rises at the last, highest ``energy``.
+
+    ``c`` are the coefficients there and ``slope`` d ln p/dH = (2s − b')/b. The rate
+    d ln(p H)/d ln H = 1 + H slope has to be negative at the last energy beyond its error: p has no
+    finite integral else, whatever a mesh that ends earlier makes of it. A rise in between shows in
+    the mass beyond the mesh (``fpk.solvers.probe``).
+    """
+    if energy[-1] * slope[-1] < -1.0:
+        return
+    rate = 1.0 + energy * slope
+    error = energy * np.nan_to_num(log_density_slope_error(c))
+    inwards = np.flatnonzero(~(rate > error))
+    first = int(inwards[-1]) + 1 if inwards.size else 0
+    if first < energy.size:
+        if energy[first] > MAX_ENERGY:
+            raise NotCertified(OUT_OF_RANGE)
+        raise NotCertified(
+            f"the density does not fall off: from H = {energy[first]:.3g} on the drift points "
+            "outwards, so nothing brings the energy back"
+        )
+
+
+def require_confined(process: Process) -> None:
+    """Raise ``NotCertified`` where two energies leave for infinity together.
+
+    Far out noise moves them by less and less: dH_i = s_i dt. Their ratio approaches one at which
+    s_1/H_1 − s_2/H_2 falls through zero as it grows, quickly, while both change by the larger one's
+    s/H: where that is positive at the highest of ``FAR_OUT`` they come back from nowhere, and no
+    density that falls off is stationary, whatever a mesh that ends earlier makes of it.
+    """
+    scales = np.array(process.energy_scales)
+    shares = np.exp(np.stack([np.minimum(LOG_RATIOS, 0.0), -np.maximum(LOG_RATIOS, 0.0)], axis=1))
+    H = FAR_OUT[-1] * scales * shares
+    v = process.coefficients(H).drift / H
+    turning, growth = v[:, 0] - v[:, 1], np.where(LOG_RATIOS < 0.0, v[:, 1], v[:, 0])
+    signed = np.flatnonzero(turning)
+    attracts = (turning[signed[:-1]] > 0.0) & (turning[signed[1:]] < 0.0)
+    k, m = signed[:-1][attracts], signed[1:][attracts]
+    # Linear between two ratios; where the difference is below round-off over more, the middle.
+    share = np.where(m == k + 1, turning[k] / (turning[k] - turning[m]), 0.5)
+    leaving = np.flatnonzero(growth[k] + share * (growth[m] - growth[k]) > 0.0)
+    if leaving.size:
+        at = k[leaving[0]]
+        raise NotCertified(
+            f"the density does not fall off along H{1 if v[at, 0] > 0.0 else 2}: nothing brings "
+            f"the energies back from H1 = {H[at, 0]:.3g}, H2 = {H[at, 1]:.3g}"
+        )

@@ -1,0 +1,151 @@
+"""The linear part of a system: springs, its natural modes (13), constant damping and noise."""
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from scipy.linalg import solve_continuous_lyapunov
+
+from fpk.numeric.arrays import EPS, ROUND_OFF, Array
+from fpk.numeric.errors import NotApplicable
+from fpk.system.system import System
+
+
+def drift_matrix(system: System) -> Array:
+    """Return A of ``dx = A x dt + …`` with x = (q, p), shape (2n, 2n)."""
+    velocity, nothing = np.diag(1.0 / system.mass), np.zeros((system.n, system.n))
+    damping = system.damping * (1.0 / system.mass)
+    return np.block([[nothing, velocity], [-system.stiffness_matrix, -damping]])
+
+
+def diffusion_matrix(system: System) -> Array:
+    """Return the constant b = 2 f D fᵀ of the momenta in x = (q, p), shape (2n, 2n)."""
+    nothing = np.zeros((system.n, system.n))
+    return np.block([[nothing, nothing], [nothing, 2.0 * system.noise_matrix]])
+
+
+def natural_modes(system: System) -> tuple[Array, Array]:
+    """Return the shapes T (n, n), one mode a column, and ω (n,) of K T = M T ω², ω ascending.
+
+    Shapes are normalised to Tᵀ M T = 1 and ω is in radians per time, so that with ``q = T Q`` and
+    ``P = Tᵀ p`` a mode has the energy ``H_m = ½ (P_m² + ω_m² Q_m²)``, and ``Q = Tᵀ M q``. The
+    H_m of a chain without contacts add up to H; what is stored in contacts is in none of them.
+    Their signs are arbitrary.
+
+    With K = Gᵀ G, row i of G being √k_i (q_i − q_{i−1}), ω are the singular values of G M^(−1/2):
+    none is lost where an eigenvalue of K would be, in the round-off of the largest one.
+    """
+    roots, springs = np.sqrt(system.mass), np.sqrt(system.stiffness)
+    G = np.diag(springs) - np.diag(springs[1:], -1)
+    _, omega, transposed = np.linalg.svd(G / roots)
+    shapes = (transposed[::-1] / roots).T
+    return np.ascontiguousarray(shapes), np.ascontiguousarray(omega[::-1])
+
+
+def modal_energies(system: System, q: Array, p: Array) -> Array:
+    """Return the energies H_m (..., n) of the natural modes in the states q, p (..., n)."""
+    shapes, omega = natural_modes(system)
+    energies: Array = 0.5 * ((p @ shapes) ** 2 + (omega * ((q * system.mass) @ shapes)) ** 2)
+    return energies
+
+
+def decay_time(system: System) -> float:
+    """Return 1/rate of the slowest decay of the linear part; inf where some motion never decays."""
+    eigenvalues = np.linalg.eigvals(drift_matrix(system))
+    rate = float(-np.max(eigenvalues.real))
+    return 1.0 / rate if rate > ROUND_OFF * float(np.max(np.abs(eigenvalues))) else inf
+
+
+@dataclass(frozen=True, eq=False)
+class LinearCovariance:
+    """Covariance of a system without contacts in (ω Q, P) of its modes, and how well it is known.
+
+    ``shapes`` T (n, n) and ``omega`` (n,) as of ``natural_modes``; ``drift`` A (2n, 2n) is that of
+    dx = A x dt + … of x = (ω Q, P); ``covariance`` (2n, 2n) is V diag(``variance``) Vᵀ with
+    ``axes`` V, ascending. ``variance_error`` (2n,) estimates the error of each, ``relative_error``
+    that of the whole as a quadratic form; ``residual`` is the largest entry of the Lyapunov
+    equation relative to the terms that cancel in it.
+    """
+
+    shapes: Array
+    omega: Array
+    drift: Array
+    covariance: Array
+    axes: Array
+    variance: Array
+    variance_error: Array
+    relative_error: float
+    residual: float
+
+
+def linear_covariance(system: System) -> LinearCovariance:
+    """Return the covariance of the modes of the system without contacts, from A Σ + Σ Aᵀ + b = 0.
+
+    In (ω Q, P) every entry of A is a rate of its own mode, so that a slow one is not lost beside a
+    fast one, eight decades away. The solver's error is that of a damping of the round-off of the
+    fastest mode; its residual has none of it, and two corrections remove it. The error is estimated
+    by the last correction, by the effect of a residual of the size of its own round-off, and by
+    that of the round-off of ω, of alternate signs.
+
+    Raises ``NotApplicable`` where a mode is not damped, so that no stationary state exists, and
+    where the damping depends on the state.
+    """
+    if system.damping_terms:
+        raise NotApplicable("the damping depends on the state, so the system is not linear")
+    if decay_time(system) == inf:
+        raise NotApplicable("a mode is not damped, so that there is no stationary state")
+    n = system.n
+    T, omega = natural_modes(system)
+    nothing = np.zeros((n, n))
+    A = np.block([[nothing, np.diag(omega)], [-np.diag(omega), -T.T @ system.damping @ T]])
+    b = np.block([[nothing, nothing], [nothing, 2.0 * T.T @ system.noise_matrix @ T]])
+    covariance = correction = np.zeros((2 * n, 2 * n))
+    # A first correction leaves the square of the solver's relative error, which is below 1e-6 where
+    # a mode decays by more than 1e-10 of a radian; a second one shows what is left.
+    for _ in range(3):
+        correction = solve_continuous_lyapunov(A, -(A @ covariance + covariance @ A.T + b))
+        covariance = covariance + 0.5 * (correction + correction.T)
+    left = A @ covariance + covariance @ A.T + b
+    # The sizes of what is added up in A and b, which cancels where a mode is nearly undamped.
+    damping, noise = (
+        np.abs(T.T) @ np.abs(x) @ np.abs(T) for x in (system.damping, 2.0 * system.noise_matrix)
+    )
+    sizes = np.block([[nothing, np.diag(omega)], [np.diag(omega), damping]]) @ np.abs(covariance)
+    terms = sizes + sizes.T
+    terms[n:, n:] += noise
+    rounding = EPS * 2 * n
+    shift = rounding * float(omega[-1]) * (-1.0) ** np.arange(n)
+    turned = np.block([[nothing, np.diag(shift)], [-np.diag(shift), nothing]]) @ covariance
+    effects = [solve_continuous_lyapunov(A, -x) for x in (rounding * terms, turned + turned.T)]
+    variance, V = np.linalg.eigh(covariance)
+    errors = [V.T @ effect @ V for effect in (correction, *effects)]
+    # Eigenvalues have the round-off of the largest one, and the springs of a soft mode that of the
+    # stiffest one.
+    variance_error = sum(np.abs(np.diag(e)) for e in errors) + rounding * variance[-1]
+    variance_error += 2.0 * rounding * omega[-1] / omega[0] * variance
+    size = np.sqrt(np.maximum(variance, variance_error))
+    size[size == 0.0] = 1.0  # at rest: no noise moves it, and nothing has an error
+    relative = sum(np.linalg.norm(e / np.outer(size, size), 2) for e in errors)
+    relative += np.max(variance_error / size**2)
+    # What is not correlated leaves no terms to compare with: those of both on their own are, in
+    # displacements those of the rotation.
+    terms[range(n), range(n)] += omega * np.abs(np.diag(covariance)[:n])
+    alone = np.sqrt(np.diag(terms))
+    terms = np.maximum(terms, np.outer(alone, alone))
+    residual = float(np.max(np.abs(left) / np.where(terms > 0.0, terms, 1.0)))
+    return LinearCovariance(
+        T, omega, A, covariance, V, variance, variance_error, float(relative), residual
+    )
+
+
+def stationary_covariance(system: System) -> Array:
+    """Return the covariance of (q, p) of the system without contacts, shape (2n, 2n).
+
+    It is exact for any damping and noise. Raises ``NotApplicable`` as ``linear_covariance``.
+    """
+    modal = system.fact(linear_covariance)
+    nothing = np.zeros((system.n, system.n))
+    momenta = system.mass[:, None] * modal.shapes
+    back = np.block([[modal.shapes / modal.omega, nothing], [nothing, momenta]])
+    covariance = back @ modal.covariance @ back.T
+    return np.asarray(0.5 * (covariance + covariance.T))

@@ -1,0 +1,288 @@
+"""The chain of masses, springs, dampers, noises and contacts of Eq. (1), and its effects."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fpk.numeric.arrays import ROUND_OFF, Array
+from fpk.numeric.errors import InvalidInput
+from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
+from fpk.system.modulation import Modulation
+
+Fact = TypeVar("Fact")
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Randomly excited and dissipated Hamiltonian system, Eqs. (1), (4), (6).
+
+    ``dq = M⁻¹p dt``, ``dp = (−K q − g(q) − c M⁻¹ p) dt + f √(2D) dB`` (Ito; corrected from (6),
+    which omits the factor √(2D) although ``E[W_k W_l'] = 2 D_kl δ``).
+
+    ``mass`` (n,) > 0. ``stiffness`` (n,) > 0: k_i joins mass i to mass i−1, k_1 to the wall.
+    ``damping`` c: (n,) for a diagonal or (n, n); its symmetric part must not be negative, unless
+    ``damping_terms`` make c depend on the state: then it may feed energy in where they take it out.
+    ``noise_intensity`` D: (l,) for a diagonal or (l, l), symmetric, positive semidefinite.
+    ``noise_gain`` f: (n, l), the identity when left out. ``contacts``: any number on any masses.
+    ``damping_terms``: what entries of c gain with the state; one without any power joins the
+    constant matrix, one with the coefficient 0 is dropped.
+    ``modulation`` e(t) multiplies the noise intensity by e² in what begins at a time 0: the
+    stationary state, and every method that solves for it, is without it.
+    All arrays are kept read-only, in float64 and full matrix form.
+
+    Two masses, the second between stops (Fig. 6(a))::
+
+        stop = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
+        system = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))
+        system.n, system.stops
+        system.potential(np.array([0.2, 0.6])), system.contact_energy(1, 0.6)
+        system.hamiltonian(np.array([0.2, 0.6]), np.array([0.0, 0.1]))
+
+    Raises ``InvalidInput`` naming the field that cannot be used.
+    """
+
+    mass: Array
+    stiffness: Array
+    damping: Array
+    noise_intensity: Array
+    noise_gain: Array | None = None
+    contacts: tuple[Contact, ...] = ()
+    damping_terms: tuple[DampingTerm, ...] = ()
+    modulation: Modulation | None = None
+    noise_matrix: Array = field(init=False)
+    stiffness_matrix: Array = field(init=False)
+    _facts: dict[Callable[..., Any], Any] = field(init=False, repr=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the fields, bring them to matrix form and derive f D fᵀ and K."""
+        mass = _vector("mass", self.mass)
+        n = mass.size
+        stiffness = _vector("stiffness", self.stiffness)
+        if stiffness.size != n:
+            raise InvalidInput("stiffness", self.stiffness, f"must have {n} entries, one per mass")
+        damping = _matrix("damping", self.damping)
+        if damping.shape[0] != n:
+            raise InvalidInput("damping", self.damping, f"must have {n} entries or be {n} x {n}")
+        contacts = _records("contacts", self.contacts, Contact)
+        terms = []  # those that depend on the state
+        given_terms = _records("damping_terms", self.damping_terms, DampingTerm)
+        for k, term in enumerate(given_terms, start=1):
+            for place, at in term.masses.items():
+                if not 1 <= at <= n:
+                    raise InvalidInput(
+                        f"damping_term[{k}].{place}", at, f"is not a mass; use 1 to {n}"
+                    )
+            if term.degree == 0:
+                damping[term.row, term.column] += term.coefficient
+            elif term.coefficient != 0.0:
+                terms.append(term)
+        if not terms:
+            _refuse_negative("damping", damping, "does not dissipate: its symmetric part has")
+        intensity = _matrix("noise_intensity", self.noise_intensity)
+        noises = intensity.shape[0]
+        skew = np.abs(intensity - intensity.T)
+        if (skew > ROUND_OFF * np.abs(intensity)).any():
+            raise InvalidInput("noise_intensity", self.noise_intensity, "must be symmetric")
+        _refuse_negative("noise_intensity", intensity, "is not positive semidefinite: it has")
+        if self.noise_gain is None:
+            if noises != n:
+                raise InvalidInput(
+                    "noise_intensity",
+                    self.noise_intensity,
+                    f"must have {n} entries or be {n} x {n} (or give noise_gain, {n} x {noises})",
+                )
+            gain = np.eye(n)
+        else:
+            gain = _finite("noise_gain", self.noise_gain)
+            if gain.shape != (n, noises):
+                raise InvalidInput("noise_gain", self.noise_gain, f"must be {n} x {noises}")
+        for k, contact in enumerate(contacts, start=1):
+            if not 1 <= contact.mass <= n:
+                key = f"contact[{k}].mass"
+                raise InvalidInput(key, contact.mass, f"is not a mass; use 1 to {n}")
+        extension = np.eye(n) - np.eye(n, k=-1)  # of each spring, from the displacements
+        arrays = {
+            "mass": mass,
+            "stiffness": stiffness,
+            "damping": damping,
+            "noise_intensity": intensity,
+            "noise_gain": gain,
+            "noise_matrix": gain @ intensity @ gain.T,
+            "stiffness_matrix": extension.T @ (stiffness[:, None] * extension),
+        }
+        for value in arrays.values():
+            value.setflags(write=False)
+        derived = {**arrays, "contacts": contacts, "damping_terms": tuple(terms)}
+        for name, field_value in derived.items():
+            object.__setattr__(self, name, field_value)
+
+    @property
+    def n(self) -> int:
+        """Number of masses, the degrees of freedom."""
+        return self.mass.size
+
+    @cached_property
+    def stops(self) -> tuple[Contact, ...]:
+        """The contacts as one-sided stops."""
+        return tuple(stop for contact in self.contacts for stop in contact.one_sided())
+
+    @cached_property
+    def contact_masses(self) -> tuple[int, ...]:
+        """The masses that can touch something, counted from 0, ascending."""
+        return tuple(sorted({contact.index for contact in self.contacts}))
+
+    @cached_property
+    def compliance(self) -> Array:
+        """Inverse (n, n) of the stiffness matrix of the chain: Σ 1/k_l over l <= min(i, j).
+
+        Mass i and mass j share the springs from the wall to the nearer of the two; nothing cancels,
+        so that every entry has full relative accuracy for any ratio of the springs.
+        """
+        reach = np.cumsum(1.0 / self.stiffness)
+        matrix: Array = np.minimum.outer(reach, reach)
+        matrix.setflags(write=False)
+        return matrix
+
+    def __repr__(self) -> str:
+        """Return the number of masses and what acts on them in one line."""
+        stops = ", ".join(f"{stop.side} of mass {stop.mass}" for stop in self.stops)
+        return (
+            f"System({self.n} {'mass' if self.n == 1 else 'masses'}; stops: {stops or 'none'}; "
+            f"damping terms: {len(self.damping_terms)})"
+        )
+
+    def fact(self, compute: Callable[["System"], Fact]) -> Fact:
+        """Return ``compute(self)``: computed when first asked for, then held by the system.
+
+        For what follows from the system alone and costs something; ``compute`` is a function of a
+        module, which serves as the key. An exception is not held: it is raised again.
+        """
+        if compute not in self._facts:
+            self._facts[compute] = compute(self)
+        return cast("Fact", self._facts[compute])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state to pickle, without the facts: they are computed again."""
+        return {**self.__dict__, "_facts": {}}
+
+    def contact_energy(self, mass: int, q: ArrayLike) -> Array:
+        """Contact energy U_i(q) of one mass (counted from 0), Eq. (5)."""
+        q = np.asarray(q, dtype=float)
+        energy = np.zeros_like(q)
+        for stop in self.stops:
+            if stop.index == mass:
+                energy = energy + stop.energy(np.maximum(stop.sign * q - stop.clearance, 0.0))
+        return energy
+
+    def potential(self, q: ArrayLike) -> Array:
+        """Potential V(q) = ½ qᵀ K q + Σ U_i(q_i) of Eq. (5); ``q`` has shape (..., n)."""
+        q = np.asarray(q, dtype=float)
+        springs: Array = 0.5 * np.einsum("...i,ij,...j->...", q, self.stiffness_matrix, q)
+        return springs + sum(self.contact_energy(i, q[..., i]) for i in self.contact_masses)
+
+    def hamiltonian(self, q: ArrayLike, p: ArrayLike) -> Array:
+        """Hamiltonian H(q, p) of Eq. (5); ``q`` and ``p`` have shape (..., n)."""
+        p = np.asarray(p, dtype=float)
+        kinetic: Array = 0.5 * np.sum(p * p / self.mass, axis=-1)
+        return kinetic + self.potential(q)
+
+
+def _records(key: str, values: Any, kind: type[Fact]) -> tuple[Fact, ...]:
+    if isinstance(values, (tuple, list)) and all(isinstance(value, kind) for value in values):
+        return tuple(values)
+    raise InvalidInput(key, values, f"must be a tuple of {kind.__name__}, as (first, second)")
+
+
+def _finite(key: str, value: ArrayLike) -> Array:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InvalidInput(
+            key, value, "must be numbers in a list, or lists of equal length"
+        ) from None
+    if not np.isfinite(array).all():
+        raise InvalidInput(key, value, "must hold finite numbers only")
+    return array
+
+
+def _vector(key: str, value: ArrayLike) -> Array:
+    array = _finite(key, value)
+    if array.ndim != 1 or array.size == 0:
+        raise InvalidInput(key, value, "must be a list of one number per mass")
+    if (array <= 0).any():
+        raise InvalidInput(key, value, "must hold positive numbers only")
+    return array
+
+
+def _matrix(key: str, value: ArrayLike) -> Array:
+    array = _finite(key, value)
+    if array.ndim == 1 and array.size:
+        return np.diag(array)
+    if array.ndim != 2 or array.shape[0] != array.shape[1] or array.size == 0:
+        raise InvalidInput(key, value, "must be a list of numbers or a square matrix")
+    return array
+
+
+def _refuse_negative(key: str, matrix: Array, words: str) -> None:
+    symmetric = 0.5 * (matrix + matrix.T)
+    eigenvalues: Array = np.sort(symmetric.diagonal())
+    if np.count_nonzero(symmetric) > np.count_nonzero(eigenvalues):
+        eigenvalues = np.asarray(np.linalg.eigvalsh(symmetric), dtype=float)
+    if eigenvalues[0] < -ROUND_OFF * np.abs(eigenvalues).max():
+        raise InvalidInput(key, matrix, f"{words} the eigenvalue {eigenvalues[0]:.3g} < 0")
+
+
+@dataclass(frozen=True)
+class Effects:
+    """The effects of one system; hashable, and the key by which the stepper is compiled.
+
+    ``laws`` are the contact laws that act, sorted; ``contact_masses`` count from 0; ``stops`` is
+    the number of one-sided contacts; ``noise_rank`` the number of independent noises that reach
+    a mass; ``state_damping`` whether the damping depends on the state, ``energy_damping`` whether
+    on H among it; ``mirror`` whether the system looks the same under q → −q.
+    """
+
+    masses: int
+    laws: tuple[str, ...]
+    contact_masses: tuple[int, ...]
+    stops: int
+    noise_rank: int
+    correlated_noise: bool
+    coupled_damping: bool
+    state_damping: bool
+    energy_damping: bool
+    mirror: bool
+
+    @property
+    def contact(self) -> bool:
+        """Whether any mass can touch anything."""
+        return self.stops > 0
+
+
+def effects_of(system: System) -> Effects:
+    """Return the effects that act in ``system``."""
+    noise = system.noise_matrix
+    return Effects(
+        masses=system.n,
+        laws=tuple(sorted({stop.law for stop in system.stops})),
+        contact_masses=system.contact_masses,
+        stops=len(system.stops),
+        noise_rank=int(np.linalg.matrix_rank(noise, hermitian=True)),
+        correlated_noise=bool(np.any(noise != np.diag(np.diag(noise)))),
+        coupled_damping=bool(np.any(system.damping != np.diag(np.diag(system.damping)))),
+        state_damping=bool(system.damping_terms),
+        energy_damping=any(term.energy for term in system.damping_terms),
+        mirror=looks_the_same_mirrored(system),
+    )
+
+
+def looks_the_same_mirrored(system: System) -> bool:
+    """Whether the system is the same under q → −q."""
+    stops = [(s.index, s.stiffness, s.clearance, s.law, s.power, s.side) for s in system.stops]
+    right, left = (sorted(s[:-1] for s in stops if s[-1] == side) for side in ("right", "left"))
+    return right == left and all(term.degree % 2 == 0 for term in system.damping_terms)

@@ -1,1 +1,0 @@
-"""Motions of Eq. (6) in time, read step by step: first passage, transients, crossings, spectra."""

@@ -1,0 +1,151 @@
+"""First passage by simulation: trajectories are followed until they pass the limit."""
+
+from collections.abc import Callable, Iterable
+from math import ceil, inf, sqrt
+from typing import Any
+
+import numpy as np
+
+from fpk.answer.certificate import tolerance
+from fpk.answer.evolution import Passage, PassageAsked
+from fpk.answer.method import Progress
+from fpk.numeric.arrays import Array, Flags
+from fpk.numeric.errors import InvalidInput
+from fpk.numeric.machine import left_out
+from fpk.system.modulation import Modulation
+from sim.questions import limits
+from sim.questions.failure_times import Times, followed_for, passage_of, settled_at
+from sim.questions.passing import reader_of
+from sim.questions.rounds import both_steps, seed_of, working
+from sim.sample.ensemble import Reader
+from sim.sample.settings import Settings
+from sim.step.arrays import LANES, MAX_TRAJECTORIES, in_blocks, in_rows
+from sim.step.random import stream_of
+from sim.step.reachable import loudest
+from sim.step.step_size import relaxation_time
+
+AT_ONCE = 32768
+"""Trajectories that run together: a chunk of them takes less than a second."""
+
+HOPELESS = 8.0
+"""A simulation ends in which nothing has failed in one over this of its time, where no time was
+asked for: in the rest some 8 · 3 failures at most (95 %) are to be expected, too few to go on from.
+"""
+
+Run = tuple[Any, int, Callable[[float, float], Reader], tuple[int, ...]]
+"""An ensemble, its steps in one of the coarser simulation, its reader by the step and the time at
+which that begins, and which failure times it writes: 0 of the finer simulation, 1 of the coarser.
+"""
+
+
+def passage(method: Settings, asked: PassageAsked) -> Passage:
+    """Return the first passage that is asked for by simulation at dt/2 and at dt.
+
+    ``paths`` trajectories are followed until all have failed, or for ``time``, or the cost of
+    ``most_steps`` steps each. ``asked.tol``, the relative error wanted of the mean, or ``seconds``:
+    as many more as they take. ``longest`` bounds the first.
+    """
+    system, limit, start, times = asked.system, asked.limit, asked.start, asked.times
+    limits.require_times(times)
+    wanted = tolerance(asked.tol, method.tol)
+    modulation, loud = system.modulation, loudest(system)
+    reach = limits.reach_of(loud, limit, start, method.time or inf)
+    dt, failures = limits.motion_step(method, loud, reach, error=wanted)
+    first = limits.first_step(dt, times, reach.start, method.step_factor)
+    last = float(np.max(times, initial=0.0))
+    longest, settled = horizon(method, dt, last, modulation), settled_at(modulation)
+    # Under noise that varies none may fail for long, and many later.
+    hopeless = method.time or max(longest / HOPELESS, last, min(settled, longest))
+    paths = -(-min(method.paths, AT_ONCE) // LANES) * LANES
+    energies, rows = limits.energies_of(limit, system.n), list[Array]()
+
+    def failed(number: int) -> float:
+        q, p = origin.drawn(paths, number)
+        past = limits.beyond(system, limit, q, p)
+        if np.all(past):
+            raise InvalidInput("start", str(start), f"is beyond the limit {limit}")
+        seed = seed_of(method.seed, number)
+        with left_out():
+            pair = both_steps(
+                system, q, p, first, seed, energies=energies, workers=workers,
+                modulation=modulation,
+            )  # fmt: skip
+        stream = stream_of(seed, number + 2**63)
+        chance = stream.exponential(size=(paths, max(1, len(energies))))
+        steps = limits.stages(first, dt, longest, most=limits.CHUNK)
+        runs: list[Run] = [
+            (ensemble, 2 - k, lambda h, begin: reader_of(system, limit, h, begin), (k,))
+            for k, ensemble in enumerate(pair)
+        ]
+        rows.append(
+            followed(runs, past, chance, steps, longest, hopeless, watch.ends, asked.progress)
+        )
+        # About the relative standard error of the mean: times are nearly exponential.
+        return 1.1 / sqrt(max(1, Times(*np.hstack(rows)).failed))
+
+    with working(method, system, wanted, start) as (workers, watch, origin):
+        watch.until(failed, least=ceil(method.paths / paths), most=MAX_TRAJECTORIES // AT_ONCE)
+        failures += watch.interruption()
+    return passage_of(
+        Times(*np.hstack(rows)),
+        times,
+        limit=str(limit),
+        step=first,
+        memory=relaxation_time(system),
+        tol=inf if wanted is None else wanted,
+        settled=settled,
+        failures=failures,
+        settings={"dt": 0.5 * dt, "coarse dt": dt, "scheme": method.scheme, "seed": method.seed},
+    )
+
+
+def horizon(
+    method: Settings, dt: float, last: float, modulation: Modulation | None = None
+) -> float:
+    """Return how long a trajectory is followed at most: ``time``, or as ``followed_for`` says."""
+    # Two steps of the finer simulation to one, dt, of the coarser.
+    return method.time or followed_for(method.most_steps / 3.0 * dt, last, modulation)
+
+
+def followed(
+    runs: list[Run], past: Flags, chance: Array, steps: Iterable[tuple[float, int]],
+    horizon: float, hopeless: float, ends: Callable[[], bool], progress: Progress,
+) -> Array:  # fmt: skip
+    """Return the fields of ``Times`` of trajectories of any model, from a start at time 0.
+
+    They are those of ``runs``, some ``past`` (paths,) the limit from the start, with an exponential
+    number each as the readers' ``chance`` (paths, limits), in ``steps`` (dt, how many) until they
+    have failed in both simulations. They end at the ``horizon``, at ``hopeless`` if none has failed
+    by then, and after some steps when it ``ends()``; times so cut short are marked by ``until``.
+    """
+    paths, lanes = past.size, np.arange(past.size)
+    chances = [in_blocks(chance) for _ in range(2)]
+    found = [in_blocks(np.where(past, 0.0, inf)[:, None]) for _ in range(2)]
+    failed, readers = np.full((2, paths), inf), list[Reader]()
+    for dt, chunk in steps:
+        if not readers or dt / runs[-1][1] != runs[-1][0].dt:
+            if readers:
+                runs = [(e.onward(dt / many), many, make, k) for e, many, make, k in runs]
+            readers = [make(ensemble.dt, ensemble.begin) for ensemble, _, make, _ in runs]
+        for (ensemble, many, _, which), read in zip(runs, readers, strict=True):
+            arrays = [a[k] for k in which for a in (found, chances)]
+            ensemble.advance(many * chunk, *arrays, read=read, passed=arrays[0])
+        now = np.array([in_rows(times)[: lanes.size, 0] for times in found])
+        failed[:, lanes] = now
+        running = np.isinf(now).any(axis=0)
+        alive, time = int(np.count_nonzero(running)), runs[-1][0].time
+        done = max(1.0 - alive / paths, min(1.0, time / horizon))
+        progress(int(1000 * done), 1000, "first passage")
+        nothing = not np.isfinite(failed).any() and time >= hopeless
+        if not alive or nothing or ends():
+            break
+        if 2 * alive <= len(found[0]) * LANES and len(found[0]) > 1:
+            kept = np.flatnonzero(running)
+            lanes = lanes[kept]
+            for ensemble, *_ in runs:
+                ensemble.keep(kept)
+            found, chances = ([in_blocks(in_rows(a)[kept]) for a in x] for x in (found, chances))
+    until = np.full(paths, min(horizon, time))
+    # What passes in the part of the last step beyond the horizon counts as not failed.
+    failed[failed > until] = inf
+    return np.vstack([failed, until])

@@ -1,0 +1,346 @@
+"""Compiled readers of traces: upcrossings, and when a limit is passed, between the steps too.
+
+Between two steps displacements are cubics through (q, v) at both ends, energies Brownian bridges.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache, partial, wraps
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fpk.answer.limit import Limit
+from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
+from fpk.system.linear import natural_modes
+from fpk.system.modulation import Modulation
+from fpk.system.system import System
+from sim.questions.limits import energies_at, energies_of
+from sim.sample.ensemble import Reader
+from sim.step.arrays import W
+from sim.step.kernel import once
+from sim.step.lanes import add_product, fill, row
+
+Cubic = tuple[float, float, float, float]
+
+
+@inlined
+def cubic_of(q0: float, v0: float, q1: float, v1: float, h: float) -> Cubic:
+    """Return the coefficients of q(s), s = t/h in [0, 1], ascending."""
+    change = q1 - q0
+    return q0, h * v0, 3.0 * change - h * (2.0 * v0 + v1), h * (v0 + v1) - 2.0 * change
+
+
+@inlined
+def value_of(c: Cubic, s: float) -> float:
+    """Return q(s)."""
+    value: float = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
+    return value
+
+
+@inlined
+def turning_points(c: Cubic) -> tuple[float, float]:
+    """Return where q'(s) = 0 within (0, 1), ascending; 1 for one that is not there."""
+    a, b, d = 3.0 * c[3], c[2], c[1]  # a s² + 2 b s + d
+    square = b * b - a * d
+    if square <= 0.0:
+        return 1.0, 1.0
+    # Neither root by a difference of nearly equal numbers.
+    far = -(b + np.copysign(np.sqrt(square), b))
+    s1 = d / far if far != 0.0 else 1.0
+    s2 = far / a if a != 0.0 else 1.0
+    s1 = s1 if 0.0 < s1 < 1.0 else 1.0
+    s2 = s2 if 0.0 < s2 < 1.0 else 1.0
+    return min(s1, s2), max(s1, s2)
+
+
+@inlined
+def largest_of(c: Cubic) -> float:
+    """Return the largest |q(s)|, s in [0, 1]."""
+    s = turning_points(c)
+    largest = max(abs(c[0]), abs(value_of(c, 1.0)))
+    return max(largest, abs(value_of(c, s[0])), abs(value_of(c, s[1])))
+
+
+@inlined
+def form_of(value: Array, s: Array, first: int, form: Array, width: int = W) -> None:
+    """Write pᵀ ``form`` p of each lane, p being the rows of ``s`` from ``first`` on."""
+    fill(value, 0.0, width)
+    for i in range(form.shape[0]):
+        for j in range(form.shape[1]):
+            x, y = row(s, first + i, 1, width), row(s, first + j, 1, width)
+            add_product(value, x, y, form[i, j], width)
+
+
+@inlined
+def distance_to(limit: float, H: float, variance: float, growth: float, at_rest: float) -> float:
+    """Return d = 2 (√(e + L − H) − √e)/√β, e = σ²/β, how far an energy is from its ``limit`` L.
+
+    It has the ``variance`` σ² per time, of which the noise makes β more as it adds 1 to H, β σ²
+    being the ``growth`` and β ``at_rest`` where that is 0: in y = ∫dH/σ, σ² being linear in H, the
+    diffusion is 1. Not positive at or beyond the limit.
+    """
+    beta = growth / variance if growth > 0.0 else at_rest
+    e = variance / beta
+    return float(2.0 * (np.sqrt(max(e + limit - H, 0.0)) - np.sqrt(e)) / np.sqrt(beta))
+
+
+@inlined
+def first_passage(c: Cubic, limit: float) -> float:
+    """Return the first s in (0, 1] with |q(s)| >= ``limit``, |q(0)| being below; else 2."""
+    turning = turning_points(c)
+    low = 0.0
+    for end in (turning[0], turning[1], 1.0):
+        if abs(value_of(c, end)) >= limit:
+            high = end
+            for _ in range(30):  # to 1e-9 of the step
+                middle = 0.5 * (low + high)
+                if abs(value_of(c, middle)) >= limit:
+                    high = middle
+                else:
+                    low = middle
+            return high
+        low = end
+    return 2.0
+
+
+SOURCES = ("sim/step/arrays.py", "sim/step/lanes.py", "sim/questions/passing.py")
+"""Files that the readers are compiled from."""
+
+NATS = 40.0
+"""−ln of a probability that counts as none: 4e-18."""
+
+SMALLEST = 1e-200
+"""Stands for the β of an energy without noise, of which the limit is then infinitely far."""
+
+
+def reader(make: Callable[[int], Any]) -> Reader:
+    """Return the reader that ``make(sources)`` compiles, with the name and docstring of ``make``.
+
+    ``sources`` is the checksum of ``SOURCES``, which the compiled function returns as a constant.
+    """
+    compiled = once(lambda: make(checksum([ROOT / name for name in SOURCES])))
+
+    @wraps(make)
+    def read(*arrays: Any, **numbers: Any) -> None:
+        compiled()(*arrays, **numbers)
+
+    return read
+
+
+@inlined
+def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None:
+    """Count the levels in (low, high]: +1 at the first of them, −1 behind the last."""
+    if high <= levels[0] or low >= levels[-1] or not low < high:
+        return
+    begin, end = np.searchsorted(levels, low, "right"), np.searchsorted(levels, high, "right")
+    if end > begin:
+        counts[begin] += 1
+        counts[end] -= 1
+
+
+@reader
+def count_upcrossings(sources: int) -> Any:
+    """Add to ``counts`` (blocks, levels + 1), whose running sums are upcrossings of the ``levels``.
+
+    Levels ascend. Between samples q is the cubic through q and v at both ends: each of its rising
+    parts is counted, so that a level passed up and down within a step is not lost.
+    """
+
+    @cached_njit()
+    def read(
+        trace: Array, samples: int, done: int, counts: Integers, dt: float, row: int, momentum: int,
+        inverse_mass: float, levels: Array,
+    ) -> int:  # fmt: skip
+        for b in range(trace.shape[0]):
+            own = counts[b]
+            for k in range(samples):
+                q0, q1 = trace[b, k, row], trace[b, k + 1, row]
+                p0, p1 = trace[b, k, momentum], trace[b, k + 1, momentum]
+                for w in range(W):
+                    v0, v1 = inverse_mass * p0[w], inverse_mass * p1[w]
+                    change = q1[w] - q0[w]
+                    # De Boor and Swartz: a cubic with these slopes is monotone.
+                    if min(v0, v1) >= 0.0 and dt * max(v0, v1) <= 3.0 * change:
+                        count_rise(own, levels, q0[w], q1[w])
+                    elif max(v0, v1) > 0.0 or dt * min(v0, v1) < 3.0 * change:
+                        cubic = cubic_of(q0[w], v0, q1[w], v1, dt)
+                        turning, before = turning_points(cubic), q0[w]
+                        for s in (turning[0], turning[1]):
+                            value = value_of(cubic, s)
+                            count_rise(own, levels, before, value)
+                            before = value
+                        count_rise(own, levels, before, q1[w])
+        return sources
+
+    return read
+
+
+@reader
+def pass_displacement(sources: int) -> Any:
+    """Write when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES), where inf.
+
+    Between samples q is the cubic through q and v at both ends: no ``chance`` is in it.
+    """
+
+    @cached_njit()
+    def read(
+        trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
+        row: int, momentum: int, inverse_mass: float, limit: float,
+    ) -> int:  # fmt: skip
+        for b in range(trace.shape[0]):
+            own = time[b, 0]
+            for k in range(samples):
+                q0, q1 = trace[b, k, row], trace[b, k + 1, row]
+                p0, p1 = trace[b, k, momentum], trace[b, k + 1, momentum]
+                # A cubic passes the larger of its ends by 4/27 · h (|v0| + |v1|) at most.
+                slope = 4.0 / 27.0 * dt * inverse_mass
+                near = 0
+                for w in range(W):
+                    reach = max(abs(q0[w]), abs(q1[w])) + slope * (abs(p0[w]) + abs(p1[w]))
+                    near += (reach >= limit) & (own[w] == np.inf)
+                if near == 0:
+                    continue
+                for w in range(W):
+                    reach = max(abs(q0[w]), abs(q1[w])) + slope * (abs(p0[w]) + abs(p1[w]))
+                    if reach >= limit and own[w] == np.inf:
+                        cubic = cubic_of(
+                            q0[w], inverse_mass * p0[w], q1[w], inverse_mass * p1[w], dt
+                        )
+                        share = first_passage(cubic, limit)
+                        if share <= 1.0:
+                            own[w] = begin + (done + k + share) * dt
+        return sources
+
+    return read
+
+
+@reader
+def pass_energies(sources: int) -> Any:
+    """Write when one of the energies in ``rows`` first passes its limit to ``time``, where inf.
+
+    Energies pass by diffusion: dH = … + σ dB, σ² = p'Fp, and as the noise moves H by 1 it moves
+    σ² by β = p'Gp/σ², of ``diffusion``; momenta p are rows from ``first`` on. Between samples, h
+    apart, the distance d of ``distance_to`` is a Brownian bridge, and vanishes with
+    the probability exp(−2 d0 d1/h), with h times the mean e² of modulated noise, ``spread``
+    (samples,), in place of h; then at the share d0/(d0 + |d1|) of the step, the mean of which is
+    right.
+    ``chance`` (blocks, limits, LANES) holds an exponential number for each: that limit is passed
+    when the sum of −ln(1 − probability) is more. One number for all steps: the same motion at
+    another step passes at nearly the same time.
+    """
+
+    @cached_njit()
+    def read(
+        trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
+        first: int, rows: Integers, limits: Array, diffusion: Diffusion, spread: Array,
+    ) -> int:  # fmt: skip
+        variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
+        for b in range(trace.shape[0]):
+            own = time[b, 0]
+            for m in range(rows.size):
+                left, limit = chance[b, m], limits[m]
+                for k in range(samples + 1):
+                    state = trace[b, k].reshape(trace.shape[2] * W)
+                    form_of(variance, state, first, diffusion.variance[m])
+                    form_of(rise, state, first, diffusion.growth[m])
+                    H = trace[b, k, rows[m]]
+                    near, h = 0, spread[max(k - 1, 0)]
+                    for w in range(W):
+                        after[w] = distance_to(
+                            limit, H[w], variance[w], rise[w], diffusion.at_rest[m]
+                        )
+                        near += 2.0 * before[w] * after[w] < NATS * h
+                    if k > 0 and near > 0:
+                        end = begin + (done + k) * dt
+                        for w in range(W):
+                            # Of several limits in one step the first one counts.
+                            if own[w] > end - dt:
+                                nats = 2.0 * before[w] * after[w] / h
+                                if 0.0 < nats < NATS:
+                                    left[w] += np.log1p(-np.exp(-nats))
+                                if nats <= 0.0 or left[w] <= 0.0:
+                                    share = before[w] / (before[w] + abs(after[w]))
+                                    own[w] = min(own[w], end - dt * (1.0 - share))
+                    before[:] = after
+        return sources
+
+    return read
+
+
+class Diffusion(NamedTuple):
+    """How the noise moves energies, forms of the momenta p; one a limit, see ``pass_energies``."""
+
+    variance: Array  # (limits, n, n), σ² = pᵀ F p
+    growth: Array  # (limits, n, n), β σ² = pᵀ G p
+    at_rest: Array  # (limits,), β where p = 0
+
+
+def diffusion_of(system: System, limit: Limit) -> Diffusion:
+    """Return how the noise moves the energies of ``limit``, in the order of ``energies_of``.
+
+    Of H: F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹, N = f D fᵀ; of a mode with the shape T_m: the
+    same of its own momentum.
+    """
+    N = system.noise_matrix
+    if limit.kind == "H":
+        mobility = np.diag(1.0 / system.mass)
+        F = (2.0 * mobility @ N @ mobility)[None]
+        G = (8.0 * mobility @ N @ mobility @ N @ mobility)[None]
+    else:
+        T = natural_modes(system)[0].T[[c.row for c in energies_of(limit, system.n)]]
+        noise = np.einsum("mi,ij,mj->m", T, N, T)[:, None, None]
+        F = 2.0 * noise * T[:, :, None] * T[:, None, :]
+        G = 4.0 * noise * F
+    trace_f, trace_g = (np.trace(form, axis1=1, axis2=2) for form in (F, G))
+    return Diffusion(F, G, np.maximum(trace_g / np.maximum(trace_f, SMALLEST), SMALLEST))
+
+
+@lru_cache(maxsize=64)  # all blocks ask for those of the same steps
+def spread_of(
+    modulation: Modulation | None, dt: float, done: int, samples: int, begin: float = 0.0
+) -> Array:
+    """Return ∫e² dt over each of so many steps ``dt`` after the first ``done`` from ``begin``."""
+    if modulation is None:
+        return np.full(samples, dt)
+    begins = begin + dt * np.arange(done, done + samples, dtype=float)
+    return np.maximum(dt * modulation.mean_square(begins, dt), SMALLEST)
+
+
+def pass_under(
+    trace: Array, samples: int, done: int, *arrays: Array, modulation: Modulation | None,
+    dt: float, begin: float, **known: Any,
+) -> None:  # fmt: skip
+    """Do ``pass_energies`` under the noise of the steps that are read."""
+    spread = spread_of(modulation, dt, done, samples, begin)
+    pass_energies(trace, samples, done, *arrays, dt=dt, begin=begin, spread=spread, **known)
+
+
+def reader_of(system: System, limit: Limit, dt: float, begin: float = 0.0) -> Reader:
+    """Return the reader of samples ``dt`` apart from ``begin`` on that sees ``limit`` passed.
+
+    It takes the arrays ``time`` and ``chance`` of ``pass_energies``.
+    """
+    n = system.n
+    if limit.kind == "q":
+        row = limit.observable(n)[0].row
+        return partial(
+            pass_displacement,
+            dt=dt,
+            begin=begin,
+            row=row,
+            momentum=n + row,
+            inverse_mass=1.0 / float(system.mass[row]),
+            limit=limit.value,
+        )
+    limits = energies_at(system, limit)
+    return partial(
+        pass_under,
+        modulation=system.modulation,
+        dt=dt,
+        begin=begin,
+        first=n,
+        rows=2 * n + np.arange(limits.size),
+        limits=limits,
+        diffusion=diffusion_of(system, limit),
+    )

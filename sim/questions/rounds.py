@@ -1,0 +1,191 @@
+"""Rounds of sampled trajectories until an answer is good enough, and the curves that follow."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from math import ceil, inf
+from typing import Any
+
+import numpy as np
+
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.dynamics import Curve
+from fpk.answer.method import Progress
+from fpk.answer.start import Start
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput
+from fpk.numeric.machine import left_out, usable_cores, working_time
+from fpk.system.system import System
+from sim.questions.starts import Origin
+from sim.sample.checkpoint import interruptible
+from sim.sample.ensemble import Ensemble, Reader, ensemble_from
+from sim.sample.settings import LEAST_PATHS, Settings
+from sim.sample.workers import workers_of
+from sim.step.arrays import LANES, in_rows
+from sim.step.random import OTHER_SEED
+
+MOST_STEPS, MOST_SAMPLES = 1 << 22, 64
+"""Steps of all trajectories, and samples of each, after which the wall time is looked at: some ten
+milliseconds, and a tenth of a second where ``MOST_SUMS`` numbers are summed."""
+
+MOST_SUMS = 1 << 23
+"""Numbers that the windows of one round hold, 64 MB; of two blocks at the least, for an error."""
+
+
+@dataclass(eq=False)
+class Watch:
+    """Goes on until an error is ``tol``, or for ``seconds`` of wall time, or to Ctrl-C.
+
+    With a ``tol`` the ``seconds`` are a limit; ``stopped()`` says that an answer that may be
+    partial is to end.
+    """
+
+    seconds: float
+    stopped: Callable[[], bool]
+    tol: float | None = None
+    begin: float = field(default_factory=working_time)
+
+    def ends(self) -> bool:
+        """Return whether it is time to stop."""
+        return bool(self.stopped()) or working_time() - self.begin > self.seconds
+
+    def until(
+        self, answer: Callable[[int], float | None], *, least: int = 1, most: float = inf
+    ) -> bool:
+        """Call ``answer`` with 0, 1, … at least so often until the error it returns is met.
+
+        Return whether it was, and not time to stop before, nor ``answer`` called ``most`` times.
+        None is returned by an ``answer`` that was cut short.
+        """
+        number = 0
+        while (error := answer(number)) is not None:
+            number += 1
+            more = error > self.tol if self.tol is not None else self.seconds < inf
+            if number >= least and not more:
+                return True
+            if number >= most or self.ends():
+                return False
+        return False
+
+    def require(self, what: str, share: float) -> None:
+        """Raise ``InvalidInput`` where it is time to stop and only a ``share`` of ``what`` is done.
+
+        Without all of it there is no answer.
+        """
+        if not self.ends():
+            return
+        if self.stopped():
+            raise KeyboardInterrupt
+        taken = working_time() - self.begin
+        needed = f"which takes about {taken / share:.2g} s" if share > 0.0 else "which takes longer"
+        raise InvalidInput("seconds", self.seconds, f"are over in {what}, {needed}; give it more")
+
+    def interruption(self) -> list[str]:
+        """Return that Ctrl-C came, in words, if it did."""
+        return ["partial: interrupted by Ctrl-C"] if self.stopped() else []
+
+
+@contextmanager
+def working(
+    method: Settings, system: System, tol: float | None, start: Start | None = None
+) -> Iterator[tuple[Any, ...]]:
+    """Yield workers, the watch, and what draws states of the ``start`` (None: stationary ones)."""
+    start = start or Start("noise", {"noise": 1.0})
+    seconds = method.seconds or (method.longest if tol is not None else inf)
+    with (
+        workers_of(method.cluster, method.threads or usable_cores()) as workers,
+        interruptible(method.partial) as stopped,
+    ):
+        watch = Watch(seconds, stopped, tol)
+        yield workers, watch, Origin(system, start, method.seed, method.burn_in, workers, watch)
+
+
+def seed_of(seed: int, number: int) -> int:
+    """Return the seed of round ``number`` of trajectories."""
+    return (seed + number * OTHER_SEED) % 2**64
+
+
+def both_steps(
+    system: System, q: Array, p: Array, dt: float, seed: int, **settings: Any
+) -> list[Ensemble]:
+    """Return ensembles from q, p in steps of dt/2 and of ``dt``, by the same random numbers."""
+    return [
+        ensemble_from(system, q, p, step, seed, halved=halved, **settings)
+        for step, halved in ((0.5 * dt, False), (dt, True))
+    ]
+
+
+def in_rounds(
+    method: Settings, system: System, wanted: float | None,
+    steps: Sequence[tuple[float, int, bool]], samples: int, numbers: tuple[int, ...], read: Reader,
+    estimate: Callable[[list[Array], Array], float], *, what: str, progress: Progress,
+) -> tuple[int, list[str]]:  # fmt: skip
+    """Follow trajectories until ``estimate`` is content; return how many, and what went wrong.
+
+    ``steps`` are those of simulations with the same random numbers: dt, how many lie between
+    samples, and whether each is ``halved``. A round is a window of ``samples`` of trajectories
+    that have not been followed before; ``read`` turns those of a block into ``numbers``, a shape.
+    Raises ``InvalidInput`` where the time is over in the first round. Of each round ``estimate``
+    is given the numbers (blocks, …) of each and the mean squares of (q, p) at its end; what it
+    returns is the error of all there is, in the unit of the tolerance ``wanted``.
+    """
+    paths = -(-method.paths // LANES) * LANES
+    size = len(steps) * int(np.prod(numbers))
+    own = max(2, min(paths // LANES, MOST_SUMS // size)) * LANES
+    piece = max(1, min(MOST_SAMPLES, MOST_STEPS // (own * steps[0][1])))
+    rounds = 0
+
+    def followed(number: int) -> float | None:
+        nonlocal rounds
+        seed = seed_of(method.seed, number)
+        q, p = origin.drawn(own, number)
+        with left_out():
+            running = [
+                ensemble_from(system, q, p, dt, seed, halved=halved, workers=workers)
+                for dt, _, halved in steps
+            ]
+        sums = [np.zeros((own // LANES, *numbers)) for _ in steps]
+        while (done := running[0].samples) < samples and not (done and watch.ends()):
+            for ensemble, (_, stride, _), array in zip(running, steps, sums, strict=True):
+                many = min(piece, samples - done) * stride
+                ensemble.advance(many, array, stride=stride, read=read)
+        if done < samples:
+            if not number:
+                watch.require(f"the first {own} windows", done / samples)
+            return None
+        states = in_rows(running[0].last)[:, : 2 * system.n]
+        rounds += 1
+        error = estimate(sums, np.mean(states**2, axis=0))
+        progress(min(rounds * own, paths), paths, what)
+        return error
+
+    with working(method, system, wanted) as (workers, watch, origin):
+        watch.until(followed, least=ceil(paths / own))
+        failures = watch.interruption()
+    if rounds * own < LEAST_PATHS:
+        failures.append(f"it ended after {rounds * own} trajectories of {LEAST_PATHS}")
+    return rounds * own, failures
+
+
+def error_of(blocks: Array) -> Array:
+    """Return one standard error of the mean of independent ``blocks`` (blocks, ...)."""
+    return np.asarray(blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks)))
+
+
+def sampled_curve(
+    values: Array, errors: Array, scale: float, tol: float | None, failures: list[str],
+    settings: dict[str, str | float | int], positive: Array | None = None,
+) -> Curve:  # fmt: skip
+    """Return a curve with one standard error each; the rest as of ``certified_curve``."""
+    relative = float(np.max(errors)) / scale
+    measured = Measured(
+        l1_error=relative,
+        mass_defect=None,
+        minimum=float(np.min(values if positive is None else positive)) / scale,
+        residual=None,
+        tail_mass=None,
+        failures=tuple(failures),
+        absolute_error=relative,
+    )
+    certificate = certify(measured, tol=inf if tol is None else tol, sampled=True)
+    return Curve(values, errors, certificate, settings, error_kind="sampling")

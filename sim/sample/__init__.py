@@ -1,0 +1,1 @@
+"""Sampling: settings, ensembles, histograms, checkpoints, and the report of a simulation."""

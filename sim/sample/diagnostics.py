@@ -1,0 +1,265 @@
+"""Can the sample be trusted: moment identities, autocorrelation times, effective samples, drift.
+
+τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity with the variance σ². Its mean
+over a time T on a trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, so that independent
+trajectories show τ without any correlogram: ``τ = T var(path means)/(2 σ²)``. N trajectories have
+``N T/(2τ)`` effective samples, ``N σ²/var(path means)`` for any T, also below τ.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, nan, pi, sqrt
+
+import numpy as np
+from scipy.special import stdtrit
+
+from fpk.answer.density import l1_distance
+from fpk.answer.method import Identity
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.arrays import Array
+from fpk.system.system import System
+
+Product = tuple[str, int, str, int]
+"""Two coordinates whose product is summed, each a kind (q, p, f or d) and a mass from 0."""
+
+LEAST_TIMES = 50.0
+"""Autocorrelation times, of 2τ as emcee counts them, below which a run is refused."""
+
+LEAST_BURN_IN = 5.0
+"""Autocorrelation times τ that a burn-in must have: e^−5 of a start is 0.7 % of its distance."""
+
+CHUNKS = 20
+"""Chunks into which the sampled time is divided, to see a drift. Without a known end they begin a
+32nd as long: whenever there are twice as many, they are joined in pairs, and those that follow are
+twice as long."""
+
+FALSE_ALARMS = 1e-6
+"""Probability that a right simulation is called wrong, in one observable or of all that may drift.
+
+A verification judges thousands of comparisons, and one false alarm ends it with an error."""
+
+
+def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
+    """Return the products that are summed: p p, q p, q F, p F and q q, F = K q + g(q).
+
+    With damping ``terms`` of the forces D_i = Σ_j c̃_ij v_j also p D and q D.
+    """
+    masses = range(n)
+    products: list[Product] = [("p", i, "p", j) for i in masses for j in range(i, n)]
+    products += [("q", i, "p", j) for i in masses for j in masses]
+    for a, b in ("qf", "pf", "qq", *(("pd", "qd") if terms else ())):
+        products += [(a, i, b, i) for i in masses]
+    return tuple(products)
+
+
+def batch_moments(system: System, batch_means: Array) -> dict[Product, Array]:
+    """Return the mean (batches,) of each product, in either order, from (batches, products)."""
+    products = moment_products(system.n, terms=bool(system.damping_terms))
+    moments = dict(zip(products, batch_means.T, strict=True))
+    return moments | {(b, j, a, i): mean for (a, i, b, j), mean in moments.items()}
+
+
+def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...]:
+    """Return the moment identities, exact in the stationary state of Eq. (6).
+
+    The generator applied to H, q_i p_i and p_i² has mean zero:
+    ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
+    ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ and F = K q + g(q). Damping terms are
+    part of c, inside the means. ``batch_means`` (batches, products): errors are from their spread.
+    """
+    m, c, masses = system.mass, system.damping, range(system.n)
+    mean = batch_moments(system, batch_means)
+
+    def damped(a: str, i: int) -> Array:
+        terms = [c[i, j] / m[j] * mean[a, i, "p", j] for j in masses]
+        if system.damping_terms:
+            terms.append(mean[a, i, "d", i])
+        return np.asarray(np.sum(terms, axis=0))
+
+    def identity(name: str, batches: Array, expected: float) -> Identity:
+        error = float(batches.std(ddof=1) / np.sqrt(batches.size))
+        return Identity(name, float(batches.mean()), expected, error)
+
+    noise = np.diag(system.noise_matrix)
+    loss = np.sum([damped("p", i) / m[i] for i in masses], axis=0)
+    identities = [identity("energy balance", loss, float(np.sum(noise / m)))]
+    for i in masses:
+        virial = mean["p", i, "p", i] / m[i] - mean["q", i, "f", i] - damped("q", i)
+        identities.append(identity(f"virial of mass {i + 1}", virial, 0.0))
+        work = mean["p", i, "f", i] + damped("p", i)
+        identities.append(identity(f"kinetic balance of mass {i + 1}", work, float(noise[i])))
+    return tuple(identities)
+
+
+def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
+    """Return ∫|p_a − p_b| of two independent samples, and what chance alone makes of it.
+
+    Their bins, which are the same, are joined to 128, of two coordinates to 64 along each: on those
+    of the histogram it would show the counting noise of each, which any smoothing removes.
+    """
+    wanted = 128 if len(a.edges) == 1 else 64
+    a, b = (density.joined(min(density.values.shape) // wanted) for density in (a, b))
+    spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
+    area = float(np.prod([e[1] - e[0] for e in a.edges]))
+    return l1_distance(a, b), sqrt(2.0 / pi) * area * spread
+
+
+Effective = tuple[str, float, float]
+"""A quantity, its independent samples of equal worth, and the relative error of the number."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """How far a sample can be trusted; ``failures`` in words, empty where it can.
+
+    ``autocorrelation_time`` τ is the longest of all quantities, that of ``slowest``, of which there
+    are ``effective_samples`` with a ``relative_error``; a trajectory is ``times_per_path`` τ long.
+    ``r_hat`` is the largest split R-hat, ``drift`` the largest |z| of ``drifts``.
+    """
+
+    autocorrelation_time: float
+    effective_samples: float
+    relative_error: float
+    slowest: str
+    times_per_path: float
+    r_hat: float
+    drift: float
+    drift_limit: float
+    failures: tuple[str, ...]
+
+    def settings(self) -> dict[str, str | float | int]:
+        """Return the same for readers, by the names that tables and JSON have."""
+        passed = "holds" if self.drift <= self.drift_limit else "drifts"
+        return {
+            "autocorrelation_time": self.autocorrelation_time,
+            "time in autocorrelation times": self.times_per_path,
+            "effective_samples": self.effective_samples,
+            "relative error of effective_samples": self.relative_error,
+            "slowest quantity": self.slowest,
+            "r_hat": self.r_hat,
+            "burn_in_check": f"{passed}: |z| = {self.drift:.2f}, allowed {self.drift_limit:.2f}",
+        }
+
+
+def effective_of_paths(
+    means: Array, variance: Array, relative_error: Array, *, whole: int
+) -> tuple[Array, Array]:
+    """Return effective samples of ``whole`` trajectories and their relative errors.
+
+    ``means`` (quantities, paths) are those of some trajectories, or all; ``variance`` is the σ² of
+    single samples, known to ``relative_error``.
+    """
+    of_means = means.var(axis=1, ddof=1)
+    samples = np.full_like(of_means, inf)
+    np.divide(whole * variance, of_means, out=samples, where=of_means > 0)
+    return samples, np.hypot(variance_error(means), relative_error)
+
+
+def effective_of_shares(shares: Array) -> tuple[float, float]:
+    """Return effective samples of a distribution function, and the relative error of the number.
+
+    ``shares`` (batches, levels) are those of samples below each level; of n independent samples
+    their variances sum to Σ s(1 − s)/n. Levels vary together: the error is that of one variance.
+    """
+    batches, s = shares.shape[0], shares.mean(axis=0)
+    variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
+    samples = float(np.sum(s * (1.0 - s))) / variance if variance > 0 else inf
+    return samples, sqrt(2.0 / (batches - 1))
+
+
+def variance_error(samples: Array) -> Array:
+    """Return √((kurtosis − 1)/paths), the relative error of the variance of (..., paths)."""
+    away = samples - samples.mean(axis=-1, keepdims=True)
+    size = np.max(np.abs(away), axis=-1, keepdims=True)
+    # In units of the largest: its fourth power is a number for any samples.
+    squares = np.divide(away, size, out=np.zeros_like(away), where=size > 0) ** 2
+    second = np.mean(squares, axis=-1)
+    # kurtosis − 1 as a variance: of two values alone it is 0, never below.
+    scatter = np.mean((squares - second[..., None]) ** 2, axis=-1)
+    excess = np.divide(scatter, second**2, out=np.zeros_like(second), where=second > 0)
+    return np.asarray(np.sqrt(excess / samples.shape[-1]))
+
+
+def split_r_hat(draws: Array) -> float:
+    """Return the split R-hat of ``draws`` (chains, draws); not a number below four draws.
+
+    Of the halves of the chains, n draws each: ``R = √((n − 1)/n + B/(n W))``, W the mean of their
+    variances, B n times the variance of their means (Gelman et al., BDA3, section 11.4).
+    """
+    half = draws.shape[1] // 2
+    if half < 2:
+        return nan
+    halves = np.vstack([draws[:, :half], draws[:, -half:]])
+    within = float(halves.var(axis=1, ddof=1).mean())
+    between = half * float(halves.mean(axis=1).var(ddof=1))
+    if within == 0.0:
+        return 1.0 if between == 0.0 else inf
+    return sqrt((half - 1.0) / half + between / (half * within))
+
+
+def drifts(means: Array) -> Array:
+    """Return z of (first chunk − others) and (first half − second), (quantities, 2).
+
+    ``means`` (quantities, batches, chunks); the standard errors are those of independent batches.
+    """
+    half = means.shape[2] // 2
+    first, others = means[:, :, 0], means[:, :, 1:].mean(axis=2)
+    early, late = means[:, :, :half].mean(axis=2), means[:, :, -half:].mean(axis=2)
+    difference = np.stack([first - others, early - late])
+    error = difference.std(axis=2, ddof=1) / sqrt(means.shape[1])
+    moved = difference.mean(axis=2)
+    return np.asarray(np.divide(moved, error, out=np.zeros_like(moved), where=error > 0).T)
+
+
+def drift_limit(batches: int, comparisons: int) -> float:
+    """Return the |z| that the largest of some Student's t passes with ``FALSE_ALARMS`` at most."""
+    return -float(stdtrit(batches - 1, 0.5 * FALSE_ALARMS / max(1, comparisons)))
+
+
+def diagnosis(
+    effective: Sequence[Effective],
+    names: Sequence[str],
+    means: Array,
+    *,
+    time: float,
+    paths: int,
+    burn_in: float,
+) -> Diagnosis:
+    """Return the diagnosis of ``paths`` trajectories of ``time`` after ``burn_in`` (a time).
+
+    ``means`` (quantities, batches, chunks) belong to the ``names``.
+    """
+    slowest, samples, relative_error = min(effective, key=lambda e: e[1])
+    tau = paths * time / (2.0 * samples) if samples > 0 else inf
+    quantities, batches, chunks = means.shape
+    z = np.abs(drifts(means)) if chunks > 1 else np.zeros((quantities, 2))
+    drift, limit = float(z.max()), drift_limit(batches, z.size)
+    failures = []
+    if chunks < 2:
+        failures.append("it ended in its first chunk, where no drift shows; sample for longer")
+    if samples < LEAST_TIMES:
+        failures.append(
+            f"the {paths} trajectories are {samples:.3g} autocorrelation times of"
+            f" {slowest} long together, fewer than {LEAST_TIMES:g}; sample for longer"
+        )
+    if burn_in < LEAST_BURN_IN * tau:
+        failures.append(
+            f"the burn-in of {burn_in:.3g} is shorter than {LEAST_BURN_IN:g} autocorrelation times"
+            f" of {tau:.3g}; use a longer burn_in"
+        )
+    if drift > limit:
+        failures.append(
+            f"{names[int(np.argmax(z.max(axis=1)))]} drifts: its first part differs from the rest"
+            f" by {drift:.1f} standard errors (chance explains {limit:.1f}); use a longer burn_in"
+        )
+    return Diagnosis(
+        autocorrelation_time=tau,
+        effective_samples=samples,
+        relative_error=relative_error,
+        slowest=slowest,
+        times_per_path=time / tau if tau > 0 else inf,
+        r_hat=max(split_r_hat(m) for m in means),
+        drift=drift,
+        drift_limit=limit,
+        failures=tuple(failures),
+    )

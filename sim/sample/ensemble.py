@@ -1,0 +1,313 @@
+"""Trajectories of Eq. (6) that advance together, whose observed states are counted or read."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.answer.observable import Coordinate
+from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.errors import NotApplicable
+from fpk.system.modulation import Modulation
+from fpk.system.system import System
+from sim.sample.diagnostics import Product
+from sim.sample.histogram import Histogram, starts
+from sim.sample.plan import step_arrays, watched
+from sim.sample.workers import TASKS_PER_THREAD, Workers
+from sim.step.arrays import GROUPS, LANES, StepArrays, WatchArrays, in_blocks, in_rows
+from sim.step.kernel import KernelKey, compiled_kernel
+from sim.step.parts.observed import FOLDED
+from sim.step.random import mixed_seed
+from sim.step.reachable import PIECE, Reachable, loudest, start_states
+from sim.step.schemes import Scheme
+from sim.step.schemes.exact_flow import EXACT_FLOW
+
+Reader = Callable[..., None]
+"""Called as ``read(trace, samples, done, *arrays)`` for some blocks: ``trace`` (blocks, many, rows,
+LANES) holds the observed states number ``done`` to ``done + samples``; ``arrays`` are those of
+these blocks, changed in place. A function of a module, or a ``partial`` of one."""
+
+CHANGING = ("states", "sums", "folded", "counts")
+"""Arrays of an ensemble that a step changes."""
+
+LEAST_WORK = 100_000
+"""Steps of single trajectories, a millisecond, below which a task costs more than it saves."""
+
+APART = 512
+"""Blocks at most whose trajectories have sums of their own, 65536 of them: enough for the variance
+of path means to half a per cent. Of the others there are sums over each block."""
+
+
+GROUP, TRACED = 4, 32
+"""Blocks and samples of a trace that is read at once: they fit into the cache of a core."""
+
+
+def advanced(
+    first: int, live: Integers, batch: Integers, *arrays: Any, key: KernelKey, step: StepArrays,
+    watch: WatchArrays, offset: np.uint64, word: int, samples: int, phase: int, steps: int,
+    stride: int, read: Reader | None, modulation: Modulation | None, begin: float, done: int,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Advance batches that begin with block ``first``; all ``arrays`` change in place.
+
+    They are those of ``CHANGING``, the last samples, and those of the reader. Where states are
+    traced it is in groups of blocks, which are read before the next one begins.
+    """
+    states, sums, folded, counts, last, *own = arrays
+    blocks, rows, apart = len(states), watch.traced.size, len(sums)
+    size, piece = (GROUP, TRACED * stride) if key.traced else (blocks, steps)
+    for b in range(0, blocks, size):
+        group = slice(b, min(b + size, blocks))
+        behind = slice(max(b - apart, 0), max(group.stop - apart, 0))
+        flat = (
+            a.reshape(a.shape[0], a.shape[1] * a.shape[2])
+            for a in (states[group], sums[group], folded[behind])
+        )
+        trace = np.empty((group.stop - b, min(piece, steps) // max(1, stride) + 1, rows, LANES))
+        fixed = *flat, counts[batch[b] - batch[0] :], live[group], batch[group], first + b
+        for k in range(0, max(1, steps), max(1, piece)):
+            many = min(piece, steps - k)
+            trace[:, 0] = last[group]
+            if modulation is not None:
+                begins = begin + step.dt * np.arange(done + k, done + k + many, dtype=float)
+                strength = np.sqrt(modulation.mean_square(begins, step.dt)).astype(np.float32)
+                step = step._replace(strength=strength)
+            compiled_kernel(key)(
+                *fixed, np.uint64(word + k * step.words), many, phase + k, stride, offset, step,
+                watch, trace.reshape(len(trace), trace.shape[1] * rows * LANES),
+            )  # fmt: skip
+            if key.traced:
+                last[group] = trace[:, many // stride]
+                if read:
+                    read(trace, many // stride, samples + k // stride, *(a[group] for a in own))
+    return arrays
+
+
+@dataclass(eq=False)
+class Ensemble:
+    """States of ``paths`` trajectories, in blocks of lanes, and batches of blocks.
+
+    They begin at rest or near it, by random numbers, or in the observed states ``start``: q and p
+    (paths, n), whole blocks. These are then the sample number 0, and the states of each sample can
+    be read: q (n), p (n) and the ``energies``. ``halved``: a step has the random numbers of two
+    steps dt/2, so that it is the same motion but for the error of the step. ``modulation`` e is of
+    the noise, the start at its time ``begin``: a step has the root of the mean square.
+    Trajectories take their own words of random numbers from ``word`` on.
+
+    ``workers`` (None: ``threads`` of this process) may be those of a cluster. The result is bitwise
+    the same for any workers and any division of the steps into calls of ``advance``: streams are
+    keyed by trajectory, counts are integers, and sums grow in the order of samples.
+    """
+
+    system: System
+    scheme: Scheme
+    dt: float
+    paths: int
+    seed: int
+    threads: int = 1
+    workers: Any = None
+    start: tuple[Array, Array] | None = None
+    energies: tuple[Coordinate, ...] = ()
+    halved: bool = False
+    word: int = 0
+    modulation: Modulation | None = None
+    begin: float = 0.0
+    reachable: Reachable = field(init=False)
+    step: StepArrays = field(init=False)
+    states: Array = field(init=False)  # (blocks, 2n, LANES), just before the next kick
+    sums: Array = field(init=False)  # (first blocks, products, LANES)
+    folded: Array = field(init=False)  # (other blocks, products, FOLDED)
+    counts: Integers = field(init=False)  # (batches, bins), one more bin a histogram for outside
+    last: Array = field(init=False)  # (blocks, rows, LANES), the last sample; no rows without start
+    done: int = field(init=False, default=0)  # steps, one more than by then with a start
+    samples: int = field(init=False, default=0)
+    phase: int = field(init=False, default=0)  # steps since ``watch`` that might be observed
+
+    def __post_init__(self) -> None:
+        """Draw the states in which the trajectories start, or find those observed as ``start``."""
+        self.workers = self.workers or Workers(ThreadPoolExecutor(self.threads), self.threads)
+        self.threads = self.workers.threads
+        self.step = step_arrays(self.system, self.scheme, self.dt, halved=self.halved)
+        if self.start is None:
+            blocks = -(-self.paths // LANES)
+            self.states = np.empty((blocks, 2 * self.system.n, LANES))
+            for piece in range(0, blocks, PIECE):
+                drawn = start_states(self.system, self.seed, piece)
+                self.states[piece : piece + PIECE] = drawn[: blocks - piece]
+        else:
+            self.states = in_blocks(np.hstack(self.start))
+        energy = float(np.max(self.system.hamiltonian(*self.phase_points())))
+        self.reachable = Reachable(loudest(self.system), self.scheme, self.dt, energy)
+        self.watch()
+        if self.start is not None:
+            self._invert()
+
+    @property
+    def edges(self) -> Integers:
+        """First block of each batch, and the number of blocks."""
+        batches = min(GROUPS, len(self.states))
+        return np.arange(batches + 1, dtype=np.int64) * len(self.states) // batches
+
+    @property
+    def live(self) -> Integers:
+        """Number of lanes of each block that are trajectories; all lanes run."""
+        return np.minimum(LANES, self.paths - LANES * np.arange(len(self.states)))
+
+    @property
+    def time(self) -> float:
+        """Time of the last sample of a motion from a ``start``, ``begin`` at the start."""
+        return self.begin + (self.done - 1) * self.dt
+
+    @property
+    def next_word(self) -> int:
+        """The first word that no sample of a motion from a ``start`` has depended on."""
+        return self.word + (self.done - 1) * self.step.words
+
+    def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
+        """Observe these from now on, all counts and sums starting from zero."""
+        self.histograms, self.products = tuple(histograms), tuple(products)
+        traced = [Coordinate(kind, i) for kind in ("q", "p") for i in range(self.system.n)]
+        key, self._watch = watched(
+            self.system, self.scheme, self.step, self.histograms, self.products,
+            () if self.start is None else (*traced, *self.energies), halved=self.halved,
+        )  # fmt: skip
+        self._key = replace(key, modulated=self.modulation is not None)
+        self.last = np.zeros((len(self.states), self._watch.traced.size, LANES))
+        self.samples = self.phase = 0
+        self._clear()
+
+    def _clear(self) -> None:
+        apart = min(len(self.states), APART)
+        self.sums = np.zeros((apart, len(self.products), LANES))
+        self.folded = np.zeros((len(self.states) - apart, len(self.products), FOLDED))
+        bins = starts(self.histograms)[-1]
+        self.counts = np.zeros((self.edges.size - 1, bins), dtype=np.int64)
+
+    def _invert(self) -> None:
+        """Find the states whose observation is the start, by iteration; make their first step."""
+        n, wanted = self.system.n, self.states
+        # Displacements in units of momenta.
+        impedance = np.sqrt(self.system.mass * np.diag(self.system.stiffness_matrix))
+        scale = np.concatenate([impedance, np.ones(n)])[:, None]
+        enough = 1e-13 * np.max(np.abs(wanted * scale))
+        before = wanted.copy()
+        for _ in range(100):
+            self.states = before.copy()
+            self._advance(1, 1, None, ())
+            with np.errstate(over="ignore", invalid="ignore"):  # not a number is not enough
+                missing = wanted - self.last[:, : 2 * n]
+                if np.all(np.abs(missing * scale) <= enough):
+                    self.done = self.phase = 1
+                    return
+                before += missing
+        raise NotApplicable(f"no step of {self.dt:g} begins in the start; use a smaller dt")
+
+    def advance(
+        self, steps: int, *arrays: NDArray[Any], stride: int = 1, read: Reader | None = None,
+        passed: Array | None = None,
+    ) -> None:  # fmt: skip
+        """Advance all trajectories; every ``stride``-th step since ``watch`` is observed, or none.
+
+        ``stride`` 0: nothing is observed, and ``watch`` may be called with ranges still unknown.
+        With a start ``steps`` are whole strides, and ``read`` sees each sample, and the one before
+        the first of them, with its ``arrays``, which are split by blocks, their first axis.
+        Raises ``NotCertified`` where the step is seen to be unstable, by trajectories of which
+        ``passed`` (blocks, 1, LANES) is then inf.
+        """
+        self._advance(steps, stride, read, arrays)
+        if stride:
+            self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
+            self.phase += steps
+        self.done += steps
+        running = None if passed is None else np.isinf(passed[:, 0])
+        self.reachable.require(self.states, self.done * self.dt, running)
+
+    def _advance(
+        self, steps: int, stride: int, read: Reader | None, arrays: Sequence[NDArray[Any]]
+    ) -> None:
+        """Advance all arrays by tasks of the workers, which are whole batches."""
+        task = partial(
+            advanced, key=self._key, step=self.step, watch=self._watch,
+            offset=mixed_seed(self.seed), word=self.word + self.done * self.step.words,
+            samples=self.samples, phase=self.phase, steps=steps, stride=stride, read=read,
+            modulation=self.modulation, begin=self.begin, done=self.done,
+        )  # fmt: skip
+        # Whole batches to a task, as each has counts of its own.
+        worth = steps * self.paths // LEAST_WORK
+        tasks = min(max(worth, self.threads), TASKS_PER_THREAD * self.threads, len(self.counts))
+        batches = np.diff(self.edges)
+        begins = np.arange(1, tasks) * batches.size // tasks
+        cuts, apart = self.edges[begins], len(self.sums)
+        columns = [
+            np.split(self.states, cuts),
+            np.split(self.sums, np.minimum(cuts, apart)),
+            np.split(self.folded, np.maximum(cuts - apart, 0)),
+            np.split(self.counts, begins),
+            *(np.split(array, cuts) for array in (self.last, *arrays)),
+        ]
+        batch = np.split(np.repeat(np.arange(batches.size), batches), cuts)
+        first, live = [0, *cuts.tolist()], np.split(self.live, cuts)
+        answers = self.workers.map(task, first, live, batch, *columns)
+        for views, changed in zip(zip(*columns, strict=True), answers, strict=True):
+            for view, array in zip(views, changed, strict=True):
+                if view is not array:  # it comes from another process
+                    view[...] = array
+
+    def onward(self, dt: float) -> "Ensemble":
+        """Return the motion from the last sample on, in steps of another ``dt``."""
+        q, p = np.split(in_rows(self.last)[:, : 2 * self.system.n], 2, axis=1)
+        return replace(self, start=(q, p), dt=dt, word=self.next_word, begin=self.time)
+
+    def keep(self, lanes: Integers) -> None:
+        """Go on with the trajectories ``lanes``, counted along the blocks; one may come twice.
+
+        Copies go apart after one step: random numbers belong to the place. The last block is
+        filled up with the first of them. Sums and counts begin anew.
+        """
+        self.states, self.last = (in_blocks(in_rows(a)[lanes]) for a in (self.states, self.last))
+        self.paths = len(self.states) * LANES
+        self._clear()
+
+    def batch_paths(self) -> Integers:
+        """Return the number of trajectories of each batch."""
+        return np.add.reduceat(self.live, self.edges[:-1])
+
+    def batch_means(self) -> Array:
+        """Return (batches, products) means over the samples of each batch, in fixed order."""
+        alive = np.arange(LANES) < self.live[: len(self.sums), None]
+        apart = np.where(alive[:, None, :], self.sums, 0.0).sum(axis=2)
+        blocks = np.concatenate([apart, self.folded.sum(axis=2)])
+        sums = np.add.reduceat(blocks, self.edges[:-1], axis=0)
+        return np.asarray(sums / (self.batch_paths()[:, None] * max(1, self.samples)))
+
+    def counted(self) -> Iterator[tuple[Histogram, Integers]]:
+        """Return each histogram with its counts (batches, bins + 1), the last of them outside."""
+        counts = np.split(self.counts, starts(self.histograms)[1:], axis=1)
+        return zip(self.histograms, counts, strict=False)  # nothing lies behind the last one
+
+    def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
+        """Return q and p (paths, n) just before the next kick, of the first ``most`` paths."""
+        n, paths = self.system.n, self.paths if most is None else min(self.paths, most)
+        lanes = self.states[: -(-paths // LANES)].transpose(1, 0, 2).reshape(2 * n, -1)
+        return lanes[:n, :paths].T, lanes[n:, :paths].T
+
+    def saved(self) -> dict[str, NDArray[Any]]:
+        """Return all that changes: what ``restore`` needs to go on as if never stopped."""
+        arrays = {name: getattr(self, name) for name in CHANGING}
+        return {**arrays, "clock": np.array([self.done, self.samples, self.phase], dtype=np.int64)}
+
+    def restore(self, saved: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what ``saved`` returned, by any workers, after the same calls of ``watch``."""
+        self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
+        for name in CHANGING:
+            getattr(self, name)[...] = saved[name]
+
+
+def ensemble_from(
+    system: System, q: Array, p: Array, dt: float, seed: int, **settings: Any
+) -> Ensemble:
+    """Return the ensemble that begins in the observed states q, p (paths, n), by exact_flow."""
+    return Ensemble(system, EXACT_FLOW, dt, len(q), seed, start=(q, p), **settings)

@@ -1,0 +1,288 @@
+"""Histograms: their ranges and bins, and the densities that follow from counts."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from itertools import pairwise
+from math import inf, isfinite, nan, pi, sqrt
+
+import numpy as np
+
+from fpk.answer.bins import BinAxis, LogReference, no_reference
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.contact_quantities import kinks_of
+from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.sampled_density import NEAR, SampledDensity
+from fpk.numeric.arrays import SMALLEST, Array, Integers
+from fpk.system.linear import natural_modes
+from fpk.system.system import System, effects_of
+from sim.step.step_size import temperature
+
+BINS = (1024, 128)
+"""Bins of each axis of a histogram of one and of two coordinates."""
+
+MARGIN = 0.3
+"""Share of the pilot's range that is added beyond its extremes."""
+
+DEEPEST = 30.0
+"""Contact energy, in units of kT, up to which bins reach beyond a stop: e^−30 of p is left."""
+
+LOWEST, SHARE = 400, 0.35
+"""Number of the lowest sampled energies, and the share of them in the lowest quarter of their range
+above which p is taken to rise towards H = 0. A smooth p has a share of 0.25, within 0.022 by chance
+(one standard error), p ~ H^(−1/2) one of 0.5. Four, 16, … times as many are judged, too."""
+
+LARGEST_TAIL = 1e-3
+"""Share of samples outside a histogram above which its density is not certified."""
+
+
+@dataclass(frozen=True, eq=False)
+class Histogram:
+    """Bins of one observable, an axis for each coordinate."""
+
+    observable: Observable
+    bins: tuple[BinAxis, ...]
+
+    @property
+    def edges(self) -> tuple[Array, ...]:
+        """Ascending edges of the bins of each axis."""
+        return tuple(axis.edges for axis in self.bins)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of bins along each axis."""
+        return tuple(e.size - 1 for e in self.edges)
+
+    @property
+    def size(self) -> int:
+        """Number of bins, without that for outside."""
+        return int(np.prod(self.shape))
+
+    def counted(self, columns: Sequence[Array], groups: int = 1) -> Integers:
+        """Return how many samples each bin has, (groups, bins + 1), the last of them outside.
+
+        ``columns`` are the coordinates (samples,); samples belong to the groups in turn.
+        """
+        bins, inside = np.zeros(columns[0].shape, dtype=np.int64), np.array(True)
+        for x, e in zip(columns, self.edges, strict=True):
+            inside = inside & (x >= e[0]) & (x < e[-1])
+            bins = bins * (e.size - 1) + np.searchsorted(e, x, side="right") - 1
+        index = np.arange(bins.size) % groups * (self.size + 1) + np.where(inside, bins, self.size)
+        return np.bincount(index, minlength=groups * (self.size + 1)).reshape(groups, -1)
+
+
+def binned(
+    low: float, high: float, kinks: Sequence[float], bins: int, *, widening: bool,
+    reference: LogReference = no_reference,
+) -> BinAxis:  # fmt: skip
+    """Return about ``bins`` bins from ``low`` to ``high``, as many between each two ``kinks``.
+
+    ``widening``: above a kink they widen with the distance, as p may change there as a root of it:
+    as (H − H_c)^(1/2) where contact begins, as H^(−1/4) where it does without clearance, and as
+    H^(−1/2) after a start at rest. It costs accuracy next to the kink.
+    """
+    inside = list[float]()
+    for kink in sorted(k for k in kinks if low <= k < high):
+        if not inside or kink - inside[-1] > NEAR * (high - low):
+            inside.append(kink)
+    nodes = [low, *(k for k in inside if k > low), high]
+    each = max(32, bins // (len(nodes) - 1) // 8 * 8)  # by 8 they may be joined
+    edges, share = [np.array([low])], np.linspace(0.0, 1.0, each + 1)[1:]
+    for a, b in pairwise(nodes):
+        edges.append(a + (b - a) * (share**4 if widening and a in inside else share))
+        edges[-1][-1] = b
+    above = tuple(inside) if widening else ()
+    return BinAxis(np.concatenate(edges), tuple(inside), above, reference)
+
+
+def axis_of(
+    system: System, coordinate: Coordinate, low: float, high: float, bins: int,
+    *, rises: bool = False,
+) -> BinAxis:  # fmt: skip
+    """Return bins of a coordinate that was seen between ``low`` and ``high``, with a margin.
+
+    Energies start at 0, and beyond a stop bins end where contact energies do. ``rises`` as of the
+    function ``rises``.
+    """
+    energy, reach = coordinate.kind == "H", MARGIN * (high - low)
+    kinks = [*([0.0] if energy and rises else []), *kinks_of(system, coordinate)]
+    if energy:
+        low, high = 0.0, (1.0 + 2.0 * MARGIN) * high
+    elif effects_of(system).mirror:
+        high = (1.0 + 2.0 * MARGIN) * max(-low, high)
+        low = -high
+    else:
+        low, high = low - reach, high + reach
+
+    def end(side: float, x: float, seen: float) -> float:
+        """Where bins of side·q end instead of at ``x``: deep enough in the outermost stop before.
+
+        That is where its contact energy is ``DEEPEST`` kT, and beyond what was ``seen``.
+        """
+        own = (s for s in system.stops if (s.index, s.sign) == (coordinate.row, side))
+        stops, kT = [s for s in own if s.clearance < x], temperature(system)
+        if not stops:
+            return x
+        stop = max(stops, key=lambda s: s.clearance)
+        depth = max((1.0 + 2.0 * MARGIN) * (seen - stop.clearance), 0.0)
+        if isfinite(kT) and kT > 0.0:
+            depth = max(depth, stop.overlap_at(DEEPEST * kT))
+        return min(x, stop.clearance + depth) if depth > 0.0 else x
+
+    if coordinate.kind == "q":
+        low, high = -end(-1.0, -low, -low - reach), end(1.0, high, high - reach)
+    reference = partial(reference_of, system, coordinate)
+    axis = binned(low, high, kinks, bins, widening=energy, reference=reference)
+    if effects_of(system).mirror and not energy:  # to the last digit
+        axis = replace(axis, edges=0.5 * (axis.edges - axis.edges[::-1]))
+    return axis
+
+
+def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
+    """Return the least and the largest value of each coordinate, (coordinates, 2)."""
+    # One layout: sums over the masses may round by it.
+    q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
+    ranges = []
+    for coordinate in (c for observable in observables for c in observable):
+        x = values_of(system, coordinate, q, p)
+        ranges.append((x.min(), x.max()))
+    return np.array(ranges).reshape(-1, 2)
+
+
+def values_of(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
+    """Return one coordinate of states ``q``, ``p`` (samples, n); H_m is that of a springs' mode."""
+    if coordinate.kind == "H" and coordinate.index is not None:
+        shapes, frequency = natural_modes(system)
+        shape, omega = shapes[:, coordinate.index], frequency[coordinate.index]
+        momentum, displacement = p @ shape, q @ (system.mass * shape)
+        return np.asarray(0.5 * (momentum**2 + (omega * displacement) ** 2))
+    if coordinate.kind == "H":
+        return system.hamiltonian(q, p)
+    return (q if coordinate.kind == "q" else p)[:, coordinate.index]
+
+
+def rises(energies: Array) -> bool:
+    """Return whether the density of sampled ``energies`` rises towards 0 at some scale."""
+    x, count = np.sort(energies), LOWEST
+    while 4 * count <= x.size:
+        if np.count_nonzero(x < 0.25 * x[count]) > SHARE * count:
+            return True
+        count *= 4
+    return False
+
+
+def covering(
+    observables: Sequence[Observable],
+    reached: Array,
+    axis: Callable[[Coordinate, float, float, int], BinAxis],
+) -> tuple[Histogram, ...]:
+    """Return histograms over the extremes ``reached`` (coordinates, 2) of all coordinates.
+
+    ``axis(coordinate, low, high, bins)`` makes the bins of each.
+    """
+    histograms, pairs = [], iter(reached.tolist())
+    for observable in observables:
+        axes = []
+        for coordinate in observable:
+            low, high = next(pairs)
+            low, high = (low, high) if low <= high else (-1.0, 1.0)
+            axes.append(axis(coordinate, low, high, BINS[len(observable) - 1]))
+        histograms.append(Histogram(observable, tuple(axes)))
+    return tuple(histograms)
+
+
+def starts(histograms: Sequence[Histogram]) -> Integers:
+    """Return the first counter of each histogram, and the number of all; one more for outside."""
+    return np.cumsum([0] + [h.size + 1 for h in histograms], dtype=np.int64)
+
+
+def mirrored(histogram: Histogram, counts: Integers) -> Integers:
+    """Return ``counts`` (batches, bins + 1) plus the counts of the mirrored states, (−q, −p).
+
+    Of a system with mirror symmetry both are samples of the same stationary state. Energies do not
+    change sign; the edges of all else lie symmetrically about zero.
+    """
+    axes = tuple(a for a, c in enumerate(histogram.observable, start=1) if c.kind != "H")
+    reflected = np.flip(counts[:, :-1].reshape(-1, *histogram.shape), axis=axes)
+    return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
+
+
+def reference_of(system: System, coordinate: Coordinate, x: Array, bins: Integers) -> Array:
+    """Return ln of a function about as steep as the density at ``x``, up to a constant.
+
+    Of q_i −U_i/kT, which is exact in the contact energy where Eq. (7) holds; of H (n − 1) ln H.
+    """
+    if coordinate.kind == "H" and coordinate.index is None:
+        return log_states(system.n, x, bins)
+    if coordinate.kind == "q" and coordinate.row in system.contact_masses:
+        return -system.contact_energy(coordinate.row, x) / temperature(system)
+    return np.zeros_like(x)
+
+
+def log_states(n: int, energy: Array, bins: Integers) -> Array:
+    """Return ln H^(n−1), the density of states of n masses at small energies."""
+    return np.asarray((n - 1.0) * np.log(np.maximum(energy, SMALLEST)))
+
+
+def sampled_density(
+    histogram: Histogram,
+    counts: Integers,
+    *,
+    taken: int,
+    mirror: bool = False,
+    residual: float = 0.0,
+    tol: float = inf,
+    failures: Sequence[str] = (),
+    everywhere: bool = True,
+) -> SampledDensity:
+    """Return the density of ``counts`` (batches, bins + 1) of ``taken`` samples, certified.
+
+    With ``mirror`` each sample counts as its mirror image, too. ``residual`` is the largest |z| of
+    the moment identities, ``tol`` the tolerance of the expected L1 sampling error, and ``failures``
+    say what is wrong with the sample itself. ``everywhere``: what the bins do not resolve anywhere
+    counts among them.
+    """
+    total = counts.sum(axis=0)
+    tail, words = float(total[-1]) / max(1, taken), list(failures)
+    if int(total.sum()) != taken:
+        words.append(f"{int(total.sum())} samples were counted of {taken} taken")
+    if tail > LARGEST_TAIL:
+        words.append(f"{tail:.2g} of the samples lie outside the histogram")
+    if mirror:
+        counts = mirrored(histogram, counts)
+    whole, samples = max(1, counts.sum()), np.maximum(1, counts.sum(axis=1, keepdims=True))
+    areas = reduce(np.multiply.outer, map(np.diff, histogram.edges))
+    density = SampledDensity(
+        histogram.observable,
+        histogram.bins,
+        (counts.sum(axis=0)[:-1] / whole).reshape(histogram.shape) / areas,
+        (counts[:, :-1] / samples).reshape(-1, *histogram.shape) / areas,
+        certify(Measured(nan, nan, nan, nan, nan), tol=0.0),  # until its error is known
+        samples=whole,
+    )
+    middles = (0.5 * (e[1:] + e[:-1]) for e in histogram.edges)
+    errors = density.at(*np.meshgrid(*middles, indexing="ij", sparse=True))[1]
+    # √(2/π) standard errors: the expectation of |x| of a normal x.
+    errors = np.where(np.isfinite(errors), errors, density.values)  # next to a kink at an end
+    error = sqrt(2.0 / pi) * float(np.sum(areas * errors))
+    if everywhere:
+        words += unresolved_words(density)
+    measured = Measured(
+        l1_error=error,
+        mass_defect=abs(float(total.sum()) / max(1, taken) - 1.0),
+        minimum=float(density.values.min() / max(density.values.max(), SMALLEST)),
+        residual=residual,
+        tail_mass=tail,
+        failures=tuple(words),
+    )
+    certificate = certify(measured, tol=tol, sampled=True)
+    return replace(density, l1_error=error, certificate=certificate, made=density.fits)
+
+
+def unresolved_words(density: SampledDensity) -> list[str]:
+    """Return in words where the contents of the bins do not show the density, if anywhere."""
+    for box in density.unresolved:
+        ends = zip(density.observable, density.edges, box.first, box.last, strict=True)
+        where = ", ".join(f"{c} = {e[a]:.4g} to {e[b]:.4g}" for c, e, a, b in ends)
+        return [f"the density changes within a bin for {where}, and is not known there"]
+    return []

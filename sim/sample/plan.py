@@ -1,0 +1,250 @@
+"""From a system, a scheme and a step to the arrays that the kernel reads, and its key.
+
+A long step ``H = small · h`` divides the trajectories by their state x at its start: *near* ones
+make ``small`` steps ``h`` with kicks; *far* ones make it at once, which is exact in law unless they
+touch. With q the displacement of the mass and d the side, a trajectory is far if
+
+    max(d q(0), d q(H) + a) + b(x) < clearance ,
+
+q(H) its mean motion, b(x) the ``bends`` of that, and a the ``noise_reach``. It then touches with a
+probability of 1.4e-11 at most: docs/theory.md, "The step of the simulation".
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import isfinite, log, sqrt
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.special import comb, ndtr
+
+from fpk.answer.observable import Coordinate
+from fpk.numeric.arrays import Array, Integers
+from fpk.system.linear import drift_matrix, natural_modes
+from fpk.system.system import System, effects_of
+from sim.sample.diagnostics import Product
+from sim.sample.histogram import Histogram, starts
+from sim.step.arrays import LANES, Rows, StepArrays, SubstepArrays, TermArrays, WatchArrays
+from sim.step.flow import exact_flow, lower_trapezoidal, padded
+from sim.step.kernel import KernelKey
+from sim.step.parts.linear import NARROW
+from sim.step.schemes import Scheme
+from sim.step.step_size import sampling_interval, temperature
+
+LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
+"""Radius of a pair of normals at most: its uniform number is 2**-32 or more; and its rounding."""
+
+SMALL_STEPS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+"""Small steps in a long one; few choices, so that round-off does not decide between them."""
+
+LONG_COST, SMALL_COST, WORTH = 2.3, 1.2, 0.8
+"""Processor time of a long step, and of a small step in a group, in units of a step of a whole
+block (measured by ``benchmarks/montecarlo.py``), and the cost below which long steps are made."""
+
+
+def noise_reach(system: System, H: float, masses: Integers) -> Array:
+    """Return what the noise of one step H can add to the displacements of ``masses``."""
+    rows = lower_trapezoidal(exact_flow(system, H).factor)[masses]
+    rows = np.pad(rows, ((0, 0), (0, rows.shape[1] % 2)))
+    return np.asarray(LARGEST_NORMAL * np.hypot(rows[:, ::2], rows[:, 1::2]).sum(axis=1))
+
+
+def bends(system: System, H: float, masses: Integers) -> Array:
+    """Return rows (masses, 2n) whose product with ``|x|`` is b(x), how far paths leave the chord.
+
+    The largest curvature is that on a grid of times, and half an interval times the largest slope.
+    """
+    drift, step = drift_matrix(system), H / 64
+    across = expm(drift * step)
+    value = drift[system.n + masses] / system.mass[masses, None]
+    largest, slope = np.zeros_like(value), np.zeros_like(value)
+    for _ in range(65):
+        largest, slope = np.maximum(largest, abs(value)), np.maximum(slope, abs(value @ drift))
+        value = value @ across
+    return np.asarray(H**2 / 8.0 * (largest + 0.5 * step * slope))
+
+
+def cost(system: System, dt: float, small: int) -> float:
+    """Return the processor time of long steps over that of uniform steps ``dt``, an estimate.
+
+    By the share of trajectories that are near a stop, each mass taken alone at kT.
+    """
+    if small == 1:
+        return 1.0
+    H, kT, far, masses = small * dt, temperature(system), 1.0, system.contact_masses
+    for i, reach in zip(masses, noise_reach(system, H, np.array(masses)), strict=True):
+        k_eff = 1.0 / system.compliance[i, i]
+        q = np.linspace(-6.0, 6.0, 4001) * sqrt(kT / k_eff)
+        energy = 0.5 * k_eff * q * q + system.contact_energy(i, q)
+        weight = np.exp(-(energy - energy.min()) / kT)
+        near, width = np.zeros(q.size), H * sqrt(kT / system.mass[i])
+        for stop in (s for s in system.stops if s.index == i):
+            gap = stop.clearance - stop.sign * q
+            near += np.where(gap <= 0.0, 1.0, ndtr((reach - gap) / width))
+        far *= 1.0 - float(np.sum(np.minimum(near, 1.0) * weight) / np.sum(weight))
+    count, share = np.arange(LANES + 1), 1.0 - far
+    groups = np.ceil(count / NARROW) * NARROW / LANES
+    chance = comb(LANES, count) * share**count * (1.0 - share) ** (LANES - count)  # binomial
+    return LONG_COST / small + SMALL_COST * float(np.sum(chance * groups))
+
+
+def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, float, str]:
+    """Return the scheme with long steps of small ones ``dt``, how long they are, and why.
+
+    Where all trajectories are to make the same steps it is the scheme itself, and ``dt``. A long
+    step is no longer than the interval of samples. Damping terms act between stops, too, and only
+    the exact flow is exact over a long step.
+    """
+    if not system.stops:
+        return scheme, dt, "no contact: all trajectories make the same steps"
+    if system.damping_terms:
+        return scheme, dt, "damping terms act everywhere: all trajectories make the same steps"
+    if scheme.linear_map is not exact_flow:
+        return scheme, dt, f"{scheme.name} needs the small step everywhere"
+    kT, longest = temperature(system), sampling_interval(system) * (1.0 + 1e-9) / dt
+    choices = [m for m in SMALL_STEPS if m <= longest]
+    if not choices or not (isfinite(kT) and kT > 0.0):
+        return scheme, dt, "the contact does not limit the step"
+    costs = [cost(system, dt, m) for m in choices]
+    small = choices[int(np.argmin(costs))]
+    if min(costs) > WORTH:
+        return scheme, dt, "too many trajectories are near a stop"
+    words = f"{small} small steps near a stop, one elsewhere"
+    return replace(scheme, small=small), small * dt, words
+
+
+def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
+    """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one.
+
+    Of a long step they belong to its small ones; ``substeps`` has the long one. ``halved``: the
+    linear map is that of dt/2, of which a step makes two, with the normals of two steps dt/2.
+    """
+    n, small, H = system.n, scheme.small, dt
+    dt = H / small
+    linear = scheme.linear_map(system, 0.5 * dt if halved else dt)
+    springs = dt * system.stiffness_matrix if scheme.springs_kicked else np.zeros((0, 0))
+    terms = None
+    if system.damping_terms:  # as powers of the momenta p = m v
+        factors, powers, scales = [], [], []
+        for term in system.damping_terms:
+            v = list(term.powers("v", n))
+            v[term.column] += 1
+            powers.append(v[term.row])
+            scales.append(term.coefficient / float(np.prod(system.mass ** np.array(v))))
+            v[term.row] = 0
+            others = [*term.powers("q", n), *v]
+            factors.append(np.repeat([*range(2 * n), n + term.row], [*others, powers[-1]]))
+        terms = TermArrays(
+            target=np.array([n + term.row for term in system.damping_terms], dtype=np.int64),
+            power=np.array(powers, dtype=np.int64),
+            scale=np.array(scales),
+            energy=np.array([term.energy for term in system.damping_terms], dtype=np.int64),
+            first=np.cumsum([0, *map(len, factors)], dtype=np.int64),
+            factor=np.concatenate(factors),
+            springs=springs,
+        )
+    if springs.size and terms is None:
+        one, zero = np.eye(n), np.zeros((n, n))
+        kicked = linear.propagator @ np.block([[one, zero], [-springs, one]])
+        linear = replace(linear, propagator=kicked)
+    pairs = (linear.factor.shape[1] + 1) // 2
+    laws, slots = effects_of(system).laws, system.contact_masses
+    signs: dict[tuple[float, ...], list[float]] = {}
+    for stop in system.stops:
+        shape = (stop.clearance, stop.stiffness, stop.power, laws.index(stop.law))
+        signs.setdefault((slots.index(stop.index), *shape), []).append(stop.sign)
+    rows = [
+        (slot, sign, *shape)
+        for (slot, *shape), sides in sorted(signs.items())
+        for sign in ([0.0] if sorted(sides) == [-1.0, 1.0] else sides)
+    ]
+    stops, masses = np.array(rows, dtype=float).reshape(-1, 6), np.array(slots, dtype=np.int64)
+    slot, substeps = stops[:, 0].astype(np.int64), None
+    if small > 1:
+        flow, mass = exact_flow(system, H), masses[slot]
+        row, bend = padded(flow.propagator[mass]), padded(bends(system, H, mass))
+        substeps = SubstepArrays(small, flow.matrix, row, bend, noise_reach(system, H, mass))
+    return StepArrays(
+        matrix=linear.matrix,
+        pairs=pairs,
+        dt=float(dt),
+        stiffness_matrix=system.stiffness_matrix,
+        half_inverse_mass=0.5 / system.mass,
+        slot_mass=masses,
+        slot_shift=scheme.modified * dt**2 / system.mass[masses],
+        stop_slot=slot,
+        stops=np.ascontiguousarray(stops[:, 1:]),
+        terms=terms,
+        words=pairs * (small + 1) if small > 1 else pairs * (1 + halved),
+        substeps=substeps,
+    )
+
+
+def watched(
+    system: System, scheme: Scheme, step: StepArrays, histograms: Sequence[Histogram],
+    products: Sequence[Product], traced: Sequence[Coordinate] = (), *, halved: bool = False,
+) -> tuple[KernelKey, WatchArrays]:  # fmt: skip
+    """Return what the kernel must be compiled for, and the numbers that it reads to observe."""
+    n, slots, effects = system.n, step.slot_mass, effects_of(system)
+    observed = {c for histogram in histograms for c in histogram.observable} | {*traced}
+    kinds = {c.kind for c in observed}
+    modes = sorted(c.row for c in observed if c.kind == "H" and c.index is not None)
+    forces = 0 if step.terms is None else n
+    work = 5 if forces else int(bool(modes))
+    sizes = [2 * slots.size, n, n, n, 1, len(modes), forces, 3 * forces, work]
+    at = Rows(*np.cumsum([step.matrix.shape[1] + 2 * n, *sizes]).tolist())
+    first = {"q": at.q, "p": at.p, "f": at.force, "d": at.damping}
+
+    def row_of(c: Coordinate) -> int:
+        if c.kind != "H":
+            return first[c.kind] + c.row
+        return at.energy if c.index is None else at.modal + modes.index(c.index)
+
+    shapes, frequency = natural_modes(system) if modes else (np.zeros((n, 0)), np.zeros(0))
+    T = shapes.T[modes]
+    # Bins; no axis: row −1.
+    rows = np.full((len(histograms), 2), -1, dtype=np.int64)
+    bins, piece = np.ones_like(rows), np.zeros((len(histograms), 2, 2), dtype=np.int64)
+    pieces: list[tuple[float, ...]] = []
+    for m, histogram in enumerate(histograms):
+        for k, (c, axis) in enumerate(zip(histogram.observable, histogram.bins, strict=True)):
+            rows[m, k], bins[m, k], begin = row_of(c), axis.edges.size - 1, len(pieces)
+            for low, high, count, widens in axis.pieces:
+                unit = 1.0 if widens else float(count)
+                pieces.append((low, high, count, unit / (high - low), widens))
+            piece[m, k] = begin, len(pieces)
+    half, shift = 0.5 * step.dt if scheme.kick_first else 0.0, scheme.modified * step.dt**2
+    watch = WatchArrays(
+        half_kick=half,
+        half_springs=(half if scheme.springs_kicked else 0.0) * system.stiffness_matrix,
+        term_shift=shift,
+        cross=shift * system.damping[:, slots] / system.mass[slots],
+        mode_q=frequency[modes, None] * T * system.mass if modes else None,
+        mode_p=np.ascontiguousarray(T) if modes else None,
+        at=at,
+        start=starts(histograms)[:-1],
+        products=np.array(
+            [(first[a] + i, first[b] + j) for a, i, b, j in products], dtype=np.int64
+        ).reshape(-1, 2),
+        traced=np.array([row_of(c) for c in traced], dtype=np.int64),
+        rows=rows,
+        bins=bins,
+        pieces=np.array(pieces, dtype=float).reshape(-1, 5),
+        piece=piece,
+    )
+    key = KernelKey(
+        laws=effects.laws,
+        kick_first=scheme.kick_first or not (effects.contact or effects.state_damping),
+        damping=effects.state_damping,
+        energy_damping=effects.energy_damping,
+        observed=bool(kinds or products),
+        momenta=bool(kinds & {"p", "H"} or products or effects.state_damping),
+        energy=Coordinate("H") in observed or bool(products and effects.energy_damping),
+        modes=bool(modes),
+        moments=bool(products),
+        pairs=step.pairs,
+        substeps=step.substeps is not None,
+        traced=bool(traced),
+        halved=halved,
+    )
+    return key, watch

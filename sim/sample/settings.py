@@ -1,0 +1,107 @@
+"""Settings of the simulation of the full Ito system (6), and what it cannot sample."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.recognition import REGISTRY
+from fpk.system.system import System
+from sim.step.arrays import LANES, MAX_TRAJECTORIES
+from sim.step.schemes import SCHEMES
+from sim.step.step_size import relaxation_time, undamped_mode
+
+LEAST_PATHS = 32 * LANES
+"""Paths below which there are fewer than 32 independent batches to take errors from."""
+
+RELAXATIONS = 153.2
+"""Relaxation times that are sampled unless a time is given: 6000 time units of fig6a."""
+
+MOST_STEPS = 400_000
+"""Steps at most where no time is given: of weakly damped systems fewer relaxation times fit in.
+Where only some trajectories make small steps it counts what they cost (``plan.cost``)."""
+
+ANYWHERE = {
+    "MonteCarlo.threads": "the random numbers belong to a path, whatever thread makes its steps",
+    "MonteCarlo.cluster": "and whatever machine",
+}
+"""Fields on which no number of a simulation of a given length depends."""
+NOT_IN_STATE = {
+    **ANYWHERE,
+    "MonteCarlo.checkpoint": "it says where the state is",
+    "MonteCarlo.partial": "it says what Ctrl-C does, after which a state can be gone on from",
+    "MonteCarlo.seconds": "a later limit goes on from where an earlier one ended",
+    "MonteCarlo.longest": "so does this one",
+    "Setup.seconds": "the one of these two that holds; whether there is one is compared",
+}
+"""Fields on which the saved state of a simulation does not depend, beside its length so far."""
+
+
+def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, int]) -> None:
+    """Raise ``InvalidInput`` for a field of a simulation's settings that cannot be used.
+
+    Of its seed and threads, and where they are given: ``ranges`` are (name, least, most).
+    """
+    threads = 4 * (os.cpu_count() or 1)
+    for key, low, high in (*ranges, ("seed", 0, 2**64 - 1), ("threads", 1, threads)):
+        value = getattr(own, key)
+        if value is not None and not low <= value <= high:
+            raise InvalidInput(key, value, f"use {low} to {high}")
+    for key in positive:
+        value = getattr(own, key)
+        if value is not None and not (isfinite(value) and value > 0):
+            raise InvalidInput(key, value, "must be a finite number > 0")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The fields of ``sim.MonteCarlo``, which describes them; every question takes them.
+
+    Raises ``InvalidInput`` naming the field that cannot be used.
+    """
+
+    paths: int = 8192
+    time: float | None = None
+    dt: float | None = None
+    scheme: str = field(default="exact_flow", metadata={REGISTRY: SCHEMES})
+    seed: int = 1
+    threads: int | None = None
+    tol: float | None = None
+    longest: float = 60.0
+    burn_in: float = 10.0
+    step_factor: float = 1.0
+    relaxations: float = RELAXATIONS
+    most_steps: int = MOST_STEPS
+    seconds: float | None = None
+    step_pair: bool = False
+    cluster: str | None = None
+    checkpoint: Path | None = None
+    partial: bool = False
+    allow_unstable: bool = False
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        if self.scheme not in SCHEMES:
+            raise InvalidInput("scheme", self.scheme, f"is none; use one of {sorted(SCHEMES)}")
+        times = ("time", "relaxations", "burn_in", "dt", "step_factor", "longest", "seconds")
+        check_settings(
+            self, (*times, "tol", "most_steps"), ("paths", LEAST_PATHS, MAX_TRAJECTORIES)
+        )
+
+
+def require_stationary(system: System) -> None:
+    """Raise ``NotApplicable`` where ``system`` has no stationary density, with the reason."""
+    if not np.any(system.noise_matrix):
+        raise NotApplicable(
+            "no noise reaches a mass: the motion dies out and has no stationary density"
+        )
+    relaxation = relaxation_time(system)
+    if relaxation == inf or (system.damping_terms and undamped_mode(system)):
+        raise NotApplicable(
+            "some motion is not damped: under noise it grows and never becomes stationary"
+        )

@@ -1,0 +1,282 @@
+"""Simulations as they are asked for: burn-in, pilot, sampling, half the step, and what follows."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from math import ceil, hypot, inf, nan
+from typing import Any
+
+import numpy as np
+
+from fpk.answer.method import Progress, Result, silent
+from fpk.answer.observable import Observable
+from fpk.numeric.arrays import Array
+from fpk.numeric.machine import left_out, usable_cores, working_time
+from fpk.system.system import System, effects_of
+from sim.sample.checkpoint import Checkpoint, interruptible
+from sim.sample.diagnostics import (
+    CHUNKS,
+    Diagnosis,
+    diagnosis,
+    l1_difference,
+    moment_identities,
+    moment_products,
+)
+from sim.sample.ensemble import Ensemble
+from sim.sample.histogram import Histogram, axis_of, covering, extremes, sampled_density
+from sim.sample.record import SNAPSHOTS, Record
+from sim.sample.report import Report, StepBias, Steps
+from sim.sample.settings import Settings
+from sim.sample.setup import Setup, setup_of
+from sim.sample.workers import workers_of
+from sim.step.random import OTHER_SEED
+from sim.step.step_size import relaxation_time, temperature
+
+PILOT_STATES, PILOT_PATHS = 16, 65536
+"""States of the ensemble from which the ranges of the histograms are taken, and most trajectories:
+the extremes of more lie within the margin. Between two states lie 8 intervals of samples, about a
+period of the fastest mode."""
+
+LEAST_CHUNKS = 8
+"""Chunks before which a target error is not trusted: halves of four can be compared."""
+
+CHECK_AT = 0.95
+"""Share of the samples wanted, as 1/error² predicts them, at which the error is computed again."""
+
+LARGEST_Z = 5.0
+"""|z| of a moment identity that chance explains: by Student's t 2e-5 of 32 batches, 5e-6 of 64."""
+
+STEP_BIAS = 1e-3
+"""Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
+leave beyond chance."""
+
+
+def run(
+    method: Settings, system: System, observables: Sequence[Observable], progress: Progress,
+    *, beside: Sequence[Observable] = (),
+) -> Result:  # fmt: skip
+    """Return the densities of ``observables`` with their report, as ``method`` asks for them.
+
+    Those of ``beside`` are sampled with them. A step pair compares them with a second run at half
+    the step, unless one of both was interrupted or has no chunk by the limit of time.
+    """
+    setup = setup_of(method, system, [*observables, *beside])
+    with workers_of(method.cluster, method.threads or usable_cores()) as workers:
+        result = simulate(setup, workers=workers, progress=progress)
+        report: Any = result.report
+        if method.step_pair and report.diagnosis is not None:
+            seed = (method.seed + OTHER_SEED) % 2**64
+            densities: Any = result.densities  # of histograms
+            half = replace(
+                setup,
+                method=replace(method, seed=seed),
+                dt=0.5 * setup.dt,
+                time=report.steps.time,
+                tol=inf,
+                seconds=2.0 / 3.0 * method.seconds if method.seconds else inf,
+                histograms=tuple(Histogram(d.observable, d.bins) for d in densities),
+            )
+            second: Any = simulate(half, workers=workers, progress=progress)
+            if second.report.diagnosis is None:
+                words = "interrupted" if second.report.interrupted else "the limit of time came"
+                report = replace(report, step_pair=f"not measured: {words}")
+            else:
+                pairs = zip(densities, second.densities, strict=True)
+                biases = {a.name: StepBias(*l1_difference(a, b)) for a, b in pairs}
+                for a, b in zip(report.moments, second.report.moments, strict=True):
+                    biases[a.name] = StepBias(a.mean - b.mean, hypot(a.error, b.error))
+                report = replace(report, step_biases=biases, step_pair="dt against dt/2")
+    asked = len(observables)
+    densities, others = result.densities[:asked], result.densities[asked:]
+    settings = report.settings(densities)
+    return replace(result, densities=densities, beside=others, report=report, settings=settings)
+
+
+def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Result:
+    """Sample the stationary state of Eq. (6) as ``setup`` says, by ``workers`` (None: one thread).
+
+    Where the method has a folder for ``checkpoint`` the state is saved at intervals, and a
+    simulation of the same setup goes on from there. Where it may be ``partial`` Ctrl-C ends the
+    sampling, and what there is by then is the result, not certified.
+    """
+    method, cut = setup.method, ""
+    checkpoint = setup.checkpoint()
+    products = moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
+    covered = partial(covering, setup.observables, axis=partial(axis_of, setup.system))
+    with checkpoint.alone(), interruptible(method.partial) as checkpoint.stopped:
+        ensemble = Ensemble(
+            setup.system, setup.scheme, setup.dt, method.paths, method.seed, workers=workers
+        )
+        saved = checkpoint.load()
+        # Any ranges: with the kinds of observables as later there is one kernel for all.
+        reached = np.full((sum(map(len, setup.observables)), 2), (-1.0, 1.0))
+        ensemble.watch(covered(reached), products)
+        with left_out():
+            ensemble.advance(0, stride=0)  # compiles
+        begin = working_time()
+        checkpoint.deadline = begin + setup.seconds
+        if "reached" in saved:
+            reached = saved["reached"]
+        else:
+            reached, cut = _burnt_in(setup, ensemble, checkpoint, saved, progress=progress)
+        ensemble.watch(setup.histograms or covered(reached), products)
+        record = Record(ensemble, elapsed=working_time() - begin)
+        if "reached" in saved:
+            ensemble.restore(saved)
+            record.restore(saved)
+        if cut:
+            ensemble.advance(1, stride=setup.stride)  # a sample of the states that there are
+        else:
+            checkpoint.notes["reached"] = reached
+            _sample(setup, record, checkpoint=checkpoint, progress=progress)
+            checkpoint.save(ensemble.saved())
+    of = "" if setup.open else f" of {CHUNKS}"
+    where = cut or f"after {record.chunks}{of} chunks"
+    interrupted = f"partial: interrupted {where}" if checkpoint.interrupted else ""
+    limit, first = f"the limit of {setup.seconds:g} s came", "in its first chunk, before any drift"
+    limited = "" if interrupted or record.chunks else f"{limit} {cut or first}; give it more time"
+    return assessed(setup, record, interrupted=interrupted, limited=limited)
+
+
+def _burnt_in(
+    setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: Any, *, progress: Progress
+) -> tuple[Array, str]:
+    """Advance to the end of the burn-in, from the state in ``saved`` if there is one.
+
+    Returns the extremes (coordinates, 2) of ``PILOT_STATES`` states that follow, from which the
+    histograms are chosen where they are not given; and where Ctrl-C or the limit of time cut all
+    this short, in words, empty where it did not.
+    """
+    if saved:
+        ensemble.restore(saved)
+    whole = setup.burn_in_steps
+    for k in range(1, CHUNKS + 1):
+        if checkpoint.advance(ensemble, whole * k // CHUNKS - ensemble.done, stride=0):
+            break
+        progress(k, CHUNKS, "burn-in")
+    share = min(ensemble.done / whole, 1.0)
+    pilot, done = [], share == 1.0
+    for k in range(PILOT_STATES if setup.histograms is None else 0):
+        steps = 8 * setup.stride
+        done = done and not checkpoint.advance(ensemble, steps, stride=0, saving=False)
+        if done or k == 0:
+            states = ensemble.phase_points(PILOT_PATHS)
+            pilot.append(extremes(setup.system, setup.observables, *states))
+    cut = "" if done else f"after {share:.2g} of the burn-in"
+    if not pilot:
+        return np.zeros((0, 2)), cut
+    return np.stack([np.min(pilot, axis=0)[:, 0], np.max(pilot, axis=0)[:, 1]], axis=1), cut
+
+
+def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: Progress) -> None:
+    """Advance until ``setup`` is met or ``checkpoint`` is interrupted.
+
+    ``record`` gets the sums at the end of every chunk, and single samples of all trajectories at
+    the beginning of some; a chunk that was interrupted, or that the limit of time cut short, is not
+    recorded.
+    """
+    ensemble, stride, tol = record.ensemble, setup.stride, setup.tol
+    begin = working_time() - record.elapsed
+    checkpoint.deadline = begin + setup.seconds
+    chunks = CHUNKS * (32 if setup.open else 1)
+    first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
+    record.chunk_samples = record.chunk_samples or first
+    while True:
+        start, length = working_time(), record.chunk_samples * stride
+        begun = len(record.ends) * length
+        if ensemble.phase == begun and record.chunks in SNAPSHOTS:
+            record.snapshot(stride)
+        record.elapsed = start - begin
+        checkpoint.notes |= record.saved()
+        stopped = checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride)
+        record.stepping += working_time() - start
+        if stopped:
+            return
+        record.chunks += 1
+        record.chunk_ends()
+        record.elapsed = working_time() - begin
+        ends = record.elapsed > setup.seconds or (not setup.open and record.chunks == CHUNKS)
+        enough = record.chunks >= LEAST_CHUNKS and ensemble.samples >= record.target
+        if tol < inf and (ends or enough):
+            taken = ensemble.paths * ensemble.samples
+            error = sampled_density(
+                *next(ensemble.counted()),
+                taken=taken,
+                mirror=effects_of(setup.system).mirror,
+                everywhere=False,
+            ).l1_error
+            record.target = CHECK_AT * ensemble.samples * (error / tol) ** 2
+            ends |= error <= tol
+        done = record.chunks / CHUNKS
+        if setup.open:
+            sampled = CHECK_AT * ensemble.samples / record.target if record.target else 0.0
+            done = max(sampled, record.elapsed / setup.seconds)
+        progress(min(CHUNKS, int(CHUNKS * done)), CHUNKS, "simulation")
+        if ends:
+            return
+        if setup.open and len(record.ends) == 2 * CHUNKS:  # one of every two
+            record.ends, record.chunk_samples = record.ends[1::2], 2 * record.chunk_samples
+
+
+def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) -> Result:
+    """Return the certified densities, the moment identities and the report.
+
+    ``interrupted``, in words and empty if it was not, stands against a certificate, as does what
+    the limit of time cut short so that nothing can be diagnosed (``limited``). Of a system with
+    mirror symmetry mirror images of samples count as samples.
+    """
+    ensemble = record.ensemble
+    taken = ensemble.samples * setup.stride
+    steps = Steps(
+        dt=setup.dt / setup.scheme.small,
+        paths=ensemble.paths,
+        time=taken * setup.dt,
+        burn_in=min(setup.burn_in_steps, ensemble.done - ensemble.phase) * setup.dt,
+        relaxation_time=relaxation_time(setup.system),
+        scheme=setup.scheme.name,
+        steps=taken,
+        stride=setup.stride,
+        batches=ensemble.edges.size - 1,
+        seed=ensemble.seed,
+        threads=ensemble.threads,
+        kT=temperature(setup.system),
+        long_step=setup.dt,
+        ns_per_particle_step=1e9 * record.stepping * ensemble.threads / (ensemble.paths * taken),
+        small_steps=setup.division,
+        limited_by=setup.limited_by,
+    )
+    failures = [*(words for words in (interrupted, limited) if words), *setup.failures]
+    identities = moment_identities(setup.system, ensemble.batch_means())
+    stationary = ensemble.done - ensemble.phase >= setup.burn_in_steps
+    judged = identities if stationary else ()
+    failures += [
+        f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
+        for identity in judged
+        if abs(identity.value - identity.expected)
+        > LARGEST_Z * identity.error + STEP_BIAS * (identity.expected or temperature(setup.system))
+    ]
+    diagnosed: Diagnosis | None = None
+    if not (interrupted or limited):
+        diagnosed = diagnosis(
+            record.effective(), record.names, record.means(),
+            time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
+            burn_in=steps.burn_in,
+        )  # fmt: skip
+        failures += diagnosed.failures
+    densities = tuple(
+        sampled_density(
+            histogram,
+            counts,
+            taken=ensemble.paths * ensemble.samples,
+            mirror=effects_of(setup.system).mirror,
+            residual=max((abs(identity.z) for identity in judged), default=nan),
+            tol=setup.tol if m == 0 else inf,
+            failures=failures,
+        )
+        for m, (histogram, counts) in enumerate(ensemble.counted())
+    )
+    report = Report(steps, diagnosed, record.moments(), interrupted)
+    method: Any = setup.method  # a ``MonteCarlo``
+    return Result(
+        method, densities, identities=identities, partial=bool(interrupted), report=report
+    )

@@ -1,0 +1,1 @@
+"""One step of the full system: schemes, forces, random numbers, and the compiled loop."""

@@ -1,0 +1,92 @@
+"""Loops over lanes that every step is made of; rows of a block lie one after the other.
+
+A loop is over ``width`` lanes, a constant at each call: by default a whole block. It reads one view
+of neighbouring rows and writes another: an index into a view cannot be negative, and two views need
+one overlap check, so that the compiler makes vector instructions of the loop.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.numeric.arrays import Array
+from fpk.numeric.compiling import inlined
+from sim.step.arrays import W
+
+
+@inlined
+def aligned_rows(rows: int) -> Array:
+    """Return rows of zeros that begin at a cache line: no vector of 64 bytes lies across two."""
+    memory = np.zeros(rows * W + 8)
+    first = (-memory.ctypes.data % 64) // 8
+    return memory[first : first + rows * W]
+
+
+@inlined
+def row(s: Array, first: int, rows: int = 1, width: int = W) -> Array:
+    """Return a view of ``rows`` rows from ``first`` on."""
+    return s[first * width : (first + rows) * width]
+
+
+@inlined
+def kick(p: Array, g: Array, h: float, a: float, width: int = W) -> None:
+    """Take ``h g (1 − a g')`` from p; g holds the rows of g and of g'."""
+    for k in range(width):
+        p[k] -= h * g[k] * (1.0 - a * g[width + k])
+
+
+@inlined
+def fill(target: Array, value: float, width: int = W) -> None:
+    """Set a row, or rows of ``width`` lanes together, to one value."""
+    for k in range(width):
+        target[k] = value
+
+
+@inlined
+def scale_all(values: NDArray[np.float32], factor: np.float32) -> None:
+    """Multiply all ``values`` by one factor."""
+    for k in range(values.size):
+        values[k] *= factor
+
+
+@inlined
+def copy(target: Array, source: NDArray[Any], width: int = W) -> None:
+    """Copy one row, of normals in single precision too."""
+    for k in range(width):
+        target[k] = source[k]
+
+
+@inlined
+def add(target: Array, source: Array, factor: float, width: int = W) -> None:
+    """Add ``factor`` times one row to another; no work where the factor is 0."""
+    if factor != 0.0:
+        for k in range(width):
+            target[k] += factor * source[k]
+
+
+@inlined
+def add_matrix(
+    s: Array, to: int, source: int, matrix: Array, factor: float, width: int = W
+) -> None:
+    """Add ``factor`` times ``matrix`` times the rows from ``source`` to the rows from ``to``."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            x = row(s, source + j, 1, width)
+            add(row(s, to + i, 1, width), x, factor * matrix[i, j], width)
+
+
+@inlined
+def multiply(target: Array, source: Array, times: int = 1, width: int = W) -> None:
+    """Multiply one row by another, so many ``times``."""
+    for _ in range(times):
+        for k in range(width):
+            target[k] *= source[k]
+
+
+@inlined
+def add_product(target: Array, a: Array, b: Array, factor: float, width: int = W) -> None:
+    """Add ``factor`` times the product of two rows to another; no work where it is 0."""
+    if factor != 0.0:
+        for k in range(width):
+            target[k] += factor * a[k] * b[k]

@@ -1,0 +1,125 @@
+"""Counter-based normal numbers: one stream keyed by (seed, trajectory, step).
+
+The word of counter ``t = (trajectory << 40) + step · pairs + pair`` is the SplitMix64 finaliser
+(Steele, Lea, Flood, OOPSLA 2014) of ``t · GOLDEN + mix(seed)``: no two trajectories share a word,
+and any number is computed without those before it.
+
+The 64 bits of a word make one Box-Muller pair ``√(−2 log u) (cos θ, sin θ)``. The words of a block
+of lanes are read as 32-bit halves, in the order of memory: half ``k`` is the radius of lane k
+(``u = (2j + 1) / 2**32``), half ``LANES + k`` its angle (24 bits). How good the numbers are is in
+docs/theory.md, "The step of the simulation".
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fpk.numeric.arrays import Array
+from fpk.numeric.compiling import cached_njit, inlined
+from sim.step.arrays import LANES
+
+Singles = NDArray[np.float32]
+Words = NDArray[np.uint64]
+Halves = NDArray[np.uint32]
+
+START = 1 << 39
+"""First counter, within a trajectory's words, of those that draw its initial state."""
+
+OTHER_SEED = 0x9E3779B97F4A7C15
+"""Added to a seed for a second simulation: 2**64 over the golden ratio."""
+
+GOLDEN = np.uint64(OTHER_SEED)
+LANE = np.uint64((int(GOLDEN) << 40) & ((1 << 64) - 1))
+"""From a trajectory's words to the next one's."""
+
+u32, f32 = np.uint32, np.float32
+
+# Chebyshev interpolants: −2 log(1+f)/f on [√½ − 1, √2 − 1] to 4e-7; sin(π/2 x)/x to 1.2e-6 and
+# cos(π/2 x) to 5e-8, in x² on |x| <= 1.
+_L0, _L1, _L2, _L3, _L4, _L5, _L6, _L7 = map(f32, [
+    -1.999999885, 1.000007262, -0.6667022828, 0.4994014337,
+    -0.397971301, 0.3449402661, -0.324683796, 0.202681135,
+])  # fmt: skip
+_A0, _A1, _A2, _A3 = map(f32, [1.570795135, -0.6459258417, 0.0795003287, -0.004370800433])
+_B0, _B1, _B2, _B3, _B4 = map(
+    f32, [0.9999999532, -1.233698208, 0.2536507096, -0.02081057138, 0.0008581625433]
+)
+_LN4 = f32(2.0 * 0.6931471805599453 / 2**23)
+
+
+def stream_of(seed: int, number: int) -> np.random.Generator:
+    """Return NumPy's stream of random numbers of one batch, round or repetition of a ``seed``."""
+    return np.random.Generator(np.random.Philox(key=np.array([seed, number], dtype=np.uint64)))
+
+
+@inlined
+def mixed_word(z: np.uint64) -> np.uint64:
+    """Return the word at the place ``z`` of the sequence."""
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.uint64(z ^ (z >> np.uint64(31)))
+
+
+def mixed_seed(seed: int) -> np.uint64:
+    """Return the finalised seed, the offset of its stream in the sequence; 0 <= seed < 2**64."""
+    finaliser: Any = mixed_word
+    return np.uint64(finaliser.py_func(np.array([seed], dtype=np.uint64))[0])
+
+
+@inlined
+def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
+    """Write one pair a lane: a row of cosines, then a row of sines; bits as in the module."""
+    root_half, mantissa = u32(0x3F3504F3), u32(0x007FFFFF)  # bits of √½; u is scaled by 2**32
+    for k in range(width):
+        a = halves[width + k]
+        u = f32(u32(halves[k] | u32(1)))
+        bits = u32(f32(u).view(u32) - u32(root_half + u32(32 << 23)))
+        e = f32(u32(bits & u32(0xFF800000)).view(np.int32))
+        f = u32(u32(bits & mantissa) + root_half).view(f32) - f32(1.0)
+        log = _L4 + f * (_L5 + f * (_L6 + f * _L7))
+        log = f * (_L0 + f * (_L1 + f * (_L2 + f * (_L3 + f * log))))
+        r = np.sqrt(log - _LN4 * e)
+        r = u32(f32(r).view(u32) | u32(a & u32(0x80000000))).view(f32)
+        # With the bits of 2 these 23 are a number in [2, 4).
+        x = u32(u32(a & mantissa) | u32(0x40000000)).view(f32) - f32(3.0)
+        y = x * x
+        rows[width + k] = r * (x * (_A0 + y * (_A1 + y * (_A2 + y * _A3))))
+        rows[k] = r * (_B0 + y * (_B1 + y * (_B2 + y * (_B3 + y * _B4))))
+
+
+@inlined
+def fill_normals(
+    rows: Singles, words: Words, trajectory: np.uint64, counter: np.uint64, offset: np.uint64
+) -> None:
+    """Write one Box-Muller pair a lane: a row of cosines, then a row of sines.
+
+    ``trajectory`` is that of the first lane, ``counter`` the word within it, ``offset`` the
+    finalised seed. ``words`` (LANES) is scratch.
+    """
+    first = ((trajectory << np.uint64(40)) + counter) * GOLDEN + offset
+    for lane in range(LANES):
+        words[lane] = mixed_word(first + np.uint64(lane) * LANE)
+    box_muller(rows, words.view(np.uint32))
+
+
+@cached_njit()
+def _fill_blocks(out: Singles, words: Words, counter: np.uint64, offset: np.uint64) -> None:
+    for block in range(out.shape[0]):
+        trajectory = np.uint64(block * LANES)
+        for pair in range(out.shape[1] // (2 * LANES)):
+            rows = out[block, 2 * LANES * pair : 2 * LANES * (pair + 1)]
+            fill_normals(rows, words, trajectory, counter + np.uint64(pair), offset)
+
+
+def normals(seed: int, paths: int, counter: int, count: int) -> Array:
+    """Return (count, paths) standard normals: of every path those from word ``counter`` on.
+
+    The step number ``step`` of a scheme with ``pairs`` pairs reads from ``step · pairs``.
+    """
+    pairs = (count + 1) // 2
+    blocks = -(-paths // LANES)
+    out = np.empty((blocks, 2 * pairs * LANES), dtype=f32)
+    _fill_blocks(out, np.empty(LANES, np.uint64), np.uint64(counter), mixed_seed(seed))
+    lanes = out.reshape(blocks, 2 * pairs, LANES).transpose(1, 0, 2)
+    return lanes.reshape(2 * pairs, -1)[:count, :paths].astype(np.float64)

@@ -1,0 +1,301 @@
+"""Time scales: the step of the stiffest contact and of the shortest period, and the relaxation."""
+
+from collections.abc import Sequence
+from math import exp, inf, isfinite, lgamma, pi, sqrt
+from typing import Any
+
+import numpy as np
+import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
+
+from fpk.answer.observable import Observable
+from fpk.numeric.arrays import ROUND_OFF, Array
+from fpk.system.damping import gaussian_moment
+from fpk.system.equivalent import damping_balance, equivalent_temperature
+from fpk.system.linear import decay_time, drift_matrix, natural_modes
+from fpk.system.system import System
+from sim.step.schemes import Scheme
+
+REACHED = 5.0
+"""Potential energy, in units of kT, up to which a mass is expected to push into its stop."""
+
+BEYOND_BALANCE = 1.5
+"""Energy, in units of the last at which damping and noise balance, up to which a step is to be
+stable: kT says nothing of the upper of two humps of its density."""
+
+STEP_PER_FREQUENCY = 0.45
+"""Step times the frequency in contact, springs included. The bias grows with the fourth power: at
+0.65 the L1 of p(q2) shows it beside a sampling error of 3e-4 (B = 1, 10); at 0.45 it does not."""
+
+STEP_WITH_TERMS = 0.22
+"""Step times the frequency in contact where damping terms act, too: their bias then grows with the
+square of the step, and is 1e-3 of the kinetic balance of a mass that both act on."""
+
+STEP_PER_RATE = 0.1
+"""Step times the steepest rate of the damping terms that is reached, see ``term_rate``."""
+
+BIAS = 0.02
+"""Factor of the bias at a stop, see ``step_for``: measured at 1 and 1.8 times the step of
+``STEP_PER_FREQUENCY``, 0.017 to 0.018 of bilinear stops and 0.012 to 0.017 of Hertz ones."""
+
+JOINT_BIAS = 0.1
+"""Factor of the bias of a joint density at a stop, see ``step_for``: measured 0.06 of Hertz stops
+and 0.10 of bilinear ones at X = 0.1. Of these (sup |B₂|/2) max(u² e^(−u²/4)) = 0.12, B₂ Bernoulli's
+polynomial: the error of the trapezoidal rule with the nodes v h across the kink of the force, times
+the inverse sampling error at the velocity v = u √(kT/m)."""
+
+RAREST = 10.0
+"""ln of the factor at most by which the error at a rarely visited stop is taken to be larger."""
+
+STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8
+"""Wall time of a step and of a sample of one thread, in s: of one to three masses, to a factor 2.
+The step that follows is longer by the fourth root of an error."""
+
+
+def temperature(system: System) -> float:
+    """Return kT = Σ(N_ii/m_i) / Σ(c_ii/m_i), N = f D fᵀ: the mean of m v² by energy balance.
+
+    With damping terms it is the θ of ``equivalent_temperature``, and raises as that does.
+    """
+    if system.damping_terms:
+        return equivalent_temperature(system)
+    noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
+    loss = float(np.sum(np.diag(system.damping) / system.mass))
+    return noise / loss if loss > 0 else inf
+
+
+def contact_frequency(
+    system: System, *, springs: bool = False, energy: float = 0.0, kT: float | None = None
+) -> float:
+    """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i); 0 if none.
+
+    ``energy`` and ``kT`` as of ``contact_slopes``.
+    """
+    slopes = contact_slopes(system, energy=energy, kT=kT)
+    whole = slopes + np.diag(system.stiffness_matrix) if springs else slopes
+    return sqrt(float(np.max(np.where(slopes > 0.0, whole, 0.0) / system.mass)))
+
+
+def contact_slopes(system: System, *, energy: float = 0.0, kT: float | None = None) -> Array:
+    """Return the largest slope g' (n,) of each contact force that is reached; 0 if none.
+
+    A mass that moves alone, the others following statically, has the potential
+    ``½ k_eff q² + U(q)`` with k_eff the Schur complement of K. It reaches ``REACHED`` kT, or one kT
+    of contact energy where the stop is too far for that, or ``energy`` where that is more. ``kT``
+    None: that of the stationary state.
+    """
+    slopes, kT = np.zeros(system.n), temperature(system) if kT is None else kT
+    kT = kT if isfinite(kT) else 0.0  # of undamped motion ``energy`` alone counts
+
+    def excess(q: float, i: int, sign: float, k_eff: float, level: float) -> float:
+        return 0.5 * k_eff * q * q + float(system.contact_energy(i, sign * q)) - level
+
+    for stop in system.stops:
+        i, sign = stop.index, stop.sign
+        k_eff = 1.0 / system.compliance[i, i]
+        level = max(REACHED * kT, 0.5 * k_eff * stop.clearance**2 + kT, energy)
+        most = sqrt(2.0 * level / k_eff) * (1.0 + 1e-9)
+        q = scipy.optimize.brentq(excess, 0.0, most, args=(i, sign, k_eff, level))
+        stiffness = sum(
+            float(s.slope(q - s.clearance))
+            for s in system.stops
+            if (s.index, s.side) == (i, stop.side) and q > s.clearance
+        )
+        slopes[i] = max(slopes[i], stiffness)
+    return slopes
+
+
+def highest_frequency(system: System) -> float:
+    """Return the highest natural frequency without contact, in rad per unit time."""
+    return float(natural_modes(system)[1][-1])
+
+
+def term_rate(system: System) -> float:
+    """Return the largest rate, per unit time, of a mass by its damping terms.
+
+    It is Σ (1 + power of v_i) |c̃_ij| v_j/(m_i v_i) where each coordinate alone, and H, has the
+    energy E = ``REACHED`` kT, or ``BEYOND_BALANCE`` times the last one at which damping and noise
+    balance: ``q_a² = 2 E (K⁻¹)_aa``, ``v_a² = 2 E/m_a``.
+    """
+    level = max(REACHED * temperature(system), BEYOND_BALANCE * system.fact(damping_balance).energy)
+    q = np.sqrt(2.0 * level * np.diag(system.compliance))
+    v = np.sqrt(2.0 * level / system.mass)
+    rates = np.zeros(system.n)
+    for term in system.damping_terms:
+        power = 1 + term.powers("v", system.n)[term.row]
+        size = abs(float(term.value(q, v, level))) * v[term.column] / v[term.row]
+        rates[term.row] += power * size / system.mass[term.row]
+    return float(np.max(rates))
+
+
+def sampling_interval(system: System) -> float:
+    """Return the time between samples, an eighth of the shortest natural period.
+
+    Closer ones repeat each other.
+    """
+    return 2.0 * pi / highest_frequency(system) / 8
+
+
+def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None) -> float:
+    """Return the step of ``exact_flow``; of a linear system any is exact: the sampling interval.
+
+    Damping terms need it short beside their own rates and the natural periods. ``energy`` and
+    ``kT`` are as of ``contact_frequency``.
+    """
+    frequency = contact_frequency(system, springs=True, energy=energy, kT=kT)
+    steps = [sampling_interval(system)]
+    share = STEP_PER_FREQUENCY
+    if system.damping_terms:
+        steps.append(STEP_PER_RATE / term_rate(system))
+        steps.append(STEP_PER_FREQUENCY / highest_frequency(system))
+        share = STEP_WITH_TERMS
+    if frequency > 0.0:
+        steps.append(share / frequency)
+    return min(steps)
+
+
+def step_for(
+    system: System, error: float, *, kT: float | None = None, observables: Sequence[Observable] = ()
+) -> float:
+    """Return the step whose bias at the stops is a third of the relative sampling ``error`` of p.
+
+    It is no longer than ``chosen_step``. ``kT`` None: that of the stationary state.
+    Within v h of a stop, v the thermal velocity, the force is not smooth over a step: of a force
+    ``B x^e`` the bias of p(q) there is ``BIAS X^e`` of itself, ``X = h² e B (v h)^(e−1)/m`` the
+    square of the phase that the contact adds in a step. In a density of q and p, or of one of them
+    and an energy, the biases of v and −v do not cancel: it is ``JOINT_BIAS X``, and bounded where
+    ``observables`` contain one. Farther stops are visited less often, and known to a larger error.
+    """
+    kT = temperature(system) if kT is None else kT
+    steps, joint = [chosen_step(system, kT=kT)], set[int | None]()
+    for observable in observables:
+        rows = {c.row for c in observable if c.kind != "H"}
+        if len({c.kind for c in observable}) == 2 and len(rows) == 1:
+            joint |= rows
+    for stop in system.stops:
+        m, k_eff = float(system.mass[stop.index]), 1.0 / system.compliance[stop.index, stop.index]
+        rarity = min(0.25 * k_eff * stop.clearance**2 / kT, RAREST)
+        known = error * exp(rarity) / 3.0
+        square = (known / BIAS) ** (1.0 / stop.power)
+        if stop.index in joint:
+            square = min(square, known / JOINT_BIAS)
+        slope = stop.power * stop.stiffness * sqrt(kT / m) ** (stop.power - 1.0)
+        steps.append((square * m / slope) ** (1.0 / (stop.power + 1.0)))
+    return min(steps)
+
+
+def expected_error(samples: float) -> float:
+    """Return about what relative error p has near its maximum, from the samples to be taken.
+
+    Times √samples it was 5.8 to 7.7 in runs of 1e9 samples.
+    """
+    return 7.0 / sqrt(samples)
+
+
+def samples_in(system: System, dt: float, seconds: float) -> float:
+    """Return about how many samples one thread takes in ``seconds`` of wall time."""
+    interval = sampling_interval(system)
+    return seconds / (STEP_SECONDS * max(1.0, interval / dt) + SAMPLE_SECONDS)
+
+
+def stability_limit(
+    system: System, scheme: Scheme, *, energy: float = 0.0, kT: float | None = None,
+    touching: bool = True,
+) -> float:  # fmt: skip
+    """Return 2/ω, where steps become unstable; ω of the contact, with the springs if they kick.
+
+    Of Euler's rule it is the least −2 Re λ/|λ|², 2 ζ/ω of a vibration, λ the eigenvalues of the
+    drift out of contact and, where ``touching``, in it; damping terms count as constant damping
+    that balances the noise.
+    """
+    if scheme.kick_first:
+        square = contact_frequency(system, energy=energy, kT=kT) ** 2
+        square += highest_frequency(system) ** 2 if scheme.springs_kicked else 0.0
+        return 2.0 / sqrt(square) if square > 0 else inf
+    n, free = system.n, drift_matrix(system)
+    if system.damping_terms:
+        power = float(np.sum(np.diag(system.noise_matrix) / system.mass))
+        free[n:, n:] = -np.eye(n) * power / (n * temperature(system))
+    both = np.stack([free, free])
+    if touching:
+        both[1, n:, :n] -= np.diag(contact_slopes(system, energy=energy, kT=kT))
+    roots = np.linalg.eigvals(both)
+    return float(np.min(-2.0 * roots.real / np.abs(roots) ** 2))
+
+
+def relaxation_time(system: System) -> float:
+    """Return the longest decay time of the motion without contact; inf if some never decays.
+
+    With damping terms modes are taken for Gaussian at temperatures θ_m that balance,
+    ``dθ_m/dt = S_m − P_m(θ)``: S_m the power of the noise, P_m that of all damping; an eigenvalue
+    of ∂P/∂θ there is the decay rate of an energy. One temperature for all modes gives a second
+    estimate, 2n/P'(θ), and the longer one counts. Rare passages between coexisting states take
+    longer than this: it is for ``burn_in`` and ``time`` to allow for them.
+    """
+    if not system.damping_terms:
+        return decay_time(system)
+    equivalent_temperature(system)  # raises where damping and noise do not balance
+    slope = system.fact(damping_balance).slope
+    times = [2.0 * system.n / slope] if slope > 0 else []
+    if (balance := modal_temperatures(system)).size:
+        slowest = float(natural_modes(system)[1][0])
+        # ∂P/∂θ by central differences: a polynomial of low degree, so that 1e-4 costs no digit.
+        change = [
+            modal_powers(system, balance + h) - modal_powers(system, balance - h)
+            for h in np.diag(1e-4 * balance)
+        ]
+        rates = np.linalg.eigvals(np.transpose(change) / (2e-4 * balance)).real
+        if np.all(rates > 0):
+            # Of x'' + rate x' + ω² x = 0; creeping has (rate/2 + √…)/ω².
+            creep = np.sqrt(np.maximum((0.5 * rates) ** 2 - slowest**2, 0.0))
+            creeping = (0.5 * rates + creep) / slowest**2
+            times += np.where(0.5 * rates > slowest, creeping, 2.0 / rates).tolist()
+    return max((time for time in times if isfinite(time)), default=inf)
+
+
+def modal_temperatures(system: System) -> Array:
+    """Return the temperatures θ (n,) of ``relaxation_time`` at which modes balance; none: empty."""
+    shapes, _ = natural_modes(system)
+    noise = np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes)
+    start = np.full(system.n, equivalent_temperature(system))
+    root: Any = scipy.optimize.root  # the stubs want a function of a fixed shape
+    balance: Any = root(lambda theta: noise - modal_powers(system, theta), start, method="hybr")
+    found = balance.success and np.all(balance.x > 0)
+    return np.asarray(balance.x) if found else np.zeros(0)
+
+
+def modal_powers(system: System, temperatures: Array) -> Array:
+    """Return E P_m (Tᵀ c M⁻¹ p)_m, modes being independent Gaussians of ``temperatures`` (n,).
+
+    H^e of a term stands for E H^e of the Gibbs state of the same mean energy.
+    """
+    n, (shapes, omega) = system.n, natural_modes(system)
+    displacements = (shapes * (temperatures / omega**2)) @ shapes.T
+    velocities = (shapes * temperatures) @ shapes.T
+    force = system.damping @ velocities  # E (c v)_i v_r
+    power = np.einsum("im,ir,r,rm->m", shapes, force, system.mass, shapes)
+    mean = float(np.mean(np.abs(temperatures)))
+    for term in system.damping_terms:
+        level = mean**term.energy * exp(lgamma(n + term.energy) - lgamma(n))
+        q = gaussian_moment(displacements, term.powers("q", n))
+        for r in range(n):
+            v = list(term.powers("v", n))
+            v[term.column] += 1
+            v[r] += 1
+            moment = term.coefficient * level * q * gaussian_moment(velocities, tuple(v))
+            power = power + shapes[term.row] * moment * system.mass[r] * shapes[r]
+    return np.asarray(power)
+
+
+def undamped_mode(system: System) -> bool:
+    """Return whether neither the constant damping nor any term acts on some mode.
+
+    Where terms act, whether they suffice is left to ``equivalent_temperature``, to lost
+    trajectories and to the moment identities.
+    """
+    shapes, omega = natural_modes(system)
+    constant = np.abs(np.einsum("im,ij,jm->m", shapes, system.damping, shapes))
+    reached = constant > ROUND_OFF * omega[-1]
+    size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
+    for term in system.damping_terms:
+        reached |= size[term.row] * size[term.column] > ROUND_OFF
+    return not bool(np.all(reached))
