@@ -7,8 +7,7 @@ columns through scratch rows.
 The lanes that may touch a stop within a long step (``sim.sample.plan``) are gathered, ``NARROW`` to
 a group; all lanes are mapped over the long step; then those gathered make the small steps from
 where they were and overwrite what the map gave. Their normals belong to the trajectory and the
-step,
-wherever a lane lies in its group: a word's lower half is the radius, the upper the angle.
+step, wherever a lane lies in its group: a word's lower half is the radius, the upper the angle.
 """
 
 from typing import Any
