@@ -153,7 +153,7 @@ def method_record(result: Result) -> Record:
                 "observable": d.name,
                 "error_kind": d.error_kind,
                 "l1_error": d.l1_error,
-                "certificate": {**vars(d.certificate), "certified": d.certificate.certified},
+                "certificate": d.certificate.record,
             }
             for d in result.densities
         ],

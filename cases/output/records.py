@@ -128,8 +128,7 @@ def answer_tail(
     certificate: Certificate, settings: Mapping[str, str | float | int], seconds: float
 ) -> Record:
     """Return what every answer says last."""
-    own = {**vars(certificate), "certified": certificate.certified}
-    return {"certificate": own, "settings": dict(settings), "seconds": seconds}
+    return {"certificate": certificate.record, "settings": dict(settings), "seconds": seconds}
 
 
 def columns_text(record: Record) -> str:

@@ -81,6 +81,12 @@ class Certificate(Measured):
         return not self.failures
 
     @property
+    def record(self) -> dict[str, Any]:
+        """The checks and their numbers by name; the errors that they judge stand in the answer."""
+        own = {k: x for k, x in vars(self).items() if k not in ("l1_error", "absolute_error")}
+        return own | {"certified": self.certified}
+
+    @property
     def besides(self) -> tuple[str, ...]:
         """The failures but that the estimated error exceeds the tolerance."""
         return tuple(words for words in self.failures if not words.startswith(MISSED))
