@@ -123,9 +123,14 @@ def marginal_of(
             result = widths * own
         else:
             result = hidden_integral(
-                lambda E: weyl(E, part), energy, Q, laws_hidden, temperature=T, end=source.end,
+                lambda E: weyl(E, part),
+                energy,
+                Q,
+                laws_hidden,
+                temperature=T,
+                end=source.end,
                 points=points,
-            )  # fmt: skip
+            )
             if part == "table":
                 # The grids leave out V above the end, and ``DEPTH`` above E. Contact only adds to
                 # V: the rest is below Ψ at that energy times a width for each mass.

@@ -171,10 +171,16 @@ def gibbs_integral(
         return np.asarray(
             scale
             * hidden_integral(
-                lambda V: np.exp(-V / temperature), np.zeros(given.shape[1]), given, laws,
-                temperature=temperature, end=DEPTH * temperature, points=points, beyond=beyond,
+                lambda V: np.exp(-V / temperature),
+                np.zeros(given.shape[1]),
+                given,
+                laws,
+                temperature=temperature,
+                end=DEPTH * temperature,
+                points=points,
+                beyond=beyond,
             )
-        )  # fmt: skip
+        )
 
     def over_one(law: Conditional, beyond: Piecewise | None, unit: float, x: Array) -> Array:
         return over([law], x[None], beyond) / unit

@@ -230,9 +230,12 @@ class PartitionLines:
         for j, mass in enumerate(self.masses):
             width = longest / (real * float(self.springs[j : j + 2].sum())) ** 0.5
             nodes = stop_panels(
-                self.system, mass, width=width, end=DEPTH / real,
+                self.system,
+                mass,
+                width=width,
+                end=DEPTH / real,
                 levels=[level / real for level in levels],
-            )  # fmt: skip
+            )
             count = ceil((nodes[-1] - nodes[0]) / width) * POINTS[1]
             if count > MOST_POINTS:
                 raise NotApplicable(

@@ -110,6 +110,15 @@ def parts_of(system: System) -> Parts:
     free, free_size = mean @ rest, spread @ rest
     free = np.where(np.abs(free) > ROUND_OFF * free_size, free, 0.0)
     return Parts(
-        groups, group.ravel(), powers, coefficient, size, mean, spread, degrees, of_degree, free,
+        groups,
+        group.ravel(),
+        powers,
+        coefficient,
+        size,
+        mean,
+        spread,
+        degrees,
+        of_degree,
+        free,
         free_size,
-    )  # fmt: skip
+    )

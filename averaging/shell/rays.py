@@ -61,9 +61,15 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
 
     @cached_njit()
     def add_rays(
-        energy: Array, directions: Array, stops: Stops, n: int, orders: Integers, rule: Array,
-        ends: Integers, out: Array,
-    ) -> int:  # fmt: skip
+        energy: Array,
+        directions: Array,
+        stops: Stops,
+        n: int,
+        orders: Integers,
+        rule: Array,
+        ends: Integers,
+        out: Array,
+    ) -> int:
         """Add the integrals along rays to ``out``, (rules, rays, 3 + orders).
 
         ``energy`` (rays,) and unit vectors ``directions`` (rays, c). ``rule`` as ``gauss_rules``
@@ -205,9 +211,20 @@ def _turning_point(height: float, start: float, k: int, ray: Stops, U: Any, g: A
 
 @inlined
 def _points(
-    H: float, start: float, X: float, span: float, k: int, ray: Stops, rule: Array,
-    x: Array, left: Array, dx: Array, v: Array, U: Any, g: Any,
-) -> None:  # fmt: skip
+    H: float,
+    start: float,
+    X: float,
+    span: float,
+    k: int,
+    ray: Stops,
+    rule: Array,
+    x: Array,
+    left: Array,
+    dx: Array,
+    v: Array,
+    U: Any,
+    g: Any,
+) -> None:
     """Write x, the rest of X, dx and v = 1 − V/H at the points of a panel of length ``span``.
 
     v is the fall of springs and stops between X and x.

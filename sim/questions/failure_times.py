@@ -106,9 +106,17 @@ def tail_begin(time: Array, until: Array, memory: float) -> float:
 
 
 def passage_of(
-    sampled: Times, times: Array, *, limit: str, step: float, memory: float, tol: float,
-    failures: Sequence[str], settings: dict[str, str | float | int], settled: float = 0.0,
-) -> Passage:  # fmt: skip
+    sampled: Times,
+    times: Array,
+    *,
+    limit: str,
+    step: float,
+    memory: float,
+    tol: float,
+    failures: Sequence[str],
+    settings: dict[str, str | float | int],
+    settled: float = 0.0,
+) -> Passage:
     """Return first passage from ``sampled`` times, with one standard error of each number.
 
     Errors are those of leaving out groups, the difference between both steps added in quadrature:

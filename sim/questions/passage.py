@@ -67,9 +67,15 @@ def passage(method: Settings, asked: PassageAsked) -> Passage:
         seed = seed_of(method.seed, number)
         with left_out():
             pair = both_steps(
-                system, q, p, first, seed, energies=energies, workers=workers,
+                system,
+                q,
+                p,
+                first,
+                seed,
+                energies=energies,
+                workers=workers,
                 modulation=modulation,
-            )  # fmt: skip
+            )
         stream = stream_of(seed, number + 2**63)
         chance = stream.exponential(size=(paths, max(1, len(energies))))
         steps = limits.stages(first, dt, longest, most=limits.CHUNK)
@@ -108,9 +114,15 @@ def horizon(
 
 
 def followed(
-    runs: list[Run], past: Flags, chance: Array, steps: Iterable[tuple[float, int]],
-    horizon: float, hopeless: float, ends: Callable[[], bool], progress: Progress,
-) -> Array:  # fmt: skip
+    runs: list[Run],
+    past: Flags,
+    chance: Array,
+    steps: Iterable[tuple[float, int]],
+    horizon: float,
+    hopeless: float,
+    ends: Callable[[], bool],
+    progress: Progress,
+) -> Array:
     """Return the fields of ``Times`` of trajectories of any model, from a start at time 0.
 
     They are those of ``runs``, some ``past`` (paths,) the limit from the start, with an exponential

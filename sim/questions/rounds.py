@@ -116,10 +116,18 @@ def both_steps(
 
 
 def in_rounds(
-    method: Settings, system: System, wanted: float | None,
-    steps: Sequence[tuple[float, int, bool]], samples: int, numbers: tuple[int, ...], read: Reader,
-    estimate: Callable[[list[Array], Array], float], *, what: str, progress: Progress,
-) -> tuple[int, list[str]]:  # fmt: skip
+    method: Settings,
+    system: System,
+    wanted: float | None,
+    steps: Sequence[tuple[float, int, bool]],
+    samples: int,
+    numbers: tuple[int, ...],
+    read: Reader,
+    estimate: Callable[[list[Array], Array], float],
+    *,
+    what: str,
+    progress: Progress,
+) -> tuple[int, list[str]]:
     """Follow trajectories until ``estimate`` is content; return how many, and what went wrong.
 
     ``steps`` are those of simulations with the same random numbers: dt, how many lie between

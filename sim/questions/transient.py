@@ -55,11 +55,20 @@ def transient(method: Settings, asked: TransientAsked) -> Transient:
     counted = Counted(observable, read, partial(histogram.axis_of, system), mirror)
     with working(method, system, wanted, start) as (_, watch, origin):
         return counted_in_rounds(
-            counted, lambda number: ensembles(origin, times, paths, number, dt), times, asked.at,
-            watch, dt, rounds=8, least=8 if wanted is None else 1, most=MAX_TRAJECTORIES // paths,
-            what="transient", progress=asked.progress, failures=failures,
+            counted,
+            lambda number: ensembles(origin, times, paths, number, dt),
+            times,
+            asked.at,
+            watch,
+            dt,
+            rounds=8,
+            least=8 if wanted is None else 1,
+            most=MAX_TRAJECTORIES // paths,
+            what="transient",
+            progress=asked.progress,
+            failures=failures,
             settings={"seed": method.seed, "scheme": method.scheme},
-        )  # fmt: skip
+        )
 
 
 def ensembles(
@@ -154,11 +163,21 @@ class Counted:
 
 
 def counted_in_rounds(
-    counted: Counted, states: Callable[[int], Iterable[tuple[Array, Array | None]]], times: Array,
-    at: tuple[Array, ...], watch: Watch, dt: float, *, rounds: int, least: int, most: int,
-    what: str, progress: Progress, settings: Mapping[str, str | float | int],
+    counted: Counted,
+    states: Callable[[int], Iterable[tuple[Array, Array | None]]],
+    times: Array,
+    at: tuple[Array, ...],
+    watch: Watch,
+    dt: float,
+    *,
+    rounds: int,
+    least: int,
+    most: int,
+    what: str,
+    progress: Progress,
+    settings: Mapping[str, str | float | int],
     failures: Sequence[str] = (),
-) -> Transient:  # fmt: skip
+) -> Transient:
     """Return the densities at ``times`` at the points ``at``, ``dt`` being the longer step.
 
     ``states(number)`` yields those at each time in a round of trajectories, at half the step and at

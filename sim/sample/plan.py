@@ -181,9 +181,15 @@ def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = Fal
 
 
 def watched(
-    system: System, scheme: Scheme, step: StepArrays, histograms: Sequence[Histogram],
-    products: Sequence[Product], traced: Sequence[Coordinate] = (), *, halved: bool = False,
-) -> tuple[KernelKey, WatchArrays]:  # fmt: skip
+    system: System,
+    scheme: Scheme,
+    step: StepArrays,
+    histograms: Sequence[Histogram],
+    products: Sequence[Product],
+    traced: Sequence[Coordinate] = (),
+    *,
+    halved: bool = False,
+) -> tuple[KernelKey, WatchArrays]:
     """Return what the kernel must be compiled for, and the numbers that it reads to observe."""
     n, slots, effects = system.n, step.slot_mass, effects_of(system)
     observed = {c for histogram in histograms for c in histogram.observable} | {*traced}

@@ -52,9 +52,13 @@ leave beyond chance."""
 
 
 def run(
-    method: Settings, system: System, observables: Sequence[Observable], progress: Progress,
-    *, beside: Sequence[Observable] = (),
-) -> Result:  # fmt: skip
+    method: Settings,
+    system: System,
+    observables: Sequence[Observable],
+    progress: Progress,
+    *,
+    beside: Sequence[Observable] = (),
+) -> Result:
     """Return the densities of ``observables`` with their report, as ``method`` asks for them.
 
     Those of ``beside`` are sampled with them. A step pair compares them with a second run at half

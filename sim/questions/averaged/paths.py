@@ -113,11 +113,21 @@ class EnergyEnsemble:
 
 
 def simulate_energies(
-    form: SquareRootForm, observables: Sequence[Observable], *, interval: float, steps: int,
-    time: float, burn_in: float, paths: int = 16384, seed: int = 1, threads: int = 1,
-    seconds: float | None = None, tol: float = inf, failures: Sequence[str] = (),
+    form: SquareRootForm,
+    observables: Sequence[Observable],
+    *,
+    interval: float,
+    steps: int,
+    time: float,
+    burn_in: float,
+    paths: int = 16384,
+    seed: int = 1,
+    threads: int = 1,
+    seconds: float | None = None,
+    tol: float = inf,
+    failures: Sequence[str] = (),
     progress: Progress = silent,
-) -> tuple[SampledDensity, ...]:  # fmt: skip
+) -> tuple[SampledDensity, ...]:
     """Return sampled densities of energies H_i, pairs of them and H = Σ H_i, with their errors.
 
     ``paths`` in all are sampled every ``interval``, in ``steps`` steps, for ``time`` after
@@ -157,9 +167,15 @@ def simulate_energies(
 
 
 def burnt_in(
-    form: SquareRootForm, paths: int, stream: np.random.Generator, *, interval: float, steps: int,
-    time: float, threads: int = 1,
-) -> Array:  # fmt: skip
+    form: SquareRootForm,
+    paths: int,
+    stream: np.random.Generator,
+    *,
+    interval: float,
+    steps: int,
+    time: float,
+    threads: int = 1,
+) -> Array:
     """Return X (paths, d) after ``time``, in intervals of ``steps`` each, from exponential ones."""
     start, seed = stream.exponential(form.scales, (paths, form.scales.size)), stream.integers(2**63)
     with workers_of(None, threads) as workers:
@@ -186,10 +202,21 @@ def column(H: Array, coordinate: Coordinate) -> Array:
 
 
 def energy_passage(
-    form: SquareRootForm, limits: EnergyLimits, starts: Starts, times: Array, *, dt: float,
-    memory: float, paths: int, seed: int, modulation: Modulation | None = None, threads: int = 1,
-    seconds: float | None = None, tol: float = inf, progress: Progress = silent,
-) -> Passage:  # fmt: skip
+    form: SquareRootForm,
+    limits: EnergyLimits,
+    starts: Starts,
+    times: Array,
+    *,
+    dt: float,
+    memory: float,
+    paths: int,
+    seed: int,
+    modulation: Modulation | None = None,
+    threads: int = 1,
+    seconds: float | None = None,
+    tol: float = inf,
+    progress: Progress = silent,
+) -> Passage:
     """Return the first passage of any of ``limits`` in steps of dt/2, beside steps of ``dt``.
 
     Where steps are exact (``form.damping`` None) both see the same paths, else paths of their own.
@@ -209,9 +236,13 @@ def energy_passage(
     most = (most if seconds is None else 2.0**40) * dt  # the wall time ends it before
     horizon = followed_for(most, float(np.max(times, initial=0.0)), modulation)
     see = partial(
-        pass_under, modulation=modulation, first=0, rows=form.noise.size + np.arange(values.size),
-        limits=values, diffusion=limits.diffusion(form),
-    )  # fmt: skip
+        pass_under,
+        modulation=modulation,
+        first=0,
+        rows=form.noise.size + np.arange(values.size),
+        limits=values,
+        diffusion=limits.diffusion(form),
+    )
 
     def both(
         trace: Array, samples: int, done: int, *arrays: Array, dt: float, begin: float
@@ -262,11 +293,21 @@ def energy_passage(
 
 
 def energy_transient(
-    form: SquareRootForm, observable: Observable, starts: Starts, times: Array,
-    at: tuple[Array, ...], *, dt: float, paths: int, seed: int,
-    modulation: Modulation | None = None, threads: int = 1, seconds: float | None = None,
-    tol: float | None = None, progress: Progress = silent,
-) -> Transient:  # fmt: skip
+    form: SquareRootForm,
+    observable: Observable,
+    starts: Starts,
+    times: Array,
+    at: tuple[Array, ...],
+    *,
+    dt: float,
+    paths: int,
+    seed: int,
+    modulation: Modulation | None = None,
+    threads: int = 1,
+    seconds: float | None = None,
+    tol: float | None = None,
+    progress: Progress = silent,
+) -> Transient:
     """Return the densities of energies at ``times`` at the points ``at``, with standard errors.
 
     Where ``form.damping`` is None one exact step leads from time to time, and no error is that of a
@@ -299,7 +340,16 @@ def energy_transient(
         # Without an error that is wanted two rounds are enough, whatever the time.
         watch = Watch(seconds or inf, lambda: False, inf if tol is None else tol)
         return counted_in_rounds(
-            counted, states, times, at, watch, dt, rounds=2, least=2,
-            most=max(2, MAX_TRAJECTORIES // paths), what="transient, averaged", progress=progress,
+            counted,
+            states,
+            times,
+            at,
+            watch,
+            dt,
+            rounds=2,
+            least=2,
+            most=max(2, MAX_TRAJECTORIES // paths),
+            what="transient, averaged",
+            progress=progress,
             settings={"seed": seed, "steps": "exact" if exact else "Strang splitting"},
-        )  # fmt: skip
+        )

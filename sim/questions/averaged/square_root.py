@@ -182,9 +182,13 @@ def from_energies(form: SquareRootForm, energies: Array) -> Array:
 
 
 def square_root_step(
-    form: SquareRootForm, X: Array, dt: float, stream: np.random.Generator,
-    modulation: Modulation | None = None, begin: float = 0.0,
-) -> Array:  # fmt: skip
+    form: SquareRootForm,
+    X: Array,
+    dt: float,
+    stream: np.random.Generator,
+    modulation: Modulation | None = None,
+    begin: float = 0.0,
+) -> Array:
     """Draw X (paths, d) one step later, by Strang splitting; it stays positive.
 
     Half a step of the damping beyond the linear, ``dX = −(γ(X) − γ₀) X dt`` by an exponential

@@ -102,9 +102,14 @@ def radau() -> tuple[Array, Array]:
 
 
 def steps_of(
-    MKC: tuple[csc_array, ...], load: Array, modulation: Modulation, unit: float, times: Array,
-    *, level: int,
-) -> Iterator[tuple[float, float, Array, float]]:  # fmt: skip
+    MKC: tuple[csc_array, ...],
+    load: Array,
+    modulation: Modulation,
+    unit: float,
+    times: Array,
+    *,
+    level: int,
+) -> Iterator[tuple[float, float, Array, float]]:
     """Yield the steps from the start up to the last of ``times`` > 0.
 
     The end and the length of each, g at its stages (stages, functions), and the relative residual.
@@ -138,9 +143,15 @@ def steps_of(
 
 
 def stepped(
-    e: Elements, load: Array, modulation: Modulation, unit: float, times: Array, *, level: int,
+    e: Elements,
+    load: Array,
+    modulation: Modulation,
+    unit: float,
+    times: Array,
+    *,
+    level: int,
     absorbing: bool = False,
-) -> tuple[Evolved, Array, Array, Array]:  # fmt: skip
+) -> tuple[Evolved, Array, Array, Array]:
     """Return the density at ``times`` > 0 of what begins with ``load``, by ``steps_of``.
 
     No flux leaves at the last end, or it is ``absorbing``. With it come the times of the stages of
