@@ -17,6 +17,7 @@ import ast
 import copy
 import json
 import random
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -151,6 +152,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("mutants.json"))
     asked = parser.parse_args()
+    # A shell starts work in the background with Ctrl-C ignored, and tests of it would fail.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     reached = recorded(ROOT)
     ids = sorted({test for lines in reached.values() for tests in lines.values() for test in tests})
     breadth = dict.fromkeys(ids, 0)
