@@ -12,7 +12,7 @@ from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
 from averaging.time.start import TOL, DensityQuestion, energy_start
 from fpk.answer.certificate import tolerance
-from fpk.answer.contact_quantities import CLEARANCE_RULE
+from fpk.answer.contacts import CLEARANCE_RULE
 from fpk.answer.density import Density
 from fpk.answer.dynamics import (
     CrossingsMethod,

@@ -56,11 +56,12 @@ class Theory(Method):
 
     def refined(self) -> Self:
         """Return the method with a tolerance ten times smaller, down to ``SMALLEST``."""
-        return replace(self, tol=max(0.1 * tolerance(self.tol, DEFAULT), SMALLEST))
+        default = UNIFORM if self.route.named else DEFAULT
+        return replace(self, tol=max(0.1 * tolerance(self.tol, default), SMALLEST))
 
     def wanted(self, system: System) -> float:
         """Return the tolerance asked for, or else one that the density of states allows."""
-        if self.solver == "scikit-fem":
+        if self.route.named:
             return tolerance(self.tol, UNIFORM)
         lines = by_lines(system.fact(EnergyShell))
         return tolerance(self.tol, DEFAULT_BY_LINES if lines else DEFAULT)

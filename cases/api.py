@@ -8,7 +8,7 @@ from cases.comparison.compare import Comparison
 from cases.comparison.routes import all_methods, method_for
 from cases.comparison.stationary import answers_of
 from cases.scene.scene import load_scene
-from fpk.answer.contact_quantities import joint_at_stops
+from fpk.answer.contacts import joint_at_stops
 from fpk.answer.density import AnyDensity
 from fpk.answer.method import Method
 from fpk.answer.observable import parse_observable

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.integrate import quad
 
 import fpk
-from fpk.answer.contact_quantities import contact_quantities
+from fpk.answer.contacts import contact_quantities
 
 stop = fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.5)  # force 10 x^1.5
 system = fpk.System([1.0], [1.0], [0.1], [0.05], contacts=(stop,))

@@ -21,7 +21,7 @@ from cases.comparison.stationary import run_scene
 from cases.output.fields import write_netcdf
 from cases.output.vtk import write_vtu
 from cases.scene.scene import shipped_scenes
-from fpk.answer.contact_quantities import contact_quantities
+from fpk.answer.contacts import contact_quantities
 from fpk.answer.limit import parse_limit
 from fpk.answer.observable import parse_observable
 from fpk.answer.start import REST, parse_start

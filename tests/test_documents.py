@@ -25,7 +25,7 @@ from cases.scene import schema
 from cases.studies import converge_page, cost_page, levels, orders
 from cases.studies.orders import grid_convergence
 from cases.studies.sweep import answering as sweep_answering
-from fpk.answer import bins, contact_quantities, field
+from fpk.answer import bins, contacts, field
 from fpk.numeric.errors import InvalidInput
 from fpk.solvers import contour
 from fpk.system import damping
@@ -135,7 +135,7 @@ CONSTANTS = {
         f"| masses in `phase-space` | {phase_space.MOST_MASSES}, stops on 1 of them,",
         f"| degree of a damping term | {damping.MOST_POWERS}, an energy counting 2 |",
         f"by plain simulation | {answering.LEAST_FAILURES:g} failures of the paths expected |",
-        f"clearance > {contact_quantities.CLEARANCE_RULE:g} rms",
+        f"clearance > {contacts.CLEARANCE_RULE:g} rms",
         f"({refinement.MEMORY:g} GB, `--memory`)",
         f"up to {phase_space.MOST_MASSES} masses, stops on one",
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}.",
@@ -181,7 +181,7 @@ CONSTANTS = {
         f"each pair of normals lies in a disc of radius {plan.LARGEST_NORMAL:.2f}",
         f"disc of radius {plan.LARGEST_NORMAL:.2f}: `sim/sample/plan.py",
         f"$a \\ge {plan.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
-        f"clearance > {contact_quantities.CLEARANCE_RULE:g} rms",
+        f"clearance > {contacts.CLEARANCE_RULE:g} rms",
         f"one serves all times within a factor {contour.SPREAD:g}",
         f"Above {100 * splitting.RESOLVED:g} % no error is stated",
         f"the error is {refinement.SAFETY:g} d",
@@ -221,7 +221,7 @@ def test_constants_in_documents_are_those_of_the_code(page):
 FOLDER = ROOT / "cases" / "output" / "templates"
 TEMPLATES = [*FOLDER.glob("*.html"), *FOLDER.glob("*.txt")]
 NAMES = r"Eq\. \(1\)|condition \(8\)|section 6\.3|\bL1\b|dt/2|\|∫p − 1\||\(2 ω_m\)"
-NAMES += f"|negligible beyond {contact_quantities.CLEARANCE_RULE:g} rms"
+NAMES += f"|negligible beyond {contacts.CLEARANCE_RULE:g} rms"
 """Digits of templates that are names, or of mathematics, or held to the code here."""
 
 

@@ -1,6 +1,7 @@
-"""What follows from the last solution of a ladder: densities and identities, with their errors.
+"""Densities of q and p from an expansion in Hermite functions, and identities, with their errors.
 
-Identities hold in any stationary state: a judge where nothing is exact.
+The identities are moment equations that hold exactly in any stationary state: how far an expansion
+misses them judges it where no exact density is known.
 """
 
 import numpy as np

@@ -15,7 +15,7 @@ from cases.comparison.doubt import ACCEPTABLE_L1
 from cases.scene.expect import RELATIONS, Expect
 from cases.scene.questions import PassageQuestion
 from cases.written import with_error
-from fpk.answer.contact_quantities import stop_clearances
+from fpk.answer.contacts import stop_clearances
 from fpk.answer.density import AnyDensity
 from fpk.answer.observable import Observable, observable_name
 from fpk.answer.sampled_density import SampledDensity

@@ -6,7 +6,7 @@ from contextlib import suppress
 import numpy as np
 
 from averaging.exact import compatibility
-from fpk.answer.contact_quantities import stop_clearances
+from fpk.answer.contacts import stop_clearances
 from fpk.answer.method import Route
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from math import isfinite, nan
 
 from cases.scene.errors import misspelt
-from fpk.answer.contact_quantities import contact_quantity, ratio
+from fpk.answer.contacts import contact_quantity, ratio
 from fpk.answer.density import AnyDensity
 from fpk.answer.limit import Limit, parse_limit
-from fpk.answer.number import Number
 from fpk.answer.observable import (
     Coordinate,
     Level,
@@ -23,6 +22,7 @@ from fpk.answer.observable import (
     observable_name,
     parse_observable,
 )
+from fpk.answer.quantities import Number
 from fpk.numeric.errors import InvalidInput
 from fpk.system.contact import Contact
 from fpk.system.system import System

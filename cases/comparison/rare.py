@@ -12,7 +12,7 @@ from cases.written import bound
 from fpk.answer.certificate import Measured, certify, tolerance
 from fpk.answer.evolution import Passage
 from fpk.answer.method import Progress, Route
-from fpk.answer.number import Number
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.line.time.passage import first_passage

@@ -14,7 +14,7 @@ from cases.comparison.in_time import Replies
 from cases.scene.questions import Question
 from cases.scene.scene import Scene
 from cases.written import bound
-from fpk.answer.contact_quantities import joint_at_stops
+from fpk.answer.contacts import joint_at_stops
 from fpk.answer.density import Density
 from fpk.answer.method import Method, Plan, Progress, Result, silent, solved
 from fpk.answer.observable import Observable, observable_name

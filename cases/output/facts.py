@@ -12,7 +12,7 @@ from cases.output.records import Record, plain
 from cases.scene.numbers import Place
 from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
-from fpk.answer.contact_quantities import stop_clearances
+from fpk.answer.contacts import stop_clearances
 from fpk.answer.method import ROUTES, solvers_of
 from fpk.answer.observable import Coordinate, observable_name
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified

@@ -27,7 +27,7 @@ from cases.output.text import rendered, theory_table
 from cases.output.words import named
 from cases.scene.scene import Scene
 from cases.written import percent
-from fpk.answer.contact_quantities import CLEARANCE_RULE
+from fpk.answer.contacts import CLEARANCE_RULE
 from fpk.answer.method import Progress, silent
 from sim.sample.diagnostics import FALSE_ALARMS
 

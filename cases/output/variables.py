@@ -10,7 +10,7 @@ from cases.comparison.in_time import Replies, failure_of
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import Units, attribute
 from fpk.answer.evolution import Transient
-from fpk.answer.number import Number
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 
 if TYPE_CHECKING:

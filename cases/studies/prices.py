@@ -18,7 +18,7 @@ from cases.scene.questions import PassageQuestion
 from cases.studies.levels import Level, timed_first, timing
 from fpk.answer.evolution import Passage, Passages
 from fpk.answer.method import Progress, silent
-from fpk.answer.number import Number
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.system import System

@@ -20,7 +20,7 @@ from cases.studies.picture import Field, Panel, curves_over, spans_decades
 from cases.studies.sweep.answering import SIMULATION
 from cases.studies.sweep.result import Sweep
 from cases.studies.sweep.sweep import every_answer
-from fpk.answer.contact_quantities import CLEARANCE_RULE, stop_clearances
+from fpk.answer.contacts import CLEARANCE_RULE, stop_clearances
 from fpk.answer.method import Progress, silent
 from fpk.answer.observable import Observable, observable_name
 from sim.montecarlo import MonteCarlo

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify, outside
-from fpk.answer.number import ErrorKind, Function, Number, Quantities, beyond, with_points
 from fpk.answer.observable import Observable
+from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond, with_points
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import EPS, SMALLEST, Array
 from fpk.numeric.piecewise import PiecewiseTensor, interpolated_tensor

@@ -19,8 +19,8 @@ import numpy as np
 from fpk.answer.certificate import Certificate, Measured, certify, tolerance, with_values, worst
 from fpk.answer.density import AnyDensity, Density
 from fpk.answer.method import Method, Progress, silent
-from fpk.answer.number import ErrorKind
 from fpk.answer.observable import Observable, displacement_row
+from fpk.answer.quantities import ErrorKind
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import SMALLEST, Array, Complexes
 from fpk.numeric.errors import InvalidInput

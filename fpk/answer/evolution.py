@@ -17,8 +17,8 @@ import numpy as np
 from fpk.answer.certificate import Certificate, Measured, certify, with_values
 from fpk.answer.limit import Limit
 from fpk.answer.method import Progress, silent
-from fpk.answer.number import ErrorKind, Number
 from fpk.answer.observable import Observable
+from fpk.answer.quantities import ErrorKind, Number
 from fpk.answer.start import Start
 from fpk.numeric.arrays import EPS, Array
 from fpk.numeric.errors import InvalidInput

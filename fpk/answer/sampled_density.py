@@ -11,8 +11,8 @@ from threadpoolctl import threadpool_limits
 
 from fpk.answer.bins import ALARM, LARGEST_LOG, NODES, BinAxis, Box, Model, boxes
 from fpk.answer.certificate import Certificate, outside
-from fpk.answer.number import ErrorKind, Function, Number, Quantities, beyond
 from fpk.answer.observable import Observable
+from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond
 from fpk.numeric.arrays import CHUNK, EPS, SMALLEST, Array, Flags, Integers
 from fpk.numeric.quadrature import panel_rule
 

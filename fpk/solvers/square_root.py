@@ -20,7 +20,7 @@ from fpk.answer.evolution import (
     Transient,
     certified_passage,
 )
-from fpk.answer.number import Number
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule

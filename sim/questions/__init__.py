@@ -1,1 +1,4 @@
-"""What is asked of a simulation: motion in time, first passage, rare failure, averaged energies."""
+"""Simulated answers in time: crossings, spectra, transients, first passage, rare failure.
+
+``averaged`` simulates the energies of an averaged equation in place of the full system.
+"""

@@ -9,7 +9,7 @@ from scipy.special import gammaincinv
 
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.evolution import Passage
-from fpk.answer.number import Number
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
 from fpk.system.modulation import Modulation

@@ -10,7 +10,7 @@ import numpy as np
 
 from fpk.answer.bins import BinAxis, LogReference, no_reference
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.contact_quantities import kinks_of
+from fpk.answer.contacts import kinks_of
 from fpk.answer.observable import Coordinate, Observable
 from fpk.answer.sampled_density import NEAR, SampledDensity
 from fpk.numeric.arrays import SMALLEST, Array, Integers

@@ -22,7 +22,7 @@ from averaging.modal.resonance import (
     resonances,
 )
 from averaging.nonintegrable import NonIntegrable
-from fpk.answer.contact_quantities import stop_clearances
+from fpk.answer.contacts import stop_clearances
 from fpk.answer.density import l1_distance
 from fpk.answer.observable import parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable

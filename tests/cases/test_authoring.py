@@ -18,7 +18,7 @@ from cases.scene.json_schema import DIRECTIVE, FILE, key_table, scene_schema, wi
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.schema import SCENE
 from cases.written import duration
-from fpk.answer.contact_quantities import stop_clearances
+from fpk.answer.contacts import stop_clearances
 from fpk.system.contact_law import LAWS
 from sim.montecarlo import MonteCarlo
 from sim.sample.setup import expected_seconds

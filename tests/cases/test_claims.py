@@ -15,7 +15,7 @@ from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Certificate
-from fpk.answer.contact_quantities import StopClearance
+from fpk.answer.contacts import StopClearance
 from fpk.answer.density import Density
 from fpk.answer.method import ROUTES
 from fpk.answer.observable import parse_observable

@@ -95,6 +95,13 @@ def test_what_it_cannot_meet_is_not_certified():
     assert "exceeds the tolerance" in answer.certificate.failures[0]
 
 
+@pytest.mark.parametrize("method", [NonIntegrable, Integrable])
+def test_it_is_refined_from_its_own_default(method):
+    at_first, finer = method("scikit-fem"), method("scikit-fem").refined()
+    assert finer.tol == 0.1 * at_first.wanted(load_scene("fig8b").system)
+    assert finer.refined().tol == 0.1 * finer.tol
+
+
 def test_it_is_taken_only_where_it_is_named(fpk):
     assert "scikit-fem" not in fpk("run", "fig8b", "--no-simulation", "--details")[1]
     named = ("--method", "nonintegrable/scikit-fem")

@@ -27,7 +27,7 @@ from cases.studies.picture import study_figure
 from cases.studies.regime_map import build_map
 from cases.studies.sweep.grid import parse_axes
 from cases.studies.sweep.sweep_page import sweep_panels
-from fpk.answer.number import Number
+from fpk.answer.quantities import Number
 
 FREE = face.System([1, 2], [1, 3], [0.1, 0.2], [[0.02, 0.01], [0.01, 0.04]])
 ROUND_OFF = 1e-12

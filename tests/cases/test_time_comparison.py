@@ -25,7 +25,7 @@ from fpk.answer.certificate import Measured, certify
 from fpk.answer.evolution import Passage, Passages, Transient
 from fpk.answer.limit import parse_limit
 from fpk.answer.method import ROUTES, Method, silent
-from fpk.answer.number import Number
+from fpk.answer.quantities import Number
 from fpk.answer.start import REST
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from sim.sample.diagnostics import FALSE_ALARMS

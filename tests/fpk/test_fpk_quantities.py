@@ -13,10 +13,10 @@ from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Certificate
-from fpk.answer.contact_quantities import contact_quantities
+from fpk.answer.contacts import contact_quantities
 from fpk.answer.density import Density
-from fpk.answer.number import Number
 from fpk.answer.observable import parse_observable
+from fpk.answer.quantities import Number
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import InvalidInput
 from fpk.system.contact import Contact

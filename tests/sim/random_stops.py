@@ -3,7 +3,7 @@
 import numpy as np
 from sim_gibbs import Gibbs
 
-from fpk.answer.contact_quantities import contact_quantities
+from fpk.answer.contacts import contact_quantities
 from fpk.answer.dynamics import upcrossings
 from fpk.answer.observable import parse_observable
 from fpk.system.contact import Contact

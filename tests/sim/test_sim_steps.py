@@ -15,8 +15,8 @@ from fpk.answer.certificate import Measured, certify
 from fpk.answer.evolution import Passage
 from fpk.answer.limit import Limit, parse_limit
 from fpk.answer.method import silent
-from fpk.answer.number import Number
 from fpk.answer.observable import parse_observable
+from fpk.answer.quantities import Number
 from fpk.answer.start import REST, Start, parse_start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified

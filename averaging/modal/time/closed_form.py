@@ -30,7 +30,7 @@ from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.answer.evolution import Passage, Transient, certified_passage, checked_times
 from fpk.answer.limit import Limit
-from fpk.answer.number import Number
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule

@@ -15,7 +15,7 @@ from averaging.phase_space.passage.mesh import (
 )
 from fpk.answer.certificate import tolerance
 from fpk.answer.evolution import Passage, PassageAsked, certified_passage, checked_times
-from fpk.answer.number import Number
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule

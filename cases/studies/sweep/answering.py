@@ -29,8 +29,8 @@ from fpk.answer.dynamics import CrossingsMethod, Curve, Rates, Relaxation
 from fpk.answer.evolution import Passage, Passages
 from fpk.answer.limit import parse_limit
 from fpk.answer.method import Method, silent
-from fpk.answer.number import Number
 from fpk.answer.observable import Observable, observable_name
+from fpk.answer.quantities import Number
 from fpk.answer.start import REST
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System

@@ -28,6 +28,7 @@ from sim.questions.passage import AT_ONCE, Run, followed
 from sim.questions.passing import pass_under
 from sim.questions.rounds import Watch
 from sim.questions.transient import Counted, counted_in_rounds
+from sim.sample.ensemble import Reader
 from sim.sample.histogram import MARGIN, binned, covering, log_states, sampled_density
 from sim.sample.workers import workers_of
 from sim.step.arrays import GROUPS, LANES, MAX_TRAJECTORIES, in_blocks
@@ -79,8 +80,14 @@ class EnergyEnsemble:
         """Time of the states."""
         return self.begin + self.done * self.dt
 
-    def advance(self, steps: int, *arrays: Array, read: Any = None, **_: Any) -> None:
-        """Advance all paths; ``read`` sees each state, in windows of two steps, with its arrays."""
+    def advance(
+        self, steps: int, *arrays: Array, read: Reader | None = None, passed: Any = None
+    ) -> None:
+        """Advance all paths; ``read`` sees each state, in windows of two steps, with its arrays.
+
+        ``passed``, by which an ``Ensemble`` finds unstable steps, is not used: no step of energies
+        is unstable.
+        """
 
         def advanced(group: int) -> None:
             paths = slice(group * GROUP * LANES, (group + 1) * GROUP * LANES)
@@ -262,11 +269,11 @@ def energy_passage(
         reads: Any = [(2, both, (0, 1))] if exact else [(2, see, (0,)), (1, see, (1,))]
         runs: list[Run] = []
         for k, (many, read, which) in enumerate(reads):
-            paths = EnergyEnsemble(
+            ensemble = EnergyEnsemble(
                 form, X, first / many, seed, 2 * number + k, workers, limits.rows, modulation
             )
             make = partial(lambda read, h, begin: partial(read, dt=h, begin=begin), read)
-            runs.append((paths, many, make, which))
+            runs.append((ensemble, many, make, which))
         steps = stages(first, dt, horizon, most=1)
         rows.append(followed(runs, past, chance, steps, horizon, horizon, watch.ends, progress))
         return 0.0

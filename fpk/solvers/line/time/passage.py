@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from fpk.answer.evolution import BEYOND_RANGE, STARTS, Passage, StartCurve, certified_passage
-from fpk.answer.number import Number
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.line.time.elements import (

@@ -13,8 +13,8 @@ from scipy.sparse.linalg import LinearOperator, eigs
 
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.answer.evolution import BEYOND_RANGE, Passage, certified_passage
-from fpk.answer.number import Number
 from fpk.answer.observable import number_text
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.solvers.plane.solution import SAFETY, Nodes, graded

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpk.answer.number import Number, Quantities
 from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.quantities import Number, Quantities
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact
