@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import stdtrit
 
-from fpk.answer.density import AnyDensity, Density, l1_distance
+from fpk.answer.density import AnyDensity, Density, distance_with_error
 from fpk.answer.method import Result, Route
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
@@ -180,7 +180,8 @@ def _with_error(density: AnyDensity) -> WithError:
 
 
 def _distance(a: WithError, b: WithError) -> tuple[float, float, float]:
-    return l1_distance(a[0], b[0]), a[1] + b[1], a[2] + b[2]
+    distance, error = distance_with_error(a[0], b[0])
+    return distance, a[1] + b[1] + error, a[2] + b[2]
 
 
 def chance_l1(sampled: SampledDensity) -> tuple[float, float]:

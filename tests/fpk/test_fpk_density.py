@@ -11,6 +11,7 @@ from fpk.answer.density import (
     Density,
     bin_differences,
     certified_density,
+    distance_with_error,
     l1_distance,
 )
 from fpk.answer.observable import parse_observable
@@ -41,6 +42,17 @@ def correlated(r=0.6):
     return Density(parse_observable("q1,p1", 1), (nodes, nodes), pdf, zero, 0.0, PASSED)
 
 
+def isotropic(scale):
+    """Two independent normal variables of one standard deviation."""
+
+    def pdf(x, y):
+        return np.exp(-0.5 * (x * x + y * y) / scale**2) / (2.0 * np.pi * scale**2)
+
+    nodes = np.linspace(-REACH * scale, REACH * scale, 37)
+    zero = lambda x, y: 0.0 * x * y  # noqa: E731
+    return Density(parse_observable("q1,p1", 1), (nodes, nodes), pdf, zero, 0.0, PASSED)
+
+
 def histogram(*, batches=100, samples=100_000, bins=480, shift=0.0, seed=SEED):
     """Independent batches drawn from the cell probabilities of the standard normal density."""
     edges = np.linspace(-6.0, 6.0, bins + 1)
@@ -67,6 +79,19 @@ def test_moments_of_a_normal_density(power, expected):
     assert normal(0.3, 2.0).moment(power).value == pytest.approx(expected, rel=1e-13)
 
 
+@pytest.mark.parametrize("scale", [1.01, 1.3, 2.7])
+def test_the_error_of_a_distance_holds_where_densities_cross_between_nodes(scale):
+    # p_1 = p_2 at r² = 2 ln(σ²)/(1 − 1/σ²) in two coordinates, of half as much in one: there the
+    # probabilities within, erf(r/√2) and 1 − e^(−r²/2), differ by half of the distance.
+    square = np.log(scale**2) / (1.0 - scale**-2)
+    within = [2.0 * norm.cdf(np.sqrt(square) / s) - 1.0 for s in (1.0, scale)]
+    found, error = distance_with_error(normal(), normal(scale=scale))
+    assert abs(found - 2.0 * (within[0] - within[1])) <= error + 1e-14 and error < 1e-12
+    within = [1.0 - np.exp(-square / s**2) for s in (1.0, scale)]
+    found, error = distance_with_error(isotropic(1.0), isotropic(scale))
+    assert abs(found - 2.0 * (within[0] - within[1])) <= error and error < 1e-3 * found
+
+
 def test_moments_of_two_coordinates():
     density = correlated(0.6)
     assert density.moment(0, 0).value == pytest.approx(1.0, rel=1e-13)
@@ -86,12 +111,10 @@ def test_l1_distance_of_two_normal_densities(shift):
     assert l1_distance(a, a) == 0.0
 
 
-def test_a_kink_off_the_nodes_costs_little():
-    # Inside a panel of width h the kink of slope jump J costs at most J h²/400 (Gauss, 20 points).
+def test_a_kink_off_the_nodes_costs_nothing():
     shift = 0.37
     expected = 2.0 * (2.0 * norm.cdf(0.5 * shift) - 1.0)
-    found = l1_distance(normal(panels=360), normal(shift, panels=360))
-    assert found == pytest.approx(expected, abs=2.0 * 0.37 * 0.05**2 / 400.0)
+    assert l1_distance(normal(), normal(shift)) == pytest.approx(expected, rel=1e-13)
 
 
 def test_cell_averages_of_a_normal_density():
