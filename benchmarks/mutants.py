@@ -1,6 +1,6 @@
 """Measure how strong the tests are: change the program at random places and count what they notice.
 
-    python benchmarks/mutants.py [--count 100] [--seed 1] [--out mutants.json]
+    python benchmarks/mutants.py [--count 100] [--seed 1] [--about PATTERN] [--out mutants.json]
 
 Run it in a clone of its own, installed by ``pip install -e ".[test]" pytest-cov``: files are
 changed in place and put back. A mutant has one change in ``fpk``, ``averaging`` or ``sim``: a
@@ -9,7 +9,7 @@ comparison that is strict or not, or turned round; a sum for a difference; a pro
 and docstrings stay. First the default tests run once, to record which of them reach a line; a
 mutant is then judged by those that do, and by all tests of its package where no line is recorded,
 as of compiled functions. It survives if all of them pass; one that does not end in ``PATIENCE``
-seconds is killed.
+seconds is killed. ``--about "error|bound|SAFETY"`` changes only lines that a pattern is found in.
 """
 
 import argparse
@@ -17,6 +17,7 @@ import ast
 import copy
 import json
 import random
+import re
 import signal
 import sqlite3
 import subprocess
@@ -150,6 +151,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--about", type=re.compile, default=re.compile(""))
     parser.add_argument("--out", type=Path, default=Path("mutants.json"))
     asked = parser.parse_args()
     # A shell starts work in the background with Ctrl-C ignored, and tests of it would fail.
@@ -162,18 +164,26 @@ def main() -> None:
             for test in tests:
                 breadth[test] += 1
     files = sorted(f for package in PACKAGES for f in (ROOT / package).rglob("*.py"))
-    places = [(f, k) for f in files for k in range(len(list(changes(ast.parse(f.read_text())))))]
+    places = []
+    for file in files:
+        source = file.read_text()
+        text = source.splitlines()
+        places += [
+            (file, number)
+            for number, (old, _, _) in enumerate(changes(ast.parse(source)))
+            if any(asked.about.search(line) for line in text[old.lineno - 1 : old.end_lineno])
+        ]
     chosen = random.Random(asked.seed).sample(places, asked.count)
     results = json.loads(asked.out.read_text()) if asked.out.exists() else []
     for file, number in chosen[len(results) :]:
         name, original = str(file.relative_to(ROOT)), file.read_text()
-        text, first, last, words = mutant(file, number)
+        changed, first, last, words = mutant(file, number)
         lines = reached.get(name, {})
         tests = set().union(*(lines.get(line, set()) for line in range(first, last + 1)))
         tests = tests or {t for t in ids if t.startswith(f"tests/{name.partition('/')[0]}/")}
         order, start = sorted(tests, key=breadth.__getitem__), perf_counter()
         try:
-            file.write_text(text)
+            file.write_text(changed)
             verdict = "survived"
             for part in (order[:SPECIFIC], order[SPECIFIC:]):
                 if part and verdict == "survived":
