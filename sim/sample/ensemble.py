@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from fpk.answer.observable import Coordinate
 from fpk.numeric.arrays import Array, Integers
-from fpk.numeric.errors import NotApplicable
+from fpk.numeric.errors import NotApplicable, NotCertified
+from fpk.system.escape import escape
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim.sample.diagnostics import Product
@@ -22,9 +23,9 @@ from sim.step.arrays import GROUPS, LANES, StepArrays, WatchArrays, in_blocks, i
 from sim.step.kernel import KernelKey, compiled_kernel
 from sim.step.parts.observed import FOLDED
 from sim.step.random import mixed_seed
-from sim.step.reachable import PIECE, Reachable, loudest, start_states
-from sim.step.schemes import Scheme
-from sim.step.schemes.exact_flow import EXACT_FLOW
+from sim.step.reachable import PIECE, largest_reached, loudest, start_states
+from sim.step.schemes import EXACT_FLOW, Scheme
+from sim.step.step_size import stability_limit
 
 Reader = Callable[..., None]
 """Called as ``read(trace, samples, done, *arrays)`` for some blocks: ``trace`` (blocks, many, rows,
@@ -115,7 +116,7 @@ class Ensemble:
     word: int = 0
     modulation: Modulation | None = None
     begin: float = 0.0
-    reachable: Reachable = field(init=False)
+    energy: float = field(init=False)  # largest H at the start
     step: StepArrays = field(init=False)
     states: Array = field(init=False)  # (blocks, 2n, LANES), just before the next kick
     sums: Array = field(init=False)  # (first blocks, products, LANES)
@@ -139,8 +140,8 @@ class Ensemble:
                 self.states[piece : piece + PIECE] = drawn[: blocks - piece]
         else:
             self.states = in_blocks(np.hstack(self.start))
-        energy = float(np.max(self.system.hamiltonian(*self.phase_points())))
-        self.reachable = Reachable(loudest(self.system), self.scheme, self.dt, energy)
+        self.energy = float(np.max(self.system.hamiltonian(*self.phase_points())))
+        self._loudest = loudest(self.system)
         self.watch()
         if self.start is not None:
             self._invert()
@@ -222,8 +223,19 @@ class Ensemble:
             self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
             self.phase += steps
         self.done += steps
-        running = None if passed is None else np.isinf(passed[:, 0])
-        self.reachable.require(self.states, self.done * self.dt, running)
+        largest = largest_reached(self._loudest, self.energy, self.done * self.dt)[:, None]
+        beyond = ~(np.abs(self.states) <= largest).all(axis=1)  # not a number lies beyond, too
+        if passed is not None:
+            beyond &= np.isinf(passed[:, 0])
+        if lost := int(np.count_nonzero(beyond)):
+            small = self.dt / self.scheme.small
+            stable = stability_limit(self._loudest, self.scheme, energy=self.energy)
+            reason = self._loudest.fact(escape) or (
+                f"steps of {small:g} by {self.scheme.name} are unstable;"
+                f" use a dt below {min(stable, 0.5 * small):.2g}"
+            )
+            words = f"{lost} trajectories left the range that the energy allows"
+            raise NotCertified(f"{words}: {reason}")
 
     def _advance(
         self, steps: int, stride: int, read: Reader | None, arrays: Sequence[NDArray[Any]]

@@ -1,21 +1,18 @@
 """States in which stationary simulations start, and how far exact motions get from there."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import exp, inf, sqrt
 
 import numpy as np
 from scipy.special import gammainccinv
 
-from fpk.numeric.arrays import ROUND_OFF, Array, Flags
-from fpk.numeric.errors import NotCertified
+from fpk.numeric.arrays import ROUND_OFF, Array
 from fpk.system.equivalent import damping_balance
-from fpk.system.escape import escape
 from fpk.system.system import System
 from sim.step.arrays import LANES
 from sim.step.flow import factored
 from sim.step.random import START, normals
-from sim.step.schemes import Scheme
-from sim.step.step_size import BEYOND_BALANCE, modal_temperatures, stability_limit, temperature
+from sim.step.step_size import BEYOND_BALANCE, modal_temperatures, temperature
 
 PIECE = 64
 """Blocks whose starts are drawn together, beginning at its multiples."""
@@ -43,7 +40,7 @@ def start_displacements(system: System, kT: float, z: Array) -> Array:
     """Return displacements (n, paths) from standard normals ``z``: Gaussian by the springs at kT.
 
     Where a contact is reached they are shortened, by bisection, to the potential energy of the
-    springs alone: no start is deeper in a stop than its energy allows.
+    springs alone.
     """
     # An inverse, not ``system.compliance``: its rounding is part of what a seed stands for.
     q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
@@ -77,8 +74,7 @@ def hottest(system: System) -> float:
     """
     if system.damping_terms:
         return float(max(temperature(system), *modal_temperatures(system)))
-    c = 0.5 * (system.damping + system.damping.T)
-    rates, v = np.linalg.eigh(c)
+    rates, v = np.linalg.eigh(0.5 * (system.damping + system.damping.T))
     noise = v.T @ system.noise_matrix @ v
     damped = rates > ROUND_OFF * rates[-1]
     if np.any(np.diag(noise)[~damped] > 0.0):
@@ -88,47 +84,20 @@ def hottest(system: System) -> float:
     return float(np.max(ratios, initial=0.0))  # of none where nothing is damped and no noise acts
 
 
-@dataclass(frozen=True, eq=False)
-class Reachable:
-    """States that motions of ``system``, simulated in steps ``dt`` of ``scheme``, can reach.
+def largest_reached(system: System, energy: float, time: float) -> Array:
+    """Return the largest |q| and |p| (2n,) of motions by the ``time`` since their start.
 
-    ``energy`` is the largest H at their start.
+    ``energy`` is the largest H at the start. The linear motion from there and that by the noise add
+    up, of which the second has 2n normal coordinates in units of √T: T is that of the ``hottest``
+    mode or, as energy comes from the noise alone, twice all that by then. Stops and springs only
+    take room away.
     """
-
-    system: System
-    scheme: Scheme
-    dt: float
-    energy: float
-
-    def largest(self, time: float) -> Array:
-        """Return the largest |q| and |p| (2n,) that motions get to in the ``time`` since the start.
-
-        The linear motion from the start and that by the noise add up, of which the second has 2n
-        normal coordinates in units of √T: T is that of the ``hottest`` mode or, as energy comes
-        from the noise alone, twice all that by then. Stops and springs only take room away.
-        """
-        s, T, energy = self.system, self.system.fact(hottest), self.energy
-        if s.damping_terms:
-            energy = max(energy, BEYOND_BALANCE * s.fact(damping_balance).energy)
-        else:
-            T = min(T, 2.0 * time * float(np.sum(np.diag(s.noise_matrix) / s.mass)))
-        # Twice: a stable kick keeps ½p² + ½(1 − h²ω²/4) ω²q², a quarter of H at the least up to
-        # hω = √3 of at most 2.
-        root = 2.0 * sqrt(energy) + sqrt(T * float(gammainccinv(s.n, CHANCE)))
-        return root * np.sqrt(2.0 * np.concatenate([np.diag(s.compliance), s.mass]))
-
-    def require(self, states: Array, time: float, running: Flags | None = None) -> None:
-        """Raise ``NotCertified`` where ``states`` (blocks, 2n or more, LANES) lie beyond.
-
-        ``time`` is since the start; ``running`` (blocks, LANES) are trajectories that count.
-        """
-        within = np.abs(states[:, : 2 * self.system.n]) <= self.largest(time)[:, None]
-        beyond = ~within.all(axis=1)
-        if lost := int(np.count_nonzero(beyond if running is None else beyond & running)):
-            stable = stability_limit(self.system, self.scheme, energy=self.energy)
-            reason = self.system.fact(escape) or (
-                f"steps of {self.dt / self.scheme.small:g} by {self.scheme.name} are unstable;"
-                f" use a dt below {min(stable, 0.5 * self.dt / self.scheme.small):.2g}"
-            )
-            words = f"{lost} trajectories left the range that the energy allows"
-            raise NotCertified(f"{words}: {reason}")
+    T = system.fact(hottest)
+    if system.damping_terms:
+        energy = max(energy, BEYOND_BALANCE * system.fact(damping_balance).energy)
+    else:
+        T = min(T, 2.0 * time * float(np.sum(np.diag(system.noise_matrix) / system.mass)))
+    # Twice: a stable kick keeps ½p² + ½(1 − h²ω²/4) ω²q², a quarter of H at the least up to
+    # hω = √3 of at most 2.
+    root = 2.0 * sqrt(energy) + sqrt(T * float(gammainccinv(system.n, CHANCE)))
+    return root * np.sqrt(2.0 * np.concatenate([np.diag(system.compliance), system.mass]))

@@ -1,7 +1,7 @@
 """Time scales: the step of the stiffest contact and of the shortest period, and the relaxation."""
 
 from collections.abc import Sequence
-from math import exp, inf, isfinite, lgamma, pi, sqrt
+from math import exp, inf, isfinite, lgamma, log, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -43,12 +43,9 @@ and 0.10 of bilinear ones at X = 0.1. Of these (sup |B₂|/2) max(u² e^(−u²/
 polynomial: the error of the trapezoidal rule with the nodes v h across the kink of the force, times
 the inverse sampling error at the velocity v = u √(kT/m)."""
 
-RAREST = 10.0
-"""ln of the factor at most by which the error at a rarely visited stop is taken to be larger."""
-
 STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8
-"""Wall time of a step and of a sample of one thread, in s: of one to three masses, to a factor 2.
-The step that follows is longer by the fourth root of an error."""
+"""Wall time of a step of up to three masses, and of a sample, of one thread, in s, to a factor 2:
+the step that follows is longer by the fourth root of that."""
 
 
 def temperature(system: System) -> float:
@@ -66,10 +63,7 @@ def temperature(system: System) -> float:
 def contact_frequency(
     system: System, *, springs: bool = False, energy: float = 0.0, kT: float | None = None
 ) -> float:
-    """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i); 0 if none.
-
-    ``energy`` and ``kT`` as of ``contact_slopes``.
-    """
+    """Return the largest √(g'/m) of ``contact_slopes``, with ``springs`` √((g' + K_ii)/m_i)."""
     slopes = contact_slopes(system, energy=energy, kT=kT)
     whole = slopes + np.diag(system.stiffness_matrix) if springs else slopes
     return sqrt(float(np.max(np.where(slopes > 0.0, whole, 0.0) / system.mass)))
@@ -90,17 +84,13 @@ def contact_slopes(system: System, *, energy: float = 0.0, kT: float | None = No
         return 0.5 * k_eff * q * q + float(system.contact_energy(i, sign * q)) - level
 
     for stop in system.stops:
-        i, sign = stop.index, stop.sign
-        k_eff = 1.0 / system.compliance[i, i]
+        i, k_eff = stop.index, 1.0 / system.compliance[stop.index, stop.index]
         level = max(REACHED * kT, 0.5 * k_eff * stop.clearance**2 + kT, energy)
         most = sqrt(2.0 * level / k_eff) * (1.0 + 1e-9)
-        q = scipy.optimize.brentq(excess, 0.0, most, args=(i, sign, k_eff, level))
-        stiffness = sum(
-            float(s.slope(q - s.clearance))
-            for s in system.stops
-            if (s.index, s.side) == (i, stop.side) and q > s.clearance
-        )
-        slopes[i] = max(slopes[i], stiffness)
+        q = scipy.optimize.brentq(excess, 0.0, most, args=(i, stop.sign, k_eff, level))
+        same = (s for s in system.stops if (s.index, s.side) == (i, stop.side))
+        slope = sum(float(s.slope(q - s.clearance)) for s in same if q > s.clearance)
+        slopes[i] = max(slopes[i], slope)
     return slopes
 
 
@@ -128,11 +118,8 @@ def term_rate(system: System) -> float:
 
 
 def sampling_interval(system: System) -> float:
-    """Return the time between samples, an eighth of the shortest natural period.
-
-    Closer ones repeat each other.
-    """
-    return 2.0 * pi / highest_frequency(system) / 8
+    """Return the time between samples, 1/8 of the shortest natural period: closer ones repeat."""
+    return 2.0 * pi / highest_frequency(system) / 8.0
 
 
 def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None) -> float:
@@ -142,15 +129,11 @@ def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None)
     ``kT`` are as of ``contact_frequency``.
     """
     frequency = contact_frequency(system, springs=True, energy=energy, kT=kT)
-    steps = [sampling_interval(system)]
-    share = STEP_PER_FREQUENCY
+    steps, share = [sampling_interval(system)], STEP_PER_FREQUENCY
     if system.damping_terms:
-        steps.append(STEP_PER_RATE / term_rate(system))
-        steps.append(STEP_PER_FREQUENCY / highest_frequency(system))
+        steps += STEP_PER_RATE / term_rate(system), share / highest_frequency(system)
         share = STEP_WITH_TERMS
-    if frequency > 0.0:
-        steps.append(share / frequency)
-    return min(steps)
+    return min(*steps, share / frequency) if frequency > 0.0 else min(steps)
 
 
 def step_for(
@@ -163,7 +146,8 @@ def step_for(
     ``B x^e`` the bias of p(q) there is ``BIAS X^e`` of itself, ``X = h² e B (v h)^(e−1)/m`` the
     square of the phase that the contact adds in a step. In a density of q and p, or of one of them
     and an energy, the biases of v and −v do not cancel: it is ``JOINT_BIAS X``, and bounded where
-    ``observables`` contain one. Farther stops are visited less often, and known to a larger error.
+    ``observables`` contain one. Farther stops are visited less often, and known to a larger error,
+    up to one third of p itself.
     """
     kT = temperature(system) if kT is None else kT
     steps, joint = [chosen_step(system, kT=kT)], set[int | None]()
@@ -173,7 +157,7 @@ def step_for(
             joint |= rows
     for stop in system.stops:
         m, k_eff = float(system.mass[stop.index]), 1.0 / system.compliance[stop.index, stop.index]
-        rarity = min(0.25 * k_eff * stop.clearance**2 / kT, RAREST)
+        rarity = min(0.25 * k_eff * stop.clearance**2 / kT, -log(error))
         known = error * exp(rarity) / 3.0
         square = (known / BIAS) ** (1.0 / stop.power)
         if stop.index in joint:
@@ -184,17 +168,15 @@ def step_for(
 
 
 def expected_error(samples: float) -> float:
-    """Return about what relative error p has near its maximum, from the samples to be taken.
-
-    Times √samples it was 5.8 to 7.7 in runs of 1e9 samples.
-    """
-    return 7.0 / sqrt(samples)
+    """Return about what relative error p has near its maximum, from the samples to be taken."""
+    return 7.0 / sqrt(samples)  # 5.8 to 7.7 in runs of 1e9 samples
 
 
 def samples_in(system: System, dt: float, seconds: float) -> float:
     """Return about how many samples one thread takes in ``seconds`` of wall time."""
-    interval = sampling_interval(system)
-    return seconds / (STEP_SECONDS * max(1.0, interval / dt) + SAMPLE_SECONDS)
+    size = max(1.0, system.n / 3) ** 2  # the map of a step is a full matrix
+    steps = max(1.0, sampling_interval(system) / dt)
+    return seconds / (STEP_SECONDS * size * steps + SAMPLE_SECONDS)
 
 
 def stability_limit(
@@ -229,7 +211,7 @@ def relaxation_time(system: System) -> float:
     ``dθ_m/dt = S_m − P_m(θ)``: S_m the power of the noise, P_m that of all damping; an eigenvalue
     of ∂P/∂θ there is the decay rate of an energy. One temperature for all modes gives a second
     estimate, 2n/P'(θ), and the longer one counts. Rare passages between coexisting states take
-    longer than this: it is for ``burn_in`` and ``time`` to allow for them.
+    longer: ``burn_in`` and ``time`` are to allow for them.
     """
     if not system.damping_terms:
         return decay_time(system)
@@ -258,9 +240,8 @@ def modal_temperatures(system: System) -> Array:
     noise = np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes)
     start = np.full(system.n, equivalent_temperature(system))
     root: Any = scipy.optimize.root  # the stubs want a function of a fixed shape
-    balance: Any = root(lambda theta: noise - modal_powers(system, theta), start, method="hybr")
-    found = balance.success and np.all(balance.x > 0)
-    return np.asarray(balance.x) if found else np.zeros(0)
+    balance: Any = root(lambda theta: noise - modal_powers(system, theta), start)
+    return np.asarray(balance.x if balance.success and np.all(balance.x > 0) else [])
 
 
 def modal_powers(system: System, temperatures: Array) -> Array:
@@ -289,8 +270,7 @@ def modal_powers(system: System, temperatures: Array) -> Array:
 def undamped_mode(system: System) -> bool:
     """Return whether neither the constant damping nor any term acts on some mode.
 
-    Where terms act, whether they suffice is left to ``equivalent_temperature``, to lost
-    trajectories and to the moment identities.
+    Whether terms suffice is left to ``equivalent_temperature``, lost trajectories and identities.
     """
     shapes, omega = natural_modes(system)
     constant = np.abs(np.einsum("im,ij,jm->m", shapes, system.damping, shapes))

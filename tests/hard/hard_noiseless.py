@@ -27,7 +27,7 @@ def _released(system: System, dt: float) -> Ensemble:
     states[0, 1] = np.linspace(-0.7, 0.7, LANES)
     ensemble.restore({**ensemble.saved(), "states": states})
     energy = float(np.max(_energies(system, ensemble)))
-    ensemble.reachable = replace(ensemble.reachable, energy=energy)
+    ensemble.energy = energy
     return ensemble
 
 

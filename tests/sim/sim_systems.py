@@ -1,7 +1,6 @@
 """Systems that the tests of the simulation share."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -71,7 +70,7 @@ def place(ensemble: Ensemble, states: Any) -> None:
     """Go on from other ``states`` (blocks, 2n, LANES), whose energy it may reach from then on."""
     ensemble.restore({**ensemble.saved(), "states": states})
     energy = float(np.max(ensemble.system.hamiltonian(*ensemble.phase_points())))
-    ensemble.reachable = replace(ensemble.reachable, energy=energy)
+    ensemble.energy = energy
 
 
 def ranged(system: System, observables: Sequence[Any], q: Any, p: Any) -> tuple[Histogram, ...]:

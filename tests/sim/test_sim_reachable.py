@@ -12,7 +12,7 @@ from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.averaged.square_root import SquareRootForm, square_root_step
-from sim.step.reachable import CHANCE, Reachable, hottest
+from sim.step.reachable import CHANCE, hottest, largest_reached
 from sim.step.schemes import SCHEMES
 from sim.step.step_size import stability_limit
 
@@ -84,12 +84,11 @@ def test_the_range_holds_whatever_the_noise_and_the_start() -> None:
     free = System([2.0], [8.0], [0.4], [0.1])
     assert gammaincc(1.0, 100.0) == pytest.approx(CHANCE)
     assert hottest(free) == pytest.approx(0.25)
-    reachable = Reachable(free, SCHEMES["exact_flow"], 0.1, 0.0)
-    q, p = reachable.largest(np.inf)
+    q, p = largest_reached(free, 0.0, np.inf)
     assert 0.5 * 8.0 * q**2 == pytest.approx(25.0) == pytest.approx(0.5 * p**2 / 2.0)
-    soon = reachable.largest(0.01)  # less than 2 N t/m = 0.001 of energy has come
+    soon = largest_reached(free, 0.0, 0.01)  # less than 2 N t/m = 0.001 of energy has come
     assert np.all(soon < 0.07 * np.array([q, p]))
-    started = Reachable(free, SCHEMES["exact_flow"], 0.1, 40.0).largest(0.0)
+    started = largest_reached(free, 40.0, 0.0)
     assert np.all(started >= np.sqrt(2.0 * 40.0 * np.array([1.0 / 8.0, 2.0])))
 
 
@@ -127,5 +126,5 @@ def test_energies_that_grow_beyond_all_bounds_end_in_one_line() -> None:
 def test_without_damping_and_noise_the_energy_of_the_start_is_all() -> None:
     system = System([1.0, 2.0], [1.0, 1.0], [0.0, 0.0], [0.0, 0.0])
     assert hottest(system) == 0.0
-    largest = Reachable(system, SCHEMES["exact_flow"], 0.1, 1.0).largest(1e6)
+    largest = largest_reached(system, 1.0, 1e6)
     assert np.all(np.isfinite(largest)) and np.all(largest > 0.0)

@@ -24,7 +24,7 @@ from sim.questions.splitting.kernel import (
 )
 from sim.questions.starts import Origin
 from sim.sample.plan import step_arrays, watched
-from sim.step.schemes.exact_flow import EXACT_FLOW
+from sim.step.schemes import EXACT_FLOW
 from sim.step.step_size import chosen_step, temperature
 
 ScoreFunction = Callable[[Array, Array], Array]
