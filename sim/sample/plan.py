@@ -24,7 +24,7 @@ from fpk.system.linear import drift_matrix, natural_modes
 from fpk.system.system import System, effects_of
 from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
-from sim.step.arrays import LANES, Rows, StepArrays, SubstepArrays, TermArrays, WatchArrays
+from sim.step.arrays import LANES, Rows, StepArrays, TermArrays, WatchArrays
 from sim.step.flow import exact_flow, lower_trapezoidal, padded
 from sim.step.kernel import KernelKey
 from sim.step.parts.linear import NARROW
@@ -116,8 +116,7 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
 def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
     """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one.
 
-    Of a long step they belong to its small ones; ``substeps`` has the long one. ``halved``: the
-    linear map is that of dt/2, of which a step makes two, with the normals of two steps dt/2.
+    Of a long step they belong to its small ones, and to it. ``halved``: the linear map is that of dt/2, of which a step makes two, with the normals of two steps dt/2.
     """
     n, small, H = system.n, scheme.small, dt
     dt = H / small
@@ -159,11 +158,11 @@ def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = Fal
         for sign in ([0.0] if sorted(sides) == [-1.0, 1.0] else sides)
     ]
     stops, masses = np.array(rows, dtype=float).reshape(-1, 6), np.array(slots, dtype=np.int64)
-    slot, substeps = stops[:, 0].astype(np.int64), None
+    slot = stops[:, 0].astype(np.int64)
+    long, mass, bend, reach = linear, masses[:0], np.zeros((0, 2 * n)), np.zeros(0)
     if small > 1:
-        flow, mass = exact_flow(system, H), masses[slot]
-        row, bend = padded(flow.propagator[mass]), padded(bends(system, H, mass))
-        substeps = SubstepArrays(small, flow.matrix, row, bend, noise_reach(system, H, mass))
+        long, mass = exact_flow(system, H), masses[slot]
+        bend, reach = bends(system, H, mass), noise_reach(system, H, mass)
     return StepArrays(
         matrix=linear.matrix,
         pairs=pairs,
@@ -176,7 +175,11 @@ def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = Fal
         stops=np.ascontiguousarray(stops[:, 1:]),
         terms=terms,
         words=pairs * (small + 1) if small > 1 else pairs * (1 + halved),
-        substeps=substeps,
+        small=small,
+        long_matrix=long.matrix,
+        after=padded(long.propagator[mass]),
+        bend=padded(bend),
+        reach=reach,
     )
 
 
@@ -249,7 +252,7 @@ def watched(
         modes=bool(modes),
         moments=bool(products),
         pairs=step.pairs,
-        substeps=step.substeps is not None,
+        substeps=step.small > 1,
         traced=bool(traced),
         halved=halved,
     )

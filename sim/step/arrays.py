@@ -49,20 +49,11 @@ class TermArrays(NamedTuple):
     springs: Array  # (n, n), kick by the springs times dt; no entries where the map has it
 
 
-class SubstepArrays(NamedTuple):
-    """Numbers of a long step of ``small`` small steps, see ``sim.sample.plan``."""
-
-    small: int
-    matrix: Array  # (2n, columns), the map over the long step
-    row: Array  # (stops, 2n padded), mean displacement after the long step
-    bend: Array  # (stops, 2n padded), b by the sizes of the state
-    reach: Array  # (stops,), what the noise can add
-
-
 class StepArrays(NamedTuple):
-    """Numbers of one step; of a long step those of its small ones.
+    """Numbers of one step; of a long step those of its small ones, and of the long one itself.
 
-    A slot is a mass that touches something; it may have several stops.
+    A slot is a mass that touches something; it may have several stops. Without long steps
+    (``sim.sample.plan``) there are no rows of ``after`` and ``bend``, which the kernel does not read.
     """
 
     matrix: Array  # (2n, columns), propagator and factor of the linear map, columns padded
@@ -76,10 +67,12 @@ class StepArrays(NamedTuple):
     stops: Array  # (stops, 5), sign (0: alike on both sides), clearance, stiffness, exponent, law
     terms: Any  # TermArrays, or None for constant damping: its kernel does not read it
     words: int  # of the stream that a trajectory takes in one call of the step
-    substeps: Any  # SubstepArrays, or None where all trajectories make the same steps
-    strength: Any = (
-        None  # (steps,) float32, factors on the noise of each; None where it is constant
-    )
+    small: int  # steps in a long one, 1 where all trajectories make the same
+    long_matrix: Array  # (2n, columns), the map over the long step
+    after: Array  # (stops, 2n padded), mean displacement after the long step
+    bend: Array  # (stops, 2n padded), b by the sizes of the state
+    reach: Array  # (stops,), what the noise can add
+    strength: Any = None  # (steps,) float32, factors on the noise; None where it is constant
 
 
 class WatchArrays(NamedTuple):

@@ -13,13 +13,15 @@ from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import ROOT, cached_njit, checksum
 from fpk.system.compiled_laws import compiled_laws, law_files
 from sim.step.arrays import StepArrays, W, WatchArrays
-from sim.step.lanes import add, add_matrix, aligned_rows, copy, row, scale_all
+from sim.step.lanes import add, add_matrix, aligned_rows, copy, row
 from sim.step.parts import forces, linear, observed
 from sim.step.random import GOLDEN, fill_normals
 
-NAMES = ("arrays", "kernel", "lanes", "random", "parts/forces", "parts/linear", "parts/observed")
-KERNEL = tuple(f"sim/step/{name}.py" for name in NAMES)
-"""Files of this room that a kernel is compiled from."""
+KERNEL = (
+    *(f"sim/step/{name}.py" for name in ("arrays", "kernel", "lanes", "random")),
+    *(f"sim/step/parts/{name}.py" for name in ("forces", "linear", "observed")),
+)
+"""Files that a kernel is compiled from."""
 
 
 def kernel_checksum(laws: Sequence[str], root: Path = ROOT) -> int:
@@ -97,7 +99,7 @@ def compiled_kernel(key: KernelKey) -> Any:
         disk cache compiles anew.
         """
         n, at, terms = step.matrix.shape[0] // 2, watch.at, step.terms
-        matrix = step.substeps.matrix if substeps else step.matrix
+        matrix = step.long_matrix if substeps else step.matrix
         s = aligned_rows(at.total)
         V, H = row(s, at.work + 1), row(s, at.work + 2)  # of the state, where damping depends on H
         z, words = aligned_rows(pairs).view(np.float32), aligned_rows(1).view(np.uint64)
@@ -166,7 +168,8 @@ def compiled_kernel(key: KernelKey) -> Any:
                         own = word + np.uint64(half * pairs + pair)
                         fill_normals(to, words, trajectory, own, offset)
                     if modulated:
-                        scale_all(z, step.strength[t])
+                        for k in range(z.size):
+                            z[k] *= step.strength[t]
                     linear.map_state(s, z, matrix, pairs)
                 if substeps:
                     word += np.uint64(pairs)

@@ -44,13 +44,6 @@ def fill(target: Array, value: float, width: int = W) -> None:
 
 
 @inlined
-def scale_all(values: NDArray[np.float32], factor: np.float32) -> None:
-    """Multiply all ``values`` by one factor."""
-    for k in range(values.size):
-        values[k] *= factor
-
-
-@inlined
 def copy(target: Array, source: NDArray[Any], width: int = W) -> None:
     """Copy one row, of normals in single precision too."""
     for k in range(width):

@@ -310,9 +310,9 @@ def test_choice_of_the_long_step() -> None:
 
 def test_uniform_steps_have_no_arrays_for_them() -> None:
     step = step_arrays(fig6(), EXACT_FLOW, 0.1)
-    assert step.substeps is None and step.words == step.pairs
+    assert step.small == 1 and step.words == step.pairs
     assert not watched(fig6(), EXACT_FLOW, step, (), ())[0].substeps
     step = step_arrays(stiff(), longer(16), 0.048)
     assert watched(stiff(), EXACT_FLOW, step, (), ())[0].substeps
     assert step.words == 17 * step.pairs and step.dt == 0.003
-    assert step.substeps.row.shape == (1, 4)
+    assert step.after.shape == (1, 4)

@@ -24,9 +24,16 @@ from sim.step.random import GOLDEN, LANE, Halves, Singles, Words, box_muller, mi
 
 
 @inlined
-def map_by_pairs(s: Array, matrix: Array, scratch: int, width: int) -> None:
-    """Map the first rows of ``s`` with the normals in the rows behind them."""
-    for i in range(0, matrix.shape[0], 2):
+def map_state(
+    s: Array, z: Singles, matrix: Array, pairs: int, width: int = W, sines: int = W,
+    pair: int = 2 * W,
+) -> None:  # fmt: skip
+    """Apply the random linear map to the first rows of ``s``."""
+    n, scratch = matrix.shape
+    for i in range(pairs):
+        copy(row(s, n + 2 * i, 1, width), z[i * pair :], width)
+        copy(row(s, n + 2 * i + 1, 1, width), z[i * pair + sines :], width)
+    for i in range(0, n, 2):
         y = row(s, scratch + i, 2, width)
         for j in range(0, matrix.shape[1], COLUMNS):
             a0, a1, a2, a3 = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
@@ -43,20 +50,8 @@ def map_by_pairs(s: Array, matrix: Array, scratch: int, width: int) -> None:
                     x0, x1, x2, x3 = x[k], x[width + k], x[2 * width + k], x[3 * width + k]
                     y[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
                     y[width + k] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
-    for i in range(matrix.shape[0]):
+    for i in range(n):
         copy(row(s, i, 1, width), row(s, scratch + i, 1, width), width)
-
-
-@inlined
-def map_state(
-    s: Array, z: Singles, A: Array, pairs: int, width: int = W, sines: int = W, pair: int = 2 * W
-) -> None:
-    """Apply the random linear map to the first rows of ``s``."""
-    n = A.shape[0]
-    for i in range(pairs):
-        copy(row(s, n + 2 * i, 1, width), z[i * pair :], width)
-        copy(row(s, n + 2 * i + 1, 1, width), z[i * pair + sines :], width)
-    map_by_pairs(s, A, A.shape[1], width)
 
 
 NARROW = 16
@@ -72,12 +67,12 @@ def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: Ste
 
     ``work``: two rows of scratch, the displacement after the step and the bend of its way.
     """
-    after, bend, sub = work[:W], work[W : 2 * W], step.substeps
+    after, bend = work[:W], work[W : 2 * W]
     for k in range(W):
         near[k] = 0
     for stop in range(step.stop_slot.size):
-        for j in range(0, sub.row.shape[1], COLUMNS):
-            a, b, x = sub.row[stop], sub.bend[stop], row(s, j, COLUMNS)
+        for j in range(0, step.after.shape[1], COLUMNS):
+            a, b, x = step.after[stop], step.bend[stop], row(s, j, COLUMNS)
             a0, a1, a2, a3 = a[j], a[j + 1], a[j + 2], a[j + 3]
             b0, b1, b2, b3 = b[j], b[j + 1], b[j + 2], b[j + 3]
             if j == 0:
@@ -87,7 +82,7 @@ def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: Ste
                 x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
                 after[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
                 bend[k] += b0 * abs(x0) + b1 * abs(x1) + b2 * abs(x2) + b3 * abs(x3)
-        q, reach = row(s, step.slot_mass[step.stop_slot[stop]]), sub.reach[stop]
+        q, reach = row(s, step.slot_mass[step.stop_slot[stop]]), step.reach[stop]
         sign, clearance = step.stops[stop, 0], step.stops[stop, 1]
         for k in range(W):
             x0 = sign * q[k] if sign != 0.0 else abs(q[k])
@@ -142,7 +137,7 @@ def small_steps(
     first: np.uint64, step: StepArrays, at_contact: int, pairs: int, force: Any, slope: Any,
 ) -> None:  # fmt: skip
     """Advance all groups by the small steps of one long one; ``first`` is their first word."""
-    n, small, many = step.matrix.shape[0] // 2, step.substeps.small, AT_ONCE * pairs * NARROW
+    n, small, many = step.matrix.shape[0] // 2, step.small, AT_ONCE * pairs * NARROW
     for begin in range(0, small, AT_ONCE):
         for c in range(-(-count // NARROW)):
             # Words (as halves: radii, angles) and normals (cosines, sines) in one long loop each.
