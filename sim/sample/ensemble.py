@@ -19,9 +19,8 @@ from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
 from sim.sample.plan import step_arrays, watched
 from sim.sample.workers import TASKS_PER_THREAD, Workers
-from sim.step.arrays import GROUPS, LANES, StepArrays, WatchArrays, in_blocks, in_rows
+from sim.step.arrays import GROUPS, LANES, NARROW, StepArrays, WatchArrays, in_blocks, in_rows
 from sim.step.kernel import KernelKey, compiled_kernel
-from sim.step.parts.observed import FOLDED
 from sim.step.random import mixed_seed
 from sim.step.reachable import PIECE, largest_reached, loudest, start_states
 from sim.step.schemes import EXACT_FLOW, Scheme
@@ -120,7 +119,7 @@ class Ensemble:
     step: StepArrays = field(init=False)
     states: Array = field(init=False)  # (blocks, 2n, LANES), just before the next kick
     sums: Array = field(init=False)  # (first blocks, products, LANES)
-    folded: Array = field(init=False)  # (other blocks, products, FOLDED)
+    folded: Array = field(init=False)  # (other blocks, products, NARROW), of every 16th lane
     counts: Integers = field(init=False)  # (batches, bins), one more bin a histogram for outside
     last: Array = field(init=False)  # (blocks, rows, LANES), the last sample; no rows without start
     done: int = field(init=False, default=0)  # steps, one more than by then with a start
@@ -183,7 +182,7 @@ class Ensemble:
     def _clear(self) -> None:
         apart = min(len(self.states), APART)
         self.sums = np.zeros((apart, len(self.products), LANES))
-        self.folded = np.zeros((len(self.states) - apart, len(self.products), FOLDED))
+        self.folded = np.zeros((len(self.states) - apart, len(self.products), NARROW))
         bins = starts(self.histograms)[-1]
         self.counts = np.zeros((self.edges.size - 1, bins), dtype=np.int64)
 

@@ -24,10 +24,9 @@ from fpk.system.linear import drift_matrix, natural_modes
 from fpk.system.system import System, effects_of
 from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
-from sim.step.arrays import LANES, Rows, StepArrays, TermArrays, WatchArrays
+from sim.step.arrays import LANES, NARROW, Rows, StepArrays, TermArrays, WatchArrays
 from sim.step.flow import exact_flow, lower_trapezoidal, padded
 from sim.step.kernel import KernelKey
-from sim.step.parts.linear import NARROW
 from sim.step.schemes import Scheme
 from sim.step.step_size import sampling_interval, temperature
 
@@ -116,7 +115,8 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
 def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
     """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one.
 
-    Of a long step they belong to its small ones, and to it. ``halved``: the linear map is that of dt/2, of which a step makes two, with the normals of two steps dt/2.
+    ``halved``: the linear map is that of dt/2, of which a step makes two, with the normals of two
+    steps dt/2.
     """
     n, small, H = system.n, scheme.small, dt
     dt = H / small

@@ -15,6 +15,9 @@ GROUPS = 64
 COLUMNS = 4
 """Columns of the linear map that one loop joins; its matrix is padded to a multiple."""
 
+NARROW = 16
+"""Lanes of one vector of 32-bit numbers: of a group that makes small steps, and of shared sums."""
+
 MAX_TRAJECTORIES = 1 << 24
 """Trajectories that a seed has words for: each owns 2**40 of the 2**64 words of the sequence."""
 
@@ -53,7 +56,7 @@ class StepArrays(NamedTuple):
     """Numbers of one step; of a long step those of its small ones, and of the long one itself.
 
     A slot is a mass that touches something; it may have several stops. Without long steps
-    (``sim.sample.plan``) there are no rows of ``after`` and ``bend``, which the kernel does not read.
+    (``sim.sample.plan``) ``after``, ``bend`` and ``reach`` have no rows, and are not read.
     """
 
     matrix: Array  # (2n, columns), propagator and factor of the linear map, columns padded

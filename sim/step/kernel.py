@@ -12,7 +12,7 @@ import numpy as np
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import ROOT, cached_njit, checksum
 from fpk.system.compiled_laws import compiled_laws, law_files
-from sim.step.arrays import StepArrays, W, WatchArrays
+from sim.step.arrays import NARROW, StepArrays, W, WatchArrays
 from sim.step.lanes import add, add_matrix, aligned_rows, copy, row
 from sim.step.parts import forces, linear, observed
 from sim.step.random import GOLDEN, fill_normals
@@ -93,7 +93,7 @@ def compiled_kernel(key: KernelKey) -> Any:
 
         Observes at the start of a step where ``(phase + step number) % stride == 0``, never with
         ``stride`` 0: adds to ``sums`` (first blocks, moments·W), ``folded`` (other blocks,
-        moments·FOLDED) and ``counts`` (batches, bins) of the ``batch`` (blocks,) of each, which
+        moments·NARROW) and ``counts`` (batches, bins) of the ``batch`` (blocks,) of each, which
         ascends by ones, and writes to ``trace`` (blocks, samples·rows·W) from its second sample on.
         Returns the checksum of its sources, a constant of the kernel: where it has changed, numba's
         disk cache compiles anew.
@@ -105,11 +105,13 @@ def compiled_kernel(key: KernelKey) -> Any:
         z, words = aligned_rows(pairs).view(np.float32), aligned_rows(1).view(np.uint64)
         index, second, number = np.zeros(W, np.int64), np.zeros(W, np.int64), aligned_rows(1)
         if substeps:
-            group = at.total * linear.NARROW
+            group = at.total * NARROW
             groups, chosen = aligned_rows(at.total), np.zeros(W, np.int64)
-            drawn = aligned_rows(pairs * linear.AT_ONCE).view(np.float32)
-            places_of = aligned_rows(pairs * linear.AT_ONCE).view(np.uint64)
-            halves = aligned_rows(pairs * linear.AT_ONCE).view(np.uint32)
+            drawn, halves = (
+                aligned_rows(pairs).view(np.float32),
+                aligned_rows(pairs).view(np.uint32),
+            )
+            places_of = aligned_rows(pairs).view(np.uint64)
         for b in range(x.shape[0]):
             trajectory = np.uint64((first + b) * W)
             s[: 2 * n * W] = x[b]

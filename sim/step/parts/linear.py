@@ -17,7 +17,7 @@ from numba import njit
 
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import inlined
-from sim.step.arrays import COLUMNS, StepArrays, W
+from sim.step.arrays import COLUMNS, NARROW, StepArrays, W
 from sim.step.lanes import copy, fill, row
 from sim.step.parts.forces import contact_forces, kick_by_contact
 from sim.step.random import GOLDEN, LANE, Halves, Singles, Words, box_muller, mixed_word
@@ -54,30 +54,21 @@ def map_state(
         copy(row(s, i, 1, width), row(s, scratch + i, 1, width), width)
 
 
-NARROW = 16
-"""Lanes of a group: one vector of 32-bit numbers."""
-
-AT_ONCE = 4
-"""Small steps whose normals are drawn together."""
-
-
 @inlined
 def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: StepArrays) -> int:
     """Write the lanes that may touch a stop to ``index`` and return how many they are.
 
     ``work``: two rows of scratch, the displacement after the step and the bend of its way.
     """
-    after, bend = work[:W], work[W : 2 * W]
+    after, bend = row(work, 0), row(work, 1)
     for k in range(W):
         near[k] = 0
     for stop in range(step.stop_slot.size):
+        fill(work, 0.0, 2 * W)
         for j in range(0, step.after.shape[1], COLUMNS):
             a, b, x = step.after[stop], step.bend[stop], row(s, j, COLUMNS)
             a0, a1, a2, a3 = a[j], a[j + 1], a[j + 2], a[j + 3]
             b0, b1, b2, b3 = b[j], b[j + 1], b[j + 2], b[j + 3]
-            if j == 0:
-                fill(after, 0.0)
-                fill(bend, 0.0)
             for k in range(W):
                 x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
                 after[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
@@ -118,11 +109,11 @@ def scatter(s: Array, groups: Array, index: Integers, count: int, rows: int, str
 
 @inlined
 def places(start: Words, index: Integers, count: int, pairs: int) -> None:
-    """Write where the words of ``AT_ONCE`` small steps of a lane lie, behind its block's first one.
+    """Write where the words of a small step of a lane lie, behind its block's first one.
 
-    ``start``: (groups, AT_ONCE · pairs, NARROW), as the words of one draw are.
+    ``start``: (groups, pairs, NARROW), as the words of one draw are.
     """
-    many = AT_ONCE * pairs * NARROW
+    many = pairs * NARROW
     for c in range(-(-count // NARROW)):
         to = start[c * many : (c + 1) * many]
         for k in range(NARROW):
@@ -137,20 +128,18 @@ def small_steps(
     first: np.uint64, step: StepArrays, at_contact: int, pairs: int, force: Any, slope: Any,
 ) -> None:  # fmt: skip
     """Advance all groups by the small steps of one long one; ``first`` is their first word."""
-    n, small, many = step.matrix.shape[0] // 2, step.small, AT_ONCE * pairs * NARROW
-    for begin in range(0, small, AT_ONCE):
+    n, many = step.matrix.shape[0] // 2, pairs * NARROW
+    for t in range(step.small):
+        place = first + np.uint64(t * pairs) * GOLDEN
         for c in range(-(-count // NARROW)):
             # Words (as halves: radii, angles) and normals (cosines, sines) in one long loop each.
-            place, own = first + np.uint64(begin * pairs) * GOLDEN, start[many * c :]
+            own = start[many * c :]
             for k in range(many):
                 word = mixed_word(place + own[k])
                 halves[k] = np.uint32(word)
                 halves[many + k] = np.uint32(word >> np.uint64(32))
-            box_muller(z[2 * many * c :], halves, many)
-        for t in range(min(AT_ONCE, small - begin)):
-            for c in range(-(-count // NARROW)):
-                s = groups[c * stride : (c + 1) * stride]
-                u = z[2 * many * c + NARROW * pairs * t : 2 * many * (c + 1)]
-                contact_forces(s, at_contact, step, force, slope, NARROW)
-                kick_by_contact(s, at_contact, step, n, NARROW)
-                map_state(s, u, step.matrix, pairs, NARROW, many, NARROW)
+            box_muller(z, halves, many)
+            s = groups[c * stride : (c + 1) * stride]
+            contact_forces(s, at_contact, step, force, slope, NARROW)
+            kick_by_contact(s, at_contact, step, n, NARROW)
+            map_state(s, z, step.matrix, pairs, NARROW, many, NARROW)

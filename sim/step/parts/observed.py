@@ -7,12 +7,9 @@ from numba import njit
 
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import inlined
-from sim.step.arrays import StepArrays, W, WatchArrays
+from sim.step.arrays import NARROW, StepArrays, W, WatchArrays
 from sim.step.lanes import add, add_matrix, add_product, copy, fill, kick, row
 from sim.step.parts.forces import add_contact, damping_forces, processed_by_terms, whole_energy
-
-FOLDED = 16
-"""Sums of one product over a block of which each lane has no sum of its own: a vector or two."""
 
 
 @inlined
@@ -109,13 +106,13 @@ def add_products(
         if b < sums.shape[0]:
             add_product(row(sums[b], m), u, v, 1.0)
         else:
-            to = row(folded[b - sums.shape[0]], m, 1, FOLDED)
+            to = row(folded[b - sums.shape[0]], m, 1, NARROW)
             if live[b] == W:
-                for j in range(0, W, FOLDED):
-                    add_product(to, u[j:], v[j:], 1.0, FOLDED)
+                for j in range(0, W, NARROW):
+                    add_product(to, u[j:], v[j:], 1.0, NARROW)
             else:
                 for k in range(live[b]):
-                    to[k % FOLDED] += u[k] * v[k]
+                    to[k % NARROW] += u[k] * v[k]
 
 
 @inlined
