@@ -75,31 +75,26 @@ class MonteCarlo(Settings, StationaryMotionMethod, Transients, Passages):
         return Plan(lambda _: None, lambda observables, p: solve(observables, (), p), solve)
 
     def _passage(self, asked: PassageAsked) -> Passage:
-        """Return first passage: Brownian bridges or cubics between steps; see ``sim.questions``."""
         from sim.questions.passage import passage
 
         return passage(self, asked)
 
     def _transient(self, asked: TransientAsked) -> Transient:
-        """Return densities at ``times`` from histograms of an ensemble; see ``sim.questions``."""
         from sim.questions.transient import transient
 
         return transient(self, asked)
 
     def _crossings(self, asked: Question) -> Curve:
-        """Return upcrossing rates, counted between steps too; see ``sim.questions``."""
         from sim.questions.curves import crossings
 
         return crossings(self, asked)
 
     def _spectrum(self, asked: Question) -> Curve:
-        """Return power spectral densities by Welch's method; see ``sim.questions``."""
         from sim.questions.curves import spectrum
 
         return spectrum(self, asked)
 
     def _correlation(self, asked: Question) -> Curve:
-        """Return autocovariances from products at a distance in time; see ``sim.questions``."""
         from sim.questions.curves import correlation
 
         return correlation(self, asked)

@@ -44,7 +44,7 @@ from sim.questions.splitting.run import NOT_IN_REPETITION, Splitting, failure_of
 from sim.sample.checkpoint import PROGRAM, program_checksum
 from sim.sample.histogram import Histogram, binned
 from sim.sample.settings import ANYWHERE, NOT_IN_STATE
-from sim.sample.setup import setup_of
+from sim.sample.simulation import setup_of
 from sim.step.kernel import KernelKey
 
 SYSTEM = System(

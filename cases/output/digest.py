@@ -18,7 +18,7 @@ from cases.written import SCHEMA
 from fpk.answer.evolution import Passage
 from fpk.answer.method import Result, Route
 from fpk.answer.observable import observable_name
-from sim.sample.report import Report
+from sim.sample.diagnostics import Report
 
 ROW = ("observable", "measures", "norm", "L1", "band", "error")
 """Fields of a comparison that its row has as they are."""
@@ -86,7 +86,7 @@ def _curve(curve: Answers, key: str, units: Units) -> Record:
                 "route": r.method.route.label,
                 "observable": d.name,
                 "sampling": d.l1_error,
-                "step_bias": {"L1": bias.difference, "by_chance": bias.chance}
+                "step_bias": {"L1": bias.value, "by_chance": bias.error}
                 if bias
                 else "not measured",
                 "averaging": averaging_errors(d.name, curve.comparisons),

@@ -21,7 +21,7 @@ from fpk.system.escape import escape
 from fpk.system.linear import natural_modes
 from fpk.system.system import System, effects_of
 from sim.montecarlo import MonteCarlo
-from sim.sample.setup import expected_seconds
+from sim.sample.settings import expected_seconds
 
 MODES_SHOWN = 50
 """Modes whose damping, shape and boundaries are given: boundaries of more take a time of n³."""

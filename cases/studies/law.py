@@ -17,7 +17,7 @@ from fpk.answer.observable import observable_name
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.sample.report import Report
+from sim.sample.diagnostics import Report
 from sim.sample.settings import LEAST_PATHS
 from sim.step.schemes import SCHEMES
 
@@ -152,7 +152,7 @@ def _law(
     usual, result = run(system, replace(few, step_factor=min(0.7 * factor, 1.0)), observables)
     distance, expected, allowed = distance_between(result.densities[0], reference)
     assert isinstance(result.report, Report)
-    at, share = result.report.steps, (usual.dt / first.dt) ** order
+    at, share = result.report, (usual.dt / first.dt) ** order
     law = Law(
         scheme=method.scheme,
         noise=(expected - reference.l1_error) * sqrt(usual.sampled),

@@ -18,7 +18,7 @@ from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.sample.report import Report
+from sim.sample.diagnostics import Report
 from sim.sample.settings import LEAST_PATHS
 
 LARGEST, SMALLEST = 4.0, 2.0**-10
@@ -72,9 +72,8 @@ def run(
     """Run ``method``; E q² is that of the ``observed`` displacement."""
     result, seconds = timed_first(lambda: method.solve(system, observables))
     assert isinstance(result.report, Report)
-    steps, moments = result.report.steps, result.report.moments
-    (square,) = (m for m in moments if m.name == squared(system))
-    return Run(steps.dt, square.mean, square.error, steps.paths * steps.time, seconds), result
+    report, square = result.report, result.report.moments[squared(system)]
+    return Run(report.dt, square.value, square.error, report.paths * report.time, seconds), result
 
 
 def largest_stable(system: System, method: MonteCarlo, *, patience: float) -> float | None:

@@ -15,8 +15,7 @@ from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.linear import diffusion_matrix, drift_matrix, modal_energies, natural_modes
 from fpk.system.system import System, effects_of
 from sim.sample.settings import Settings
-from sim.step.flow import flow_covariance
-from sim.step.schemes import SCHEMES
+from sim.step.schemes import SCHEMES, flow_covariance
 from sim.step.step_size import (
     REACHED,
     chosen_step,

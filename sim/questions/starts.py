@@ -15,9 +15,9 @@ from fpk.system.system import System
 from sim.questions.limits import CHUNK, needs_steps
 from sim.sample.ensemble import ensemble_from
 from sim.step.arrays import LANES, in_rows
-from sim.step.flow import factored
 from sim.step.random import OTHER_SEED, stream_of
 from sim.step.reachable import start_displacements
+from sim.step.schemes import factored
 from sim.step.step_size import chosen_step, relaxation_time, temperature
 
 ACCEPTED = 1e-4

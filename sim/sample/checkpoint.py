@@ -24,11 +24,8 @@ from fpk.numeric.recognition import fingerprint
 INTERVAL = 2.0
 """Seconds between two saved states."""
 
-FIRST_PIECE = 256
-"""Steps of the first piece, which shows how long a step takes."""
-
 PROGRAM = ("fpk", "averaging", "sim", "cases")
-"""All packages, whose sources any number may depend on."""
+"""All packages: any number may depend on their sources."""
 
 
 def program_checksum(root: Path = ROOT, rooms: Sequence[str] = ("fpk", "sim")) -> int:
@@ -56,15 +53,14 @@ class Checkpoint:
     notes: dict[str, NDArray[Any]] = field(default_factory=dict)
     deadline: float = inf
     interrupted: bool = False
-    _piece: int = FIRST_PIECE
+    _piece: int = 1
     _saved: float = field(default_factory=working_time)
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Return a context in which no other process can go on from this state or save it.
+        """Keep other processes from this state, and remove the parts that killed ones have left.
 
-        Parts that killed processes have left are removed. Raises ``Unavailable`` where another
-        process has such a context.
+        Raises ``Unavailable`` where another process does so.
         """
         if self.path is None:
             yield
@@ -77,23 +73,22 @@ class Checkpoint:
     def save(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Write the arrays of a state and the notes to another file and move it to ``path``.
 
-        Raises ``Unavailable`` where that is not possible; what was in the file stays.
+        Raises ``Unavailable`` where that is not possible; the former state stays.
         """
         if self.path is None:
             return
         part = self.path.with_name(f"{self.path.name}.{token_hex(4)}.part")
         arrays: dict[str, Any] = {**state, **self.notes}
         try:
-            try:
-                with part.open("xb") as stream:
-                    np.savez(stream, about=[self.identity, *arrays], **arrays)
-                    stream.flush()
-                    os.fsync(stream.fileno())
-                os.replace(part, self.path)
-            finally:
-                part.unlink(missing_ok=True)
+            with part.open("xb") as stream:
+                np.savez(stream, about=[self.identity, *arrays], **arrays)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(part, self.path)
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be written: {reason_of(error)}") from None
+        finally:
+            part.unlink(missing_ok=True)
         self._saved = working_time()
 
     def load(self) -> dict[str, NDArray[Any]]:
@@ -131,7 +126,7 @@ class Checkpoint:
             piece, start = min(steps, self._piece), working_time()
             ensemble.advance(piece, stride=stride)
             now = working_time()
-            # Pieces grow gently: the first ones may have been loaded.
+            # Pieces grow gently: the first ones are short, and may have been loaded.
             left = min(ensemble.workers.piece, max(self.deadline - now, 0.0))
             in_time = int(piece * left / max(now - start, 1e-9))
             self._piece = max(1, min(4 * self._piece, in_time))

@@ -1,4 +1,4 @@
-"""Can the sample be trusted: moment identities, autocorrelation times, effective samples, drift.
+"""Report of a simulation: moment identities, autocorrelation times, effective samples, drift.
 
 τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity with the variance σ². Its mean
 over a time T on a trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, so that independent
@@ -6,15 +6,17 @@ trajectories show τ without any correlogram: ``τ = T var(path means)/(2 σ²)`
 ``N T/(2τ)`` effective samples, ``N σ²/var(path means)`` for any T, also below τ.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from math import inf, nan, pi, sqrt
+from typing import Literal
 
 import numpy as np
 from scipy.special import stdtrit
 
-from fpk.answer.density import l1_distance
+from fpk.answer.density import AnyDensity, l1_distance
 from fpk.answer.method import Identity
+from fpk.answer.quantities import Number
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
 from fpk.system.system import System
@@ -91,8 +93,8 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
     return tuple(identities)
 
 
-def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
-    """Return ∫|p_a − p_b| of two independent samples, and what chance alone makes of it.
+def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
+    """Return ∫|p_a − p_b| of two independent samples, and as error what chance alone makes of it.
 
     Their bins, which are the same, are joined to 128, of two coordinates to 64 along each: on those
     of the histogram it would show the counting noise of each, which any smoothing removes.
@@ -101,7 +103,7 @@ def l1_difference(a: SampledDensity, b: SampledDensity) -> tuple[float, float]:
     a, b = (density.joined(min(density.values.shape) // wanted) for density in (a, b))
     spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
     area = float(np.prod([e[1] - e[0] for e in a.edges]))
-    return l1_distance(a, b), sqrt(2.0 / pi) * area * spread
+    return Number(l1_distance(a, b), sqrt(2.0 / pi) * area * spread)
 
 
 Effective = tuple[str, float, float]
@@ -126,19 +128,6 @@ class Diagnosis:
     drift: float
     drift_limit: float
     failures: tuple[str, ...]
-
-    def settings(self) -> dict[str, str | float | int]:
-        """Return the same for readers, by the names that tables and JSON have."""
-        passed = "holds" if self.drift <= self.drift_limit else "drifts"
-        return {
-            "autocorrelation_time": self.autocorrelation_time,
-            "time in autocorrelation times": self.times_per_path,
-            "effective_samples": self.effective_samples,
-            "relative error of effective_samples": self.relative_error,
-            "slowest quantity": self.slowest,
-            "r_hat": self.r_hat,
-            "burn_in_check": f"{passed}: |z| = {self.drift:.2f}, allowed {self.drift_limit:.2f}",
-        }
 
 
 def effective_of_paths(
@@ -263,3 +252,78 @@ def diagnosis(
         drift_limit=limit,
         failures=tuple(failures),
     )
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything a simulation says of itself beside its densities; times are those of the system.
+
+    ``dt`` is the step of the integrator; ``paths`` were sampled for ``time`` after ``burn_in``, in
+    ``steps`` of ``long_step``, every ``stride``-th of them observed. ``relaxation_time`` is the
+    longest decay time without contact. ``small_steps`` says which trajectories make small steps,
+    ``limited_by`` the limit that cut ``time`` short of what was asked for; empty where nothing.
+
+    ``diagnosis`` is None where Ctrl-C ended the sampling, as ``interrupted`` then says, or the
+    limit of time did, in its first chunk. ``moments`` are means over the sampled states by name,
+    such as ``q2²``, with one standard error. ``step_pair`` says whether a second simulation at half
+    the step could be compared; ``step_biases``, by the names of densities (such as ``q2,p2``) and
+    of moments, are the differences: of a density the L1 distance, with its mean were both densities
+    the same, of a moment the difference with its standard error. With weak order w the difference
+    is ``1 − 2^−w`` of the bias at dt.
+    """
+
+    dt: float
+    paths: int
+    time: float
+    burn_in: float
+    relaxation_time: float
+    scheme: str
+    steps: int
+    stride: int
+    batches: int
+    seed: int
+    threads: int
+    kT: float
+    long_step: float
+    ns_per_particle_step: float
+    small_steps: str
+    limited_by: Literal["", "most_steps"]
+    diagnosis: Diagnosis | None = None
+    moments: Mapping[str, Number] = field(default_factory=dict)
+    interrupted: str = ""
+    step_pair: str = "not measured"
+    step_biases: Mapping[str, Number] = field(default_factory=dict)
+
+    def settings(self, densities: Sequence[AnyDensity]) -> dict[str, str | float | int]:
+        """Return everything, errors of ``densities`` too, by the names of tables and JSON."""
+        names = [f.name for f in fields(self)]
+        own = {name: getattr(self, name) for name in names[: names.index("diagnosis")]}
+        settings = {name: value for name, value in own.items() if value != ""}
+        if self.interrupted:
+            settings["partial"] = self.interrupted
+        if d := self.diagnosis:
+            passed = "holds" if d.drift <= d.drift_limit else "drifts"
+            settings |= {
+                "autocorrelation_time": d.autocorrelation_time,
+                "time in autocorrelation times": d.times_per_path,
+                "effective_samples": d.effective_samples,
+                "relative error of effective_samples": d.relative_error,
+                "slowest quantity": d.slowest,
+                "r_hat": d.r_hat,
+                "burn_in_check": f"{passed}: |z| = {d.drift:.2f}, allowed {d.drift_limit:.2f}",
+            }
+        settings |= {f"sampling error of {d.name}": d.l1_error for d in densities}
+        if densities:
+            settings["sampling error"] = (
+                "expected L1 error of the density as it is returned at points; tol is of the same"
+            )
+        for name, mean in self.moments.items():
+            settings |= {f"E {name}": mean.value, f"standard error of E {name}": mean.error}
+        settings["step bias"] = self.step_pair
+        named = [(d.name, d.name, "{} by chance") for d in densities]
+        named += [(name, f"E {name}", "standard error of {}") for name in self.moments]
+        for key, of, chance in named:
+            if bias := self.step_biases.get(key):
+                name = f"step bias of {of}"
+                settings |= {name: bias.value, chance.format(name): bias.error}
+        return settings

@@ -19,10 +19,10 @@ from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
 from sim.sample.plan import step_arrays, watched
 from sim.sample.workers import TASKS_PER_THREAD, Workers
-from sim.step.arrays import GROUPS, LANES, NARROW, StepArrays, WatchArrays, in_blocks, in_rows
+from sim.step.arrays import GROUPS, LANES, StepArrays, WatchArrays, in_blocks, in_rows
 from sim.step.kernel import KernelKey, compiled_kernel
 from sim.step.random import mixed_seed
-from sim.step.reachable import PIECE, largest_reached, loudest, start_states
+from sim.step.reachable import largest_reached, loudest, start_states
 from sim.step.schemes import EXACT_FLOW, Scheme
 from sim.step.step_size import stability_limit
 
@@ -31,16 +31,8 @@ Reader = Callable[..., None]
 LANES) holds the observed states number ``done`` to ``done + samples``; ``arrays`` are those of
 these blocks, changed in place. A function of a module, or a ``partial`` of one."""
 
-CHANGING = ("states", "sums", "folded", "counts")
+CHANGING = ("states", "sums", "counts")
 """Arrays of an ensemble that a step changes."""
-
-LEAST_WORK = 100_000
-"""Steps of single trajectories, a millisecond, below which a task costs more than it saves."""
-
-APART = 512
-"""Blocks at most whose trajectories have sums of their own, 65536 of them: enough for the variance
-of path means to half a per cent. Of the others there are sums over each block."""
-
 
 GROUP, TRACED = 4, 32
 """Blocks and samples of a trace that is read at once: they fit into the cache of a core."""
@@ -49,32 +41,26 @@ GROUP, TRACED = 4, 32
 def advanced(
     first: int, live: Integers, batch: Integers, *arrays: Any, key: KernelKey, step: StepArrays,
     watch: WatchArrays, offset: np.uint64, word: int, samples: int, phase: int, steps: int,
-    stride: int, read: Reader | None, modulation: Modulation | None, begin: float, done: int,
+    stride: int, read: Reader | None,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Advance batches that begin with block ``first``; all ``arrays`` change in place.
 
     They are those of ``CHANGING``, the last samples, and those of the reader. Where states are
     traced it is in groups of blocks, which are read before the next one begins.
     """
-    states, sums, folded, counts, last, *own = arrays
-    blocks, rows, apart = len(states), watch.traced.size, len(sums)
+    states, sums, counts, last, *own = arrays
+    blocks, rows, strength = len(states), watch.traced.size, step.strength
     size, piece = (GROUP, TRACED * stride) if key.traced else (blocks, steps)
     for b in range(0, blocks, size):
         group = slice(b, min(b + size, blocks))
-        behind = slice(max(b - apart, 0), max(group.stop - apart, 0))
-        flat = (
-            a.reshape(a.shape[0], a.shape[1] * a.shape[2])
-            for a in (states[group], sums[group], folded[behind])
-        )
+        flat = (a[group].reshape(group.stop - b, a.shape[1] * a.shape[2]) for a in (states, sums))
         trace = np.empty((group.stop - b, min(piece, steps) // max(1, stride) + 1, rows, LANES))
         fixed = *flat, counts[batch[b] - batch[0] :], live[group], batch[group], first + b
         for k in range(0, max(1, steps), max(1, piece)):
             many = min(piece, steps - k)
             trace[:, 0] = last[group]
-            if modulation is not None:
-                begins = begin + step.dt * np.arange(done + k, done + k + many, dtype=float)
-                strength = np.sqrt(modulation.mean_square(begins, step.dt)).astype(np.float32)
-                step = step._replace(strength=strength)
+            if key.modulated:
+                step = step._replace(strength=strength[k : k + many])
             compiled_kernel(key)(
                 *fixed, np.uint64(word + k * step.words), many, phase + k, stride, offset, step,
                 watch, trace.reshape(len(trace), trace.shape[1] * rows * LANES),
@@ -118,8 +104,7 @@ class Ensemble:
     energy: float = field(init=False)  # largest H at the start
     step: StepArrays = field(init=False)
     states: Array = field(init=False)  # (blocks, 2n, LANES), just before the next kick
-    sums: Array = field(init=False)  # (first blocks, products, LANES)
-    folded: Array = field(init=False)  # (other blocks, products, NARROW), of every 16th lane
+    sums: Array = field(init=False)  # (blocks, products, LANES)
     counts: Integers = field(init=False)  # (batches, bins), one more bin a histogram for outside
     last: Array = field(init=False)  # (blocks, rows, LANES), the last sample; no rows without start
     done: int = field(init=False, default=0)  # steps, one more than by then with a start
@@ -132,11 +117,7 @@ class Ensemble:
         self.threads = self.workers.threads
         self.step = step_arrays(self.system, self.scheme, self.dt, halved=self.halved)
         if self.start is None:
-            blocks = -(-self.paths // LANES)
-            self.states = np.empty((blocks, 2 * self.system.n, LANES))
-            for piece in range(0, blocks, PIECE):
-                drawn = start_states(self.system, self.seed, piece)
-                self.states[piece : piece + PIECE] = drawn[: blocks - piece]
+            self.states = start_states(self.system, self.seed, -(-self.paths // LANES))
         else:
             self.states = in_blocks(np.hstack(self.start))
         self.energy = float(np.max(self.system.hamiltonian(*self.phase_points())))
@@ -180,9 +161,7 @@ class Ensemble:
         self._clear()
 
     def _clear(self) -> None:
-        apart = min(len(self.states), APART)
-        self.sums = np.zeros((apart, len(self.products), LANES))
-        self.folded = np.zeros((len(self.states) - apart, len(self.products), NARROW))
+        self.sums = np.zeros((len(self.states), len(self.products), LANES))
         bins = starts(self.histograms)[-1]
         self.counts = np.zeros((self.edges.size - 1, bins), dtype=np.int64)
 
@@ -240,25 +219,22 @@ class Ensemble:
         self, steps: int, stride: int, read: Reader | None, arrays: Sequence[NDArray[Any]]
     ) -> None:
         """Advance all arrays by tasks of the workers, which are whole batches."""
+        step, dt = self.step, self.step.dt
+        if self.modulation is not None:
+            times = self.begin + dt * np.arange(self.done, self.done + steps, dtype=float)
+            strength = np.sqrt(self.modulation.mean_square(times, dt)).astype(np.float32)
+            step = step._replace(strength=strength)
         task = partial(
-            advanced, key=self._key, step=self.step, watch=self._watch,
-            offset=mixed_seed(self.seed), word=self.word + self.done * self.step.words,
-            samples=self.samples, phase=self.phase, steps=steps, stride=stride, read=read,
-            modulation=self.modulation, begin=self.begin, done=self.done,
+            advanced, key=self._key, step=step, watch=self._watch, offset=mixed_seed(self.seed),
+            word=self.word + self.done * step.words, samples=self.samples, phase=self.phase,
+            steps=steps, stride=stride, read=read,
         )  # fmt: skip
         # Whole batches to a task, as each has counts of its own.
-        worth = steps * self.paths // LEAST_WORK
-        tasks = min(max(worth, self.threads), TASKS_PER_THREAD * self.threads, len(self.counts))
-        batches = np.diff(self.edges)
+        tasks, batches = min(TASKS_PER_THREAD * self.threads, len(self.counts)), np.diff(self.edges)
         begins = np.arange(1, tasks) * batches.size // tasks
-        cuts, apart = self.edges[begins], len(self.sums)
-        columns = [
-            np.split(self.states, cuts),
-            np.split(self.sums, np.minimum(cuts, apart)),
-            np.split(self.folded, np.maximum(cuts - apart, 0)),
-            np.split(self.counts, begins),
-            *(np.split(array, cuts) for array in (self.last, *arrays)),
-        ]
+        cuts = self.edges[begins]
+        columns = [np.split(array, cuts) for array in (self.states, self.sums, self.last, *arrays)]
+        columns.insert(2, np.split(self.counts, begins))
         batch = np.split(np.repeat(np.arange(batches.size), batches), cuts)
         first, live = [0, *cuts.tolist()], np.split(self.live, cuts)
         answers = self.workers.map(task, first, live, batch, *columns)
@@ -288,9 +264,8 @@ class Ensemble:
 
     def batch_means(self) -> Array:
         """Return (batches, products) means over the samples of each batch, in fixed order."""
-        alive = np.arange(LANES) < self.live[: len(self.sums), None]
-        apart = np.where(alive[:, None, :], self.sums, 0.0).sum(axis=2)
-        blocks = np.concatenate([apart, self.folded.sum(axis=2)])
+        alive = np.arange(LANES) < self.live[:, None, None]
+        blocks = np.where(alive, self.sums, 0.0).sum(axis=2)
         sums = np.add.reduceat(blocks, self.edges[:-1], axis=0)
         return np.asarray(sums / (self.batch_paths()[:, None] * max(1, self.samples)))
 

@@ -14,7 +14,7 @@ from fpk.answer.contacts import kinks_of
 from fpk.answer.observable import Coordinate, Observable
 from fpk.answer.sampled_density import NEAR, SampledDensity
 from fpk.numeric.arrays import SMALLEST, Array, Integers
-from fpk.system.linear import natural_modes
+from fpk.system.linear import modal_energies
 from fpk.system.system import System, effects_of
 from sim.step.step_size import temperature
 
@@ -142,23 +142,17 @@ def extremes(system: System, observables: Sequence[Observable], q: Array, p: Arr
     """Return the least and the largest value of each coordinate, (coordinates, 2)."""
     # One layout: sums over the masses may round by it.
     q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
-    ranges = []
-    for coordinate in (c for observable in observables for c in observable):
-        x = values_of(system, coordinate, q, p)
-        ranges.append((x.min(), x.max()))
-    return np.array(ranges).reshape(-1, 2)
+    values = [values_of(system, c, q, p) for observable in observables for c in observable]
+    return np.array([(x.min(), x.max()) for x in values]).reshape(-1, 2)
 
 
 def values_of(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
     """Return one coordinate of states ``q``, ``p`` (samples, n); H_m is that of a springs' mode."""
-    if coordinate.kind == "H" and coordinate.index is not None:
-        shapes, frequency = natural_modes(system)
-        shape, omega = shapes[:, coordinate.index], frequency[coordinate.index]
-        momentum, displacement = p @ shape, q @ (system.mass * shape)
-        return np.asarray(0.5 * (momentum**2 + (omega * displacement) ** 2))
-    if coordinate.kind == "H":
+    if coordinate.kind != "H":
+        return (q if coordinate.kind == "q" else p)[:, coordinate.index]
+    if coordinate.index is None:
         return system.hamiltonian(q, p)
-    return (q if coordinate.kind == "q" else p)[:, coordinate.index]
+    return np.asarray(modal_energies(system, q, p)[:, coordinate.index])
 
 
 def rises(energies: Array) -> bool:

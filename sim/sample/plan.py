@@ -25,9 +25,8 @@ from fpk.system.system import System, effects_of
 from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
 from sim.step.arrays import LANES, NARROW, Rows, StepArrays, TermArrays, WatchArrays
-from sim.step.flow import exact_flow, lower_trapezoidal, padded
 from sim.step.kernel import KernelKey
-from sim.step.schemes import Scheme
+from sim.step.schemes import Scheme, exact_flow, lower_trapezoidal, padded
 from sim.step.step_size import sampling_interval, temperature
 
 LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)

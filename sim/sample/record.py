@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array, Integers
 from fpk.system.system import effects_of
 from sim.sample.diagnostics import (
@@ -15,12 +16,7 @@ from sim.sample.diagnostics import (
     variance_error,
 )
 from sim.sample.ensemble import Ensemble
-from sim.sample.report import Moment
 from sim.step.arrays import LANES
-
-SNAPSHOTS = (0, 5, 10, 15)
-"""Chunks at whose beginning a single sample of every trajectory shows the variance of the squares:
-σ² of 8192 trajectories to 2 % each, the error of var(path means) being about the same."""
 
 
 @dataclass(eq=False)
@@ -28,9 +24,10 @@ class Record:
     """Cumulative sums of every batch of ``ensemble`` at the ends of chunks of ``chunk_samples``.
 
     Quantities are the squares of q and v, and the shares of samples below the octiles of every
-    observed coordinate in the first chunk, bins ``cuts`` of its axis. ``stepping`` of the
-    ``elapsed`` seconds were spent on samples; at ``target`` samples the error of the first density
-    is computed again.
+    observed coordinate in the first chunk, bins ``cuts`` of its axis. Single samples of every
+    trajectory show the variance of the squares: σ² of 8192 trajectories to 2 %, about as well as
+    var(path means). ``stepping`` of the ``elapsed`` seconds were spent on samples; at ``target``
+    samples the error of the first density is computed again.
     """
 
     ensemble: Ensemble
@@ -53,12 +50,10 @@ class Record:
             for i, m in enumerate(system.mass.tolist())
         ]
         coordinates = [c for histogram in self.ensemble.histograms for c in histogram.observable]
-        mirror = effects_of(system).mirror
-        self.folds = [mirror and c.kind != "H" for c in coordinates]
-        self.axes = [
-            f"the distribution of |{c}|" if fold else f"the distribution of {c}"
-            for c, fold in zip(coordinates, self.folds, strict=True)
-        ]
+        self.folds = [effects_of(system).mirror and c.kind != "H" for c in coordinates]
+        pairs = zip(coordinates, self.folds, strict=True)
+        names = (f"|{c}|" if fold else str(c) for c, fold in pairs)
+        self.axes = [f"the distribution of {name}" for name in names]
 
     @property
     def names(self) -> list[str]:
@@ -119,16 +114,16 @@ class Record:
                 effective.append((name, *effective_of_shares(shares[:, columns])))
         return effective
 
-    def moments(self) -> tuple[Moment, ...]:
+    def moments(self) -> dict[str, Number]:
         """Return E q_i² and E v_i², with errors from the means of single trajectories."""
         ensemble = self.ensemble
         of_paths = self._of_paths(ensemble.sums) / ensemble.samples
         errors = np.sqrt(of_paths.var(axis=1, ddof=1) / ensemble.paths)
         means = ensemble.batch_paths() @ ensemble.batch_means() / ensemble.paths
-        return tuple(
-            Moment(name, factor * float(means[k]), float(error))
+        return {
+            name: Number(factor * float(means[k]), float(error))
             for (name, k, factor), error in zip(self.squares, errors, strict=True)
-        )
+        }
 
     def saved(self) -> dict[str, NDArray[Any]]:
         """Return all fields but the ensemble, as arrays: what ``restore`` needs."""
@@ -142,14 +137,11 @@ class Record:
     def _of_paths(self, sums: Array) -> Array:
         """Squares (squares, paths) of the trajectories from ``sums`` (blocks, products, LANES)."""
         rows = np.stack([f * sums[:, k] for _, k, f in self.squares])
-        return np.asarray(rows[:, np.arange(LANES) < self.ensemble.live[: sums.shape[0], None]])
+        return np.asarray(rows[:, np.arange(LANES) < self.ensemble.live[:, None]])
 
 
 def octiles(below: Integers) -> Integers:
-    """Return the bins up to which 1/8, 2/8 ... of the samples lie, each once.
-
-    ``below`` (bins,) is the number of samples up to the end of each bin.
-    """
+    """Return the bins up to which 1/8, 2/8 … of the samples ``below`` (bins,) their ends lie."""
     cuts = np.unique(np.searchsorted(8 * below, np.arange(1, 8) * int(below[-1])))
     # A cut below which all samples lie says nothing.
     return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)

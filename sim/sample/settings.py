@@ -1,4 +1,4 @@
-"""Settings of the simulation of the full Ito system (6), and what it cannot sample."""
+"""Settings of the simulation of the full Ito system (6), its step, and what it cannot sample."""
 
 import os
 from collections.abc import Sequence
@@ -9,12 +9,22 @@ from typing import Any
 
 import numpy as np
 
+from fpk.answer.observable import Observable
 from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.machine import usable_cores
 from fpk.numeric.recognition import REGISTRY
 from fpk.system.system import System
 from sim.step.arrays import LANES, MAX_TRAJECTORIES
 from sim.step.schemes import SCHEMES
-from sim.step.step_size import relaxation_time, undamped_mode
+from sim.step.step_size import (
+    chosen_step,
+    expected_error,
+    relaxation_time,
+    samples_in,
+    sampling_interval,
+    step_for,
+    undamped_mode,
+)
 
 LEAST_PATHS = 32 * LANES
 """Paths below which there are fewer than 32 independent batches to take errors from."""
@@ -93,6 +103,10 @@ class Settings:
             self, (*times, "tol", "most_steps"), ("paths", LEAST_PATHS, MAX_TRAJECTORIES)
         )
 
+    def sampled_time(self, system: System, step: float) -> float:
+        """Return the time sampled by steps that cost as much as uniform ones of ``step``."""
+        return self.time or min(self.relaxations * relaxation_time(system), self.most_steps * step)
+
 
 def require_stationary(system: System) -> None:
     """Raise ``NotApplicable`` where ``system`` has no stationary density, with the reason."""
@@ -105,3 +119,37 @@ def require_stationary(system: System) -> None:
         raise NotApplicable(
             "some motion is not damped: under noise it grows and never becomes stationary"
         )
+
+
+def default_step(method: Settings, system: System, observables: Sequence[Observable] = ()) -> float:
+    """Return the step: short enough for the contact, and for the accuracy the run will reach.
+
+    That follows from ``tol``, from the samples that ``seconds`` of wall time allow by ``threads``,
+    or from the sampled time. Not from wall time where there is a checkpoint: a run may go on from
+    it with another limit and on another machine; it is then as for an hour of one thread.
+    """
+    if method.tol is not None:
+        return step_for(system, method.tol, observables=observables)
+    dt = chosen_step(system)
+    if method.seconds is None:
+        samples = method.paths * method.sampled_time(system, dt) / sampling_interval(system)
+        return step_for(system, expected_error(samples), observables=observables)
+    own = method.seconds * (method.threads or usable_cores())
+    seconds = own if method.checkpoint is None else 3600.0
+    for _ in range(8):  # each leaves a fourth of the change at most: h ~ samples^(−1/4) or less
+        error = expected_error(samples_in(system, dt, seconds))
+        dt = step_for(system, error, observables=observables)
+    return dt
+
+
+def expected_seconds(method: Settings, system: System) -> float:
+    """Return about how long a simulation takes, in seconds of wall time, to a factor of three.
+
+    Without compiling, and without what long steps save far from stiff stops. Raises as
+    ``require_stationary`` does.
+    """
+    require_stationary(system)
+    dt = default_step(method, system)
+    time = method.sampled_time(system, dt) + method.burn_in * relaxation_time(system)
+    samples = method.paths * time / max(dt, sampling_interval(system))
+    return samples / samples_in(system, dt, 1.0) / (method.threads or usable_cores())

@@ -1,22 +1,24 @@
-"""Simulations as they are asked for: burn-in, pilot, sampling, half the step, and what follows."""
+"""Simulations of Eq. (6): set-up, burn-in, pilot, sampling, half the step, and the result."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from math import ceil, hypot, inf, nan
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from fpk.answer.method import Progress, Result, silent
 from fpk.answer.observable import Observable
+from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput
 from fpk.numeric.machine import left_out, usable_cores, working_time
 from fpk.system.system import System, effects_of
-from sim.sample.checkpoint import Checkpoint, interruptible
+from sim.sample.checkpoint import Checkpoint, checkpoint_of, interruptible
 from sim.sample.diagnostics import (
     CHUNKS,
-    Diagnosis,
+    Report,
     diagnosis,
     l1_difference,
     moment_identities,
@@ -24,13 +26,13 @@ from sim.sample.diagnostics import (
 )
 from sim.sample.ensemble import Ensemble
 from sim.sample.histogram import Histogram, axis_of, covering, extremes, sampled_density
-from sim.sample.record import SNAPSHOTS, Record
-from sim.sample.report import Report, StepBias, Steps
-from sim.sample.settings import Settings
-from sim.sample.setup import Setup, setup_of
+from sim.sample.plan import cost, with_long_steps
+from sim.sample.record import Record
+from sim.sample.settings import NOT_IN_STATE, Settings, default_step
 from sim.sample.workers import workers_of
 from sim.step.random import OTHER_SEED
-from sim.step.step_size import relaxation_time, temperature
+from sim.step.schemes import SCHEMES, Scheme
+from sim.step.step_size import relaxation_time, sampling_interval, stability_limit, temperature
 
 PILOT_STATES, PILOT_PATHS = 16, 65536
 """States of the ensemble from which the ranges of the histograms are taken, and most trajectories:
@@ -40,15 +42,79 @@ period of the fastest mode."""
 LEAST_CHUNKS = 8
 """Chunks before which a target error is not trusted: halves of four can be compared."""
 
-CHECK_AT = 0.95
-"""Share of the samples wanted, as 1/error² predicts them, at which the error is computed again."""
-
 LARGEST_Z = 5.0
 """|z| of a moment identity that chance explains: by Student's t 2e-5 of 32 batches, 5e-6 of 64."""
 
 STEP_BIAS = 1e-3
 """Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
 leave beyond chance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
+
+    ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
+    ``time`` or, where that is finite, until ``seconds`` of wall time have passed or the expected
+    L1 error of the first observable is below ``tol``. ``histograms`` None: bins that cover what a
+    pilot reaches. ``division`` says which trajectories make small steps, ``limited_by`` what
+    cut ``time`` short, and ``failures`` are reasons not to certify an answer.
+    """
+
+    method: Settings
+    system: System
+    observables: Sequence[Observable]
+    scheme: Scheme
+    dt: float
+    time: float
+    tol: float = inf
+    seconds: float = inf
+    histograms: tuple[Histogram, ...] | None = None
+    division: str = ""
+    limited_by: Literal["", "most_steps"] = ""
+    failures: tuple[str, ...] = ()
+
+    @cached_property
+    def stride(self) -> int:
+        """Steps from one sample to the next: closer ones are nearly equal, and cost time each."""
+        return max(1, round(sampling_interval(self.system) / self.dt))
+
+    @cached_property
+    def burn_in_steps(self) -> int:
+        """Steps before the sampling begins."""
+        return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
+
+    def checkpoint(self) -> Checkpoint:
+        """Return the checkpoint in the folder of the method; another limit of time may go on."""
+        limited = self.seconds < inf
+        return checkpoint_of(self.method.checkpoint, (self, limited), less=NOT_IN_STATE)
+
+
+def setup_of(method: Settings, system: System, observables: Sequence[Observable]) -> Setup:
+    """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
+    scheme, failures = SCHEMES[method.scheme], list[str]()
+    dt = method.dt or method.step_factor * default_step(method, system, observables)
+    limit = stability_limit(system, scheme)
+    if not 0.0 < dt < limit:
+        remedy = f"must be > 0 and below the stability limit {limit:.4g} of {scheme.name}"
+        if not method.allow_unstable:
+            raise InvalidInput("dt", dt, remedy)
+        failures.append(f"the step {dt:g} was insisted on: it {remedy}")
+    # Of its 2**40 words of random numbers a trajectory takes n a step, 5/4 n with long steps.
+    longest = method.burn_in * relaxation_time(system) + (method.time or 0.0)
+    if dt < (shortest := 2.0**-39 * system.n * longest):
+        remedy = f"takes more random numbers than a trajectory has; use at least {shortest:.2g}"
+        raise InvalidInput("dt", dt, remedy)
+    scheme, long, division = with_long_steps(system, scheme, dt)
+    tol = method.tol if method.tol is not None and observables else inf
+    own = 3.0 if method.step_pair else 1.0  # half the step takes twice as long
+    seconds = method.seconds / own if method.seconds else method.longest if tol < inf else inf
+    time = method.sampled_time(system, dt / cost(system, dt, scheme.small))
+    limited = method.time is None and time < method.relaxations * relaxation_time(system)
+    return Setup(
+        method, system, tuple(observables), scheme, dt=long, time=time, tol=tol, seconds=seconds,
+        division=division, limited_by="most_steps" if limited else "", failures=tuple(failures),
+    )  # fmt: skip
 
 
 def run(
@@ -69,26 +135,27 @@ def run(
         result = simulate(setup, workers=workers, progress=progress)
         report: Any = result.report
         if method.step_pair and report.diagnosis is not None:
-            seed = (method.seed + OTHER_SEED) % 2**64
             densities: Any = result.densities  # of histograms
             half = replace(
                 setup,
-                method=replace(method, seed=seed),
+                method=replace(method, seed=(method.seed + OTHER_SEED) % 2**64),
                 dt=0.5 * setup.dt,
-                time=report.steps.time,
+                time=report.time,
                 tol=inf,
                 seconds=2.0 / 3.0 * method.seconds if method.seconds else inf,
                 histograms=tuple(Histogram(d.observable, d.bins) for d in densities),
             )
             second: Any = simulate(half, workers=workers, progress=progress)
-            if second.report.diagnosis is None:
-                words = "interrupted" if second.report.interrupted else "the limit of time came"
+            other: Report = second.report
+            if other.diagnosis is None:
+                words = "interrupted" if other.interrupted else "the limit of time came"
                 report = replace(report, step_pair=f"not measured: {words}")
             else:
                 pairs = zip(densities, second.densities, strict=True)
-                biases = {a.name: StepBias(*l1_difference(a, b)) for a, b in pairs}
-                for a, b in zip(report.moments, second.report.moments, strict=True):
-                    biases[a.name] = StepBias(a.mean - b.mean, hypot(a.error, b.error))
+                biases = {a.name: l1_difference(a, b) for a, b in pairs}
+                for name, a in report.moments.items():
+                    b = other.moments[name]
+                    biases[name] = Number(a.value - b.value, hypot(a.error, b.error))
                 report = replace(report, step_biases=biases, step_pair="dt against dt/2")
     asked = len(observables)
     densities, others = result.densities[:asked], result.densities[asked:]
@@ -103,8 +170,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     simulation of the same setup goes on from there. Where it may be ``partial`` Ctrl-C ends the
     sampling, and what there is by then is the result, not certified.
     """
-    method, cut = setup.method, ""
-    checkpoint = setup.checkpoint()
+    method, cut, checkpoint = setup.method, "", setup.checkpoint()
     products = moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
     covered = partial(covering, setup.observables, axis=partial(axis_of, setup.system))
     with checkpoint.alone(), interruptible(method.partial) as checkpoint.stopped:
@@ -122,7 +188,9 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
         if "reached" in saved:
             reached = saved["reached"]
         else:
-            reached, cut = _burnt_in(setup, ensemble, checkpoint, saved, progress=progress)
+            if saved:
+                ensemble.restore(saved)
+            reached, cut = _burnt_in(setup, ensemble, checkpoint, progress)
         ensemble.watch(setup.histograms or covered(reached), products)
         record = Record(ensemble, elapsed=working_time() - begin)
         if "reached" in saved:
@@ -132,38 +200,34 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
             ensemble.advance(1, stride=setup.stride)  # a sample of the states that there are
         else:
             checkpoint.notes["reached"] = reached
-            _sample(setup, record, checkpoint=checkpoint, progress=progress)
+            _sample(setup, record, checkpoint, progress)
             checkpoint.save(ensemble.saved())
-    of = "" if setup.open else f" of {CHUNKS}"
+    of = f" of {CHUNKS}" if setup.seconds == inf else ""
     where = cut or f"after {record.chunks}{of} chunks"
     interrupted = f"partial: interrupted {where}" if checkpoint.interrupted else ""
     limit, first = f"the limit of {setup.seconds:g} s came", "in its first chunk, before any drift"
     limited = "" if interrupted or record.chunks else f"{limit} {cut or first}; give it more time"
-    return assessed(setup, record, interrupted=interrupted, limited=limited)
+    return _result(setup, record, interrupted, limited)
 
 
 def _burnt_in(
-    setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, saved: Any, *, progress: Progress
+    setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, progress: Progress
 ) -> tuple[Array, str]:
-    """Advance to the end of the burn-in, from the state in ``saved`` if there is one.
+    """Advance to the end of the burn-in, and by ``PILOT_STATES`` where no histograms are given.
 
-    Returns the extremes (coordinates, 2) of ``PILOT_STATES`` states that follow, from which the
-    histograms are chosen where they are not given; and where Ctrl-C or the limit of time cut all
-    this short, in words, empty where it did not.
+    Returns the extremes (coordinates, 2) of these states; and where Ctrl-C or the limit of time cut
+    all this short, in words, empty where it did not.
     """
-    if saved:
-        ensemble.restore(saved)
-    whole = setup.burn_in_steps
+    whole, pilot = setup.burn_in_steps, list[Array]()
     for k in range(1, CHUNKS + 1):
         if checkpoint.advance(ensemble, whole * k // CHUNKS - ensemble.done, stride=0):
             break
         progress(k, CHUNKS, "burn-in")
     share = min(ensemble.done / whole, 1.0)
-    pilot, done = [], share == 1.0
-    for k in range(PILOT_STATES if setup.histograms is None else 0):
-        steps = 8 * setup.stride
-        done = done and not checkpoint.advance(ensemble, steps, stride=0, saving=False)
-        if done or k == 0:
+    done = share == 1.0
+    for _ in range(PILOT_STATES if setup.histograms is None else 0):
+        done = done and not checkpoint.advance(ensemble, 8 * setup.stride, stride=0, saving=False)
+        if done or not pilot:
             states = ensemble.phase_points(PILOT_PATHS)
             pilot.append(extremes(setup.system, setup.observables, *states))
     cut = "" if done else f"after {share:.2g} of the burn-in"
@@ -172,23 +236,23 @@ def _burnt_in(
     return np.stack([np.min(pilot, axis=0)[:, 0], np.max(pilot, axis=0)[:, 1]], axis=1), cut
 
 
-def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: Progress) -> None:
+def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Progress) -> None:
     """Advance until ``setup`` is met or ``checkpoint`` is interrupted.
 
-    ``record`` gets the sums at the end of every chunk, and single samples of all trajectories at
-    the beginning of some; a chunk that was interrupted, or that the limit of time cut short, is not
-    recorded.
+    ``record`` gets the sums at the end of every chunk, and a single sample of all trajectories at
+    the beginning of each fifth; a chunk that was interrupted, or that the limit of time cut short,
+    is not recorded.
     """
-    ensemble, stride, tol = record.ensemble, setup.stride, setup.tol
+    ensemble, stride, limited = record.ensemble, setup.stride, setup.seconds < inf
     begin = working_time() - record.elapsed
     checkpoint.deadline = begin + setup.seconds
-    chunks = CHUNKS * (32 if setup.open else 1)
+    chunks = CHUNKS * (32 if limited else 1)
     first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
     record.chunk_samples = record.chunk_samples or first
     while True:
         start, length = working_time(), record.chunk_samples * stride
         begun = len(record.ends) * length
-        if ensemble.phase == begun and record.chunks in SNAPSHOTS:
+        if ensemble.phase == begun and record.chunks in range(0, CHUNKS, 5):
             record.snapshot(stride)
         record.elapsed = start - begin
         checkpoint.notes |= record.saved()
@@ -199,72 +263,51 @@ def _sample(setup: Setup, record: Record, *, checkpoint: Checkpoint, progress: P
         record.chunks += 1
         record.chunk_ends()
         record.elapsed = working_time() - begin
-        ends = record.elapsed > setup.seconds or (not setup.open and record.chunks == CHUNKS)
+        ends = record.elapsed > setup.seconds or (not limited and record.chunks == CHUNKS)
         enough = record.chunks >= LEAST_CHUNKS and ensemble.samples >= record.target
-        if tol < inf and (ends or enough):
+        if setup.tol < inf and (ends or enough):
             taken = ensemble.paths * ensemble.samples
-            error = sampled_density(
-                *next(ensemble.counted()),
-                taken=taken,
-                mirror=effects_of(setup.system).mirror,
-                everywhere=False,
-            ).l1_error
-            record.target = CHECK_AT * ensemble.samples * (error / tol) ** 2
-            ends |= error <= tol
+            mirror, (histogram, counts) = effects_of(setup.system).mirror, next(ensemble.counted())
+            density = sampled_density(
+                histogram, counts, taken=taken, mirror=mirror, everywhere=False
+            )
+            record.target = ensemble.samples * (density.l1_error / setup.tol) ** 2
+            ends |= density.l1_error <= setup.tol
         done = record.chunks / CHUNKS
-        if setup.open:
-            sampled = CHECK_AT * ensemble.samples / record.target if record.target else 0.0
+        if limited:
+            sampled = ensemble.samples / record.target if record.target else 0.0
             done = max(sampled, record.elapsed / setup.seconds)
         progress(min(CHUNKS, int(CHUNKS * done)), CHUNKS, "simulation")
         if ends:
             return
-        if setup.open and len(record.ends) == 2 * CHUNKS:  # one of every two
+        if limited and len(record.ends) == 2 * CHUNKS:  # one of every two
             record.ends, record.chunk_samples = record.ends[1::2], 2 * record.chunk_samples
 
 
-def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) -> Result:
+def _result(setup: Setup, record: Record, interrupted: str, limited: str) -> Result:
     """Return the certified densities, the moment identities and the report.
 
     ``interrupted``, in words and empty if it was not, stands against a certificate, as does what
     the limit of time cut short so that nothing can be diagnosed (``limited``). Of a system with
     mirror symmetry mirror images of samples count as samples.
     """
-    ensemble = record.ensemble
-    taken = ensemble.samples * setup.stride
-    steps = Steps(
-        dt=setup.dt / setup.scheme.small,
-        paths=ensemble.paths,
-        time=taken * setup.dt,
-        burn_in=min(setup.burn_in_steps, ensemble.done - ensemble.phase) * setup.dt,
-        relaxation_time=relaxation_time(setup.system),
-        scheme=setup.scheme.name,
-        steps=taken,
-        stride=setup.stride,
-        batches=ensemble.edges.size - 1,
-        seed=ensemble.seed,
-        threads=ensemble.threads,
-        kT=temperature(setup.system),
-        long_step=setup.dt,
-        ns_per_particle_step=1e9 * record.stepping * ensemble.threads / (ensemble.paths * taken),
-        small_steps=setup.division,
-        limited_by=setup.limited_by,
-    )
+    ensemble, kT = record.ensemble, temperature(setup.system)
+    taken, burnt = ensemble.samples * setup.stride, ensemble.done - ensemble.phase
+    burn_in, diagnosed = min(setup.burn_in_steps, burnt) * setup.dt, None
     failures = [*(words for words in (interrupted, limited) if words), *setup.failures]
     identities = moment_identities(setup.system, ensemble.batch_means())
-    stationary = ensemble.done - ensemble.phase >= setup.burn_in_steps
-    judged = identities if stationary else ()
+    judged = identities if burnt >= setup.burn_in_steps else ()
     failures += [
         f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
         for identity in judged
         if abs(identity.value - identity.expected)
-        > LARGEST_Z * identity.error + STEP_BIAS * (identity.expected or temperature(setup.system))
+        > LARGEST_Z * identity.error + STEP_BIAS * (identity.expected or kT)
     ]
-    diagnosed: Diagnosis | None = None
     if not (interrupted or limited):
         diagnosed = diagnosis(
             record.effective(), record.names, record.means(),
             time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
-            burn_in=steps.burn_in,
+            burn_in=burn_in,
         )  # fmt: skip
         failures += diagnosed.failures
     densities = tuple(
@@ -279,7 +322,27 @@ def assessed(setup: Setup, record: Record, *, interrupted: str, limited: str) ->
         )
         for m, (histogram, counts) in enumerate(ensemble.counted())
     )
-    report = Report(steps, diagnosed, record.moments(), interrupted)
+    report = Report(
+        dt=setup.dt / setup.scheme.small,
+        paths=ensemble.paths,
+        time=taken * setup.dt,
+        burn_in=burn_in,
+        relaxation_time=relaxation_time(setup.system),
+        scheme=setup.scheme.name,
+        steps=taken,
+        stride=setup.stride,
+        batches=ensemble.edges.size - 1,
+        seed=ensemble.seed,
+        threads=ensemble.threads,
+        kT=kT,
+        long_step=setup.dt,
+        ns_per_particle_step=1e9 * record.stepping * ensemble.threads / (ensemble.paths * taken),
+        small_steps=setup.division,
+        limited_by=setup.limited_by,
+        diagnosis=diagnosed,
+        moments=record.moments(),
+        interrupted=interrupted,
+    )
     method: Any = setup.method  # a ``MonteCarlo``
     return Result(
         method, densities, identities=identities, partial=bool(interrupted), report=report

@@ -16,7 +16,7 @@ COLUMNS = 4
 """Columns of the linear map that one loop joins; its matrix is padded to a multiple."""
 
 NARROW = 16
-"""Lanes of one vector of 32-bit numbers: of a group that makes small steps, and of shared sums."""
+"""Lanes of a group that makes small steps: one vector of 32-bit numbers."""
 
 MAX_TRAJECTORIES = 1 << 24
 """Trajectories that a seed has words for: each owns 2**40 of the 2**64 words of the sequence."""

@@ -13,7 +13,7 @@ from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import ROOT, cached_njit, checksum
 from fpk.system.compiled_laws import compiled_laws, law_files
 from sim.step.arrays import NARROW, StepArrays, W, WatchArrays
-from sim.step.lanes import add, add_matrix, aligned_rows, copy, row
+from sim.step.lanes import add, add_matrix, add_product, aligned_rows, copy, row
 from sim.step.parts import forces, linear, observed
 from sim.step.random import GOLDEN, fill_normals
 
@@ -85,16 +85,16 @@ def compiled_kernel(key: KernelKey) -> Any:
 
     @cached_njit()
     def advance(
-        x: Array, sums: Array, folded: Array, counts: Integers, live: Integers, batch: Integers,
+        x: Array, sums: Array, counts: Integers, live: Integers, batch: Integers,
         first: int, counter: np.uint64, steps: int, phase: int, stride: int, offset: np.uint64,
         step: StepArrays, watch: WatchArrays, trace: Array,
     ) -> int:  # fmt: skip
         """Advance blocks ``x`` (blocks, 2n·W), the first being block ``first`` of the ensemble.
 
         Observes at the start of a step where ``(phase + step number) % stride == 0``, never with
-        ``stride`` 0: adds to ``sums`` (first blocks, moments·W), ``folded`` (other blocks,
-        moments·NARROW) and ``counts`` (batches, bins) of the ``batch`` (blocks,) of each, which
-        ascends by ones, and writes to ``trace`` (blocks, samples·rows·W) from its second sample on.
+        ``stride`` 0: adds to ``sums`` (blocks, moments·W) and ``counts`` (batches, bins) of the
+        ``batch`` (blocks,) of each, which ascends by ones, and writes to ``trace`` (blocks,
+        samples·rows·W) from its second sample on.
         Returns the checksum of its sources, a constant of the kernel: where it has changed, numba's
         disk cache compiles anew.
         """
@@ -138,7 +138,9 @@ def compiled_kernel(key: KernelKey) -> Any:
                         modes, moments, force, potential,
                     )  # fmt: skip
                     if moments:
-                        observed.add_products(s, b, sums, folded, live, watch)
+                        for m in range(watch.products.shape[0]):
+                            u, v = row(s, watch.products[m, 0]), row(s, watch.products[m, 1])
+                            add_product(row(sums[b], m), u, v, 1.0)
                     own = counts[batch[b] - batch[0]]
                     observed.count_all(s, number, index, second, live[b], watch, own)
                     if traced:

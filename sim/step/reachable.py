@@ -10,30 +10,24 @@ from fpk.numeric.arrays import ROUND_OFF, Array
 from fpk.system.equivalent import damping_balance
 from fpk.system.system import System
 from sim.step.arrays import LANES
-from sim.step.flow import factored
 from sim.step.random import START, normals
+from sim.step.schemes import factored
 from sim.step.step_size import BEYOND_BALANCE, modal_temperatures, temperature
 
-PIECE = 64
-"""Blocks whose starts are drawn together, beginning at its multiples."""
 
-
-def start_states(system: System, seed: int, piece: int) -> Array:
-    """Return the states (PIECE, 2n, LANES) in which the blocks from ``piece`` on start.
+def start_states(system: System, seed: int, blocks: int) -> Array:
+    """Return the states (blocks, 2n, LANES) in which trajectories start.
 
     They are q = 0 and momenta of the temperature (covariance kT M). With damping terms the
     displacements are drawn, too: on a limit cycle the noise alone mixes phases slowly.
     """
     n, kT = system.n, temperature(system)
-    # A trajectory owns 2**40 words; so many lie before those of the piece's first one.
-    words = START + ((piece * LANES) << 40)
     L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))
-    # Of whole pieces: matrix products may round by the shape they come in.
-    p = L @ normals(seed, PIECE * LANES, words, n)[: L.shape[1]]
+    p = L @ normals(seed, blocks * LANES, START, n)[: L.shape[1]]
     q = np.zeros_like(p)
     if system.damping_terms:
-        q = start_displacements(system, kT, normals(seed, PIECE * LANES, words + n, n))
-    return np.vstack([q, p]).reshape(2 * n, -1, LANES).transpose(1, 0, 2)
+        q = start_displacements(system, kT, normals(seed, blocks * LANES, START + n, n))
+    return np.array(np.vstack([q, p]).reshape(2 * n, -1, LANES).transpose(1, 0, 2), order="C")
 
 
 def start_displacements(system: System, kT: float, z: Array) -> Array:

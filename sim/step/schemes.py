@@ -11,10 +11,98 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import expm, matrix_balance
 
+from fpk.numeric.arrays import Array
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
-from sim.step.flow import LinearMap, exact_flow, factored, flow_covariance
+from sim.step.arrays import COLUMNS
+
+
+@dataclass(frozen=True, eq=False)
+class LinearMap:
+    """The random linear map ``x' = propagator x + factor z`` of the state ``x = (q, p)``.
+
+    ``propagator`` (2n, 2n); ``factor`` (2n, r), r the rank of the covariance; ``z`` are r
+    independent standard normals.
+    """
+
+    propagator: Array
+    factor: Array
+
+    @property
+    def matrix(self) -> Array:
+        """The map as one matrix for the kernel: (propagator, lower trapezoidal factor), padded."""
+        return padded(np.hstack([self.propagator, lower_trapezoidal(self.factor)]))
+
+
+def padded(rows: Array) -> Array:
+    """Return ``rows`` with columns of zeros up to a multiple of ``COLUMNS``."""
+    return np.pad(rows, ((0, 0), (0, -rows.shape[1] % COLUMNS)))
+
+
+def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
+    """Return ``exp(A dt)`` and ``∫ exp(A s) b exp(Aᵀ s) ds`` over 0..dt.
+
+    Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978, 395), which contains
+    exp(−A h), for ``|A| h <= ½``; doubling ``h`` then adds positive covariances: nothing cancels.
+    In units, powers of 2, in which A is balanced and b about 1: any others are as good.
+    """
+    with np.errstate(invalid="ignore"):  # scipy makes a permutation of the scale, unasked
+        balanced, (scale, _) = matrix_balance(drift, permute=False, separate=True)
+    row = scale[:, None]
+    diffusion = diffusion / row / scale
+    largest = float(np.max(np.abs(diffusion)))
+    size = 2.0 ** np.floor(np.log2(largest)) if largest > 0.0 else 1.0
+    A, b, m = np.asarray(balanced, dtype=float), diffusion / size, len(drift)
+    doublings = max(0, int(np.ceil(np.log2(2.0 * np.linalg.norm(A, 2) * dt + 1e-300))))
+    h = dt / 2**doublings
+    block = expm(np.block([[-A, b], [np.zeros((m, m)), A.T]]) * h)
+    propagator = block[m:, m:].T
+    covariance = propagator @ block[:m, m:]
+    for _ in range(doublings):
+        covariance = covariance + propagator @ covariance @ propagator.T
+        propagator = propagator @ propagator
+    covariance = size * (row * (0.5 * (covariance + covariance.T)) * scale)
+    return row * expm(A * dt) / scale, covariance
+
+
+def factored(covariance: Array) -> Array:
+    """Return a factor L (m, rank) with L Lᵀ = ``covariance``, which may be singular.
+
+    Cholesky with pivoting of the matrix scaled to unit diagonal, so that variances of different
+    units and powers of the step count alike; what is left at a pivot of round-off is dropped.
+    """
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+    rest = covariance * np.outer(inverse, inverse)
+    columns = []
+    for _ in range(scale.size):
+        pivot = int(np.argmax(np.diag(rest)))
+        if rest[pivot, pivot] <= 1e-13 * scale.size:  # round-off of its own variance
+            break
+        column = rest[:, pivot] / np.sqrt(rest[pivot, pivot])
+        rest = rest - np.outer(column, column)
+        rest[pivot, :] = rest[:, pivot] = 0.0
+        columns.append(column * scale)
+    return np.array(columns).T if columns else np.zeros((scale.size, 0))
+
+
+def lower_trapezoidal(factor: Array) -> Array:
+    """Return the factor of the same covariance whose row i has no entry beyond column i.
+
+    Householder's QR of the transpose with rows scaled: errors are round-off of each row's own size.
+    """
+    size = np.linalg.norm(factor, axis=1, keepdims=True)
+    unit = np.divide(factor, size, out=np.zeros_like(factor), where=size > 0)
+    upper: Array = np.asarray(np.linalg.qr(unit.T, mode="r"))
+    return np.asarray(upper.T * size)
+
+
+def exact_flow(system: System, dt: float) -> LinearMap:
+    """Return the flow over ``dt`` of the system without its contacts, exact for any ``dt``."""
+    propagator, covariance = flow_covariance(drift_matrix(system), diffusion_matrix(system), dt)
+    return LinearMap(propagator, factored(covariance))
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ REACHED = 5.0
 """Potential energy, in units of kT, up to which a mass is expected to push into its stop."""
 
 BEYOND_BALANCE = 1.5
-"""Energy, in units of the last at which damping and noise balance, up to which a step is to be
-stable: kT says nothing of the upper of two humps of its density."""
+"""Energy up to which a step is to be stable, in units of the last at which damping and noise
+balance: kT says nothing of the upper of two humps of its density."""
 
 STEP_PER_FREQUENCY = 0.45
 """Step times the frequency in contact, springs included. The bias grows with the fourth power: at
@@ -63,21 +63,14 @@ def temperature(system: System) -> float:
 def contact_frequency(
     system: System, *, springs: bool = False, energy: float = 0.0, kT: float | None = None
 ) -> float:
-    """Return the largest √(g'/m) of ``contact_slopes``, with ``springs`` √((g' + K_ii)/m_i)."""
-    slopes = contact_slopes(system, energy=energy, kT=kT)
-    whole = slopes + np.diag(system.stiffness_matrix) if springs else slopes
-    return sqrt(float(np.max(np.where(slopes > 0.0, whole, 0.0) / system.mass)))
-
-
-def contact_slopes(system: System, *, energy: float = 0.0, kT: float | None = None) -> Array:
-    """Return the largest slope g' (n,) of each contact force that is reached; 0 if none.
+    """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i); 0 if none.
 
     A mass that moves alone, the others following statically, has the potential
     ``½ k_eff q² + U(q)`` with k_eff the Schur complement of K. It reaches ``REACHED`` kT, or one kT
     of contact energy where the stop is too far for that, or ``energy`` where that is more. ``kT``
     None: that of the stationary state.
     """
-    slopes, kT = np.zeros(system.n), temperature(system) if kT is None else kT
+    square, kT = 0.0, temperature(system) if kT is None else kT
     kT = kT if isfinite(kT) else 0.0  # of undamped motion ``energy`` alone counts
 
     def excess(q: float, i: int, sign: float, k_eff: float, level: float) -> float:
@@ -90,8 +83,10 @@ def contact_slopes(system: System, *, energy: float = 0.0, kT: float | None = No
         q = scipy.optimize.brentq(excess, 0.0, most, args=(i, stop.sign, k_eff, level))
         same = (s for s in system.stops if (s.index, s.side) == (i, stop.side))
         slope = sum(float(s.slope(q - s.clearance)) for s in same if q > s.clearance)
-        slopes[i] = max(slopes[i], slope)
-    return slopes
+        if slope > 0.0:
+            whole = slope + springs * system.stiffness_matrix[i, i]
+            square = max(square, float(whole / system.mass[i]))
+    return sqrt(square)
 
 
 def highest_frequency(system: System) -> float:
@@ -107,8 +102,7 @@ def term_rate(system: System) -> float:
     balance: ``q_a² = 2 E (K⁻¹)_aa``, ``v_a² = 2 E/m_a``.
     """
     level = max(REACHED * temperature(system), BEYOND_BALANCE * system.fact(damping_balance).energy)
-    q = np.sqrt(2.0 * level * np.diag(system.compliance))
-    v = np.sqrt(2.0 * level / system.mass)
+    q, v = np.sqrt(2.0 * level * np.diag(system.compliance)), np.sqrt(2.0 * level / system.mass)
     rates = np.zeros(system.n)
     for term in system.damping_terms:
         power = 1 + term.powers("v", system.n)[term.row]
@@ -180,27 +174,23 @@ def samples_in(system: System, dt: float, seconds: float) -> float:
 
 
 def stability_limit(
-    system: System, scheme: Scheme, *, energy: float = 0.0, kT: float | None = None,
-    touching: bool = True,
-) -> float:  # fmt: skip
+    system: System, scheme: Scheme, *, energy: float = 0.0, kT: float | None = None
+) -> float:
     """Return 2/ω, where steps become unstable; ω of the contact, with the springs if they kick.
 
     Of Euler's rule it is the least −2 Re λ/|λ|², 2 ζ/ω of a vibration, λ the eigenvalues of the
-    drift out of contact and, where ``touching``, in it; damping terms count as constant damping
-    that balances the noise.
+    drift out of contact, where it may lose what it gains in contact; damping terms count as
+    constant damping that balances the noise.
     """
     if scheme.kick_first:
         square = contact_frequency(system, energy=energy, kT=kT) ** 2
-        square += highest_frequency(system) ** 2 if scheme.springs_kicked else 0.0
+        square += scheme.springs_kicked * highest_frequency(system) ** 2
         return 2.0 / sqrt(square) if square > 0 else inf
-    n, free = system.n, drift_matrix(system)
+    n, drift = system.n, drift_matrix(system)
     if system.damping_terms:
         power = float(np.sum(np.diag(system.noise_matrix) / system.mass))
-        free[n:, n:] = -np.eye(n) * power / (n * temperature(system))
-    both = np.stack([free, free])
-    if touching:
-        both[1, n:, :n] -= np.diag(contact_slopes(system, energy=energy, kT=kT))
-    roots = np.linalg.eigvals(both)
+        drift[n:, n:] = -np.eye(n) * power / (n * temperature(system))
+    roots = np.linalg.eigvals(drift)
     return float(np.min(-2.0 * roots.real / np.abs(roots) ** 2))
 
 
@@ -217,7 +207,7 @@ def relaxation_time(system: System) -> float:
         return decay_time(system)
     equivalent_temperature(system)  # raises where damping and noise do not balance
     slope = system.fact(damping_balance).slope
-    times = [2.0 * system.n / slope] if slope > 0 else []
+    times = [2.0 * system.n / slope if slope > 0 else inf]
     if (balance := modal_temperatures(system)).size:
         slowest = float(natural_modes(system)[1][0])
         # ∂P/∂θ by central differences: a polynomial of low degree, so that 1e-4 costs no digit.
@@ -231,7 +221,7 @@ def relaxation_time(system: System) -> float:
             creep = np.sqrt(np.maximum((0.5 * rates) ** 2 - slowest**2, 0.0))
             creeping = (0.5 * rates + creep) / slowest**2
             times += np.where(0.5 * rates > slowest, creeping, 2.0 / rates).tolist()
-    return max((time for time in times if isfinite(time)), default=inf)
+    return max(filter(isfinite, times), default=inf)
 
 
 def modal_temperatures(system: System) -> Array:

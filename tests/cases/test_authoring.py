@@ -21,7 +21,7 @@ from cases.written import duration
 from fpk.answer.contacts import stop_clearances
 from fpk.system.contact_law import LAWS
 from sim.montecarlo import MonteCarlo
-from sim.sample.setup import expected_seconds
+from sim.sample.settings import expected_seconds
 
 QUICK = ("list", "new", "check", "schema", "show", "passage", "transient", "density", "crossings")
 """Commands whose first example takes a second or less once the program is compiled."""

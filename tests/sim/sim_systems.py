@@ -9,9 +9,9 @@ import numpy as np
 from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
+from sim.sample.diagnostics import Report
 from sim.sample.ensemble import Ensemble
 from sim.sample.histogram import Histogram, axis_of, covering, extremes
-from sim.sample.report import Report
 
 
 def fig6(*, clearance: float = 0.5) -> System:

@@ -16,13 +16,12 @@ import numpy as np
 import pytest
 from sim_systems import fig6
 
-import sim.sample.checkpoint
 from fpk.answer.observable import parse_observable
 from fpk.numeric.errors import Unavailable
 from sim.montecarlo import MonteCarlo
 from sim.sample.checkpoint import Checkpoint, checkpoint_of, interruptible
+from sim.sample.diagnostics import Report
 from sim.sample.ensemble import Ensemble
-from sim.sample.report import Report
 from sim.step.arrays import LANES
 from sim.step.schemes import SCHEMES
 
@@ -159,7 +158,7 @@ def test_the_state_goes_to_disk_and_comes_back(tmp_path: Path) -> None:
     assert checkpoint.advance(ensembles[0], 10**6) and checkpoint.interrupted
     loaded = checkpoint.load()
     ensembles[1].restore(loaded)
-    assert ensembles[1].done == ensembles[0].done == sim.sample.checkpoint.FIRST_PIECE
+    assert ensembles[1].done == ensembles[0].done == 1
     np.testing.assert_array_equal(ensembles[1].states, ensembles[0].states)
     np.testing.assert_array_equal(loaded["note"], [2.5, np.inf])
     assert [p.name for p in tmp_path.iterdir()] == ["state.checkpoint"]
@@ -271,7 +270,7 @@ def test_control_c_leaves_a_partial_result_that_goes_on_later(
     assert found.report.interrupted.startswith("partial: interrupted after")
     assert found.report.interrupted in found.densities[0].certificate.failures
     assert found.settings["partial"] == found.report.interrupted
-    assert found.report.diagnosis is None and 0 < found.report.steps.time < METHOD.time
+    assert found.report.diagnosis is None and 0 < found.report.time < METHOD.time
     assert np.all(np.isfinite(found.densities[0].values))
     monkeypatch.undo()
     same(arrays_of(replace(method, partial=False).solve(fig6(), OBSERVABLES)), expected)

@@ -88,11 +88,7 @@ def kill_one(client: Any) -> Callable[[], None]:
     return kill
 
 
-@pytest.mark.parametrize("apart", [512, 20])
-def test_what_was_saved_goes_on_in_another_ensemble(
-    apart: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sim.sample.ensemble.APART", apart)
+def test_what_was_saved_goes_on_in_another_ensemble() -> None:
     one, other = here(MANY), here(MANY)
     for ensemble in (one, other):
         ensemble.watch(histograms(), moment_products(2))

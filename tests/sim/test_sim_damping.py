@@ -21,9 +21,8 @@ from sim.montecarlo import MonteCarlo
 from sim.sample.diagnostics import moment_identities, moment_products
 from sim.sample.ensemble import Ensemble
 from sim.sample.histogram import Histogram
-from sim.step.flow import lower_trapezoidal
 from sim.step.random import normals
-from sim.step.schemes import SCHEMES
+from sim.step.schemes import SCHEMES, lower_trapezoidal
 from sim.step.step_size import relaxation_time, temperature
 
 

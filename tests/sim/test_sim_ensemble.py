@@ -79,19 +79,6 @@ def test_a_stop_equal_on_both_sides_is_evaluated_once() -> None:
     assert Ensemble(mixed(), EXACT_FLOW, 0.1, LANES, 1, 1).step.stops[:, 0].tolist() == [1, 0, -1]
 
 
-def test_sums_of_blocks_are_those_of_their_trajectories(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To 1e-12: the same numbers added in another order; and bitwise for any threads and chunks."""
-    apart = run(1, (60,))
-    monkeypatch.setattr("sim.sample.ensemble.APART", 2)
-    folded, other = run(1, (60,)), run(2, (1, 7, 20, 32))
-    assert folded.sums.shape[0] == 2 and folded.saved()["folded"].shape[0] == 3
-    np.testing.assert_array_equal(folded.sums, apart.sums[:2])
-    np.testing.assert_array_equal(folded.saved()["folded"], other.saved()["folded"])
-    np.testing.assert_array_equal(folded.batch_means(), other.batch_means())
-    found, wanted = folded.batch_means(), apart.batch_means()
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
-
-
 def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> None:
     """Of compiled files both, of others that of the program only; a missing file is an error."""
     for room in ("sim", "fpk"):

@@ -7,7 +7,7 @@ from sim_systems import linear, mixed
 
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
-from sim.step.flow import exact_flow, factored, flow_covariance
+from sim.step.schemes import exact_flow, factored, flow_covariance
 
 
 @pytest.mark.parametrize("dt", [0.01, 1.0, 10.0])

@@ -12,9 +12,8 @@ from fpk.answer.observable import Coordinate
 from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 from sim import MonteCarlo
-from sim.sample.report import Report
-from sim.sample.setup import Setup
-from sim.sample.simulation import simulate
+from sim.sample.diagnostics import Report
+from sim.sample.simulation import Setup, simulate
 
 OF = [(Coordinate("q", 1),)]
 SHORT = MonteCarlo(paths=4096, threads=1, seconds=0.5)
@@ -45,7 +44,7 @@ def test_the_limit_holds_for_the_burn_in(
     assert isinstance(report, Report) and report.diagnosis is None and not result.partial
     (failure,) = density.certificate.failures  # and no step is blamed
     assert failure.startswith("the limit of") and words in failure
-    assert report.steps.burn_in < 10.0 * report.steps.relaxation_time
+    assert report.burn_in < 10.0 * report.relaxation_time
     assert np.all(np.isfinite(density(np.linspace(-0.5, 0.5, 5))))
 
 

@@ -24,7 +24,7 @@ from sim.questions.starts import Origin
 from sim.questions.transient import ensembles
 from sim.sample.ensemble import ensemble_from
 from sim.step.arrays import in_rows
-from sim.step.flow import flow_covariance
+from sim.step.schemes import flow_covariance
 
 ENVELOPE = Modulation([0.0, 2.0, 4.0, 9.0], [0.0, 1.5, 1.5, 0.0])
 ONE = System([1.5], [2.0], [0.3], [0.03], modulation=ENVELOPE)

@@ -20,7 +20,7 @@ from fpk.numeric.arrays import Array
 from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.sample.setup import default_step
+from sim.sample.settings import default_step
 from sim.step.step_size import JOINT_BIAS, chosen_step, expected_error, samples_in, step_for
 
 SECONDS = float(os.environ.get("SECONDS_OF_POINTWISE", "6"))
@@ -111,7 +111,7 @@ def test_the_step_follows_from_the_densities_that_rates_are_read_from() -> None:
     q, both = (parse_observable(name, 1) for name in ("q1", "q1,p1"))
     method = MonteCarlo(paths=4096, tol=1e-3, longest=0.2)
     steps = [
-        method.solve(system, [q], beside=beside).report.steps.dt  # type: ignore[union-attr]
+        method.solve(system, [q], beside=beside).report.dt  # type: ignore[union-attr]
         for beside in ([], [both])
     ]
     assert steps[1] < 0.9 * steps[0]

@@ -12,9 +12,8 @@ from fpk.system.contact import Contact
 from fpk.system.contact_law import LAWS, ContactLaw
 from fpk.system.system import System
 from sim.sample.ensemble import Ensemble
-from sim.step.flow import exact_flow, factored, flow_covariance, lower_trapezoidal
 from sim.step.random import normals
-from sim.step.schemes import SCHEMES
+from sim.step.schemes import SCHEMES, exact_flow, factored, flow_covariance, lower_trapezoidal
 
 Array = NDArray[np.float64]
 Step = Callable[[System, float, Array, Array, Callable[[int], Array]], tuple[Array, Array]]

@@ -26,8 +26,8 @@ from sim.questions.splitting.problem import system_problem
 from sim.questions.splitting.run import mean_and_error, split
 from sim.questions.starts import on_shell
 from sim.sample.workers import workers_of
-from sim.step.flow import exact_flow
 from sim.step.random import GOLDEN, mixed_seed
+from sim.step.schemes import exact_flow
 
 QUICK = Splitting(replicas=64, killed=4, repetitions=8, threads=1)
 DECAY, NOISE = 0.1, 0.05

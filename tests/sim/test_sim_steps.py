@@ -27,7 +27,7 @@ from sim.montecarlo import MonteCarlo
 from sim.questions.failure_times import Times, passage_of
 from sim.questions.limits import STEPS_SINCE_START, stages
 from sim.questions.splitting.run import Splitting, rare_failure
-from sim.step.flow import flow_covariance
+from sim.step.schemes import flow_covariance
 
 LOOSE = System([1.0], [1e-4], [1e-4], [0.5])
 """A mass whose own period is 628: noise alone moves it by 0.6 in the time 1."""

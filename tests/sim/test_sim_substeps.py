@@ -32,9 +32,8 @@ from sim.sample.plan import (
     with_long_steps,
 )
 from sim.step.arrays import LANES
-from sim.step.flow import exact_flow, flow_covariance, lower_trapezoidal
 from sim.step.random import normals
-from sim.step.schemes import SCHEMES, Scheme
+from sim.step.schemes import SCHEMES, Scheme, exact_flow, flow_covariance, lower_trapezoidal
 from sim.step.step_size import chosen_step, sampling_interval
 
 Array = NDArray[np.float64]

@@ -14,8 +14,7 @@ from fpk.answer.observable import parse_observable
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
 from sim import MonteCarlo
-from sim.step.flow import LinearMap, factored
-from sim.step.schemes import SCHEMES, Scheme, register
+from sim.step.schemes import SCHEMES, LinearMap, Scheme, factored, register
 
 FREE = System([1.0], [1.0], [0.2], [0.1])
 """σ² of q and v is D/(c k) = ½."""
@@ -39,7 +38,7 @@ def variances(scheme: str, dt: float) -> dict[str, tuple[float, float]]:
     method = MonteCarlo(scheme=scheme, dt=dt, paths=4096, relaxations=20.0, seed=3)
     result = method.solve(FREE, [parse_observable("q1", 1)])
     moments = result.report.moments  # type: ignore[attr-defined]
-    return {m.name: (m.mean, m.error) for m in moments}
+    return {name: (m.value, m.error) for name, m in moments.items()}
 
 
 def test_a_scheme_of_one_file_samples(toy: str) -> None:

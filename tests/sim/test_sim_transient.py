@@ -16,7 +16,7 @@ from fpk.numeric.errors import InvalidInput
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.step.flow import flow_covariance
+from sim.step.schemes import flow_covariance
 
 Z = 4.5
 """|z| that chance explains: of some 40 points 3e-4."""

@@ -1,4 +1,4 @@
-"""The observed state, products of its rows, histograms, and the rows that are handed out."""
+"""The observed state, and the bins of histograms that it lies in."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from numba import njit
 
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import inlined
-from sim.step.arrays import NARROW, StepArrays, W, WatchArrays
+from sim.step.arrays import StepArrays, W, WatchArrays
 from sim.step.lanes import add, add_matrix, add_product, copy, fill, kick, row
 from sim.step.parts.forces import add_contact, damping_forces, processed_by_terms, whole_energy
 
@@ -94,25 +94,6 @@ def observe(
             add_contact(s, at.q, at.force, step, force, True, width)
         if damping:
             damping_forces(s, at.q, row(s, at.energy, 1, width), at.damping, at.work, step, width)
-
-
-@inlined
-def add_products(
-    s: Array, b: int, sums: Array, folded: Array, live: Integers, watch: WatchArrays
-) -> None:
-    """Add the products of rows of block ``b`` to its lanes' sums, or to those that lanes share."""
-    for m in range(watch.products.shape[0]):
-        u, v = row(s, watch.products[m, 0]), row(s, watch.products[m, 1])
-        if b < sums.shape[0]:
-            add_product(row(sums[b], m), u, v, 1.0)
-        else:
-            to = row(folded[b - sums.shape[0]], m, 1, NARROW)
-            if live[b] == W:
-                for j in range(0, W, NARROW):
-                    add_product(to, u[j:], v[j:], 1.0, NARROW)
-            else:
-                for k in range(live[b]):
-                    to[k % NARROW] += u[k] * v[k]
 
 
 @inlined
