@@ -21,8 +21,7 @@ from sim.sample.ensemble import Reader
 from sim.sample.settings import Settings
 from sim.step.arrays import LANES, MAX_TRAJECTORIES, in_blocks, in_rows
 from sim.step.random import stream_of
-from sim.step.reachable import loudest
-from sim.step.step_size import relaxation_time
+from sim.step.step_size import loudest, relaxation_time
 
 AT_ONCE = 32768
 """Trajectories that run together: a chunk of them takes less than a second."""

@@ -22,7 +22,7 @@ from sim.sample.ensemble import Ensemble, Reader, ensemble_from
 from sim.sample.settings import LEAST_PATHS, Settings
 from sim.sample.workers import workers_of
 from sim.step.arrays import LANES, in_rows
-from sim.step.random import OTHER_SEED
+from sim.step.random import GOLDEN
 
 MOST_STEPS, MOST_SAMPLES = 1 << 22, 64
 """Steps of all trajectories, and samples of each, after which the wall time is looked at: some ten
@@ -102,7 +102,7 @@ def working(
 
 def seed_of(seed: int, number: int) -> int:
     """Return the seed of round ``number`` of trajectories."""
-    return (seed + number * OTHER_SEED) % 2**64
+    return (seed + number * int(GOLDEN)) % 2**64
 
 
 def both_steps(

@@ -15,8 +15,7 @@ from fpk.system.system import System
 from sim.questions.limits import CHUNK, needs_steps
 from sim.sample.ensemble import ensemble_from
 from sim.step.arrays import LANES, in_rows
-from sim.step.random import OTHER_SEED, stream_of
-from sim.step.reachable import start_displacements
+from sim.step.random import GOLDEN, start_displacements, stream_of
 from sim.step.schemes import factored
 from sim.step.step_size import chosen_step, relaxation_time, temperature
 
@@ -74,7 +73,7 @@ class Origin:
         steps = ceil(time / dt) if needs_steps(system) else 1
         pieces = ceil(steps / CHUNK)
         stride = ceil(steps / pieces)
-        seed = (self.seed + number * OTHER_SEED + 2**63) % 2**64  # no seed of a round
+        seed = (self.seed + number * int(GOLDEN) + 2**63) % 2**64  # no seed of a round
         with left_out():
             ensemble = ensemble_from(system, q, p, dt, seed, workers=self.workers)
         for k in range(pieces):

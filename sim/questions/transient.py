@@ -24,8 +24,7 @@ from sim.sample import histogram
 from sim.sample.ensemble import Ensemble, ensemble_from
 from sim.sample.settings import Settings
 from sim.step.arrays import GROUPS, LANES, MAX_TRAJECTORIES, in_rows
-from sim.step.reachable import loudest
-from sim.step.step_size import REACHED
+from sim.step.step_size import REACHED, loudest
 
 CHUNK = 512
 """Steps at most from one sample to the next, so that Ctrl-C comes through."""

@@ -31,9 +31,8 @@ LEAST_BURN_IN = 5.0
 """Autocorrelation times τ that a burn-in must have: e^−5 of a start is 0.7 % of its distance."""
 
 CHUNKS = 20
-"""Chunks into which the sampled time is divided, to see a drift. Without a known end they begin a
-32nd as long: whenever there are twice as many, they are joined in pairs, and those that follow are
-twice as long."""
+"""Chunks of the sampled time, to see a drift. Without a known end they begin a 32nd as long:
+whenever there are twice as many, they are joined in pairs, and the next are twice as long."""
 
 FALSE_ALARMS = 1e-6
 """Probability that a right simulation is called wrong, in one observable or of all that may drift.
@@ -96,8 +95,8 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
 def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
     """Return ∫|p_a − p_b| of two independent samples, and as error what chance alone makes of it.
 
-    Their bins, which are the same, are joined to 128, of two coordinates to 64 along each: on those
-    of the histogram it would show the counting noise of each, which any smoothing removes.
+    Their bins, which are the same, are joined to 128, of two coordinates to 64 along each: all of
+    them would show the counting noise of each, which any smoothing removes.
     """
     wanted = 128 if len(a.edges) == 1 else 64
     a, b = (density.joined(min(density.values.shape) // wanted) for density in (a, b))
@@ -130,17 +129,15 @@ class Diagnosis:
     failures: tuple[str, ...]
 
 
-def effective_of_paths(
-    means: Array, variance: Array, relative_error: Array, *, whole: int
-) -> tuple[Array, Array]:
-    """Return effective samples of ``whole`` trajectories and their relative errors.
+def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> tuple[Array, Array]:
+    """Return effective samples of trajectories with the ``means`` and their relative errors.
 
-    ``means`` (quantities, paths) are those of some trajectories, or all; ``variance`` is the σ² of
-    single samples, known to ``relative_error``.
+    ``means`` (quantities, paths); ``variance`` is the σ² of single samples, known to
+    ``relative_error``.
     """
     of_means = means.var(axis=1, ddof=1)
     samples = np.full_like(of_means, inf)
-    np.divide(whole * variance, of_means, out=samples, where=of_means > 0)
+    np.divide(means.shape[1] * variance, of_means, out=samples, where=of_means > 0)
     return samples, np.hypot(variance_error(means), relative_error)
 
 

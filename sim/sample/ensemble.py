@@ -21,10 +21,9 @@ from sim.sample.plan import step_arrays, watched
 from sim.sample.workers import TASKS_PER_THREAD, Workers
 from sim.step.arrays import GROUPS, LANES, StepArrays, WatchArrays, in_blocks, in_rows
 from sim.step.kernel import KernelKey, compiled_kernel
-from sim.step.random import mixed_seed
-from sim.step.reachable import largest_reached, loudest, start_states
+from sim.step.random import mixed_seed, start_states
 from sim.step.schemes import EXACT_FLOW, Scheme
-from sim.step.step_size import stability_limit
+from sim.step.step_size import largest_reached, loudest, stability_limit
 
 Reader = Callable[..., None]
 """Called as ``read(trace, samples, done, *arrays)`` for some blocks: ``trace`` (blocks, many, rows,

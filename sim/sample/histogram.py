@@ -29,8 +29,8 @@ DEEPEST = 30.0
 
 LOWEST, SHARE = 400, 0.35
 """Number of the lowest sampled energies, and the share of them in the lowest quarter of their range
-above which p is taken to rise towards H = 0. A smooth p has a share of 0.25, within 0.022 by chance
-(one standard error), p ~ H^(−1/2) one of 0.5. Four, 16, … times as many are judged, too."""
+above which p is taken to rise towards H = 0: of a smooth p it is 0.25, within 0.022 by chance (one
+standard error), of p ~ H^(−1/2) 0.5."""
 
 LARGEST_TAIL = 1e-3
 """Share of samples outside a histogram above which its density is not certified."""
@@ -63,11 +63,12 @@ class Histogram:
 
         ``columns`` are the coordinates (samples,); samples belong to the groups in turn.
         """
-        bins, inside = np.zeros(columns[0].shape, dtype=np.int64), np.array(True)
+        bins, inside = np.array(0), np.array(True)
         for x, e in zip(columns, self.edges, strict=True):
             inside = inside & (x >= e[0]) & (x < e[-1])
             bins = bins * (e.size - 1) + np.searchsorted(e, x, side="right") - 1
-        index = np.arange(bins.size) % groups * (self.size + 1) + np.where(inside, bins, self.size)
+        number = np.where(inside, bins, self.size)
+        index = np.arange(number.size) % groups * (self.size + 1) + number
         return np.bincount(index, minlength=groups * (self.size + 1)).reshape(groups, -1)
 
 
@@ -104,12 +105,12 @@ def axis_of(
     Energies start at 0, and beyond a stop bins end where contact energies do. ``rises`` as of the
     function ``rises``.
     """
-    energy, reach = coordinate.kind == "H", MARGIN * (high - low)
+    energy, reach, wide = coordinate.kind == "H", MARGIN * (high - low), 1.0 + 2.0 * MARGIN
     kinks = [*([0.0] if energy and rises else []), *kinks_of(system, coordinate)]
     if energy:
-        low, high = 0.0, (1.0 + 2.0 * MARGIN) * high
+        low, high = 0.0, wide * high
     elif effects_of(system).mirror:
-        high = (1.0 + 2.0 * MARGIN) * max(-low, high)
+        high = wide * max(-low, high)
         low = -high
     else:
         low, high = low - reach, high + reach
@@ -120,11 +121,10 @@ def axis_of(
         That is where its contact energy is ``DEEPEST`` kT, and beyond what was ``seen``.
         """
         own = (s for s in system.stops if (s.index, s.sign) == (coordinate.row, side))
-        stops, kT = [s for s in own if s.clearance < x], temperature(system)
-        if not stops:
+        stop = max((s for s in own if s.clearance < x), key=lambda s: s.clearance, default=None)
+        if stop is None:
             return x
-        stop = max(stops, key=lambda s: s.clearance)
-        depth = max((1.0 + 2.0 * MARGIN) * (seen - stop.clearance), 0.0)
+        depth, kT = max(wide * (seen - stop.clearance), 0.0), temperature(system)
         if isfinite(kT) and kT > 0.0:
             depth = max(depth, stop.overlap_at(DEEPEST * kT))
         return min(x, stop.clearance + depth) if depth > 0.0 else x
@@ -176,11 +176,11 @@ def covering(
     """
     histograms, pairs = [], iter(reached.tolist())
     for observable in observables:
-        axes = []
+        axes, bins = [], BINS[len(observable) - 1]
         for coordinate in observable:
             low, high = next(pairs)
             low, high = (low, high) if low <= high else (-1.0, 1.0)
-            axes.append(axis(coordinate, low, high, BINS[len(observable) - 1]))
+            axes.append(axis(coordinate, low, high, bins))
         histograms.append(Histogram(observable, tuple(axes)))
     return tuple(histograms)
 
@@ -193,8 +193,7 @@ def starts(histograms: Sequence[Histogram]) -> Integers:
 def mirrored(histogram: Histogram, counts: Integers) -> Integers:
     """Return ``counts`` (batches, bins + 1) plus the counts of the mirrored states, (−q, −p).
 
-    Of a system with mirror symmetry both are samples of the same stationary state. Energies do not
-    change sign; the edges of all else lie symmetrically about zero.
+    Energies do not change sign; the edges of all else lie symmetrically about zero.
     """
     axes = tuple(a for a, c in enumerate(histogram.observable, start=1) if c.kind != "H")
     reflected = np.flip(counts[:, :-1].reshape(-1, *histogram.shape), axis=axes)
@@ -204,7 +203,7 @@ def mirrored(histogram: Histogram, counts: Integers) -> Integers:
 def reference_of(system: System, coordinate: Coordinate, x: Array, bins: Integers) -> Array:
     """Return ln of a function about as steep as the density at ``x``, up to a constant.
 
-    Of q_i −U_i/kT, which is exact in the contact energy where Eq. (7) holds; of H (n − 1) ln H.
+    Of q_i −U_i/kT, which is exact where Eq. (7) holds; of H (n − 1) ln H.
     """
     if coordinate.kind == "H" and coordinate.index is None:
         return log_states(system.n, x, bins)
@@ -233,8 +232,7 @@ def sampled_density(
 
     With ``mirror`` each sample counts as its mirror image, too. ``residual`` is the largest |z| of
     the moment identities, ``tol`` the tolerance of the expected L1 sampling error, and ``failures``
-    say what is wrong with the sample itself. ``everywhere``: what the bins do not resolve anywhere
-    counts among them.
+    say what is wrong with the sample itself; with ``everywhere`` bins that do not resolve it, too.
     """
     total = counts.sum(axis=0)
     tail, words = float(total[-1]) / max(1, taken), list(failures)

@@ -103,7 +103,6 @@ class Record:
                 self._of_paths(self.ensemble.sums) / self.ensemble.samples,
                 np.mean(self.variances, axis=0),
                 np.mean(self.errors, axis=0) / np.sqrt(len(self.errors)),
-                whole=self.ensemble.paths,
             )
             names = [name for name, _, _ in self.squares]
             effective += zip(names, samples.tolist(), errors.tolist(), strict=True)

@@ -30,7 +30,7 @@ from sim.sample.plan import cost, with_long_steps
 from sim.sample.record import Record
 from sim.sample.settings import NOT_IN_STATE, Settings, default_step
 from sim.sample.workers import workers_of
-from sim.step.random import OTHER_SEED
+from sim.step.random import GOLDEN
 from sim.step.schemes import SCHEMES, Scheme
 from sim.step.step_size import relaxation_time, sampling_interval, stability_limit, temperature
 
@@ -138,7 +138,7 @@ def run(
             densities: Any = result.densities  # of histograms
             half = replace(
                 setup,
-                method=replace(method, seed=(method.seed + OTHER_SEED) % 2**64),
+                method=replace(method, seed=(method.seed + int(GOLDEN)) % 2**64),
                 dt=0.5 * setup.dt,
                 time=report.time,
                 tol=inf,

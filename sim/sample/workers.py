@@ -42,11 +42,8 @@ class Workers:
     remote_errors: tuple[type[Exception], ...] = ()
 
     def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
-        """Return what ``task`` makes of every row of ``columns``; on a cluster, of copies.
-
-        A task may change its arguments, and those that Dask gives it are read-only.
-        """
-        own = deepcopy if self.remote_errors else tuple
+        """Return what ``task`` makes of rows of ``columns``, which it may change, or of copies."""
+        own = deepcopy if self.remote_errors else tuple  # arguments that Dask gives are read-only
         rows = list(zip(*columns, strict=True))
         return list(self._unless_lost(self.executor.map(lambda row: task(*own(row)), rows)))
 
@@ -65,8 +62,7 @@ class Workers:
 
 @contextmanager
 def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
-    """Yield the workers of ensembles: ``threads`` threads here, or a cluster's where it has an
-    ``address``, that of its Dask scheduler; each thread takes one task at a time.
+    """Yield ``threads`` threads here, or those of the cluster whose scheduler has the ``address``.
 
     Raises ``Unavailable`` without dask, an answer, or a worker with the same program.
     """

@@ -31,13 +31,12 @@ def kernel_checksum(laws: Sequence[str], root: Path = ROOT) -> int:
 
 @dataclass(frozen=True)
 class KernelKey:
-    """Effects, scheme and observations that a kernel is compiled for: the only such record.
+    """Effects, scheme and observations that a kernel is compiled for.
 
-    ``laws`` are the contact laws that act; ``damping`` and ``energy_damping`` say whether there are
-    damping terms, and some with H. A step draws ``pairs`` of normals, ``substeps``
-    says whether there are small steps, ``traced`` whether observed states are handed out,
-    ``halved`` whether a step has two maps, ``modulated`` whether the noise of each step has a
-    factor of its own.
+    ``laws`` are the contact laws that act, ``damping`` and ``energy_damping`` damping terms and
+    those with H; a step draws ``pairs`` of normals. There may be ``substeps``, small steps near
+    stops; observed states that are handed out (``traced``); two maps of a step (``halved``); and a
+    factor on the noise of each step (``modulated``).
     """
 
     laws: tuple[str, ...] = ()

@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 
 from fpk.numeric.arrays import Array
 from fpk.numeric.compiling import cached_njit, inlined
+from fpk.system.system import System
 from sim.step.arrays import LANES
+from sim.step.schemes import factored
+from sim.step.step_size import temperature
 
 Singles = NDArray[np.float32]
 Words = NDArray[np.uint64]
@@ -26,12 +29,9 @@ Halves = NDArray[np.uint32]
 START = 1 << 39
 """First counter, within a trajectory's words, of those that draw its initial state."""
 
-OTHER_SEED = 0x9E3779B97F4A7C15
-"""Added to a seed for a second simulation: 2**64 over the golden ratio."""
-
-GOLDEN = np.uint64(OTHER_SEED)
-LANE = np.uint64((int(GOLDEN) << 40) & ((1 << 64) - 1))
-"""From a trajectory's words to the next one's."""
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+"""2**64 over the golden ratio: from a word to the next, and from a seed to one of another
+simulation."""
 
 u32, f32 = np.uint32, np.float32
 
@@ -94,9 +94,9 @@ def fill_normals(
     ``trajectory`` is that of the first lane, ``counter`` the word within it, ``offset`` the
     finalised seed. ``words`` (LANES) is scratch.
     """
-    first = ((trajectory << np.uint64(40)) + counter) * GOLDEN + offset
     for lane in range(LANES):
-        words[lane] = mixed_word(first + np.uint64(lane) * LANE)
+        place = ((trajectory + np.uint64(lane)) << np.uint64(40)) + counter
+        words[lane] = mixed_word(place * GOLDEN + offset)
     box_muller(rows, words.view(np.uint32))
 
 
@@ -120,3 +120,35 @@ def normals(seed: int, paths: int, counter: int, count: int) -> Array:
     _fill_blocks(out, np.empty(LANES, np.uint64), np.uint64(counter), mixed_seed(seed))
     lanes = out.reshape(blocks, 2 * pairs, LANES).transpose(1, 0, 2)
     return lanes.reshape(2 * pairs, -1)[:count, :paths].astype(np.float64)
+
+
+def start_states(system: System, seed: int, blocks: int) -> Array:
+    """Return the states (blocks, 2n, LANES) in which trajectories start.
+
+    They are q = 0 and momenta of the temperature (covariance kT M). With damping terms the
+    displacements are drawn, too: on a limit cycle the noise alone mixes phases slowly.
+    """
+    n, kT = system.n, temperature(system)
+    L = factored(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))
+    p = L @ normals(seed, blocks * LANES, START, n)[: L.shape[1]]
+    q = np.zeros_like(p)
+    if system.damping_terms:
+        q = start_displacements(system, kT, normals(seed, blocks * LANES, START + n, n))
+    return np.array(np.vstack([q, p]).reshape(2 * n, -1, LANES).transpose(1, 0, 2), order="C")
+
+
+def start_displacements(system: System, kT: float, z: Array) -> Array:
+    """Return displacements (n, paths) from standard normals ``z``: Gaussian by the springs at kT.
+
+    Where a contact is reached they are shortened, by bisection, to the potential energy of the
+    springs alone.
+    """
+    # An inverse, not ``system.compliance``: its rounding is part of what a seed stands for.
+    q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
+    level = 0.5 * np.sum(q * (system.stiffness_matrix @ q), axis=0)
+    low, high = np.zeros(q.shape[1]), np.ones(q.shape[1])
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        above = system.potential((middle * q).T) > level
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return np.asarray(low * q)

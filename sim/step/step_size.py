@@ -1,6 +1,7 @@
-"""Time scales: the step of the stiffest contact and of the shortest period, and the relaxation."""
+"""Time scales: the steps of contacts and of periods, the relaxation; and how far motions get."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import exp, inf, isfinite, lgamma, log, pi, sqrt
 from typing import Any
 
@@ -42,6 +43,10 @@ JOINT_BIAS = 0.1
 and 0.10 of bilinear ones at X = 0.1. Of these (sup |B₂|/2) max(u² e^(−u²/4)) = 0.12, B₂ Bernoulli's
 polynomial: the error of the trapezoidal rule with the nodes v h across the kink of the force, times
 the inverse sampling error at the velocity v = u √(kT/m)."""
+
+CHANCE = exp(-100.0)
+"""Probability that a state has more energy. Of 1e13 states one in 1e30 has it by chance; where the
+density is not Gibbs', and falls by e^−30 only instead of e^−100, none of them has."""
 
 STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8
 """Wall time of a step of up to three masses, and of a sample, of one thread, in s, to a factor 2:
@@ -269,3 +274,48 @@ def undamped_mode(system: System) -> bool:
     for term in system.damping_terms:
         reached |= size[term.row] * size[term.column] > ROUND_OFF
     return not bool(np.all(reached))
+
+
+def loudest(system: System) -> System:
+    """Return the system under constant noise, as strong as its modulation makes it at the most."""
+    if system.modulation is None:
+        return system
+    most = system.modulation.largest * system.noise_intensity
+    return replace(system, noise_intensity=most, modulation=None)
+
+
+def hottest(system: System) -> float:
+    """Return the least T with N <= T c, as quadratic forms of v; inf where some v is not damped.
+
+    N = f D fᵀ, and c its symmetric part: of no damped linear motion is the mean of m v² larger.
+    With damping terms it is the largest temperature of a mode, or that of all.
+    """
+    if system.damping_terms:
+        return float(max(temperature(system), *modal_temperatures(system)))
+    rates, v = np.linalg.eigh(0.5 * (system.damping + system.damping.T))
+    noise = v.T @ system.noise_matrix @ v
+    damped = rates > ROUND_OFF * rates[-1]
+    if np.any(np.diag(noise)[~damped] > 0.0):
+        return inf
+    roots = np.sqrt(rates[damped])
+    ratios = np.linalg.eigvalsh(noise[damped][:, damped] / np.outer(roots, roots))
+    return float(np.max(ratios, initial=0.0))  # of none where nothing is damped and no noise acts
+
+
+def largest_reached(system: System, energy: float, time: float) -> Array:
+    """Return the largest |q| and |p| (2n,) of motions by the ``time`` since their start.
+
+    ``energy`` is the largest H at the start. The linear motion from there and that by the noise add
+    up, of which the second has 2n normal coordinates in units of √T: T is that of the ``hottest``
+    mode or, as energy comes from the noise alone, twice all that by then. Stops and springs only
+    take room away.
+    """
+    T = system.fact(hottest)
+    if system.damping_terms:
+        energy = max(energy, BEYOND_BALANCE * system.fact(damping_balance).energy)
+    else:
+        T = min(T, 2.0 * time * float(np.sum(np.diag(system.noise_matrix) / system.mass)))
+    # Twice: a stable kick keeps ½p² + ½(1 − h²ω²/4) ω²q², a quarter of H at the least up to
+    # hω = √3 of at most 2.
+    root = 2.0 * sqrt(energy) + sqrt(T * float(scipy.special.gammainccinv(system.n, CHANCE)))
+    return root * np.sqrt(2.0 * np.concatenate([np.diag(system.compliance), system.mass]))

@@ -42,7 +42,7 @@ def autoregression(phi: float, chains: int, draws: int, seed: int) -> np.ndarray
 def test_effective_samples_of_an_autoregression(phi: float) -> None:
     x = autoregression(phi, 1024, 500, seed=61)
     (samples,), (error,) = effective_of_paths(
-        x.mean(axis=1)[None], np.array([x.var()]), variance_error(x[:, :1].T), whole=1024
+        x.mean(axis=1)[None], np.array([x.var()]), variance_error(x[:, :1].T)
     )
     expected = x.size * (1.0 - phi) / (1.0 + phi)
     assert error < 0.1

@@ -12,9 +12,8 @@ from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.averaged.square_root import SquareRootForm, square_root_step
-from sim.step.reachable import CHANCE, hottest, largest_reached
 from sim.step.schemes import SCHEMES
-from sim.step.step_size import stability_limit
+from sim.step.step_size import CHANCE, hottest, largest_reached, stability_limit
 
 Q = parse_observable("q1", 1)
 

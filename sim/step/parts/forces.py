@@ -141,8 +141,8 @@ def term_flow(
 ) -> None:
     """Advance the state by term k alone over half a step; with H^e, half-way from a predictor.
 
-    ``with_energy``, a constant: whether any term has H^e. Scratch rows from ``work``: its rate and,
-    with H^e, the potential energy (given), H, p a quarter of a step on, the rate with H.
+    ``with_energy``, a constant: whether any term has H^e. Scratch rows from ``work``: its rate, and
+    then the potential energy (given), H, p a quarter of a step on, the rate with H.
     """
     rate, p, terms = row(s, work, 1, width), row(s, step.terms.target[k], 1, width), step.terms
     term_rate(rate, s, 0, terms, k, 0, width)

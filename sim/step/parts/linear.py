@@ -20,7 +20,7 @@ from fpk.numeric.compiling import inlined
 from sim.step.arrays import COLUMNS, NARROW, StepArrays, W
 from sim.step.lanes import copy, fill, row
 from sim.step.parts.forces import contact_forces, kick_by_contact
-from sim.step.random import GOLDEN, LANE, Halves, Singles, Words, box_muller, mixed_word
+from sim.step.random import GOLDEN, Halves, Singles, Words, box_muller, mixed_word
 
 
 @inlined
@@ -117,7 +117,7 @@ def places(start: Words, index: Integers, count: int, pairs: int) -> None:
     for c in range(-(-count // NARROW)):
         to = start[c * many : (c + 1) * many]
         for k in range(NARROW):
-            to[k] = np.uint64(index[c * NARROW + k]) * LANE
+            to[k] = (np.uint64(index[c * NARROW + k]) << np.uint64(40)) * GOLDEN
         for k in range(NARROW, many):
             to[k] = to[k - NARROW] + GOLDEN
 

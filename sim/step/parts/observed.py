@@ -40,22 +40,6 @@ def observed_state(
                 add(row(s, p0 + i, 1, width), force, watch.cross[i, slot], width)
 
 
-@inlined
-def observed_modes(
-    s: Array, mode_q: Array, mode_p: Array, watch: WatchArrays, width: int = W
-) -> None:
-    """Write the modal energies ½ (P_m² + ω_m² Q_m²) of (q*, p*)."""
-    u = row(s, watch.at.work, 1, width)
-    for m in range(mode_q.shape[0]):
-        H = row(s, watch.at.modal + m, 1, width)
-        fill(H, 0.0, width)
-        for first, shape in ((watch.at.q, mode_q), (watch.at.p, mode_p)):
-            fill(u, 0.0, width)
-            for r in range(shape.shape[1]):
-                add(u, row(s, first + r, 1, width), shape[m, r], width)
-            add_product(H, u, u, 0.5, width)
-
-
 @njit(inline="always")
 def observe(
     s: Array, V: Array, H: Array, step: StepArrays, watch: WatchArrays, contact: bool,
@@ -85,7 +69,15 @@ def observe(
         if contact:
             add_contact(s, at.q, at.energy, step, potential, False, width)
     if modes:
-        observed_modes(s, watch.mode_q, watch.mode_p, watch, width)
+        u = row(s, at.work, 1, width)
+        for m in range(watch.mode_q.shape[0]):
+            modal = row(s, at.modal + m, 1, width)
+            fill(modal, 0.0, width)
+            for first, shape in ((at.q, watch.mode_q), (at.p, watch.mode_p)):
+                fill(u, 0.0, width)
+                for r in range(shape.shape[1]):
+                    add(u, row(s, first + r, 1, width), shape[m, r], width)
+                add_product(modal, u, u, 0.5, width)
     if moments:
         n = step.half_inverse_mass.size
         fill(row(s, at.force, n, width), 0.0, n * width)
