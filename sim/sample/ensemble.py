@@ -228,8 +228,9 @@ class Ensemble:
             word=self.word + self.done * step.words, samples=self.samples, phase=self.phase,
             steps=steps, stride=stride, read=read,
         )  # fmt: skip
-        # Whole batches to a task, as each has counts of its own.
-        tasks, batches = min(TASKS_PER_THREAD * self.threads, len(self.counts)), np.diff(self.edges)
+        # Whole batches to a task, as each has counts of its own; one thread has one task.
+        tasks = min(TASKS_PER_THREAD * (self.threads - 1) + 1, len(self.counts))
+        batches = np.diff(self.edges)
         begins = np.arange(1, tasks) * batches.size // tasks
         cuts = self.edges[begins]
         columns = [np.split(array, cuts) for array in (self.states, self.sums, self.last, *arrays)]

@@ -148,9 +148,9 @@ def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = Fal
     pairs = (linear.factor.shape[1] + 1) // 2
     laws, slots = effects_of(system).laws, system.contact_masses
     signs: dict[tuple[float, ...], list[float]] = {}
-    for stop in system.stops:
-        shape = (stop.clearance, stop.stiffness, stop.power, laws.index(stop.law))
-        signs.setdefault((slots.index(stop.index), *shape), []).append(stop.sign)
+    for s in system.stops:
+        key = slots.index(s.index), s.clearance, s.stiffness, s.power, laws.index(s.law)
+        signs.setdefault(key, []).append(s.sign)
     rows = [
         (slot, sign, *shape)
         for (slot, *shape), sides in sorted(signs.items())

@@ -38,8 +38,7 @@ class Record:
     target: float = 0.0
     cuts: list[Any] = field(default_factory=list)  # pairs of an axis and a bin
     ends: list[Array] = field(default_factory=list)  # each (batches, quantities)
-    variances: list[Array] = field(default_factory=list)  # σ² of the squares, one a snapshot
-    errors: list[Array] = field(default_factory=list)  # of these, relative
+    variances: list[Array] = field(default_factory=list)  # σ² of the squares, and relative errors
 
     def __post_init__(self) -> None:
         """Name, product number and factor of every q_i² and v_i²; label and fold of every axis."""
@@ -65,8 +64,7 @@ class Record:
         before = self.ensemble.sums.copy()
         self.ensemble.advance(1, stride=stride)
         samples = self._of_paths(self.ensemble.sums - before)
-        self.variances.append(samples.var(axis=1, ddof=1))
-        self.errors.append(variance_error(samples))
+        self.variances.append(np.array([samples.var(axis=1, ddof=1), variance_error(samples)]))
 
     def chunk_ends(self) -> None:
         """Note where the sums and counts of the ensemble stand at the end of a chunk."""
@@ -99,11 +97,10 @@ class Record:
         """Return the effective samples of every quantity, squares first."""
         effective: list[Effective] = []
         if self.variances:
-            samples, errors = effective_of_paths(
-                self._of_paths(self.ensemble.sums) / self.ensemble.samples,
-                np.mean(self.variances, axis=0),
-                np.mean(self.errors, axis=0) / np.sqrt(len(self.errors)),
-            )
+            variance, error = np.mean(self.variances, axis=0)
+            means = self._of_paths(self.ensemble.sums) / self.ensemble.samples
+            error = error / np.sqrt(len(self.variances))
+            samples, errors = effective_of_paths(means, variance, error)
             names = [name for name, _, _ in self.squares]
             effective += zip(names, samples.tolist(), errors.tolist(), strict=True)
         shares = self.ends[-1] / (self.chunk_samples * len(self.ends))

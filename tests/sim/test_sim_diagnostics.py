@@ -102,7 +102,7 @@ def test_error_of_trajectories_is_that_of_the_correlogram_and_of_arviz() -> None
     summed = x.size / (1.0 + 2.0 * sum(rho))
     # Both are one variance over 1024 trajectories; 120 of 400 lags are summed.
     assert abs(found[1] / summed - 1.0) < 4.0 * found[2] + 0.05
-    error = np.sqrt(np.mean(record.variances, axis=0)[1] / found[1])
+    error = np.sqrt(np.mean(record.variances, axis=0)[0, 1] / found[1])
     theirs = float(array_stats.mcse(x.reshape(1024, 20, 20).mean(axis=2), method="mean"))
     assert abs(error / theirs - 1.0) < 4.0 * 0.5 * found[2] + 0.05
     assert float(array_stats.ess(x, method="mean")) > 2.0 * found[1]
