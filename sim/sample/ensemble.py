@@ -30,11 +30,8 @@ Reader = Callable[..., None]
 LANES) holds the observed states number ``done`` to ``done + samples``; ``arrays`` are those of
 these blocks, changed in place. A function of a module, or a ``partial`` of one."""
 
-CHANGING = ("states", "sums", "counts")
-"""Arrays of an ensemble that a step changes."""
-
-GROUP, TRACED = 4, 32
-"""Blocks and samples of a trace that is read at once: they fit into the cache of a core."""
+TRACED = 1024
+"""Samples of a block that are traced, in all blocks of a task, before they are read: some MB."""
 
 
 def advanced(
@@ -44,30 +41,27 @@ def advanced(
 ) -> tuple[Any, ...]:  # fmt: skip
     """Advance batches that begin with block ``first``; all ``arrays`` change in place.
 
-    They are those of ``CHANGING``, the last samples, and those of the reader. Where states are
-    traced it is in groups of blocks, which are read before the next one begins.
+    They are the states, sums, counts, last samples, and those of the reader.
     """
     states, sums, counts, last, *own = arrays
     blocks, rows, strength = len(states), watch.traced.size, step.strength
-    size, piece = (GROUP, TRACED * stride) if key.traced else (blocks, steps)
-    for b in range(0, blocks, size):
-        group = slice(b, min(b + size, blocks))
-        flat = (a[group].reshape(group.stop - b, a.shape[1] * a.shape[2]) for a in (states, sums))
-        trace = np.empty((group.stop - b, min(piece, steps) // max(1, stride) + 1, rows, LANES))
-        fixed = *flat, counts[batch[b] - batch[0] :], live[group], batch[group], first + b
-        for k in range(0, max(1, steps), max(1, piece)):
-            many = min(piece, steps - k)
-            trace[:, 0] = last[group]
-            if key.modulated:
-                step = step._replace(strength=strength[k : k + many])
-            compiled_kernel(key)(
-                *fixed, np.uint64(word + k * step.words), many, phase + k, stride, offset, step,
-                watch, trace.reshape(len(trace), trace.shape[1] * rows * LANES),
-            )  # fmt: skip
-            if key.traced:
-                last[group] = trace[:, many // stride]
-                if read:
-                    read(trace, many // stride, samples + k // stride, *(a[group] for a in own))
+    piece = max(1, TRACED // blocks) * stride if key.traced else steps
+    trace = np.empty((blocks, min(piece, steps) // max(1, stride) + 1, rows, LANES))
+    flat = (a.reshape(blocks, a.shape[1] * a.shape[2]) for a in (states, sums))
+    fixed = *flat, counts, live, batch, first
+    for k in range(0, max(1, steps), max(1, piece)):
+        many = min(piece, steps - k)
+        trace[:, 0] = last
+        if key.modulated:
+            step = step._replace(strength=strength[k : k + many])
+        compiled_kernel(key)(
+            *fixed, np.uint64(word + k * step.words), many, phase + k, stride, offset, step,
+            watch, trace.reshape(blocks, trace.shape[1] * rows * LANES),
+        )  # fmt: skip
+        if key.traced:
+            last[:] = trace[:, many // stride]
+            if read:
+                read(trace, many // stride, samples + k // stride, *own)
     return arrays
 
 
@@ -282,14 +276,14 @@ class Ensemble:
 
     def saved(self) -> dict[str, NDArray[Any]]:
         """Return all that changes: what ``restore`` needs to go on as if never stopped."""
-        arrays = {name: getattr(self, name) for name in CHANGING}
-        return {**arrays, "clock": np.array([self.done, self.samples, self.phase], dtype=np.int64)}
+        clock = np.array([self.done, self.samples, self.phase], dtype=np.int64)
+        return {"states": self.states, "sums": self.sums, "counts": self.counts, "clock": clock}
 
     def restore(self, saved: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what ``saved`` returned, by any workers, after the same calls of ``watch``."""
         self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
-        for name in CHANGING:
-            getattr(self, name)[...] = saved[name]
+        self.states[...], self.sums[...] = saved["states"], saved["sums"]
+        self.counts[...] = saved["counts"]
 
 
 def ensemble_from(
