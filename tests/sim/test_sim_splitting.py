@@ -99,12 +99,15 @@ def test_walks_with_ties_have_the_exact_mean(killed):
     wanted = exact_maximum(steps, up, high)
     stream = np.random.default_rng(1401)
     answers = [split(Walk(count, steps, up, stream), high, killed, stream) for _ in range(1000)]
-    values = np.exp([a.log_probability for a in answers])
+    values = np.exp([log for log, _, _ in answers])
     error = values.std() / np.sqrt(values.size)
     assert abs(values.mean() - wanted) < 4.5 * error < 0.4 * wanted
     # Were only those counted that had to be killed, and not the ties:
     naive = np.array(
-        [(1.0 - killed / count) ** a.levels * (v > 0) for a, v in zip(answers, values, strict=True)]
+        [
+            (1.0 - killed / count) ** n * (v > 0)
+            for (_, n, _), v in zip(answers, values, strict=True)
+        ]
     )
     assert naive.mean() > 5.0 * wanted
 
@@ -355,7 +358,7 @@ def test_a_run_that_was_cut_goes_on(tmp_path, monkeypatch):
         def repetition(*arguments):
             if len(made) == most:
                 raise KeyboardInterrupt
-            made.append(arguments[2:])
+            made.append(arguments[3:])
             return original(*arguments)
 
         return repetition

@@ -146,27 +146,14 @@ def line_form(process: Process) -> SquareRootForm:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class EnergyLimits:
-    """Limits of sums of X: ``weights`` (limits, d) · X reaches ``values`` (limits,).
+def limit_diffusion(form: SquareRootForm, weights: Array) -> Diffusion:
+    """Return how the noise moves the sums ``weights`` (limits, d) · X, forms of the momenta √X.
 
     A sum S of square-root processes has dS = … + σ dB, σ² = Σ w² β X; as the noise moves S by 1 it
-    moves σ² by Σ w³ β² X/σ². Both are forms of the momenta √X, as ``pass_energies`` has them.
+    moves σ² by Σ w³ β² X/σ², at rest by that of the energy alone that moves most.
     """
-
-    weights: Array
-    values: Array
-    name: str
-
-    def diffusion(self, form: SquareRootForm) -> Diffusion:
-        """Return the forms of σ², and of its growth; at rest one energy alone begins to move."""
-        w, one = self.weights[:, :, None], np.eye(form.slope.size)
-        slope = form.slope[:, None]
-        return Diffusion(w**2 * slope * one, w**3 * slope**2 * one, np.max(w * slope, axis=(1, 2)))
-
-    def rows(self, X: Array) -> Array:
-        """Return √X and the sums, (paths, d + limits)."""
-        return np.hstack([np.sqrt(X), X @ self.weights.T])
+    w, one, slope = weights[:, :, None], np.eye(form.slope.size), form.slope[:, None]
+    return Diffusion(w**2 * slope * one, w**3 * slope**2 * one, np.max(w * slope, axis=(1, 2)))
 
 
 def from_energies(form: SquareRootForm, energies: Array) -> Array:
