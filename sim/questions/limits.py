@@ -78,18 +78,6 @@ def largest_energy(system: System, start: Start) -> float:
     return float(sum(start.values.values()))
 
 
-def temperature_reached(system: System, start: Start, time: float) -> float:
-    """Return the largest mean of m v² of a mass from the ``start`` to ``time``.
-
-    It is kT, or less: twice the energy of the start and that of the noise by then, Σ (N_ii/m_i) t.
-    """
-    kT = temperature(system)
-    if system.damping_terms or not 0.0 < time < inf:  # terms may feed energy in
-        return kT
-    power = float(np.sum(np.diag(system.noise_matrix) / system.mass))
-    return min(kT, 2.0 * (largest_energy(system, start) + power * time))
-
-
 def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
     """Return about the time in which noise and the speed of the ``start`` can reach the ``limit``.
 
@@ -134,12 +122,22 @@ class Reach(NamedTuple):
     start: float = inf  # time_to_limit from the start
 
 
-def reach_of(system: System, limit: Limit, start: Start, time: float) -> Reach:
-    """Return how far a motion gets that is followed to the ``limit``, or for ``time``."""
-    kT, energy = temperature_reached(system, start, time), largest_energy(system, start)
+def reach_of(system: System, limit: Limit | None, start: Start, time: float) -> Reach:
+    """Return how far a motion gets that is followed to the ``limit``, or for ``time``.
+
+    The mean of m v² is kT at most, or less: twice the energy of the start and of the noise by then,
+    Σ (N_ii/m_i) t.
+    """
+    kT, energy = temperature(system), largest_energy(system, start)
+    if not system.damping_terms and 0.0 < time < inf:  # terms may feed energy in
+        power = float(np.sum(np.diag(system.noise_matrix) / system.mass))
+        kT = min(kT, 2.0 * (energy + power * time))
+    with_noise = energy + (REACHED * kT if isfinite(kT) else 0.0)
+    if limit is None:
+        return Reach(kT, with_noise)
     at = energies_at(system, limit)
     if limit.kind == "q":
-        energy = max(float(np.max(at)), energy + (REACHED * kT if isfinite(kT) else 0.0))
+        energy = max(float(np.max(at)), with_noise)
     else:
         energy = max(float(np.sum(at)), energy)
     kT = min(kT, 2.0 * energy) if limit.kind == "H" else kT  # m v² <= 2 H

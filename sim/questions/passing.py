@@ -55,14 +55,6 @@ def turning_points(c: Cubic) -> tuple[float, float]:
 
 
 @inlined
-def largest_of(c: Cubic) -> float:
-    """Return the largest |q(s)|, s in [0, 1]."""
-    s = turning_points(c)
-    largest = max(abs(c[0]), abs(value_of(c, 1.0)))
-    return max(largest, abs(value_of(c, s[0])), abs(value_of(c, s[1])))
-
-
-@inlined
 def form_of(value: Array, s: Array, first: int, form: Array, width: int = W) -> None:
     """Write pᵀ ``form`` p of each lane, p being the rows of ``s`` from ``first`` on."""
     fill(value, 0.0, width)
@@ -88,8 +80,7 @@ def distance_to(limit: float, H: float, variance: float, growth: float, at_rest:
 @inlined
 def first_passage(c: Cubic, limit: float) -> float:
     """Return the first s in (0, 1] with |q(s)| >= ``limit``, |q(0)| being below; else 2."""
-    turning = turning_points(c)
-    low = 0.0
+    turning, low = turning_points(c), 0.0
     for end in (turning[0], turning[1], 1.0):
         if abs(value_of(c, end)) >= limit:
             high = end
@@ -161,9 +152,8 @@ def count_upcrossings(sources: int) -> Any:
                     if min(v0, v1) >= 0.0 and dt * max(v0, v1) <= 3.0 * change:
                         count_rise(own, levels, q0[w], q1[w])
                     elif max(v0, v1) > 0.0 or dt * min(v0, v1) < 3.0 * change:
-                        cubic = cubic_of(q0[w], v0, q1[w], v1, dt)
-                        turning, before = turning_points(cubic), q0[w]
-                        for s in (turning[0], turning[1]):
+                        cubic, before = cubic_of(q0[w], v0, q1[w], v1, dt), q0[w]
+                        for s in turning_points(cubic):
                             value = value_of(cubic, s)
                             count_rise(own, levels, before, value)
                             before = value

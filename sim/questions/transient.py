@@ -23,7 +23,6 @@ from sim.sample.ensemble import Ensemble, ensemble_from
 from sim.sample.settings import Settings
 from sim.step.arrays import GROUPS, LANES, MAX_TRAJECTORIES, in_rows
 from sim.step.reachable import loudest
-from sim.step.step_size import REACHED
 
 States = Iterable[tuple[Array, Array | None]]
 """States (paths, …) at each time, at half the step and at the step, None where it has no error."""
@@ -39,8 +38,7 @@ def transient(method: Settings, asked: TransientAsked) -> Transient:
     system, observable, start, times = asked.system, asked.observable, asked.start, asked.times
     limits.require_times(times)
     wanted, loud = tolerance(asked.tol, method.tol), loudest(system)
-    kT = limits.temperature_reached(loud, start, float(np.max(times)))
-    reach = limits.Reach(kT, limits.largest_energy(system, start) + REACHED * kT)
+    reach = limits.reach_of(loud, None, start, float(np.max(times)))
     dt, failures = limits.motion_step(method, loud, reach, error=wanted)
     mirror = effects_of(system).mirror and (start.kind != "state" or start.rest)
     paths = -(-method.paths // LANES) * LANES

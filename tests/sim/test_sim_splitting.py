@@ -19,7 +19,7 @@ from fpk.answer.start import REST, Start, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.linear import natural_modes
 from sim.questions.averaged.square_root import SquareRootForm
-from sim.questions.passing import cubic_of, largest_of
+from sim.questions.passing import cubic_of, first_passage
 from sim.questions.splitting import RareFailure, Splitting, rare_failure
 from sim.questions.splitting.kernel import LEVELS, draw_normals
 from sim.questions.splitting.problem import system_problem
@@ -264,8 +264,8 @@ def called_bridge(a, b, variance, at):
 
 
 @njit
-def called_cubic(q0, v0, q1, v1, h):
-    return largest_of(cubic_of(q0, v0, q1, v1, h))
+def called_cubic(q0, v0, q1, v1, h, limit):
+    return first_passage(cubic_of(q0, v0, q1, v1, h), limit)
 
 
 TWINS = [
@@ -326,9 +326,12 @@ def test_largest_values_between_steps():
             + h * (t * (1 - t) ** 2 * v0 - t**2 * (1 - t) * v1)
         )  # fmt: skip
         # A maximum lies up to half an interval from a point: q'' <= 50, so that it is 4e-7 higher.
-        assert -1e-12 < called_cubic(q0, v0, q1, v1, h) - np.abs(q).max() < 2e-6
-    assert called_cubic(0.3, 0.0, 0.3, 0.0, 0.1) == 0.3
-    assert called_cubic(0.0, 1.0, 0.1, 1.0, 0.1) == pytest.approx(0.1)
+        top = np.abs(q).max()
+        if top > abs(q0):
+            assert called_cubic(q0, v0, q1, v1, h, top - 1e-12) <= 1.0
+        assert called_cubic(q0, v0, q1, v1, h, top + 2e-6) == 2.0
+    assert called_cubic(0.3, 0.0, 0.3, 0.0, 0.1, 0.3 + 1e-15) == 2.0
+    assert called_cubic(0.0, 1.0, 0.1, 1.0, 0.1, 0.05) == pytest.approx(0.5)
     a, b, variance = 0.2, 0.5, 0.3
     top = np.array([called_bridge(a, b, variance, place_of(3, 1, k)) for k in range(20_000)])
     assert top.min() >= b

@@ -11,7 +11,7 @@ import numpy as np
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.system.compiled_laws import compiled_laws, law_files, of_law
-from sim.questions.passing import NATS, cubic_of, distance_to, form_of, largest_of
+from sim.questions.passing import NATS, Diffusion, cubic_of, distance_to, first_passage, form_of
 from sim.step.arrays import StepArrays, WatchArrays
 from sim.step.kernel import KERNEL, KernelKey, once
 from sim.step.lanes import kick, row
@@ -54,7 +54,7 @@ class LimitArrays(NamedTuple):
     """
 
     values: Array  # (c,)
-    diffusion: Any  # passing.Diffusion of the energies; None for a displacement
+    diffusion: Diffusion  # of the energies, none of a displacement
     reach: Array  # (n,), √(H_m/E_f) times these add up to √(E_i/E_f) without contact
     energy: float  # E_f
     mass: int  # of the displacement, from 0
@@ -98,9 +98,8 @@ def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
     m = 0
     while paths.level[parent, m] <= level:
         m += 1
-    for r in range(paths.state.shape[2]):
-        x[r] = paths.state[parent, m, r]
-        paths.state[i, 0, r] = x[r]
+    x[:] = paths.state[parent, m]
+    paths.state[i, 0] = x
     paths.level[i, 0] = paths.level[parent, m]
     paths.step[i, 0] = paths.step[parent, m]
     return int(paths.step[i, 0])
@@ -109,8 +108,7 @@ def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
 @inlined
 def record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) -> None:
     """Write a state as the record number ``records`` of replica i."""
-    for r in range(paths.state.shape[2]):
-        paths.state[i, records, r] = x[r]
+    paths.state[i, records] = x
     paths.level[i, records], paths.step[i, records] = level, step
 
 
@@ -192,7 +190,7 @@ def passed(before: Array, seen: Array, limit: float, h: float, word: np.uint64, 
     By an energy it is with the probability of a Brownian bridge, of the uniform number at ``word``.
     """
     if of_q:
-        return limit - largest_of(cubic_of(before[1], before[2], seen[1], seen[2], h)) <= 0.0
+        return first_passage(cubic_of(before[1], before[2], seen[1], seen[2], h), limit) <= 1.0
     exponent = 2.0 * before[0] * seen[0] / h
     if before[0] <= 0.0 or seen[0] <= 0.0:
         return True

@@ -112,13 +112,13 @@ def limit_arrays(system: System, limit: Limit) -> LimitArrays:
     below its value E_f = ½ k a² + U_i(a) where |q_i| passes a. |q_i| itself would be a poor score:
     the next peak of a path that has set out for it is no longer open.
     """
-    at = limits.energies_at(system, limit)
+    at, diffusion = limits.energies_at(system, limit), diffusion_of(system, limit)
     if limit.kind != "q":
-        return LimitArrays(at, diffusion_of(system, limit), np.zeros(system.n), 1.0, 0)
+        return LimitArrays(at, diffusion, np.zeros(system.n), 1.0, 0)
     mass, energy = limit.observable(system.n)[0].row, float(np.min(at))
     shapes, omega = natural_modes(system)
     reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
-    return LimitArrays(np.array([limit.value]), None, reach, energy, mass)
+    return LimitArrays(np.array([limit.value]), diffusion, reach, energy, mass)
 
 
 def system_problem(
