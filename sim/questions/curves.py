@@ -252,40 +252,38 @@ def crossings(method: Settings, asked: Question) -> Curve:
     system, row, at = asked.system, asked.row, asked.at
     wanted, mass, order = tolerance(asked.tol, method.tol), float(system.mass[row]), np.argsort(at)
     dt, too_long = motion_step(method, system, error=wanted)
-    chunk = ceil((method.time or RELAXATIONS * relaxation_time(system)) / dt / CHUNKS - 1e-9)
+    whole = ceil((method.time or RELAXATIONS * relaxation_time(system)) / dt)
     known: Any = {"row": row, "momentum": system.n + row, "levels": at[order]}
     simulations: list[Simulation] = []
     for h, each in ((0.5 * dt, 2), (dt, 1)):
         read = partial(count_upcrossings, dt=h, inverse_mass=1.0 / mass, **known)
         simulations.append((h, each, each == 1, 1, read))
-    counts, ends, squares = list[Array](), list[Array](), list[Array]()
+    counts, times, squares = list[Array](), list[float](), list[Array]()
     scale, made, rates, at_half = inf, 0, np.zeros(0), np.zeros(0)
 
     def counted(counts_of_both: list[Array], square: Array, steps: int) -> float:
         nonlocal scale, made, rates, at_half
         made += steps
-        # Upcrossings of each block until now, (steps, blocks, levels).
-        new = np.cumsum(counts_of_both, axis=2)[:, :, :-1]
-        counts.append(new + counts[-1] if counts else new)
-        at_half, at_whole = counts[-1] / (LANES * (made * dt))
+        # Upcrossings of each block in the chunk, (steps, blocks, levels).
+        counts.append(np.cumsum(counts_of_both, axis=2)[:, :, :-1])
+        times.append(steps * dt)
+        at_half, at_whole = np.sum(counts, axis=0) / (LANES * (made * dt))
         rates = 2.0 * at_half - at_whole
         squares.append(square[[row, system.n + row]])
         size = np.sqrt(np.mean(squares, axis=0))
         scale = float(size[1] / mass / (2.0 * pi * size[0])) if size[0] > 0 else 1.0
-        if steps == chunk:
-            ends.append(new[0])
         return float(np.max(error_of(rates))) / scale
 
     paths, failures = in_rounds(
-        method, asked, simulations, chunk, (at.size + 1,), counted, "crossings", least=CHUNKS
+        method, asked, simulations, whole, (at.size + 1,), counted, "crossings", least=CHUNKS
     )
-    if len(ends) < CHUNKS and not method.seconds:
+    if made < whole and not method.seconds:
         failures.insert(0, "it was ended before all chunks were done")
     failures += too_long
-    if len(ends) < 2:
+    if len(counts) < 2:
         failures.append("it ended in its first chunk, where no drift shows; give it more time")
     else:
-        means = np.array(ends).transpose(2, 1, 0) / (chunk * dt)  # (levels, blocks, chunks)
+        means = np.array(counts)[:, 0].T / times  # (levels, blocks, chunks)
         z, limit = np.abs(drifts(means)), drift_limit(means.shape[1], 2 * means.shape[0])
         if np.max(z) > limit:
             words = f"by {np.max(z):.1f} standard errors (chance explains {limit:.1f})"

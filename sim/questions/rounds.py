@@ -137,12 +137,12 @@ def in_rounds(
 ) -> tuple[int, list[str]]:
     """Follow trajectories until ``estimate`` is content; return how many, and what went wrong.
 
-    A round is a window of ``samples``, of which each simulation is read into ``numbers``, the shape
-    of those of a block: of trajectories that have not been followed before, or, where ``least``
-    rounds are to be made, of the same. ``estimate`` is given the numbers (blocks, …) of each
-    simulation, the mean squares of (q, p) at the end, and the number of samples, less where the
-    time is over in a window of the same trajectories; it returns the error of all there is, in the
-    unit of the tolerance. Raises ``InvalidInput`` where it is over in the first of other ones.
+    A round is a window of ``samples`` of trajectories that have not been followed before, or, with
+    ``least``, that part of it of the same trajectories, which go on as long after it. Of each block
+    a simulation is read into ``numbers``, a shape. ``estimate`` is given these (blocks, …) of each
+    simulation, the mean squares of (q, p) at the end, and the number of samples; it returns the
+    error of all there is, in the unit of the tolerance. Where the time is over in a window it is
+    not counted, in the first one ``InvalidInput`` is raised; the last part may be cut.
     """
     system, onward = asked.system, least > 0
     paths = -(-method.paths // LANES) * LANES
@@ -162,16 +162,18 @@ def in_rounds(
                     for dt, _, halved, _, _ in simulations
                 ]
         sums, done = [np.zeros((own // LANES, *numbers)) for _ in simulations], 0
-        while done < samples and not (done and watch.ends()):
-            many = min(piece, samples - done)
+        first, last = (samples * k // least for k in (number, number + 1))
+        wanted = max(1, last - first) if onward else samples
+        while done < wanted and not (done and watch.ends()):
+            many = min(piece, wanted - done)
             for ensemble, of, array in zip(running, simulations, sums, strict=True):
                 _, steps, _, stride, read = of
                 ensemble.advance(many * steps, array, stride=stride, read=read)
             done += many
-        whole = done == samples
+        whole = done == wanted
         if not (whole or onward):
             if not number:
-                watch.require(f"the first {own} windows", done / samples)
+                watch.require(f"the first {own} windows", done / wanted)
             return None
         rounds += whole
         states = in_rows(running[0].last)[:, : 2 * system.n]
