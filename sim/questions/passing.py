@@ -95,8 +95,11 @@ def first_passage(c: Cubic, limit: float) -> float:
     return 2.0
 
 
-SOURCES = ("sim/step/arrays.py", "sim/step/lanes.py", "sim/questions/passing.py")
-"""Files that the readers are compiled from."""
+SOURCES = tuple(
+    f"sim/{name}.py"
+    for name in ("step/arrays", "step/lanes", "questions/passing", "questions/splitting/kernel")
+)
+"""Files that readers, and paths of splitting beside those of a kernel, are compiled from."""
 
 NATS = 40.0
 """−ln of a probability that counts as none: 4e-18."""

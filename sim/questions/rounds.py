@@ -51,21 +51,18 @@ class Watch:
 
     def until(
         self, answer: Callable[[int], float | None], *, least: int = 1, most: float = inf
-    ) -> bool:
+    ) -> None:
         """Call ``answer`` with 0, 1, … at least so often until the error it returns is met.
 
-        Return whether it was, and not time to stop before, nor ``answer`` called ``most`` times.
-        None is returned by an ``answer`` that was cut short.
+        Where it is time to stop before, or it was called ``most`` times, that is the end; so it is
+        where an ``answer`` was cut short and returns None.
         """
         number = 0
         while (error := answer(number)) is not None:
             number += 1
             more = error > self.tol if self.tol is not None else self.seconds < inf
-            if number >= least and not more:
-                return True
-            if number >= most or self.ends():
-                return False
-        return False
+            if (number >= least and not more) or number >= most or self.ends():
+                return
 
     def require(self, what: str, share: float) -> None:
         """Raise ``InvalidInput`` where it is time to stop and only a ``share`` of ``what`` is done.

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 
-from fpk.numeric.arrays import ROUND_OFF, Array
+from fpk.numeric.arrays import EPS, ROUND_OFF, Array
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
 from fpk.system.modulation import Modulation
@@ -13,9 +14,6 @@ from fpk.system.process import Process, log_density_slope
 from sim.questions.passing import NATS, Diffusion
 
 Function = Callable[[Array], Array]
-
-NEAR_ZERO = 1e-7
-"""Energy, in units of the process's scale, below which γ is that at this energy."""
 
 FIRST = 8
 """Cells next to 0 with the γ of the next one: a difference of equal numbers is divided by X."""
@@ -75,7 +73,7 @@ def square_root_form(process: Process) -> SquareRootForm:
         raise NotApplicable("the noises of the energies are correlated, or not b_ii ~ H_i")
 
     def rate(H: Array) -> Array:
-        safe = np.maximum(H, NEAR_ZERO * scales)
+        safe = np.maximum(H, sqrt(EPS) * scales)  # below, half of the digits are lost
         return np.asarray((d - process.at(safe).drift) / safe)
 
     rates = rate(probes)

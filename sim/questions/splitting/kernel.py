@@ -11,7 +11,15 @@ import numpy as np
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.system.compiled_laws import compiled_laws, law_files, of_law
-from sim.questions.passing import NATS, Diffusion, cubic_of, distance_to, first_passage, form_of
+from sim.questions.passing import (
+    NATS,
+    SOURCES,
+    Diffusion,
+    cubic_of,
+    distance_to,
+    first_passage,
+    form_of,
+)
 from sim.step.arrays import StepArrays, WatchArrays
 from sim.step.kernel import KERNEL, KernelKey, once
 from sim.step.lanes import kick, row
@@ -197,16 +205,12 @@ def passed(before: Array, seen: Array, limit: float, h: float, word: np.uint64, 
     return exponent < NATS and uniform(word) < exp(-exponent)
 
 
-OWN = ("sim/questions/passing.py", "sim/questions/splitting/kernel.py")
-"""Files that paths are compiled from beside those of a kernel."""
-
-
 @once
 def compiled_paths(key: KernelKey, kind: str) -> Any:
     """Return the function that renews paths; ``kind`` is that of the limit."""
     pairs, damping, energy_damping = key.pairs, key.damping, key.energy_damping
     energy, modes, contact, displacement = key.energy, key.modes, bool(key.laws), kind == "q"
-    sources = checksum([*(ROOT / name for name in (*KERNEL, *OWN)), *law_files(key.laws, ROOT)])
+    sources = checksum([*(ROOT / name for name in (*KERNEL, *SOURCES)), *law_files(key.laws, ROOT)])
     laws: Any = [
         compiled_laws(key.laws, x) if contact else None for x in ("force", "slope", "energy")
     ]
