@@ -17,8 +17,8 @@ from fpk.system.modulation import Modulation
 from sim.questions import limits
 from sim.questions.failure_times import passage_of, settled_at
 from sim.questions.passing import reader_of
-from sim.questions.rounds import Watch, both_steps, seed_of, working
-from sim.sample.ensemble import Reader
+from sim.questions.rounds import Watch, seed_of, working
+from sim.sample.ensemble import Reader, ensemble_from
 from sim.sample.settings import Settings
 from sim.step.arrays import LANES, MAX_TRAJECTORIES, in_blocks, in_rows
 from sim.step.random import stream_of
@@ -67,8 +67,9 @@ def passage(method: Settings, asked: PassageAsked) -> Passage:
             raise InvalidInput("start", str(start), f"is beyond the limit {limit}")
         seed, read = seed_of(method.seed, number), partial(reader_of, system, limit)
         known: Any = {"energies": energies, "workers": workers, "modulation": modulation}
-        with left_out():
-            pair = both_steps(system, q, p, first, seed, **known)
+        with left_out():  # by the same random numbers
+            both = (0.5 * first, False), (first, True)
+            pair = [ensemble_from(system, q, p, h, seed, halved=x, **known) for h, x in both]
         chance = stream_of(seed, number + 2**63).exponential(size=(paths, max(1, len(energies))))
         return [(e, 2 - k, read, (k,)) for k, e in enumerate(pair)], past, chance
 

@@ -106,16 +106,6 @@ def seed_of(seed: int, number: int) -> int:
     return (seed + number * OTHER_SEED) % 2**64
 
 
-def both_steps(
-    system: System, q: Array, p: Array, dt: float, seed: int, **settings: Any
-) -> list[Ensemble]:
-    """Return ensembles from q, p in steps of dt/2 and of ``dt``, by the same random numbers."""
-    return [
-        ensemble_from(system, q, p, step, seed, halved=halved, **settings)
-        for step, halved in ((0.5 * dt, False), (dt, True))
-    ]
-
-
 Simulation = tuple[float, int, bool, int, Reader]
 """One of the simulations of a round, by the same random numbers: its step, how many lie between
 samples, whether it is ``halved``, from which step to the next states are read, and the reader."""
@@ -134,12 +124,13 @@ def in_rounds(
 ) -> tuple[int, list[str]]:
     """Follow trajectories until ``estimate`` is content; return how many, and what went wrong.
 
-    A round is a window of ``samples`` of trajectories that have not been followed before, or, with
-    ``least``, that part of it of the same trajectories, which go on as long after it. Of each block
-    a simulation is read into ``numbers``, a shape. ``estimate`` is given these (blocks, …) of each
-    simulation, the mean squares of (q, p) at the end, and the number of samples; it returns the
-    error of all there is, in the unit of the tolerance. Where the time is over in a window it is
-    not counted, in the first one ``InvalidInput`` is raised; the last part may be cut.
+    A round is a window of ``samples`` of trajectories that have not been followed before. With
+    ``least`` it is a chunk of a window, of which there are so many; the trajectories stay the same,
+    and go on after it in chunks as long. Of each block a simulation is read into ``numbers``, a
+    shape. ``estimate`` is given these (blocks, …) of each simulation, the mean squares of (q, p) at
+    the end, and the number of samples; it returns the error of all there is, in the unit of the
+    tolerance. A window that the time cuts short is not counted, and the first one is refused by
+    ``InvalidInput``; a chunk is counted.
     """
     system, onward = asked.system, least > 0
     paths = -(-method.paths // LANES) * LANES

@@ -17,7 +17,7 @@ from fpk.numeric.errors import InvalidInput
 from fpk.numeric.machine import left_out
 from fpk.system.system import System, effects_of
 from sim.questions import limits
-from sim.questions.rounds import Watch, both_steps, seed_of, working
+from sim.questions.rounds import Watch, seed_of, working
 from sim.sample import histogram
 from sim.sample.ensemble import Ensemble, ensemble_from
 from sim.sample.settings import Settings
@@ -83,6 +83,7 @@ def motions(
     stepped = limits.needs_steps(system) or system.modulation is not None
     many = (2, 1) if stepped else (1,)
     known: Any = {"workers": workers, "modulation": system.modulation}
+    begun = partial(ensemble_from, system, q, p, **known)
     for time in times.tolist():
         if time > now:
             steps = ceil((time - now) / dt) if stepped else 1
@@ -93,10 +94,9 @@ def motions(
                 if running:
                     pairs = zip(running, many, strict=True)
                     running = [ensemble.onward(long / each) for ensemble, each in pairs]
-                elif stepped:
-                    running = both_steps(system, q, p, long, seed, **known)
-                else:
-                    running = [ensemble_from(system, q, p, long, seed, **known)]
+                else:  # by the same random numbers
+                    both = [(long / each, each < many[0]) for each in many]
+                    running = [begun(dt=h, seed=seed, halved=halved) for h, halved in both]
             for ensemble, each in zip(running, many, strict=True):
                 for done in range(parts):
                     ensemble.advance(stride * each, stride=stride * each)
@@ -151,7 +151,7 @@ def counted_in_rounds(
             for which, at_step in enumerate((fine,) if coarse is None else (fine, coarse)):
                 values = columns(at_step)
                 if k == len(found):
-                    bins = covering(asked.observable, values, axis, times[k])
+                    bins = bins_over(asked.observable, values, axis, times[k])
                     found.append((bins, np.zeros((2, GROUPS, bins.size + 1), np.int64)))
                 found[k][1][which] += found[k][0].counted(values, GROUPS)
             taken[k] += len(fine)
@@ -188,7 +188,7 @@ def counted_in_rounds(
     return Transient(times, values, errors, "sampling", certificate, settings)
 
 
-def covering(
+def bins_over(
     observable: Observable, columns: Sequence[Array], axis: Callable[..., BinAxis], time: float
 ) -> histogram.Histogram:
     """Return bins over the ``columns`` (paths,) of an observable; refuse one that is constant."""
