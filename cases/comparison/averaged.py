@@ -115,14 +115,12 @@ class AveragedSimulation(Transients, Passages, Method):
             form,
             self.limits(form, asked.limit),
             self._starts(system, asked.start),
-            asked.times,
+            asked,
             dt=self.step * float(scales.min()),
             memory=2.0 * float(scales.max()),
             paths=min(paths, MOST_PATHS),
-            modulation=system.modulation,
             **self._sampling(),
-            tol=inf if wanted is None else wanted,
-            progress=asked.progress,
+            tol=wanted,
         )
 
     def _transient(self, asked: TransientAsked) -> Transient:
@@ -142,16 +140,12 @@ class AveragedSimulation(Transients, Passages, Method):
         form = self._form(self._process(system))
         return energy_transient(
             form,
-            asked.observable,
             self._starts(system, asked.start),
-            asked.times,
-            asked.at,
+            asked,
             dt=self.step * float((form.scales / form.noise).min()),
             paths=self.paths,
-            modulation=system.modulation,
             **self._sampling(),
             tol=self.tol if asked.tol is None else asked.tol,
-            progress=asked.progress,
         )
 
     def _process(self, system: System) -> Process:
@@ -171,9 +165,12 @@ class AveragedSimulation(Transients, Passages, Method):
 
         return (line_form if self.theory == "nonintegrable" else square_root_form)(process)
 
-    def limits(self, form: Any, limit: Limit) -> Any:
-        """Return the limit as one of X; raise ``NotApplicable`` where the theory knows it not."""
-        from sim.questions.averaged.square_root import EnergyLimits, from_energies
+    def limits(self, form: Any, limit: Limit) -> tuple[Array, Array]:
+        """Return weights (limits, d) of X, and values (limits,) at which their sums pass ``limit``.
+
+        Raises ``NotApplicable`` where the theory does not know the limit.
+        """
+        from sim.questions.averaged.square_root import from_energies
 
         line, d = self.theory == "nonintegrable", form.scales.size
         if limit.kind == "q" or (limit.kind == "modal" and line):
@@ -182,10 +179,10 @@ class AveragedSimulation(Transients, Passages, Method):
         if limit.kind == "modal":
             named = sorted((int(name[1:]) - 1, value) for name, value in limit.values.items())
             values = np.array([value for _, value in named])
-            return EnergyLimits(np.eye(d)[[m for m, _ in named]], values, str(limit))
+            return np.eye(d)[[m for m, _ in named]], values
         values = np.array([limit.value])
         values = from_energies(form, values[None])[0] if line else values
-        return EnergyLimits(np.ones((1, d)), values, str(limit))
+        return np.ones((1, d)), values
 
     def _starts(self, system: System, start: Start) -> Any:
         """Return ``draw(paths, stream)``, the energies (paths, d) at time 0.

@@ -2,19 +2,21 @@
 
 from functools import partial
 from math import ceil, inf, pi
+from typing import Any
 
 import numpy as np
 import scipy  # its parts are loaded at their first use
 
+from fpk.answer.certificate import tolerance
 from fpk.answer.dynamics import Curve, Question
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
-from sim.questions.limits import CHUNK, longest_step, motion_step, needs_steps
+from sim.questions.limits import longest_step, motion_step, needs_steps
 from sim.questions.passing import count_upcrossings
-from sim.questions.rounds import MOST_SUMS, both_steps, error_of, in_rounds, sampled_curve, working
+from sim.questions.rounds import MOST_SUMS, Simulation, error_of, in_rounds, sampled_curve
 from sim.sample.diagnostics import CHUNKS, drift_limit, drifts
 from sim.sample.settings import Settings
-from sim.step.arrays import LANES, in_rows
+from sim.step.arrays import LANES
 from sim.step.step_size import contact_frequency, highest_frequency, relaxation_time
 
 RELAXATIONS = 20.0
@@ -23,6 +25,9 @@ are counted, unless a time is given."""
 
 BEYOND = 6
 """Samples beyond the longest lag: the spline is worst at its end."""
+
+Products = tuple[Array, Array, Array]
+"""Sums of a round, as of ``_products``."""
 
 
 def correlation(method: Settings, asked: Question) -> Curve:
@@ -34,52 +39,52 @@ def correlation(method: Settings, asked: Question) -> Curve:
     dt instead of dt/2, by the same random numbers, and the largest error of the spline, see
     ``_spline_error``. Raises ``InvalidInput`` for lags that are too long for memory.
     """
-    system, row, at, progress = asked.system, asked.row, asked.at, asked.progress
-    wanted = method.tol if asked.tol is None else asked.tol
+    system, at, wanted = asked.system, asked.at, tolerance(asked.tol, method.tol)
     dt, too_long = motion_step(method, system)
-    step = max(1, int(longest_step(system) / dt)) if needs_steps(system) else 1
+    stepped = needs_steps(system)
+    step = max(1, int(longest_step(system) / dt)) if stepped else 1
     spacing = step * dt
-    steps = [(0.5 * dt, 2 * step, False), (dt, step, True)]
-    steps = steps if needs_steps(system) else steps[1:]
+
+    read = partial(_record, row=asked.row)
+    simulations: list[Simulation] = [(dt, step, True, step, read)]
+    if stepped:
+        simulations.insert(0, (0.5 * dt, 2 * step, False, 2 * step, read))
     longest = float(np.max(at))
-    most = MOST_SUMS // (LANES * len(steps))
+    most = MOST_SUMS // (LANES * len(simulations))
     if longest > 0.5 * most * spacing:
         remedy = f"a lag takes {longest / spacing:.1e} samples at once; ask for shorter ones"
         raise InvalidInput("at", longest, remedy)
     lags = 2 * ceil(0.5 * longest / spacing) + BEYOND
     wished = ceil((method.time or RELAXATIONS * relaxation_time(system)) / spacing)
     origins = min(wished, most - lags)
-    rounds: list[list[tuple[Array, Array, Array]]] = [[] for _ in steps]
+    rounds: list[list[Products]] = [[] for _ in simulations]
 
-    def estimate(series: list[Array], _: Array) -> float:
+    def estimate(series: list[Array], _: Array, __: int) -> float:
         for sums, q in zip(rounds, series, strict=True):
             sums.append(_products(q, origins))
-        curve = _curve(rounds[0], spacing, at)
-        return float(np.max(error_of(curve))) / _variance(rounds[0])
+        return float(np.max(error_of(_curve(rounds[0], spacing, at)))) / _variance(rounds[0])
 
-    samples, read = origins + lags, partial(_record, row=row)
+    samples = origins + lags
     paths, failures = in_rounds(
-        method, system, wanted, steps, samples, (samples + 1, LANES), read, estimate,
-        what="correlation", progress=progress,
-    )  # fmt: skip
+        method, asked, simulations, samples, (samples + 1, LANES), estimate, "correlation"
+    )
     curves = [_curve(sums, spacing, at) for sums in rounds]
-    values = curves[0].mean(axis=0)
-    bias = curves[-1].mean(axis=0) - values
+    values, coarse = (curve.mean(axis=0) for curve in (curves[0], curves[-1]))
     spline = _spline_error(rounds[0], spacing)
-    errors = np.sqrt(error_of(curves[0]) ** 2 + bias**2 + spline**2)
+    errors = np.sqrt(error_of(curves[0]) ** 2 + (coarse - values) ** 2 + spline**2)
     settings: dict[str, str | float | int] = {
-        "dt": steps[0][0],
+        "dt": simulations[0][0],
         "coarse dt": dt,
         "sampled every": spacing,
         "time": origins * spacing,
         "paths": paths,
         "seed": method.seed,
-        "largest step bias": float(np.max(np.abs(bias))),
+        "largest step bias": float(np.max(np.abs(coarse - values))),
         "error of the spline": spline,
     }
     scale = _variance(rounds[0])
     positive, failures = scale - np.abs(values), too_long + failures
-    return sampled_curve(values, errors, scale, wanted, failures, settings, positive=positive)
+    return sampled_curve(values, errors, scale, wanted, failures, settings, positive)
 
 
 def _record(trace: Array, samples: int, done: int, series: Array, row: int) -> None:
@@ -87,7 +92,7 @@ def _record(trace: Array, samples: int, done: int, series: Array, row: int) -> N
     series[:, done : done + samples + 1] = trace[:, : samples + 1, row]
 
 
-def _products(q: Array, origins: int) -> tuple[Array, Array, Array]:
+def _products(q: Array, origins: int) -> Products:
     """Means of q(s) q(s + t), of q(s) + q(s + t), (blocks, lags), and of q, (blocks, 1).
 
     ``q`` is (blocks, samples, LANES), and s the first samples, as many as ``origins``.
@@ -103,9 +108,7 @@ def _products(q: Array, origins: int) -> tuple[Array, Array, Array]:
     return products, later_sums[:, :1] + later_sums, sums[:, -1:] / (samples * LANES)
 
 
-def _curve(
-    rounds: list[tuple[Array, Array, Array]], spacing: float, at: Array, every: int = 1
-) -> Array:
+def _curve(rounds: list[Products], spacing: float, at: Array, every: int = 1) -> Array:
     """Autocovariances of each block, (blocks, lags), about the mean of all.
 
     By a cubic spline through every sample, or one of ``every``, that begins level: E q v = 0.
@@ -119,14 +122,14 @@ def _curve(
     return np.asarray(spline(at))
 
 
-def _spline_error(rounds: list[tuple[Array, Array, Array]], spacing: float) -> float:
+def _spline_error(rounds: list[Products], spacing: float) -> float:
     """Twice a 15th of what leaving out every other sample changes: it errs 16 times as much."""
     samples = spacing * np.arange(rounds[0][0].shape[1] - 2)  # without the end, where none is asked
     one, two = (_curve(rounds, spacing, samples, every).mean(axis=0) for every in (1, 2))
     return float(np.max(np.abs(one - two))) * 2.0 / 15.0
 
 
-def _variance(rounds: list[tuple[Array, Array, Array]]) -> float:
+def _variance(rounds: list[Products]) -> float:
     variance = float(_curve(rounds, 1.0, np.zeros(1)).mean())
     return variance if variance > 0.0 else 1.0
 
@@ -141,9 +144,6 @@ contact: what folds back into the range is (1/5)⁴ of it where the spectrum fal
 MOST_FREQUENCIES = 1024
 """Frequencies beyond which they are refused: 8192 windows of 3000 samples then take minutes."""
 
-MOST_SAMPLES = 1 << 22
-"""Samples of a window beyond which a frequency is refused: 8192 windows take minutes and more."""
-
 
 def spectrum(method: Settings, asked: Question) -> Curve:
     """Return the power spectral density of q of mass ``row`` at the angular frequencies ``at``.
@@ -155,11 +155,11 @@ def spectrum(method: Settings, asked: Question) -> Curve:
     of trajectories, all of that third, and a bound of what sampling folds back. Steps are half
     those of a density, of whose bias a sixteenth is left.
 
-    Raises ``InvalidInput`` for too many frequencies, or one so high that a window has too many
-    samples.
+    Raises ``InvalidInput`` for too many frequencies, or one so high that the samples of a window
+    take half of the memory of a round, and minutes and more.
     """
-    system, row, at, progress = asked.system, asked.row, asked.at, asked.progress
-    wanted = method.tol if asked.tol is None else asked.tol
+    system, row, at = asked.system, asked.row, asked.at
+    wanted = tolerance(asked.tol, method.tol)
     if at.size > MOST_FREQUENCIES:
         words = f"frequencies, each of which is summed on its own; ask for {MOST_FREQUENCIES}"
         raise InvalidInput("at", at.size, words)
@@ -167,16 +167,14 @@ def spectrum(method: Settings, asked: Question) -> Curve:
     spacing = 2.0 * pi / max(SAMPLING * highest, OF_CONTACT * contact_frequency(system))
     dt, too_long = motion_step(method, system, too_long=1.0)  # no second step shows the bias
     length = 2 * ceil(0.5 * (method.time or WINDOW * relaxation_time(system)) / spacing)
-    if length > MOST_SAMPLES:
+    if length > MOST_SUMS // 2:
         words = f"a window takes {length:.1e} samples at the highest frequency; ask for lower ones"
         raise InvalidInput("at", highest, words)
     step, too_long = (ceil(2.0 * spacing / dt), too_long) if needs_steps(system) else (1, [])
-    powers: list[Array] = []
-    means: list[Array] = []
-    squares: list[Array] = []
+    powers, means, squares = list[Array](), list[Array](), list[Array]()
     scale = 1.0
 
-    def estimate(sums: list[Array], square: Array) -> float:
+    def estimate(sums: list[Array], square: Array, _: int) -> float:
         nonlocal scale
         split = sums[0].reshape(-1, at.size, 3, 2, LANES)
         means.append(split.mean(axis=(0, 4)))
@@ -187,10 +185,10 @@ def spectrum(method: Settings, asked: Question) -> Curve:
         return float(np.max(_welch(powers, means, length, spacing)[1])) / scale
 
     read = partial(_add_fourier, row=row, omega=at * spacing, length=length)
+    simulations: list[Simulation] = [(spacing / step, step, False, step, read)]
     windows, failures = in_rounds(
-        method, system, wanted, [(spacing / step, step, False)], length, (6 * at.size, LANES), read,
-        estimate, what="spectrum", progress=progress,
-    )  # fmt: skip
+        method, asked, simulations, length, (6 * at.size, LANES), estimate, "spectrum"
+    )
     values, errors, leakage = _welch(powers, means, length, spacing)
     # Bound of the spectrum at 2π k/spacing ± ω, by the tail N_ii/(π m² ω⁴) of white noise: twice
     # the nearest one, as all beyond are less than it together.
@@ -248,76 +246,59 @@ def crossings(method: Settings, asked: Question) -> Curve:
     step. Returned is the rate extrapolated from dt and dt/2 by the same random numbers, twice that
     at dt/2 less that at dt; whole in its error, beside that of sampling by independent blocks of
     trajectories, is what the extrapolation changes. Where hardly anything crosses, a rate may be
-    negative within its error. ``time`` of each trajectory (``RELAXATIONS`` relaxation times where
-    none is given) is followed by more until ``tol`` is met or ``seconds`` have passed.
+    negative within its error. The trajectories are followed for ``time`` (``RELAXATIONS``
+    relaxation times where none is given), and on until ``tol`` is met or ``seconds`` have passed.
     """
-    system, row, at, progress = asked.system, asked.row, asked.at, asked.progress
-    wanted = method.tol if asked.tol is None else asked.tol
+    system, row, at = asked.system, asked.row, asked.at
+    wanted, mass, order = tolerance(asked.tol, method.tol), float(system.mass[row]), np.argsort(at)
     dt, too_long = motion_step(method, system, error=wanted)
-    paths = -(-method.paths // LANES) * LANES
-    order = np.argsort(at, kind="stable")
-    steps = ceil((method.time or RELAXATIONS * relaxation_time(system)) / dt)
-    mass = float(system.mass[row])
-    read = partial(
-        count_upcrossings, row=row, momentum=system.n + row, inverse_mass=1.0 / mass,
-        levels=at[order],
-    )  # fmt: skip
-    ends: list[Array] = []
-    times: list[float] = []
-    squares: list[Array] = []
-    scale, rates, at_half = inf, np.zeros(0), np.zeros(0)
+    whole = ceil((method.time or RELAXATIONS * relaxation_time(system)) / dt)
+    known: Any = {"row": row, "momentum": system.n + row, "levels": at[order]}
+    simulations: list[Simulation] = []
+    for h, each in ((0.5 * dt, 2), (dt, 1)):
+        read = partial(count_upcrossings, dt=h, inverse_mass=1.0 / mass, **known)
+        simulations.append((h, each, each == 1, 1, read))
+    counts, times, squares = list[Array](), list[float](), list[Array]()
+    scale, made, rates, at_half = inf, 0, np.zeros(0), np.zeros(0)
 
-    def counted(number: int) -> float | None:
-        nonlocal scale, rates, at_half
-        chunk = max(1, steps * (number + 1) // CHUNKS - steps * number // CHUNKS)
-        for begun in range(0, chunk, CHUNK):
-            piece = min(CHUNK, chunk - begun)
-            for ensemble, own, many in zip(pair, counts, (2 * piece, piece), strict=True):
-                ensemble.advance(many, own, read=partial(read, dt=ensemble.dt))
-            if watch.ends():
-                break
-        else:
-            ends.append(np.cumsum(counts[0], axis=1)[:, :-1].astype(float))
-            times.append(pair[0].time)
-        states = in_rows(pair[0].last)
-        squares.append(np.mean(states[:, [row, system.n + row]] ** 2, axis=0))
+    def counted(counts_of_both: list[Array], square: Array, steps: int) -> float:
+        nonlocal scale, made, rates, at_half
+        made += steps
+        # Upcrossings of each block in the chunk, (steps, blocks, levels).
+        counts.append(np.cumsum(counts_of_both, axis=2)[:, :, :-1])
+        times.append(steps * dt)
+        at_half, at_whole = np.sum(counts, axis=0) / (LANES * (made * dt))
+        rates = 2.0 * at_half - at_whole
+        squares.append(square[[row, system.n + row]])
         size = np.sqrt(np.mean(squares, axis=0))
         scale = float(size[1] / mass / (2.0 * pi * size[0])) if size[0] > 0 else 1.0
-        # Upcrossings per unit time of each block, (blocks, levels).
-        time = LANES * pair[0].time
-        at_half, at_whole = (np.cumsum(own, axis=1)[:, :-1] / time for own in counts)
-        rates = 2.0 * at_half - at_whole
-        progress(min(len(ends), CHUNKS), CHUNKS, "crossings")
-        return float(np.max(error_of(rates))) / scale if len(ends) > number else None
+        return float(np.max(error_of(rates))) / scale
 
-    with working(method, system, wanted) as (workers, watch, origin):
-        q, p = origin.drawn(paths, 0)
-        pair = both_steps(system, q, p, dt, method.seed, workers=workers)
-        counts = [np.zeros((paths // LANES, at.size + 1), dtype=np.int64) for _ in pair]
-        done = watch.until(counted, least=CHUNKS)
-        failures = [] if done or method.seconds else ["it was ended before all chunks were done"]
-        failures += watch.interruption()
+    paths, failures = in_rounds(
+        method, asked, simulations, whole, (at.size + 1,), counted, "crossings", least=CHUNKS
+    )
+    if made < whole and not method.seconds:
+        failures.insert(0, "it was ended before all chunks were done")
     failures += too_long
-    if len(ends) < 2:
+    if len(counts) < 2:
         failures.append("it ended in its first chunk, where no drift shows; give it more time")
     else:
-        chunks = np.diff(np.array(ends), axis=0, prepend=0.0).transpose(2, 1, 0)
-        means = chunks / np.diff(times, prepend=0.0)  # (levels, blocks, chunks)
+        means = np.array(counts)[:, 0].T / times  # (levels, blocks, chunks)
         z, limit = np.abs(drifts(means)), drift_limit(means.shape[1], 2 * means.shape[0])
         if np.max(z) > limit:
             words = f"by {np.max(z):.1f} standard errors (chance explains {limit:.1f})"
             failures.append(f"the rates drift {words}; use a longer burn_in")
-    total = paths * pair[0].time
     bias = (rates - at_half).mean(axis=0)
-    errors, values = np.zeros(at.size), np.zeros(at.size)
-    values[order] = rates.mean(axis=0)
-    errors[order] = np.sqrt(error_of(rates) ** 2 + bias**2 + total**-2.0)
+    time = made * dt
+    once = 1.0 / (paths * time)
+    values, errors = rates.mean(axis=0), np.sqrt(error_of(rates) ** 2 + bias**2 + once**2)
     settings: dict[str, str | float | int] = {
         "dt": 0.5 * dt,
         "coarse dt": dt,
         "paths": paths,
-        "time": pair[0].time,
+        "time": time,
         "seed": method.seed,
         "largest step bias": float(np.max(np.abs(bias))),
     }
-    return sampled_curve(values, errors, scale, wanted, failures, settings)
+    back = np.argsort(order)
+    return sampled_curve(values[back], errors[back], scale, wanted, failures, settings)

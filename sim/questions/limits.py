@@ -10,7 +10,7 @@ import numpy as np
 from fpk.answer.limit import Limit
 from fpk.answer.observable import Coordinate
 from fpk.answer.start import REST, Start
-from fpk.numeric.arrays import Array, Flags
+from fpk.numeric.arrays import ROUND_OFF, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.linear import diffusion_matrix, drift_matrix, modal_energies, natural_modes
 from fpk.system.system import System, effects_of
@@ -24,9 +24,6 @@ from sim.step.step_size import (
     step_for,
     temperature,
 )
-
-AT_LIMIT = 1.0 - 1e-12
-"""Share of its limit that counts as reached: a start drawn at an energy has it to round-off."""
 
 
 def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:
@@ -50,14 +47,23 @@ def energies_at(system: System, limit: Limit) -> Array:
 
 
 def beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
-    """Return which states q, p (paths, n) are at or beyond the limit."""
+    """Return which states q, p (paths, n) are at or beyond the limit, to the round-off of a start.
+
+    A start that is drawn at an energy has it to round-off only.
+    """
     if limit.kind == "q":
         return np.asarray(np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value)
+    reached = (1.0 - ROUND_OFF) * energies_at(system, limit)
     if limit.kind == "H":
-        return np.asarray(system.hamiltonian(q, p) >= AT_LIMIT * limit.value)
+        return np.asarray(system.hamiltonian(q, p) >= reached[0])
     rows = [c.row for c in energies_of(limit, system.n)]
-    modal = modal_energies(system, q, p)[:, rows]
-    return np.asarray(np.any(modal >= AT_LIMIT * energies_at(system, limit), axis=1))
+    return np.asarray(np.any(modal_energies(system, q, p)[:, rows] >= reached, axis=1))
+
+
+def modal_rates(system: System, limit: Limit, matrix: Array) -> Array:
+    """Return T_m' ``matrix`` T_m (modes,) of the modes m whose energies ``limit`` is on."""
+    T = natural_modes(system)[0][:, [c.row for c in energies_of(limit, system.n)]]
+    return np.asarray(np.einsum("im,ij,jm->m", T, matrix, T))
 
 
 def largest_energy(system: System, start: Start) -> float:
@@ -71,18 +77,6 @@ def largest_energy(system: System, start: Start) -> float:
     return float(sum(start.values.values()))
 
 
-def temperature_reached(system: System, start: Start, time: float) -> float:
-    """Return the largest mean of m v² of a mass from the ``start`` to ``time``.
-
-    It is kT, or less: twice the energy of the start and that of the noise by then, Σ (N_ii/m_i) t.
-    """
-    kT = temperature(system)
-    if system.damping_terms or not 0.0 < time < inf:  # terms may feed energy in
-        return kT
-    power = float(np.sum(np.diag(system.noise_matrix) / system.mass))
-    return min(kT, 2.0 * (largest_energy(system, start) + power * time))
-
-
 def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
     """Return about the time in which noise and the speed of the ``start`` can reach the ``limit``.
 
@@ -94,10 +88,9 @@ def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
     """
     away, energy = np.sqrt(energies_at(system, limit)), largest_energy(system, start)
     if limit.kind != "q":
-        power = np.sum(np.diag(system.noise_matrix) / system.mass)
+        power: Array = np.sum(np.diag(system.noise_matrix) / system.mass, keepdims=True)
         if limit.kind == "modal":
-            T = natural_modes(system)[0][:, [c.row for c in energies_of(limit, system.n)]]
-            power = np.einsum("im,ij,jm->m", T, system.noise_matrix, T)
+            power = modal_rates(system, limit, system.noise_matrix)
         elif start.kind != "noise":
             away = np.maximum(away - sqrt(energy), 0.0)
         filling = np.max(power / away**2) if np.all(away > 0.0) else 0.0
@@ -123,17 +116,27 @@ class Reach(NamedTuple):
     """How far a motion gets and how soon, by which its steps are chosen; else it is stationary."""
 
     kT: float | None = None  # largest mean of m v² of a mass, None for the stationary one
-    energy: float = 0.0  # for which steps must be short: that of the limit, or of the start
+    energy: float = 0.0  # of the limit, or of the start: steps must be short for it
     limit: float = inf  # time_to_limit from rest
     start: float = inf  # time_to_limit from the start
 
 
-def reach_of(system: System, limit: Limit, start: Start, time: float) -> Reach:
-    """Return how far a motion gets that is followed to the ``limit``, or for ``time``."""
-    kT, energy = temperature_reached(system, start, time), largest_energy(system, start)
+def reach_of(system: System, limit: Limit | None, start: Start, time: float) -> Reach:
+    """Return how far a motion gets that is followed to the ``limit``, or for ``time``.
+
+    The mean of m v² is kT at most, or less: twice the energy of the start and of the noise by then,
+    Σ (N_ii/m_i) t.
+    """
+    kT, energy = temperature(system), largest_energy(system, start)
+    if not system.damping_terms and 0.0 < time < inf:  # terms may feed energy in
+        power = float(np.sum(np.diag(system.noise_matrix) / system.mass))
+        kT = min(kT, 2.0 * (energy + power * time))
+    with_noise = energy + (REACHED * kT if isfinite(kT) else 0.0)
+    if limit is None:
+        return Reach(kT, with_noise)
     at = energies_at(system, limit)
     if limit.kind == "q":
-        energy = max(float(np.max(at)), energy + (REACHED * kT if isfinite(kT) else 0.0))
+        energy = max(float(np.max(at)), with_noise)
     else:
         energy = max(float(np.sum(at)), energy)
     kT = min(kT, 2.0 * energy) if limit.kind == "H" else kT  # m v² <= 2 H
@@ -162,8 +165,6 @@ TOO_LONG = 4.0
 """Steps of one's own, in units of the longest that is chosen, beyond which nothing is certified:
 the difference from half of it may then be less than the error."""
 
-STATIONARY = Reach()
-
 
 def require_times(times: Array) -> None:
     """Raise ``InvalidInput`` for times that do not ascend from 0 or later."""
@@ -178,22 +179,19 @@ def needs_steps(system: System) -> bool:
     return effects.contact or effects.state_damping
 
 
-def longest_step(system: System, reach: Reach = STATIONARY) -> float:
+def longest_step(system: System, reach: Reach | None = None) -> float:
     """Return the step in which velocities change little enough to see what is between two steps."""
-    period = 2.0 * pi / highest_frequency(system)
+    reach, period = reach or Reach(), 2.0 * pi / highest_frequency(system)
     decay = float(np.max(np.abs(np.linalg.eigvals(system.damping / system.mass))))
-    return min(
-        period / STEPS_PER_PERIOD,
-        STEP_PER_DECAY / decay if decay > 0.0 else inf,
-        STEP_TO_LIMIT * reach.limit,
-        chosen_step(system, energy=reach.energy, kT=reach.kT),
-    )
+    motion = period / STEPS_PER_PERIOD, STEP_PER_DECAY / decay if decay > 0.0 else inf
+    contact = chosen_step(system, energy=reach.energy, kT=reach.kT)
+    return min(*motion, STEP_TO_LIMIT * reach.limit, contact)
 
 
 def motion_step(
     method: Settings,
     system: System,
-    reach: Reach = STATIONARY,
+    reach: Reach | None = None,
     *,
     error: float | None = None,
     too_long: float = TOO_LONG,
@@ -211,6 +209,7 @@ def motion_step(
         raise InvalidInput("checkpoint", method.checkpoint, "motions in time save no state")
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: the motion is not random")
+    reach = reach or Reach()
     kT, energy = temperature(system) if reach.kT is None else reach.kT, reach.energy
     kT = kT if kT < inf else 2.0 * energy  # of undamped motion up to the limit
     longest, error = longest_step(system, reach), error or method.paths**-0.5

@@ -1,6 +1,7 @@
-"""First passage by simulation: trajectories are followed until they pass the limit."""
+"""First passage by simulation: trajectories of any model are followed until they pass the limit."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from math import ceil, inf, sqrt
 from typing import Any
 
@@ -14,10 +15,10 @@ from fpk.numeric.errors import InvalidInput
 from fpk.numeric.machine import left_out
 from fpk.system.modulation import Modulation
 from sim.questions import limits
-from sim.questions.failure_times import Times, followed_for, passage_of, settled_at
+from sim.questions.failure_times import passage_of, settled_at
 from sim.questions.passing import reader_of
-from sim.questions.rounds import both_steps, seed_of, working
-from sim.sample.ensemble import Reader
+from sim.questions.rounds import Watch, seed_of, working
+from sim.sample.ensemble import Reader, ensemble_from
 from sim.sample.settings import Settings
 from sim.step.arrays import LANES, MAX_TRAJECTORIES, in_blocks, in_rows
 from sim.step.random import stream_of
@@ -52,56 +53,31 @@ def passage(method: Settings, asked: PassageAsked) -> Passage:
     dt, failures = limits.motion_step(method, loud, reach, error=wanted)
     first = limits.first_step(dt, times, reach.start, method.step_factor)
     last = float(np.max(times, initial=0.0))
-    longest, settled = horizon(method, dt, last, modulation), settled_at(modulation)
+    longest = horizon(method, dt, last, modulation)
     # Under noise that varies none may fail for long, and many later.
-    hopeless = method.time or max(longest / HOPELESS, last, min(settled, longest))
+    hopeless = method.time or max(longest / HOPELESS, last, min(settled_at(modulation), longest))
     paths = -(-min(method.paths, AT_ONCE) // LANES) * LANES
-    energies, rows = limits.energies_of(limit, system.n), list[Array]()
+    energies = limits.energies_of(limit, system.n)
 
-    def failed(number: int) -> float:
-        q, p = origin.drawn(paths, number)
+    def begun(number: int) -> tuple[list[Run], Flags, Array]:
+        q, p = origin(paths, number)
         past = limits.beyond(system, limit, q, p)
         if np.all(past):
             raise InvalidInput("start", str(start), f"is beyond the limit {limit}")
-        seed = seed_of(method.seed, number)
-        with left_out():
-            pair = both_steps(
-                system,
-                q,
-                p,
-                first,
-                seed,
-                energies=energies,
-                workers=workers,
-                modulation=modulation,
-            )
-        stream = stream_of(seed, number + 2**63)
-        chance = stream.exponential(size=(paths, max(1, len(energies))))
-        steps = limits.stages(first, dt, longest, most=limits.CHUNK)
-        runs: list[Run] = [
-            (ensemble, 2 - k, lambda h, begin: reader_of(system, limit, h, begin), (k,))
-            for k, ensemble in enumerate(pair)
-        ]
-        rows.append(
-            followed(runs, past, chance, steps, longest, hopeless, watch.ends, asked.progress)
-        )
-        # About the relative standard error of the mean: times are nearly exponential.
-        return 1.1 / sqrt(max(1, Times(*np.hstack(rows)).failed))
+        seed, read = seed_of(method.seed, number), partial(reader_of, system, limit)
+        known: Any = {"energies": energies, "workers": workers, "modulation": modulation}
+        with left_out():  # by the same random numbers
+            both = (0.5 * first, False), (first, True)
+            pair = [ensemble_from(system, q, p, h, seed, halved=x, **known) for h, x in both]
+        chance = stream_of(seed, number + 2**63).exponential(size=(paths, max(1, len(energies))))
+        return [(e, 2 - k, read, (k,)) for k, e in enumerate(pair)], past, chance
 
     with working(method, system, wanted, start) as (workers, watch, origin):
-        watch.until(failed, least=ceil(method.paths / paths), most=MAX_TRAJECTORIES // AT_ONCE)
-        failures += watch.interruption()
-    return passage_of(
-        Times(*np.hstack(rows)),
-        times,
-        limit=str(limit),
-        step=first,
-        memory=relaxation_time(system),
-        tol=inf if wanted is None else wanted,
-        settled=settled,
-        failures=failures,
-        settings={"dt": 0.5 * dt, "coarse dt": dt, "scheme": method.scheme, "seed": method.seed},
-    )
+        rounds = ceil(method.paths / paths), MAX_TRAJECTORIES // AT_ONCE
+        steps = first, dt, limits.CHUNK, longest, hopeless
+        settings = {"scheme": method.scheme, "seed": method.seed}
+        memory = relaxation_time(system)
+        return passage_in_rounds(asked, watch, rounds, begun, steps, memory, settings, failures)
 
 
 def horizon(
@@ -112,24 +88,66 @@ def horizon(
     return method.time or followed_for(method.most_steps / 3.0 * dt, last, modulation)
 
 
+def followed_for(most: float, last: float, modulation: Modulation | None) -> float:
+    """Return how long paths are followed: ``most``, but to the ``last`` time asked for at least.
+
+    No longer than that after the end of a noise that ends with 0: motion then only decays.
+    """
+    if modulation is not None and not modulation.last:
+        most = min(most, float(modulation.times[-1]))
+    return max(most, last)
+
+
+def passage_in_rounds(
+    asked: PassageAsked,
+    watch: Watch,
+    rounds: tuple[int, float],
+    begun: Callable[[int], tuple[list[Run], Flags, Array]],
+    steps: tuple[float, float, int, float, float],
+    memory: float,
+    settings: Mapping[str, Any],
+    failures: Sequence[str] = (),
+) -> Passage:
+    """Return the first passage of trajectories in ``rounds``, so many at least and at most.
+
+    ``begun(number)`` returns the runs of a round, which of its trajectories are past the limit at
+    time 0, and exponential numbers for ``followed``. ``steps`` are the first and the longest of the
+    coarser simulation, how many are made at once, the horizon, and ``hopeless`` of ``followed``;
+    the rest as of ``passage_of``.
+    """
+    (first, dt, chunk, longest, hopeless), rows = steps, list[Array]()
+
+    def failed(number: int) -> float:
+        (runs, past, chance), ends = begun(number), (longest, hopeless)
+        stages = limits.stages(first, dt, longest, most=chunk)
+        rows.append(followed(runs, past, chance, stages, ends, watch.ends, asked.progress))
+        # About the relative standard error of the mean: times are nearly exponential.
+        return 1.1 / sqrt(max(1, sum(np.count_nonzero(fine < inf) for fine, _, _ in rows)))
+
+    watch.until(failed, least=rounds[0], most=rounds[1])
+    settings = {"dt": 0.5 * dt, "coarse dt": dt, **settings}
+    failures = [*failures, *watch.interruption()]
+    return passage_of(np.hstack(rows), asked, watch.tol, first, memory, settings, failures)
+
+
 def followed(
     runs: list[Run],
     past: Flags,
     chance: Array,
     steps: Iterable[tuple[float, int]],
-    horizon: float,
-    hopeless: float,
+    last: tuple[float, float],
     ends: Callable[[], bool],
     progress: Progress,
 ) -> Array:
-    """Return the fields of ``Times`` of trajectories of any model, from a start at time 0.
+    """Return when trajectories failed, and until when each was followed, (3, paths).
 
-    They are those of ``runs``, some ``past`` (paths,) the limit from the start, with an exponential
-    number each as the readers' ``chance`` (paths, limits), in ``steps`` (dt, how many) until they
-    have failed in both simulations. They end at the ``horizon``, at ``hopeless`` if none has failed
-    by then, and after some steps when it ``ends()``; times so cut short are marked by ``until``.
+    They are simulated by ``runs``, some ``past`` (paths,) the limit from time 0, with exponential
+    numbers for the readers, ``chance`` (paths, limits), in ``steps`` (dt, how many) until they have
+    failed at half the step and at the step, the first two rows; inf where a trajectory lived until
+    the time in the last row. That is the first ``last`` one, the second if none has failed by then,
+    or after some steps when it ``ends()``.
     """
-    paths, lanes = past.size, np.arange(past.size)
+    paths, lanes, (longest, hopeless) = past.size, np.arange(past.size), last
     chances = [in_blocks(chance) for _ in range(2)]
     found = [in_blocks(np.where(past, 0.0, inf)[:, None]) for _ in range(2)]
     failed, readers = np.full((2, paths), inf), list[Reader]()
@@ -145,8 +163,9 @@ def followed(
         failed[:, lanes] = now
         running = np.isinf(now).any(axis=0)
         alive, time = int(np.count_nonzero(running)), runs[-1][0].time
-        done = max(1.0 - alive / paths, min(1.0, time / horizon))
-        progress(int(1000 * done), 1000, "first passage")
+        progress(
+            int(1000 * max(1.0 - alive / paths, min(1.0, time / longest))), 1000, "first passage"
+        )
         nothing = not np.isfinite(failed).any() and time >= hopeless
         if not alive or nothing or ends():
             break
@@ -156,7 +175,7 @@ def followed(
             for ensemble, *_ in runs:
                 ensemble.keep(kept)
             found, chances = ([in_blocks(in_rows(a)[kept]) for a in x] for x in (found, chances))
-    until = np.full(paths, min(horizon, time))
+    until = np.full(paths, min(longest, time))
     # What passes in the part of the last step beyond the horizon counts as not failed.
     failed[failed > until] = inf
     return np.vstack([failed, until])

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fpk.answer.limit import Limit
-from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.arrays import SMALLEST, Array, Integers
 from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.system.linear import natural_modes
 from fpk.system.modulation import Modulation
@@ -55,14 +55,6 @@ def turning_points(c: Cubic) -> tuple[float, float]:
 
 
 @inlined
-def largest_of(c: Cubic) -> float:
-    """Return the largest |q(s)|, s in [0, 1]."""
-    s = turning_points(c)
-    largest = max(abs(c[0]), abs(value_of(c, 1.0)))
-    return max(largest, abs(value_of(c, s[0])), abs(value_of(c, s[1])))
-
-
-@inlined
 def form_of(value: Array, s: Array, first: int, form: Array, width: int = W) -> None:
     """Write pᵀ ``form`` p of each lane, p being the rows of ``s`` from ``first`` on."""
     fill(value, 0.0, width)
@@ -88,8 +80,7 @@ def distance_to(limit: float, H: float, variance: float, growth: float, at_rest:
 @inlined
 def first_passage(c: Cubic, limit: float) -> float:
     """Return the first s in (0, 1] with |q(s)| >= ``limit``, |q(0)| being below; else 2."""
-    turning = turning_points(c)
-    low = 0.0
+    turning, low = turning_points(c), 0.0
     for end in (turning[0], turning[1], 1.0):
         if abs(value_of(c, end)) >= limit:
             high = end
@@ -104,14 +95,14 @@ def first_passage(c: Cubic, limit: float) -> float:
     return 2.0
 
 
-SOURCES = ("sim/step/arrays.py", "sim/step/lanes.py", "sim/questions/passing.py")
-"""Files that the readers are compiled from."""
+SOURCES = tuple(
+    f"sim/{name}.py"
+    for name in ("step/arrays", "step/lanes", "questions/passing", "questions/splitting/kernel")
+)
+"""Files that readers, and paths of splitting beside those of a kernel, are compiled from."""
 
 NATS = 40.0
 """−ln of a probability that counts as none: 4e-18."""
-
-SMALLEST = 1e-200
-"""Stands for the β of an energy without noise, of which the limit is then infinitely far."""
 
 
 def reader(make: Callable[[int], Any]) -> Reader:
@@ -164,9 +155,8 @@ def count_upcrossings(sources: int) -> Any:
                     if min(v0, v1) >= 0.0 and dt * max(v0, v1) <= 3.0 * change:
                         count_rise(own, levels, q0[w], q1[w])
                     elif max(v0, v1) > 0.0 or dt * min(v0, v1) < 3.0 * change:
-                        cubic = cubic_of(q0[w], v0, q1[w], v1, dt)
-                        turning, before = turning_points(cubic), q0[w]
-                        for s in (turning[0], turning[1]):
+                        cubic, before = cubic_of(q0[w], v0, q1[w], v1, dt), q0[w]
+                        for s in turning_points(cubic):
                             value = value_of(cubic, s)
                             count_rise(own, levels, before, value)
                             before = value
@@ -195,19 +185,11 @@ def pass_displacement(sources: int) -> Any:
                 p0, p1 = trace[b, k, momentum], trace[b, k + 1, momentum]
                 # A cubic passes the larger of its ends by 4/27 · h (|v0| + |v1|) at most.
                 slope = 4.0 / 27.0 * dt * inverse_mass
-                near = 0
-                for w in range(W):
-                    reach = max(abs(q0[w]), abs(q1[w])) + slope * (abs(p0[w]) + abs(p1[w]))
-                    near += (reach >= limit) & (own[w] == np.inf)
-                if near == 0:
-                    continue
                 for w in range(W):
                     reach = max(abs(q0[w]), abs(q1[w])) + slope * (abs(p0[w]) + abs(p1[w]))
                     if reach >= limit and own[w] == np.inf:
-                        cubic = cubic_of(
-                            q0[w], inverse_mass * p0[w], q1[w], inverse_mass * p1[w], dt
-                        )
-                        share = first_passage(cubic, limit)
+                        v0, v1 = inverse_mass * p0[w], inverse_mass * p1[w]
+                        share = first_passage(cubic_of(q0[w], v0, q1[w], v1, dt), limit)
                         if share <= 1.0:
                             own[w] = begin + (done + k + share) * dt
         return sources
@@ -280,7 +262,7 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
     """Return how the noise moves the energies of ``limit``, in the order of ``energies_of``.
 
     Of H: F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹, N = f D fᵀ; of a mode with the shape T_m: the
-    same of its own momentum.
+    same of its own momentum. An energy without noise has nearly no β: its limit is too far.
     """
     N = system.noise_matrix
     if limit.kind == "H":
@@ -296,7 +278,7 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
     return Diffusion(F, G, np.maximum(trace_g / np.maximum(trace_f, SMALLEST), SMALLEST))
 
 
-@lru_cache(maxsize=64)  # all blocks ask for those of the same steps
+@lru_cache(maxsize=64)  # all blocks ask for the same steps
 def spread_of(
     modulation: Modulation | None, dt: float, done: int, samples: int, begin: float = 0.0
 ) -> Array:
@@ -321,26 +303,13 @@ def reader_of(system: System, limit: Limit, dt: float, begin: float = 0.0) -> Re
 
     It takes the arrays ``time`` and ``chance`` of ``pass_energies``.
     """
-    n = system.n
+    n, known = system.n, dict[str, Any](dt=dt, begin=begin)
     if limit.kind == "q":
-        row = limit.observable(n)[0].row
-        return partial(
-            pass_displacement,
-            dt=dt,
-            begin=begin,
-            row=row,
-            momentum=n + row,
-            inverse_mass=1.0 / float(system.mass[row]),
-            limit=limit.value,
-        )
-    limits = energies_at(system, limit)
-    return partial(
-        pass_under,
-        modulation=system.modulation,
-        dt=dt,
-        begin=begin,
-        first=n,
-        rows=2 * n + np.arange(limits.size),
-        limits=limits,
-        diffusion=diffusion_of(system, limit),
-    )
+        row, value = limit.observable(n)[0].row, limit.value
+        inverse = 1.0 / float(system.mass[row])
+        known |= {"row": row, "momentum": n + row, "inverse_mass": inverse, "limit": value}
+        return partial(pass_displacement, **known)
+    limits, diffusion = energies_at(system, limit), diffusion_of(system, limit)
+    rows = 2 * n + np.arange(limits.size)
+    known |= {"first": n, "rows": rows, "limits": limits, "diffusion": diffusion}
+    return partial(pass_under, modulation=system.modulation, **known)

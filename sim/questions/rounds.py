@@ -3,20 +3,20 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from math import ceil, inf
 from typing import Any
 
 import numpy as np
 
-from fpk.answer.certificate import Measured, certify
-from fpk.answer.dynamics import Curve
-from fpk.answer.method import Progress
+from fpk.answer.certificate import Measured, certify, tolerance
+from fpk.answer.dynamics import Curve, Question
 from fpk.answer.start import Start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.machine import left_out, usable_cores, working_time
 from fpk.system.system import System
-from sim.questions.starts import Origin
+from sim.questions.starts import drawn_states
 from sim.sample.checkpoint import interruptible
 from sim.sample.ensemble import Ensemble, Reader, ensemble_from
 from sim.sample.settings import LEAST_PATHS, Settings
@@ -51,21 +51,18 @@ class Watch:
 
     def until(
         self, answer: Callable[[int], float | None], *, least: int = 1, most: float = inf
-    ) -> bool:
+    ) -> None:
         """Call ``answer`` with 0, 1, … at least so often until the error it returns is met.
 
-        Return whether it was, and not time to stop before, nor ``answer`` called ``most`` times.
-        None is returned by an ``answer`` that was cut short.
+        Where it is time to stop before, or it was called ``most`` times, that is the end; so it is
+        where an ``answer`` was cut short and returns None.
         """
         number = 0
         while (error := answer(number)) is not None:
             number += 1
             more = error > self.tol if self.tol is not None else self.seconds < inf
-            if number >= least and not more:
-                return True
-            if number >= most or self.ends():
-                return False
-        return False
+            if (number >= least and not more) or number >= most or self.ends():
+                return
 
     def require(self, what: str, share: float) -> None:
         """Raise ``InvalidInput`` where it is time to stop and only a ``share`` of ``what`` is done.
@@ -89,7 +86,10 @@ class Watch:
 def working(
     method: Settings, system: System, tol: float | None, start: Start | None = None
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield workers, the watch, and what draws states of the ``start`` (None: stationary ones)."""
+    """Yield workers, the watch, and what draws states of the ``start`` (None: stationary ones).
+
+    It is called with the number of trajectories and that of their round.
+    """
     start = start or Start("noise", {"noise": 1.0})
     seconds = method.seconds or (method.longest if tol is not None else inf)
     with (
@@ -97,7 +97,8 @@ def working(
         interruptible(method.partial) as stopped,
     ):
         watch = Watch(seconds, stopped, tol)
-        yield workers, watch, Origin(system, start, method.seed, method.burn_in, workers, watch)
+        burn_in: Any = {"burn_in": method.burn_in, "workers": workers, "watch": watch}
+        yield workers, watch, partial(drawn_states, system, start, method.seed, **burn_in)
 
 
 def seed_of(seed: int, number: int) -> int:
@@ -105,74 +106,76 @@ def seed_of(seed: int, number: int) -> int:
     return (seed + number * int(GOLDEN)) % 2**64
 
 
-def both_steps(
-    system: System, q: Array, p: Array, dt: float, seed: int, **settings: Any
-) -> list[Ensemble]:
-    """Return ensembles from q, p in steps of dt/2 and of ``dt``, by the same random numbers."""
-    return [
-        ensemble_from(system, q, p, step, seed, halved=halved, **settings)
-        for step, halved in ((0.5 * dt, False), (dt, True))
-    ]
+Simulation = tuple[float, int, bool, int, Reader]
+"""One of the simulations of a round, by the same random numbers: its step, how many lie between
+samples, whether it is ``halved``, from which step to the next states are read, and the reader."""
 
 
 def in_rounds(
     method: Settings,
-    system: System,
-    wanted: float | None,
-    steps: Sequence[tuple[float, int, bool]],
+    asked: Question,
+    simulations: Sequence[Simulation],
     samples: int,
     numbers: tuple[int, ...],
-    read: Reader,
-    estimate: Callable[[list[Array], Array], float],
-    *,
+    estimate: Callable[[list[Array], Array, int], float],
     what: str,
-    progress: Progress,
+    *,
+    least: int = 0,
 ) -> tuple[int, list[str]]:
     """Follow trajectories until ``estimate`` is content; return how many, and what went wrong.
 
-    ``steps`` are those of simulations with the same random numbers: dt, how many lie between
-    samples, and whether each is ``halved``. A round is a window of ``samples`` of trajectories
-    that have not been followed before; ``read`` turns those of a block into ``numbers``, a shape.
-    Raises ``InvalidInput`` where the time is over in the first round. Of each round ``estimate``
-    is given the numbers (blocks, …) of each and the mean squares of (q, p) at its end; what it
-    returns is the error of all there is, in the unit of the tolerance ``wanted``.
+    A round is a window of ``samples`` of trajectories that have not been followed before. With
+    ``least`` it is a chunk of a window, of which there are so many; the trajectories stay the same,
+    and go on after it in chunks as long. Of each block a simulation is read into ``numbers``, a
+    shape. ``estimate`` is given these (blocks, …) of each simulation, the mean squares of (q, p) at
+    the end, and the number of samples; it returns the error of all there is, in the unit of the
+    tolerance. A window that the time cuts short is not counted, and the first one is refused by
+    ``InvalidInput``; a chunk is counted.
     """
+    system, onward = asked.system, least > 0
     paths = -(-method.paths // LANES) * LANES
-    size = len(steps) * int(np.prod(numbers))
-    own = max(2, min(paths // LANES, MOST_SUMS // size)) * LANES
-    piece = max(1, min(MOST_SAMPLES, MOST_STEPS // (own * steps[0][1])))
-    rounds = 0
+    size = len(simulations) * int(np.prod(numbers))
+    own = paths if onward else max(2, min(paths // LANES, MOST_SUMS // size)) * LANES
+    least = least or ceil(paths / own)
+    piece = max(1, min(MOST_SAMPLES, MOST_STEPS // (own * simulations[0][1])))
+    rounds, running = 0, list[Ensemble]()
 
     def followed(number: int) -> float | None:
-        nonlocal rounds
-        seed = seed_of(method.seed, number)
-        q, p = origin.drawn(own, number)
-        with left_out():
-            running = [
-                ensemble_from(system, q, p, dt, seed, halved=halved, workers=workers)
-                for dt, _, halved in steps
-            ]
-        sums = [np.zeros((own // LANES, *numbers)) for _ in steps]
-        while (done := running[0].samples) < samples and not (done and watch.ends()):
-            for ensemble, (_, stride, _), array in zip(running, steps, sums, strict=True):
-                many = min(piece, samples - done) * stride
-                ensemble.advance(many, array, stride=stride, read=read)
-        if done < samples:
+        nonlocal rounds, running
+        if not (onward and running):
+            seed, (q, p) = seed_of(method.seed, number), origin(own, number)
+            with left_out():
+                running = [
+                    ensemble_from(system, q, p, dt, seed, halved=halved, workers=workers)
+                    for dt, _, halved, _, _ in simulations
+                ]
+        sums, done = [np.zeros((own // LANES, *numbers)) for _ in simulations], 0
+        first, last = (samples * k // least for k in (number, number + 1))
+        wanted = max(1, last - first) if onward else samples
+        while done < wanted and not (done and watch.ends()):
+            many = min(piece, wanted - done)
+            for ensemble, of, array in zip(running, simulations, sums, strict=True):
+                _, steps, _, stride, read = of
+                ensemble.advance(many * steps, array, stride=stride, read=read)
+            done += many
+        whole = done == wanted
+        if not (whole or onward):
             if not number:
-                watch.require(f"the first {own} windows", done / samples)
+                watch.require(f"the first {own} windows", done / wanted)
             return None
+        rounds += whole
         states = in_rows(running[0].last)[:, : 2 * system.n]
-        rounds += 1
-        error = estimate(sums, np.mean(states**2, axis=0))
-        progress(min(rounds * own, paths), paths, what)
-        return error
+        error = estimate(sums, np.mean(states**2, axis=0), done)
+        asked.progress(min(rounds, least), least, what)
+        return error if whole else None
 
-    with working(method, system, wanted) as (workers, watch, origin):
-        watch.until(followed, least=ceil(paths / own))
+    with working(method, system, tolerance(asked.tol, method.tol)) as (workers, watch, origin):
+        watch.until(followed, least=least)
         failures = watch.interruption()
-    if rounds * own < LEAST_PATHS:
-        failures.append(f"it ended after {rounds * own} trajectories of {LEAST_PATHS}")
-    return rounds * own, failures
+    paths = own if onward else rounds * own
+    if paths < LEAST_PATHS:
+        failures.append(f"it ended after {paths} trajectories of {LEAST_PATHS}")
+    return paths, failures
 
 
 def error_of(blocks: Array) -> Array:
@@ -181,9 +184,14 @@ def error_of(blocks: Array) -> Array:
 
 
 def sampled_curve(
-    values: Array, errors: Array, scale: float, tol: float | None, failures: list[str],
-    settings: dict[str, str | float | int], positive: Array | None = None,
-) -> Curve:  # fmt: skip
+    values: Array,
+    errors: Array,
+    scale: float,
+    tol: float | None,
+    failures: Sequence[str],
+    settings: dict[str, str | float | int],
+    positive: Array | None = None,
+) -> Curve:
     """Return a curve with one standard error each; the rest as of ``certified_curve``."""
     relative = float(np.max(errors)) / scale
     measured = Measured(

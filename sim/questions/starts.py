@@ -1,6 +1,6 @@
 """States in which motions begin: one state, on an energy shell, by modes, or under other noise."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from math import ceil
 from typing import Any
 
@@ -23,65 +23,57 @@ ACCEPTED = 1e-4
 """Share of the proposals on an energy shell below which no states are drawn from it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Origin:
-    """Draws the states of ``system`` at time 0; ``seed`` and the number of a round make them.
+def drawn_states(
+    system: System,
+    start: Start,
+    seed: int,
+    paths: int,
+    number: int = 0,
+    *,
+    burn_in: float = 10.0,
+    workers: Any = None,
+    watch: Any = None,
+) -> tuple[Array, Array]:
+    """Return q and p (paths, n) at time 0 of the trajectories of round ``number``.
 
-    ``watch``, a ``Watch``, ends a burn-in by ``InvalidInput``. ``louder`` is the system under the
-    other noise in which a start is stationary.
+    A start under other noise is burnt in for ``burn_in`` relaxation times; ``watch``, a ``Watch``,
+    ends that by ``InvalidInput``. Raises ``NotApplicable`` for noise without a stationary state.
     """
-
-    system: System
-    start: Start
-    seed: int
-    burn_in: float = 10.0
-    workers: Any = None
-    watch: Any = None
-    louder: System = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Refuse noise that has no stationary state."""
-        if factor := self.start.values.get("noise", 0.0):
-            louder = replace(self.system, noise_intensity=factor * self.system.noise_intensity)
-            object.__setattr__(self, "louder", louder)
-            if not np.isfinite(relaxation_time(louder)):
-                raise NotApplicable("some motion is not damped: no stationary state to start from")
-
-    def drawn(self, paths: int, number: int) -> tuple[Array, Array]:
-        """Return q and p (paths, n) of round ``number``."""
-        start, n = self.start, self.system.n
-        stream = stream_of(self.seed, number)
-        if start.kind == "energy" and not start.rest:
-            return on_shell(self.system, start.values["H"], paths, stream)
-        if start.kind == "modal":
-            shapes, omega = natural_modes(self.system)
-            phase = 2.0 * np.pi * stream.random((paths, n))
-            size = np.sqrt(2.0 * np.array([start.values[f"H{m + 1}"] for m in range(n)]))
-            q = (size / omega * np.cos(phase)) @ shapes.T
-            return q, (size * np.sin(phase)) @ (self.system.mass[:, None] * shapes).T
-        if not start.values.get("noise", 0.0):
-            q, p = start.state(n)
-            return np.tile(q, (paths, 1)), np.tile(p, (paths, 1))
-        # Burn in under the other noise, from displacements and momenta of its temperature.
-        system, whole = self.louder, -(-paths // LANES) * LANES
-        kT, time = temperature(system), self.burn_in * relaxation_time(system)
-        q = start_displacements(system, kT, stream.standard_normal((n, whole))).T
-        L = factored(np.diag(kT * system.mass))
-        p = (L @ stream.standard_normal((L.shape[1], whole))).T
-        # Without contact and terms a step of any length is exact.
-        dt = 0.5 * chosen_step(system) if needs_steps(system) else time
-        steps = ceil(time / dt) if needs_steps(system) else 1
-        pieces = ceil(steps / CHUNK)
-        stride = ceil(steps / pieces)
-        seed = (self.seed + number * int(GOLDEN) + 2**63) % 2**64  # no seed of a round
-        with left_out():
-            ensemble = ensemble_from(system, q, p, dt, seed, workers=self.workers)
-        for k in range(pieces):
-            ensemble.advance(stride, stride=stride)
-            if self.watch and k + 1 < pieces:
-                self.watch.require("the burn-in", (k + 1) / pieces)
-        states = in_rows(ensemble.last)[:paths]
-        return states[:, :n], states[:, n : 2 * n]
+    n, stream = system.n, stream_of(seed, number)
+    if start.kind == "energy" and not start.rest:
+        return on_shell(system, start.values["H"], paths, stream)
+    if start.kind == "modal":
+        shapes, omega = natural_modes(system)
+        phase = 2.0 * np.pi * stream.random((paths, n))
+        size = np.sqrt(2.0 * np.array([start.values[f"H{m + 1}"] for m in range(n)]))
+        q = (size / omega * np.cos(phase)) @ shapes.T
+        return q, (size * np.sin(phase)) @ (system.mass[:, None] * shapes).T
+    factor = start.values.get("noise", 0.0)
+    if not factor:
+        q, p = start.state(n)
+        return np.tile(q, (paths, 1)), np.tile(p, (paths, 1))
+    # From displacements and momenta of the temperature of the other noise.
+    system = replace(system, noise_intensity=factor * system.noise_intensity)
+    kT, time = temperature(system), burn_in * relaxation_time(system)
+    if not np.isfinite(time):
+        raise NotApplicable("some motion is not damped: no stationary state to start from")
+    whole = -(-paths // LANES) * LANES
+    q = start_displacements(system, kT, stream.standard_normal((n, whole))).T
+    L = factored(np.diag(kT * system.mass))
+    p = (L @ stream.standard_normal((L.shape[1], whole))).T
+    # Without contact and terms a step of any length is exact.
+    dt = 0.5 * chosen_step(system) if needs_steps(system) else time
+    pieces = ceil(ceil(time / dt) / CHUNK)
+    stride = ceil(ceil(time / dt) / pieces)
+    with left_out():
+        other = (seed + number * int(GOLDEN) + 2**63) % 2**64  # no seed of a round
+        ensemble = ensemble_from(system, q, p, dt, other, workers=workers)
+    for k in range(pieces):
+        ensemble.advance(stride, stride=stride)
+        if watch and k + 1 < pieces:
+            watch.require("the burn-in", (k + 1) / pieces)
+    q, p, _ = np.split(in_rows(ensemble.last)[:paths], [n, 2 * n], axis=1)
+    return q, p
 
 
 def on_shell(

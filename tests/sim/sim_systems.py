@@ -6,9 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from fpk.answer.evolution import Passage, PassageAsked
+from fpk.answer.limit import parse_limit
+from fpk.answer.method import silent
+from fpk.answer.start import parse_start
 from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
+from sim.questions.failure_times import passage_of
 from sim.sample.diagnostics import Report
 from sim.sample.ensemble import Ensemble
 from sim.sample.histogram import Histogram, axis_of, covering, extremes
@@ -57,6 +62,19 @@ def linear(n: int = 2) -> System:
         damping=[0.1] * n,
         noise_intensity=[0.05] * n,
     )
+
+
+def estimated(
+    fine: Any, coarse: Any, until: Any, times: Any = (), *, limit: str = "H=1", step: float = 0.0,
+    memory: float = 0.0, tol: float | None = None,
+) -> Passage:  # fmt: skip
+    """First passage from failure times at half the step and at the step, some cut short."""
+    system = linear(1)
+    asked = PassageAsked(
+        system, parse_start("rest", system), np.array(times, dtype=float), tol, silent,
+        parse_limit(limit, 1),
+    )  # fmt: skip
+    return passage_of(np.stack([fine, coarse, until]), asked, tol, step, memory, {})
 
 
 def report_of(method: MonteCarlo, system: System, observables: Sequence[Any] = ()) -> Report:

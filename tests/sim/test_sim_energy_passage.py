@@ -16,8 +16,8 @@ from fpk.answer.start import parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.system import System
 from sim.questions.averaged.square_root import (
-    EnergyLimits,
     from_energies,
+    limit_diffusion,
     square_root_form,
     square_root_step,
 )
@@ -57,12 +57,12 @@ def called_distances(limit: Any, H: Any, variance: Any, growth: Any, at_rest: An
     return far
 
 
-def distances(limits: EnergyLimits, form: Any, X: Any) -> Any:
+def distances(limits: Any, form: Any, X: Any) -> Any:
     """How far the first limit is, as the compiled readers have it."""
-    p, H = np.split(limits.rows(X), [X.shape[1]], axis=1)
-    of = limits.diffusion(form)
+    weights, values = limits
+    p, of = np.sqrt(X), limit_diffusion(form, weights)
     forms = (np.einsum("pi,ij,pj->p", p, form[0], p) for form in (of.variance, of.growth))
-    return called_distances(limits.values[0], H[:, 0], *forms, of.at_rest[0])
+    return called_distances(values[0], (X @ weights.T)[:, 0], *forms, of.at_rest[0])
 
 
 def failed_by(dt: float, until: float, *, bridge: bool) -> float:
@@ -100,7 +100,7 @@ def test_distance_of_a_sum_is_that_of_one_energy_of_equal_modes() -> None:
     system = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.05, 0.05])
     form = square_root_form(AveragedSimulation("integrable")._process(system))
     X = np.random.default_rng(1).exponential(0.5, (50, 2))
-    limits = EnergyLimits(np.ones((1, 2)), np.array([2.0]), "H=2")
+    limits = np.ones((1, 2)), np.array([2.0])
     expected = 2.0 * (np.sqrt(2.0) - np.sqrt(X.sum(axis=1))) / np.sqrt(form.slope[0])
     assert distances(limits, form, X) == pytest.approx(expected, rel=1e-12)
     assert np.isfinite(distances(limits, form, 0.0 * X)).all()

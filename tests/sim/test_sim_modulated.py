@@ -20,8 +20,7 @@ from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim import MonteCarlo
 from sim.questions.passing import spread_of
-from sim.questions.starts import Origin
-from sim.questions.transient import ensembles
+from sim.questions.transient import motions
 from sim.sample.ensemble import ensemble_from
 from sim.step.arrays import in_rows
 from sim.step.schemes import flow_covariance
@@ -53,8 +52,8 @@ def by_steps(system, time, dt):
 
 
 def test_steps_of_modulated_noise_have_the_covariance_of_their_rule():
-    origin = Origin(ONE, parse_start("rest", ONE), 3)
-    rows = list(ensembles(origin, TIMES, PATHS, 0, 0.5))
+    rest = np.zeros((PATHS, 1))
+    rows = list(motions(ONE, rest, rest, TIMES, 0.5, 3))
     for time, (fine, coarse) in zip(TIMES, rows, strict=True):
         for states, dt in ((fine, 0.25), (coarse, 0.5)):
             wanted = by_steps(ONE, time, dt)

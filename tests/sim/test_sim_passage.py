@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import kstest
-from sim_systems import exact, fig6, linear
+from sim_systems import estimated, exact, fig6, linear
 
 from fpk.answer.evolution import Passage, Passages
 from fpk.answer.limit import parse_limit
@@ -18,7 +18,7 @@ from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.failure_times import Times, estimates, passage_of, tail_begin
+from sim.questions.failure_times import estimates, tail_begin
 from sim.questions.limits import energies_of
 from sim.questions.passing import reader_of
 from sim.questions.starts import on_shell
@@ -309,10 +309,7 @@ def test_errors_of_exponential_times_hold_with_and_without_an_end() -> None:
             time = stream.exponential(size=1024)
             until = np.full(1024, end if end < np.inf else 1e9)
             failed = np.where(time > until, np.inf, time)
-            sampled = Times(failed, failed, until)
-            answer = passage_of(
-                sampled, times, limit="H=1", step=0.0, memory=0.0, tol=1.0, failures=(), settings={}
-            )
+            answer = estimated(failed, failed, until, times, tol=1.0)
             assert answer.rate is not None
             z.append([
                 (answer.mean.value - 1.0) / answer.mean.error,
@@ -349,37 +346,23 @@ def test_a_limit_that_is_passed_soon_is_passed_in_many_steps() -> None:
 
 
 def test_failures_within_few_steps_are_not_certified() -> None:
-    fine, none = np.linspace(0.01, 0.2, 1000), np.zeros(0)
-    sampled = Times(fine, fine, np.full(1000, 10.0))
-    settings: Any = {"limit": "H=1", "memory": 1.0, "tol": np.inf, "failures": (), "settings": {}}
-    answer = passage_of(sampled, none, step=0.1, **settings)
+    fine = np.linspace(0.01, 0.2, 1000)
+    sampled = fine, fine, np.full(1000, 10.0)
+    answer = estimated(*sampled, step=0.1, memory=1.0)
     assert any("too few to see how; use dt" in text for text in answer.certificate.failures)
     assert answer.mean.error == answer.variance.error == np.inf
-    assert passage_of(sampled, none, step=0.02, **settings).certificate.certified
+    assert estimated(*sampled, step=0.02, memory=1.0).certificate.certified
 
 
 def test_starts_that_are_all_beyond_the_limit_are_refused() -> None:
     with pytest.raises(InvalidInput, match=r"limit = .*begin beyond"):
-        passage_of(
-            Times(np.zeros(9), np.zeros(9), np.ones(9)), np.zeros(0), limit="H=1", step=0.1,
-            memory=1.0, tol=np.inf, failures=(), settings={},
-        )  # fmt: skip
+        estimated(np.zeros(9), np.zeros(9), np.ones(9), step=0.1, memory=1.0)
 
 
 @pytest.mark.parametrize(("events", "bound"), [(0, 2.9957), (1, 4.7439), (10, 16.9622)])
 def test_the_bound_of_a_rate_is_that_of_poisson(events: int, bound: float) -> None:
     # Garwood: half the 95 % quantile of χ² with 2 (events + 1) degrees of freedom, by tables.
     time = np.where(np.arange(4096) < events, 1.0, np.inf)
-    sampled = Times(time, time, np.full(4096, 10.0))
-    answer = passage_of(
-        sampled,
-        np.zeros(0),
-        limit="H=1",
-        step=0.0,
-        memory=0.0,
-        tol=np.inf,
-        failures=(),
-        settings={},
-    )
+    answer = estimated(time, time, np.full(4096, 10.0))
     (words,) = answer.certificate.failures
     assert f" is {bound / (40960.0 - 9.0 * events):.2g} at most (95 %)" in words

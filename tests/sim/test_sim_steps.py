@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import norm
+from sim_systems import estimated
 
 from averaging.gaussian import Linear
 from averaging.phase_space.method import PhaseSpace
@@ -24,7 +25,6 @@ from fpk.system.contact import Contact
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.failure_times import Times, passage_of
 from sim.questions.limits import STEPS_SINCE_START, stages
 from sim.questions.splitting.run import Splitting, rare_failure
 from sim.step.schemes import flow_covariance
@@ -191,13 +191,12 @@ def test_a_number_that_the_step_makes_is_not_certified() -> None:
     # 40 and 4 of 1000 fail: the next halving may add as many again.
     fine, coarse = np.full((2, 1000), inf)
     fine[:40], coarse[:4] = np.linspace(0.5, 0.9, 40), np.linspace(0.5, 0.9, 4)
-    known: Any = {"limit": "q1=1", "step": 0.01, "memory": 1.0, "tol": inf}
-    known |= {"failures": (), "settings": {}}
+    known: Any = {"limit": "q1=1", "step": 0.01, "memory": 1.0}
     until, times = np.ones(1000), np.array([1.0])
-    answer = passage_of(Times(fine, coarse, until), times, **known)
+    answer = estimated(fine, coarse, until, times, **known)
     assert any("changes by" in words for words in answer.certificate.failures)
     coarse[:38] = fine[:38]
-    answer = passage_of(Times(fine, coarse, until), times, **known)
+    answer = estimated(fine, coarse, until, times, **known)
     assert not any("changes by" in words for words in answer.certificate.failures)
 
 
@@ -205,8 +204,7 @@ def test_no_rate_is_given_from_a_time_in_which_the_start_is_not_forgotten() -> N
     """From t = 1 on the rate is 1, and before 0: 150 of 1000 have failed when they are cut."""
     fine = np.append(1.0 - np.log1p(-np.arange(150) / 1000.0), np.full(850, inf))
     until, times = np.full(1000, 1.163), np.array([1.1, 20.0])
-    known: Any = {"limit": "q1=1", "step": 0.001, "tol": inf, "failures": (), "settings": {}}
-    cut = passage_of(Times(fine, fine, until), times, memory=1.1, **known)
+    cut = estimated(fine, fine, until, times, limit="q1=1", step=0.001, memory=1.1)
     assert cut.rate is None and cut.mean.error == inf == cut.survival_error[1]
     assert cut.survival[0] == pytest.approx(np.exp(-0.1), abs=2e-3)
     assert not cut.certificate.certified

@@ -1,6 +1,6 @@
 """Averaged energies as an ensemble, and their questions: densities, first passage, transients."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil, inf, nan
@@ -9,29 +9,28 @@ from typing import Any
 import numpy as np
 
 from fpk.answer.bins import BinAxis
-from fpk.answer.evolution import Passage, Transient
+from fpk.answer.evolution import Passage, PassageAsked, Transient, TransientAsked
 from fpk.answer.method import Progress, silent
 from fpk.answer.observable import Coordinate, Observable
 from fpk.answer.sampled_density import SampledDensity
-from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.arrays import ROUND_OFF, Array, Flags, Integers
 from fpk.numeric.errors import InvalidInput
 from fpk.system.modulation import Modulation
 from sim.questions.averaged.square_root import (
-    EnergyLimits,
     SquareRootForm,
     from_energies,
+    limit_diffusion,
     square_root_step,
 )
-from sim.questions.failure_times import Times, followed_for, passage_of, settled_at
-from sim.questions.limits import AT_LIMIT, STEP_TO_LIMIT, first_step, stages
-from sim.questions.passage import AT_ONCE, Run, followed
+from sim.questions.limits import STEP_TO_LIMIT, first_step
+from sim.questions.passage import AT_ONCE, Run, followed_for, passage_in_rounds
 from sim.questions.passing import pass_under
 from sim.questions.rounds import Watch
-from sim.questions.transient import Counted, counted_in_rounds
+from sim.questions.transient import States, counted_in_rounds
 from sim.sample.ensemble import Reader
 from sim.sample.histogram import MARGIN, binned, covering, log_states, sampled_density
 from sim.sample.workers import workers_of
-from sim.step.arrays import GROUPS, LANES, MAX_TRAJECTORIES, in_blocks
+from sim.step.arrays import GROUPS, LANES, in_blocks
 from sim.step.random import stream_of
 
 GROUP = 4
@@ -69,11 +68,9 @@ class EnergyEnsemble:
     done: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
-        """Make the streams."""
+        """Make the streams, unless the motion goes on."""
         groups = range(len(self.streams), -(-len(self.X) // (GROUP * LANES)))
-        self.streams = self.streams + [
-            stream_of(self.seed, (self.number << 32) + group) for group in groups
-        ]
+        self.streams += [stream_of(self.seed, (self.number << 32) + group) for group in groups]
 
     @property
     def time(self) -> float:
@@ -83,32 +80,28 @@ class EnergyEnsemble:
     def advance(
         self, steps: int, *arrays: Array, read: Reader | None = None, passed: Any = None
     ) -> None:
-        """Advance all paths; ``read`` sees each state, in windows of two steps, with its arrays.
+        """Advance all paths; ``read`` sees each state, and the one before them, with its arrays.
 
         ``passed``, by which an ``Ensemble`` finds unstable steps, is not used: no step of energies
         is unstable.
         """
 
-        def advanced(group: int) -> None:
-            paths = slice(group * GROUP * LANES, (group + 1) * GROUP * LANES)
-            X, blocks = self.X[paths], slice(group * GROUP, (group + 1) * GROUP)
-            own, window = [a[blocks] for a in arrays], list[Array]()
+        def advanced(group: int) -> Array:
+            X = self.X[group * GROUP * LANES : (group + 1) * GROUP * LANES]
+            trace = [in_blocks(self.observed(X))] if read else []
             for k in range(steps):
-                if read and not window:
-                    window = [in_blocks(self.observed(X))]
                 now, stream = self.begin + (self.done + k) * self.dt, self.streams[group]
                 X = square_root_step(self.form, X, self.dt, stream, self.modulation, now)
                 if read:
-                    window.append(in_blocks(self.observed(X)))
-                    if len(window) == 3 or k == steps - 1:
-                        many = len(window) - 1
-                        read(np.stack(window, axis=1), many, self.done + k + 1 - many, *own)
-                        window = window[-1:]
-            after[paths] = X
+                    trace.append(in_blocks(self.observed(X)))
+            if read:
+                own = (a[group * GROUP : (group + 1) * GROUP] for a in arrays)
+                read(np.stack(trace, axis=1), steps, self.done, *own)
+            return X
 
-        after = np.empty_like(self.X)
-        list(self.workers.executor.map(advanced, range(-(-len(self.X) // (GROUP * LANES)))))
-        self.X, self.done = after, self.done + steps
+        groups = range(-(-len(self.X) // (GROUP * LANES)))
+        self.X = np.concatenate(list(self.workers.executor.map(advanced, groups)))
+        self.done += steps
 
     def onward(self, dt: float) -> "EnergyEnsemble":
         """Return the motion from the last state on, in steps of another ``dt``."""
@@ -210,45 +203,38 @@ def column(H: Array, coordinate: Coordinate) -> Array:
 
 def energy_passage(
     form: SquareRootForm,
-    limits: EnergyLimits,
+    limits: tuple[Array, Array],
     starts: Starts,
-    times: Array,
+    asked: PassageAsked,
     *,
     dt: float,
     memory: float,
     paths: int,
     seed: int,
-    modulation: Modulation | None = None,
     threads: int = 1,
     seconds: float | None = None,
-    tol: float = inf,
-    progress: Progress = silent,
+    tol: float | None = None,
 ) -> Passage:
     """Return the first passage of any of ``limits`` in steps of dt/2, beside steps of ``dt``.
 
-    Where steps are exact (``form.damping`` None) both see the same paths, else paths of their own.
-    Between steps each distance to a limit is a Brownian bridge. Paths are followed until they fail,
-    for the cost of ``MOST_DRAWS``, or for ``seconds`` of wall time; as ``followed_for`` says where
-    the noise ends. ``memory`` as of ``passage_of``.
-
-    Raises ``InvalidInput`` for starts that all lie beyond a limit.
+    They are of sums of X: weights (limits, d) · X reach values (limits,). Where steps are exact
+    (``form.damping`` None) both see the same paths, else paths of their own. Between steps each
+    distance to a limit is a Brownian bridge. Paths are followed until they fail, for the cost of
+    ``MOST_DRAWS``, or for ``seconds`` of wall time; as ``followed_for`` says where the noise ends.
+    ``memory`` as of ``passage_of``. Raises ``InvalidInput`` for starts that all lie beyond a limit.
     """
     own, exact = min(-(-paths // LANES) * LANES, AT_ONCE), form.damping is None
-    rounds, values = -(-paths // own), limits.values
+    (weights, values), d, modulation = limits, form.noise.size, asked.system.modulation
     # From rest the mean of Σ w X under the largest noise is the limit L at the time L/(w · d).
     loudest = 1.0 if modulation is None else modulation.largest
-    dt = min(dt, STEP_TO_LIMIT / (loudest * float(np.max(limits.weights @ form.noise / values))))
-    first = first_step(dt, times)
-    most = MOST_DRAWS / ((2 if exact else 3) * rounds * own * form.noise.size)
+    dt = min(dt, STEP_TO_LIMIT / (loudest * float(np.max(weights @ form.noise / values))))
+    rounds, first = -(-paths // own), first_step(dt, asked.times)
+    most = MOST_DRAWS / ((2 if exact else 3) * rounds * own * d)
     most = (most if seconds is None else 2.0**40) * dt  # the wall time ends it before
-    horizon = followed_for(most, float(np.max(times, initial=0.0)), modulation)
-    see = partial(
-        pass_under,
-        modulation=modulation,
-        first=0,
-        rows=form.noise.size + np.arange(values.size),
-        limits=values,
-        diffusion=limits.diffusion(form),
+    longest = followed_for(most, float(np.max(asked.times, initial=0.0)), modulation)
+    known: Any = {"rows": d + np.arange(values.size), "limits": values, "first": 0}
+    see: Any = partial(
+        pass_under, modulation=modulation, diffusion=limit_diffusion(form, weights), **known
     )
 
     def both(
@@ -259,80 +245,55 @@ def energy_passage(
         half = np.ascontiguousarray(trace[:, ::2])
         see(half, samples // 2, done // 2, *arrays[2:], dt=2.0 * dt, begin=begin)
 
-    rows: list[Array] = []
-
-    def failed(number: int) -> float:
+    def begun(number: int) -> tuple[list[Run], Flags, Array]:
         stream = stream_of(seed, STARTS + number)
         X = from_energies(form, starts(own, stream))
-        past = np.any(AT_LIMIT * values <= X @ limits.weights.T, axis=1)
-        chance = stream.exponential(size=(own, values.size))  # see ``pass_energies``
-        reads: Any = [(2, both, (0, 1))] if exact else [(2, see, (0,)), (1, see, (1,))]
-        runs: list[Run] = []
-        for k, (many, read, which) in enumerate(reads):
-            ensemble = EnergyEnsemble(
-                form, X, first / many, seed, 2 * number + k, workers, limits.rows, modulation
-            )
+        past = np.any((1.0 - ROUND_OFF) * values <= X @ weights.T, axis=1)
+        rows = lambda X: np.hstack([np.sqrt(X), X @ weights.T])  # noqa: E731
+        runs = list[Run]()
+        for k, (many, read, which) in enumerate(
+            [(2, both, (0, 1))] if exact else [(2, see, (0,)), (1, see, (1,))]
+        ):
+            known = seed, 2 * number + k, workers, rows, modulation
             make = partial(lambda read, h, begin: partial(read, dt=h, begin=begin), read)
-            runs.append((ensemble, many, make, which))
-        steps = stages(first, dt, horizon, most=1)
-        rows.append(followed(runs, past, chance, steps, horizon, horizon, watch.ends, progress))
-        return 0.0
+            runs.append((EnergyEnsemble(form, X, first / many, *known), many, make, which))
+        return runs, past, stream.exponential(size=(own, values.size))  # see ``pass_energies``
 
     with workers_of(None, threads) as workers:
-        watch = Watch(seconds or inf, lambda: False)
-        watch.until(failed, least=rounds, most=rounds)
-    return passage_of(
-        Times(*np.hstack(rows)),
-        times,
-        limit=limits.name,
-        step=first,
-        memory=memory,
-        tol=tol,
-        settled=settled_at(modulation),
-        failures=(),
-        settings={
-            "dt": 0.5 * dt,
-            "coarse dt": dt,
-            "steps": "exact" if exact else "Strang splitting",
-            "seed": seed,
-        },
-    )
+        watch, steps = Watch(seconds or inf, lambda: False, tol), (first, dt, 1, longest, longest)
+        settings = {"steps": "exact" if exact else "Strang splitting", "seed": seed}
+        return passage_in_rounds(asked, watch, (rounds, rounds), begun, steps, memory, settings)
 
 
 def energy_transient(
     form: SquareRootForm,
-    observable: Observable,
     starts: Starts,
-    times: Array,
-    at: tuple[Array, ...],
+    asked: TransientAsked,
     *,
     dt: float,
     paths: int,
     seed: int,
-    modulation: Modulation | None = None,
     threads: int = 1,
     seconds: float | None = None,
     tol: float | None = None,
-    progress: Progress = silent,
 ) -> Transient:
-    """Return the densities of energies at ``times`` at the points ``at``, with standard errors.
+    """Return the densities of energies that are asked for, with standard errors.
 
     Where ``form.damping`` is None one exact step leads from time to time, and no error is that of a
-    step; else it is in the error, ``counted_in_rounds``, and both steps have paths of their own.
-    Two rounds of ``paths`` are made; with ``tol`` more until the expected L1 error is below it at
-    all times, or ``seconds`` of wall time have passed.
+    step; else it is in the error, and both steps have paths of their own. Two rounds of ``paths``
+    are made; with ``tol`` more until the expected L1 error is below it at all times, or ``seconds``
+    of wall time have passed.
     """
-    exact = form.damping is None
-    axis, gaps = partial(energy_axis, form), np.diff(times, prepend=0.0)
-    counted = Counted(observable, lambda H: [column(H, c) for c in observable], axis)
+    exact, gaps = form.damping is None, np.diff(asked.times, prepend=0.0).tolist()
 
-    def states(number: int) -> Iterator[tuple[Array, Array | None]]:
+    def states(number: int) -> States:
         start = from_energies(form, starts(paths, stream_of(seed, STARTS + number)))
+        known: Any = {"workers": workers, "modulation": asked.system.modulation}
         runs = [
-            EnergyEnsemble(form, start, 0.0, seed, 2 * number + k, workers, modulation=modulation)
+            EnergyEnsemble(form, start, 0.0, seed, 2 * number + k, **known)
             for k in range(1 if exact else 2)
         ]
-        for gap in gaps.tolist():
+        for gap in gaps:
             for k, (run, longest) in enumerate(zip(runs, (0.5 * dt, dt), strict=False)):
                 steps = 0 if gap == 0.0 else 1 if exact else ceil(gap / longest * (1.0 - 1e-12))
                 runs[k] = run.onward(gap / max(1, steps))
@@ -343,20 +304,12 @@ def energy_transient(
                 return
             yield form.energies(runs[0].X), None if exact else form.energies(runs[1].X)
 
+    def columns(H: Array) -> list[Array]:
+        return [column(H, c) for c in asked.observable]
+
     with workers_of(None, threads) as workers:
         # Without an error that is wanted two rounds are enough, whatever the time.
         watch = Watch(seconds or inf, lambda: False, inf if tol is None else tol)
-        return counted_in_rounds(
-            counted,
-            states,
-            times,
-            at,
-            watch,
-            dt,
-            rounds=2,
-            least=2,
-            most=max(2, MAX_TRAJECTORIES // paths),
-            what="transient, averaged",
-            progress=progress,
-            settings={"seed": seed, "steps": "exact" if exact else "Strang splitting"},
-        )
+        settings = {"seed": seed, "steps": "exact" if exact else "Strang splitting"}
+        axis = partial(energy_axis, form)
+        return counted_in_rounds(asked, watch, states, columns, axis, 2, paths, dt, settings)

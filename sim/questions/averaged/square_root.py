@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 
-from fpk.numeric.arrays import Array
+from fpk.numeric.arrays import EPS, ROUND_OFF, Array
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
 from fpk.system.modulation import Modulation
@@ -13,12 +14,6 @@ from fpk.system.process import Process, log_density_slope
 from sim.questions.passing import NATS, Diffusion
 
 Function = Callable[[Array], Array]
-
-NEAR_ZERO = 1e-7
-"""Energy, in units of the process's scale, below which γ is that at this energy."""
-
-ALIKE = 1e-12
-"""Relative spread over random energies below which a coefficient counts as a constant."""
 
 FIRST = 8
 """Cells next to 0 with the γ of the next one: a difference of equal numbers is divided by X."""
@@ -70,21 +65,21 @@ def square_root_form(process: Process) -> SquareRootForm:
     d, b = process.at(np.zeros((1, scales.size))).drift[0], process.at(probes).diffusion
     for i in range(scales.size):
         edge = process.at(np.where(np.arange(scales.size) == i, 0.0, probes)).drift[:, i]
-        if np.any(np.abs(edge - d[i]) > ALIKE * np.abs(d[i])):
+        if np.any(np.abs(edge - d[i]) > ROUND_OFF * np.abs(d[i])):
             raise NotApplicable(f"the drift of H{i + 1} at 0 depends on the other energies")
     slope = np.diag(b[0]) / probes[0]
     other = np.abs(b - (slope * probes)[:, :, None] * np.eye(scales.size))
-    if np.any(other > ALIKE * np.abs(b).max(axis=(1, 2), keepdims=True)):
+    if np.any(other > ROUND_OFF * np.abs(b).max(axis=(1, 2), keepdims=True)):
         raise NotApplicable("the noises of the energies are correlated, or not b_ii ~ H_i")
 
     def rate(H: Array) -> Array:
-        safe = np.maximum(H, NEAR_ZERO * scales)
+        safe = np.maximum(H, sqrt(EPS) * scales)  # below, half of the digits are lost
         return np.asarray((d - process.at(safe).drift) / safe)
 
     rates = rate(probes)
     # Read at large energies: next to 0 the difference of equal numbers is divided by H_i.
     constant = rates[probes.argmax(axis=0), np.arange(scales.size)]
-    round_off = ALIKE * (np.abs(d / probes) + np.abs(constant))
+    round_off = ROUND_OFF * (np.abs(d / probes) + np.abs(constant))
     alike = bool(np.all(np.abs(rates - constant) <= round_off))
     linear = constant if alike else rate(np.zeros((1, scales.size)))[0]
     return SquareRootForm(
@@ -117,56 +112,36 @@ def line_form(process: Process) -> SquareRootForm:
     t, w = panel_rule(np.sqrt(nodes), 4)
     b = process.coefficients((t**2).ravel()).diffusion.reshape(t.shape)
     R = np.concatenate([[0.0], np.cumsum(np.sum(w * 2.0 * t / np.sqrt(b), axis=1))])
-    c = process.coefficients(nodes[1:])
-    mu = 1.0 + 2.0 * R[1:] * (c.drift - 0.25 * c.divergence) / np.sqrt(c.diffusion)
-    noise = 2.0 * process.degrees_of_freedom
-    gamma = (noise - mu) / R[1:] ** 2
-    gamma[:FIRST] = gamma[FIRST]
-    table = np.concatenate([gamma[:1], gamma]) - gamma[0]
-    alone = -2.0 * c.dissipation / np.sqrt(c.diffusion) / R[1:]
-    alone[:FIRST] = alone[FIRST]
-    alone = np.concatenate([alone[:1], alone])
-    rest = alone - alone[0]
     # H/R² varies slowly; H itself would be off by the square of a cell next to 0.
     ratio = nodes[1:] / R[1:] ** 2
-    ratio = np.concatenate([ratio[:1], ratio])
-    scale = float(np.interp(process.energy_scale, nodes, R)) ** 2
+    inner, c = R[1 + FIRST :], process.coefficients(nodes[1 + FIRST :])
+    noise, sigma = 2.0 * process.degrees_of_freedom, np.sqrt(c.diffusion)
+    mu = 1.0 + 2.0 * inner * (c.drift - 0.25 * c.divergence) / sigma
+    gamma, alone = (noise - mu) / inner**2, -2.0 * c.dissipation / sigma / inner
+    table, rest = gamma - gamma[0], alone - alone[0]
     # What the table itself is good for counts as nothing.
     alike = float(np.max(np.abs(table))) <= 1e-6 * abs(float(gamma[-1]))
     return SquareRootForm(
         noise=np.array([noise]),
         slope=np.array([4.0]),
-        damping=None if alike else lambda X: np.interp(np.sqrt(X), R, table),
+        damping=None if alike else lambda X: np.interp(np.sqrt(X), inner, table),
         linear=gamma[:1],
-        energies=lambda X: np.asarray(X * np.interp(np.sqrt(X), R, ratio)),
-        scales=np.array([scale]),
-        quiet=(alone[:1], lambda X: np.interp(np.sqrt(X), R, rest)),
+        energies=lambda X: np.asarray(X * np.interp(np.sqrt(X), R[1:], ratio)),
+        scales=np.interp(np.array([process.energy_scale]), nodes, R) ** 2,
+        quiet=(alone[:1], lambda X: np.interp(np.sqrt(X), inner, rest)),
         degrees_of_freedom=process.degrees_of_freedom,
         kinks=process.nonsmooth,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class EnergyLimits:
-    """Limits of sums of X: ``weights`` (limits, d) · X reaches ``values`` (limits,).
+def limit_diffusion(form: SquareRootForm, weights: Array) -> Diffusion:
+    """Return how the noise moves the sums ``weights`` (limits, d) · X, forms of the momenta √X.
 
     A sum S of square-root processes has dS = … + σ dB, σ² = Σ w² β X; as the noise moves S by 1 it
-    moves σ² by Σ w³ β² X/σ². Both are forms of the momenta √X, as ``pass_energies`` has them.
+    moves σ² by Σ w³ β² X/σ², at rest by that of the energy alone that moves most.
     """
-
-    weights: Array
-    values: Array
-    name: str
-
-    def diffusion(self, form: SquareRootForm) -> Diffusion:
-        """Return the forms of σ², and of its growth; at rest one energy alone begins to move."""
-        w, one = self.weights[:, :, None], np.eye(form.slope.size)
-        slope = form.slope[:, None]
-        return Diffusion(w**2 * slope * one, w**3 * slope**2 * one, np.max(w * slope, axis=(1, 2)))
-
-    def rows(self, X: Array) -> Array:
-        """Return √X and the sums, (paths, d + limits)."""
-        return np.hstack([np.sqrt(X), X @ self.weights.T])
+    w, one, slope = weights[:, :, None], np.eye(form.slope.size), form.slope[:, None]
+    return Diffusion(w**2 * slope * one, w**3 * slope**2 * one, np.max(w * slope, axis=(1, 2)))
 
 
 def from_energies(form: SquareRootForm, energies: Array) -> Array:

@@ -11,7 +11,15 @@ import numpy as np
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.system.compiled_laws import compiled_laws, law_files, of_law
-from sim.questions.passing import NATS, cubic_of, distance_to, form_of, largest_of
+from sim.questions.passing import (
+    NATS,
+    SOURCES,
+    Diffusion,
+    cubic_of,
+    distance_to,
+    first_passage,
+    form_of,
+)
 from sim.step.arrays import StepArrays, WatchArrays
 from sim.step.kernel import KERNEL, KernelKey, once
 from sim.step.lanes import kick, row
@@ -54,7 +62,7 @@ class LimitArrays(NamedTuple):
     """
 
     values: Array  # (c,)
-    diffusion: Any  # passing.Diffusion of the energies; None for a displacement
+    diffusion: Diffusion  # of the energies, none of a displacement
     reach: Array  # (n,), √(H_m/E_f) times these add up to √(E_i/E_f) without contact
     energy: float  # E_f
     mass: int  # of the displacement, from 0
@@ -89,10 +97,6 @@ class CompiledReplicas:
         self.streams += dead.size
 
 
-BELOW = 1.0 - 2.0**-53
-"""Share of the limit at most of what has not passed it."""
-
-
 @inlined
 def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
     """Make the first record of ``parent`` above ``level`` the only one of ``i``, and its state x.
@@ -102,9 +106,8 @@ def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
     m = 0
     while paths.level[parent, m] <= level:
         m += 1
-    for r in range(paths.state.shape[2]):
-        x[r] = paths.state[parent, m, r]
-        paths.state[i, 0, r] = x[r]
+    x[:] = paths.state[parent, m]
+    paths.state[i, 0] = x
     paths.level[i, 0] = paths.level[parent, m]
     paths.step[i, 0] = paths.step[parent, m]
     return int(paths.step[i, 0])
@@ -113,8 +116,7 @@ def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
 @inlined
 def record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) -> None:
     """Write a state as the record number ``records`` of replica i."""
-    for r in range(paths.state.shape[2]):
-        paths.state[i, records, r] = x[r]
+    paths.state[i, records] = x
     paths.level[i, records], paths.step[i, records] = level, step
 
 
@@ -158,7 +160,7 @@ def uniform(at: np.uint64) -> float:
 def reached_share(
     s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, law: Any
 ) -> float:
-    """Return √(E_i/E_f) of the displacement of one mass at the observed state, below 1."""
+    """Return √(E_i/E_f) of the displacement of one mass at the observed state."""
     root, contact = 0.0, 0.0
     for m in range(limit.reach.size):
         root += limit.reach[m] * sqrt(s[watch.traced[m]])
@@ -167,11 +169,40 @@ def reached_share(
             sign, clearance, B, e, kind = forces.numbers_of(step, stop)
             _, o = forces.overlap_of(s[watch.at.q + limit.mass], sign, clearance)
             contact += B * of_law(law, kind, o, e)
-    return min(sqrt(root * root + contact / limit.energy), BELOW)
+    return sqrt(root * root + contact / limit.energy)
 
 
-OWN = ("sim/questions/passing.py", "sim/questions/splitting/kernel.py")
-"""Files that paths are compiled from beside those of a kernel."""
+@inlined
+def see(
+    seen: Array, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, of_q: bool
+) -> None:
+    """Write the distance to each limit, and q, v of a displacement, or σ² and its growth."""
+    if of_q:
+        mass = limit.mass
+        q, v = s[watch.at.q + mass], 2.0 * step.half_inverse_mass[mass] * s[watch.at.p + mass]
+        seen[0, 0], seen[0, 1], seen[0, 2] = limit.values[0] - abs(q), q, v
+    else:
+        noise = limit.diffusion
+        for m in range(limit.values.size):
+            variance, growth = seen[m, 1:2], seen[m, 2:3]
+            form_of(variance, s, watch.at.p, noise.variance[m], 1)
+            form_of(growth, s, watch.at.p, noise.growth[m], 1)
+            numbers = variance[0], growth[0], noise.at_rest[m]
+            seen[m, 0] = distance_to(limit.values[m], s[watch.traced[m]], *numbers)
+
+
+@inlined
+def passed(before: Array, seen: Array, limit: float, h: float, word: np.uint64, of_q: bool) -> bool:
+    """Return whether a limit is passed between two looks (3,), one step h apart, or at the second.
+
+    By an energy it is with the probability of a Brownian bridge, of the uniform number at ``word``.
+    """
+    if of_q:
+        return first_passage(cubic_of(before[1], before[2], seen[1], seen[2], h), limit) <= 1.0
+    exponent = 2.0 * before[0] * seen[0] / h
+    if before[0] <= 0.0 or seen[0] <= 0.0:
+        return True
+    return exponent < NATS and uniform(word) < exp(-exponent)
 
 
 @once
@@ -179,10 +210,11 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
     """Return the function that renews paths; ``kind`` is that of the limit."""
     pairs, damping, energy_damping = key.pairs, key.damping, key.energy_damping
     energy, modes, contact, displacement = key.energy, key.modes, bool(key.laws), kind == "q"
-    sources = checksum([*(ROOT / name for name in (*KERNEL, *OWN)), *law_files(key.laws, ROOT)])
-    force: Any = compiled_laws(key.laws, "force") if contact else None
-    slope: Any = compiled_laws(key.laws, "slope") if contact else None
-    law: Any = compiled_laws(key.laws, "energy") if contact else None
+    sources = checksum([*(ROOT / name for name in (*KERNEL, *SOURCES)), *law_files(key.laws, ROOT)])
+    laws: Any = [
+        compiled_laws(key.laws, x) if contact else None for x in ("force", "slope", "energy")
+    ]
+    force, slope, law = laws
 
     @cached_njit()
     def renew(
@@ -195,7 +227,7 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
         the damping and before the kick. Returns the checksum of its sources.
         """
         n, h, at, terms = step.matrix.shape[0] // 2, step.dt, watch.at, step.terms
-        s, c, mass = np.zeros(at.total), limit.values.size, limit.mass
+        s, c = np.zeros(at.total), limit.values.size
         x, V, H = s[: 2 * n], row(s, at.work + 1, 1, 1), row(s, at.work + 2, 1, 1)
         z, word = np.zeros(2 * pairs, np.float32), np.zeros(2, np.uint32)
         seen, before = np.zeros((c, 3)), np.zeros((c, 3))
@@ -218,49 +250,29 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
                     for slot in range(step.slot_mass.size):
                         r, g = n + step.slot_mass[slot], row(s, at.contact + 2 * slot, 2, 1)
                         kick(row(s, r, 1, 1), g, -0.5 * h, step.slot_shift[slot], 1)
-
-                # What is seen, and the score.
                 before[:] = seen
                 observe(
                     s, V, H, step, watch, contact, damping, energy_damping, True, energy, modes,
                     False, force, law, 1,
                 )  # fmt: skip
-                # The distance to the limit, and q, v of a displacement, or σ² and its growth.
-                if displacement:
-                    q, v = s[at.q + mass], 2.0 * step.half_inverse_mass[mass] * s[at.p + mass]
-                    seen[0, 0], seen[0, 1], seen[0, 2] = limit.values[0] - abs(q), q, v
-                else:
-                    noise = limit.diffusion
-                    for m in range(c):
-                        variance, growth = seen[m, 1:2], seen[m, 2:3]
-                        form_of(variance, s, at.p, noise.variance[m], 1)
-                        form_of(growth, s, at.p, noise.growth[m], 1)
-                        numbers = variance[0], growth[0], noise.at_rest[m]
-                        seen[m, 0] = distance_to(limit.values[m], s[watch.traced[m]], *numbers)
-                reached = -1
+                see(seen, s, step, watch, limit, displacement)
                 if records == 0 or done > begun:
+                    reached = -1
                     for m in range(c):
-                        left, before_it = seen[m, 0], before[m, 0]
-                        if done > begun and displacement:
-                            cubic = cubic_of(before[0, 1], before[0, 2], seen[0, 1], seen[0, 2], h)
-                            left = limit.values[0] - largest_of(cubic)
-                        elif done > begun and (before_it <= 0.0 or left <= 0.0):
-                            left = 0.0
-                        elif done > begun:  # a Brownian bridge passes with probability e^(−2 a b/h)
-                            exponent, u = 2.0 * before_it * left / h, np.uint64(pairs + m) * GOLDEN
-                            if exponent < NATS and uniform(words + u) < exp(-exponent):
-                                left = 0.0
-                        if left <= 0.0:
-                            share = 1.0
-                        elif displacement:
+                        gone, u = seen[m, 0] <= 0.0, words + np.uint64(pairs + m) * GOLDEN
+                        if done > begun:
+                            gone = passed(before[m], seen[m], limit.values[m], h, u, displacement)
+                        if displacement:
                             share = reached_share(s, step, watch, limit, law)
                         else:
-                            share = min(sqrt(max(s[watch.traced[m]], 0.0) / limit.values[m]), BELOW)
-                        reached = max(reached, level_of(score, m, share, done))
-                if reached > top:
-                    top = reached
-                    record(paths, i, records, x, top, done)
-                    records += 1
+                            share = sqrt(max(s[watch.traced[m]], 0.0) / limit.values[m])
+                        # What has not passed the limit has not failed, to round-off either.
+                        inside = min(level_of(score, m, share, done), LEVELS - 1)
+                        reached = max(reached, LEVELS if gone else inside)
+                    if reached > top:
+                        top = reached
+                        record(paths, i, records, x, top, done)
+                        records += 1
                 if done >= score.steps or top >= LEVELS:
                     break
 

@@ -22,7 +22,7 @@ from sim.questions.splitting.kernel import (
     Score,
     compiled_paths,
 )
-from sim.questions.starts import Origin
+from sim.questions.starts import drawn_states
 from sim.sample.plan import step_arrays, watched
 from sim.step.schemes import EXACT_FLOW
 from sim.step.step_size import chosen_step, temperature
@@ -56,16 +56,12 @@ def cost_score(limit: float, *, noise: float, decay: float) -> ScoreFunction:
 
 
 def score_table(
-    scores: Sequence[ScoreFunction],
-    energies: Sequence[Array],
-    *,
-    time: float,
-    steps: int,
+    scores: Sequence[ScoreFunction], energies: Sequence[Array], *, time: float, steps: int
 ) -> Score:
-    """Return the levels of one score a coordinate, where x is the share of its limit.
+    """Return the levels of one score a coordinate; ``energies`` are what it takes at ``SHARES``.
 
-    ``energies`` are what the score takes at ``SHARES``. A score counts from its value at
-    energy 0 with all of ``time`` left; no failure has a larger one than energies just below it.
+    A score counts from its value at energy 0 with all of ``time`` left; no failure has a larger one
+    than energies just below it.
     """
     left, tables = time * (np.arange(1, ROWS + 1) / ROWS) ** 2, []
     for score, energy in zip(scores, energies, strict=True):
@@ -98,35 +94,31 @@ class SystemProblem:
         self, count: int, steps: int, seed: int, stream: np.random.Generator
     ) -> CompiledReplicas:
         """Return ``count`` paths of ``steps`` steps from their starts, drawn from ``stream``."""
-        n, dt = self.system.n, self.time / steps
-        step = step_arrays(self.system, EXACT_FLOW, dt)
+        n, step = self.system.n, step_arrays(self.system, EXACT_FLOW, self.time / steps)
         energies = limits.energies_of(self.limit, n) or [Coordinate("H", m) for m in range(n)]
         key, watch = watched(self.system, EXACT_FLOW, step, (), (), energies)
-        origin = Origin(self.system, self.start, int(stream.integers(2**63)))
-        return CompiledReplicas(
-            compiled_paths(key, self.limit.kind),
-            (step, watch, limit_arrays(self.system, self.limit), self.score._replace(steps=steps)),
-            np.hstack(origin.drawn(count, 0)),
-            steps,
-            seed,
-        )
+        starts = drawn_states(self.system, self.start, int(stream.integers(2**63)), count)
+        score = self.score._replace(steps=steps)
+        model = step, watch, limit_arrays(self.system, self.limit), score
+        renew = compiled_paths(key, self.limit.kind)
+        return CompiledReplicas(renew, model, np.hstack(starts), steps, seed)
 
 
 def limit_arrays(system: System, limit: Limit) -> LimitArrays:
-    """Return the numbers of what ``limit`` is on.
+    """Return the numbers of the quantity that ``limit`` is on.
 
     Of |q_i| these are, for the score, of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the
     largest |q_i| of free motion and k the static stiffness at mass i. E_i is not above H, and not
     below its value E_f = ½ k a² + U_i(a) where |q_i| passes a. |q_i| itself would be a poor score:
     the next peak of a path that has set out for it is no longer open.
     """
-    n, at = system.n, limits.energies_at(system, limit)
+    at, diffusion = limits.energies_at(system, limit), diffusion_of(system, limit)
     if limit.kind != "q":
-        return LimitArrays(at, diffusion_of(system, limit), np.zeros(n), 1.0, 0)
-    mass, energy = limit.observable(n)[0].row, float(np.min(at))
+        return LimitArrays(at, diffusion, np.zeros(system.n), 1.0, 0)
+    mass, energy = limit.observable(system.n)[0].row, float(np.min(at))
     shapes, omega = natural_modes(system)
     reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
-    return LimitArrays(np.array([limit.value]), None, reach, energy, mass)
+    return LimitArrays(np.array([limit.value]), diffusion, reach, energy, mass)
 
 
 def system_problem(
@@ -147,15 +139,15 @@ def system_problem(
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: whether the limit is passed is no chance")
     # A share of a random start may have failed at once.
-    states = () if start.kind == "noise" else Origin(system, start, 0).drawn(64, 0)
+    states = () if start.kind == "noise" else drawn_states(system, start, 0, 64)
     if states and np.all(limits.beyond(system, limit, *states)):
         raise InvalidInput("start", str(start), f"must lie below the limit {limit}")
     # By default the score of least action of each coordinate.
     tops = limits.energies_at(system, limit)
     if limit.kind == "modal":
-        T = natural_modes(system)[0][:, [c.row for c in limits.energies_of(limit, system.n)]]
-        noise = np.einsum("im,ij,jm->m", T, system.noise_matrix, T)
-        decay = np.einsum("im,ij,jm->m", T, system.damping, T)
+        noise, decay = (
+            limits.modal_rates(system, limit, x) for x in (system.noise_matrix, system.damping)
+        )
     else:
         tops, kT = np.min(tops, keepdims=True), temperature(system)
         noise = np.mean(np.diag(system.noise_matrix) / system.mass, keepdims=True)
@@ -170,12 +162,9 @@ def system_problem(
         scores = [score]
     table = score_table(scores, [top * SHARES**2 for top in tops], time=time, steps=1)
     reach = limits.reach_of(system, limit, start, time)
-    longest = min(
-        chosen_step(system, energy=reach.energy, kT=reach.kT),
-        limits.STEP_TO_LIMIT
-        * (min(reach.limit, reach.start) if start.kind == "state" else reach.limit),
-        time / limits.STEPS_SINCE_START,
-    )
+    soon = min(reach.limit, reach.start) if start.kind == "state" else reach.limit
+    longest = chosen_step(system, energy=reach.energy, kT=reach.kT)
+    longest = min(longest, limits.STEP_TO_LIMIT * soon, time / limits.STEPS_SINCE_START)
     if dt is not None and dt > limits.TOO_LONG * longest:
         raise InvalidInput("dt", dt, f"is too long to see a passage; use {longest:.2g}")
     return SystemProblem(system, limit, start, time, dt or longest, table)

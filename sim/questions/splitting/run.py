@@ -12,10 +12,9 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import ceil, exp, hypot, inf, isfinite, log, nan
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from scipy.special import betaincinv
 
 from fpk.answer.limit import Limit
 from fpk.answer.method import Progress, silent
@@ -25,6 +24,7 @@ from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.numeric.machine import usable_cores, working_time
 from fpk.system.modulation import require_constant_noise
 from fpk.system.system import System
+from sim.questions.failure_times import most_events
 from sim.questions.rounds import Watch
 from sim.questions.splitting.kernel import LEVELS
 from sim.questions.splitting.problem import ScoreFunction, system_problem
@@ -49,9 +49,6 @@ NOT_IN_REPETITION = {
 
 MOST_STEPS = 2**32
 """Steps of a path at most: a stream has words for 2**40 divided by a few."""
-
-DOUBT = 0.05
-"""Probability with which the upper bound may be too low: 1.645 standard deviations of a normal."""
 
 RESOLVED = 0.3
 """Relative standard error up to which the spread of a few repetitions tells it."""
@@ -138,44 +135,35 @@ class RareFailure:
         return self.error / self.probability if self.probability > 0.0 else float("inf")
 
 
-class Repetition(NamedTuple):
-    """One estimate: ln of the probability, −inf where no replica was left, levels, and steps.
-
-    ``failed`` counts the replicas that failed before any was killed: plain sampling.
-    """
-
-    log_probability: float
-    levels: int
-    failed: int
-    steps: int = 0
-
-
 def split(
-    replicas: Any, failure: int, killed: int, stream: np.random.Generator,
+    replicas: Any,
+    failure: int,
+    killed: int,
+    stream: np.random.Generator,
     over: Callable[[], bool] = lambda: False,
-) -> Repetition:  # fmt: skip
-    """Return the estimate of the probability that a path's score reaches ``failure``.
+) -> tuple[float, int, int]:
+    """Return ln of the estimated probability that a path's score reaches ``failure``, and levels.
 
-    ``replicas`` are paths with the largest levels ``best`` (replicas,) that their scores have
-    reached, and ``renew(dead, parents, level)``, as ``kernel.CompiledReplicas`` has them.
-    ``killed`` is the least number of them that each level kills; ties may make it more. Where it is
-    ``over()`` before the last level, the probability is not a number.
+    Third come the replicas that failed before any was killed: plain sampling. ``replicas`` are
+    paths with the largest levels ``best`` (replicas,) that their scores have reached, and
+    ``renew(dead, parents, level)``, as ``kernel.CompiledReplicas`` has them. ``killed`` is the
+    least number of them that each level kills; ties may make it more. The logarithm is −inf where
+    no replica is left, and not a number where it is ``over()`` before the last level.
     """
     log_probability, levels = 0.0, 0
     failed = int(np.sum(replicas.best >= failure))
-    while True:
+    while not over():
         best = replicas.best
-        if over():
-            return Repetition(nan, levels, failed)
         level = int(np.partition(best, killed - 1)[killed - 1])
         if level >= failure:
-            return Repetition(log_probability + log(np.mean(best >= failure)), levels, failed)
+            return log_probability + log(np.mean(best >= failure)), levels, failed
         dead, alive = np.flatnonzero(best <= level), np.flatnonzero(best > level)
         if alive.size == 0:
-            return Repetition(-inf, levels, failed)
+            return -inf, levels, failed
         log_probability += log(alive.size / best.size)
         replicas.renew(dead, alive[stream.integers(alive.size, size=dead.size)], level)
         levels += 1
+    return nan, levels, failed
 
 
 def rare_failure(
@@ -209,13 +197,13 @@ def rare_failure(
 
 
 def repetition(
-    problem: Any, settings: Splitting, fine: int, number: int, left: float = inf
-) -> Repetition:
-    """Return one repetition at the step dt / 2**``fine``; each has streams of its own.
+    problem: Any, settings: Splitting, left: float, number: int, fine: int
+) -> tuple[int, int, tuple[float, ...]]:
+    """Return one repetition at the step dt / 2**``fine``: its ``number``, ``fine``, its result.
 
-    ``problem`` is a dataclass as ``SystemProblem``, with ``time``, ``dt`` and ``replicas``. The
-    repetition is not finished, its probability not a number, where more than ``left`` seconds are
-    needed.
+    That is the result of ``split`` and the steps made, with streams of its own. ``problem`` is a
+    dataclass as ``SystemProblem``, with ``time``, ``dt`` and ``replicas``. The repetition is not
+    finished, its probability not a number, where more than ``left`` seconds are needed.
     """
     begin = working_time()
     stream = stream_of(settings.seed, 2 * number + fine)
@@ -223,7 +211,7 @@ def repetition(
     replicas = problem.replicas(settings.replicas, steps, seed, stream)
     over = lambda: working_time() - begin > left  # noqa: E731
     result = split(replicas, LEVELS, settings.killed, stream, over)
-    return result._replace(steps=int(replicas.paths.moved.sum()))
+    return number, fine, (*result, int(replicas.paths.moved.sum()))
 
 
 def step_count(problem: Any) -> int:
@@ -238,8 +226,8 @@ def failure_of(problem: Any, settings: Splitting, progress: Progress) -> RareFai
     """Return the probability of failure in ``problem``; see ``rare_failure``."""
     dt, s = 0.5 * problem.time / step_count(problem), settings
     checkpoint = checkpoint_of(s.checkpoint, (problem, s), "splitting", less=NOT_IN_REPETITION)
-    # The fields of repetitions at dt and dt/2, (fields, 2, made); NaN where one is not finished.
-    made, seconds = np.zeros((len(Repetition._fields), 2, 0)), 0.0
+    # The numbers of repetitions at dt and dt/2, (numbers, 2, made); NaN where one is not finished.
+    made, seconds = np.zeros((4, 2, 0)), 0.0
 
     def repeated(number: int) -> float | None:
         nonlocal made, seconds
@@ -249,10 +237,8 @@ def failure_of(problem: Any, settings: Splitting, progress: Progress) -> RareFai
         left = np.argwhere(np.isnan(made[0, :, :wanted]).T).tolist()
         for first in range(0, len(left), workers.threads):
             most = s.seconds - (working_time() - watch.begin)
-            calls = [
-                partial(_numbered, problem, s, most, *task)
-                for task in left[first : first + workers.threads]
-            ]
+            tasks = left[first : first + workers.threads]
+            calls = [partial(repetition, problem, s, most, *task) for task in tasks]
             for index, fine, result in workers.as_finished(calls):
                 made[:, fine, index] = result
                 seconds = working_time() - watch.begin
@@ -264,8 +250,7 @@ def failure_of(problem: Any, settings: Splitting, progress: Progress) -> RareFai
 
     def finished() -> int:
         """How many of the first repetitions are finished at both steps."""
-        missing = np.isnan(made[0]).any(axis=0)
-        return int(np.argmax(missing)) if missing.any() else missing.size
+        return int(np.argmax(np.append(np.isnan(made[0]).any(axis=0), True)))
 
     with (
         workers_of(s.cluster, s.threads or usable_cores()) as workers,
@@ -282,12 +267,6 @@ def failure_of(problem: Any, settings: Splitting, progress: Progress) -> RareFai
             " are needed: allow more seconds or take fewer replicas"
         )
     return estimated(made[:, :, :whole], dt, seconds, s)
-
-
-def _numbered(
-    problem: Any, settings: Splitting, left: float, number: int, fine: int
-) -> tuple[int, int, Repetition]:
-    return number, fine, repetition(problem, settings, fine, number, left)
 
 
 def mean_and_error(log_values: Array) -> tuple[float, float]:
@@ -311,14 +290,13 @@ def mean_and_error(log_values: Array) -> tuple[float, float]:
 
 
 def estimated(made: Array, dt: float, seconds: float, settings: Splitting) -> RareFailure:
-    """Return the probability from repetitions ``made`` (fields, 2, count) at 2 ``dt`` and ``dt``.
+    """Return the probability from repetitions ``made`` (numbers, 2, count) at 2 ``dt`` and ``dt``.
 
     The bias at dt/2 is at most the difference from dt where it falls as dt or faster. A difference
     below its own standard error counts as that: it may be small by chance.
     """
     (coarse, fine), levels, failures, steps = made
-    paths = settings.replicas * fine.size
-    unit = float(np.max([coarse, fine]))
+    paths, unit = settings.replicas * fine.size, float(np.max(made[0]))
     unit = unit if np.isfinite(unit) else 0.0
     (at_long, long_error), (mean, own) = (mean_and_error(x - unit) for x in (coarse, fine))
     own = own or mean / paths  # as if one of all paths had not failed
@@ -327,8 +305,7 @@ def estimated(made: Array, dt: float, seconds: float, settings: Splitting) -> Ra
     error = hypot(own, max(abs(bias), bias_error))
     bound = (mean + 1.645 * error) * scale
     if not mean > 0.0 or error == inf:
-        failed = float(failures[1].sum())
-        bound = float(betaincinv(failed + 1.0, paths - failed, 1.0 - DOUBT))  # Clopper, Pearson
+        bound = min(1.0, most_events(int(failures[1].sum())) / paths)
     return RareFailure(
         probability=mean * scale,
         error=error * scale if mean > 0.0 else bound,
