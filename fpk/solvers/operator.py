@@ -26,8 +26,7 @@ from fpk.solvers.line.stationary import StationarySolution, solve_on_mesh
 from fpk.solvers.plane.elements import null_vector
 from fpk.solvers.plane.solution import Nodes, PlaneSolution
 from fpk.solvers.plane.stationary import solve_by_elements
-from fpk.solvers.plane.weight import Weight
-from fpk.solvers.plane.weight import probed as probed_plane
+from fpk.solvers.plane.weight import Weight, flux_free_weight
 from fpk.solvers.probe import probed
 from fpk.system.ends import require_confined
 from fpk.system.process import Process
@@ -234,7 +233,7 @@ def solve_by_scikit_fem(
     """
     if process.dimension == 2:
         require_confined(process)
-        first = probed_plane(process)
+        first = flux_free_weight(process)
         return solve_by_elements(
             process, first, tol=tol, degree=degree, marked=marked, solved=null_function
         )

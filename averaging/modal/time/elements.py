@@ -5,6 +5,7 @@ Displacements and momenta follow from their joint density, Eqs. (35), (36).
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -20,8 +21,10 @@ from fpk.answer.limit import Limit
 from fpk.answer.observable import Coordinate
 from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
+from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_plane
-from fpk.solvers.plane.time.levels import Frame, PlaneStart
+from fpk.solvers.plane.time.levels import PlaneStart
+from fpk.solvers.plane.time.operator import PlaneOperator
 from fpk.solvers.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
 from fpk.solvers.plane.time.transient import Level, Seen, seen_on, transient_densities
 
@@ -71,8 +74,8 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
     """Return the ``count`` slowest rates but 0 of two modal energies."""
     if modes.n != 2:
         raise NotApplicable("relaxation rates by fem are those of two modal energies")
-    frame = _frame(modes, _pair(modes, range(2)), tol)
-    return relaxation_rates(frame, count, tol=tol, relative=modes.relative_error)
+    density = _stationary(modes, _pair(modes, range(2)), tol)
+    return relaxation_rates(density, count, tol=tol, relative=modes.relative_error)
 
 
 def _pair(modes: ModalAnalysis, rows: Sequence[int]) -> list[int]:
@@ -95,19 +98,18 @@ def _spread(modes: ModalAnalysis, pair: list[int], t: float) -> Array:
 
 def _posed(
     modes: ModalAnalysis, pair: list[int], start: EnergyStart, tol: float
-) -> tuple[Frame, PlaneStart]:
-    """The operator's frame, and what the density begins with."""
-    frame = _frame(modes, pair, tol)
+) -> tuple[PlaneSolution, PlaneStart]:
+    """The stationary density of the equation, and what the density begins with."""
+    stationary = _stationary(modes, pair, tol)
     if start.noise is None:
-        return frame, PlaneStart(start.energies[pair])
+        return stationary, PlaneStart(start.energies[pair])
     louder = replace(modes, modal_noise=start.noise * modes.modal_noise)
-    return frame, PlaneStart(None, _frame(louder, pair, tol).stationary, start.noise)
+    return stationary, PlaneStart(None, _stationary(louder, pair, tol), start.noise)
 
 
-def _frame(modes: ModalAnalysis, pair: list[int], tol: float) -> Frame:
-    """The stationary density is computed to a hundredth of the tolerance, or to 1e-11."""
-    process = modes.process(pair)
-    return Frame(process, solve_plane(process, tol=max(1e-2 * tol, 1e-11)))
+def _stationary(modes: ModalAnalysis, pair: list[int], tol: float) -> PlaneSolution:
+    """The stationary density to a hundredth of the tolerance, or to 1e-11."""
+    return solve_plane(modes.process(pair), tol=max(1e-2 * tol, 1e-11))
 
 
 def _state_transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
@@ -118,11 +120,11 @@ def _state_transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
     not certified, its errors infinite.
     """
     times, at, tol, pair = asked.times, asked.at, asked.tol, _pair(modes, range(modes.n))
-    frame, start = _posed(modes, pair, asked.start, tol)
+    stationary, start = _posed(modes, pair, asked.start, tol)
     none = np.zeros(0), np.zeros(0)
-    answer, levels = transient_densities(frame, start, "pair", times, none, tol=0.5 * tol)
+    answer, levels = transient_densities(stationary, start, "pair", times, none, tol=0.5 * tol)
     tail = outside(answer.certificate)
-    measured = Measured(start.l1_error + 2.0 * tail, None, None, levels[1].evolved.residual, tail)
+    measured = Measured(start.l1_error + 2.0 * tail, None, None, levels[1][1].residual, tail)
     values, errors = np.empty((2, times.size, at[0].size))
     densities = []
     for k, t in enumerate(times.tolist()):
@@ -149,28 +151,25 @@ def _energies(
 
     ``relative`` is the error of the modes, in units of the energies' ``spread``.
     """
-    coarse, fine = levels
+    (other_op, other), (op, g) = levels
 
-    def of(level: Level, g: Array, H1: Array, H2: Array) -> Array:
-        """The density with the coefficients ``g``, (energies, energies): H1 a column, H2 a row."""
-        grid = seen_on(level.op, "pair", g[k : k + 1], (H1.ravel(), H2.ravel()))
-        return np.asarray(grid[0])
+    def of(op: PlaneOperator, g: Array, H1: Array, H2: Array) -> Array:
+        """The density of unknowns g at all times, (energies, energies): H1 a column, H2 a row."""
+        return np.asarray(seen_on(op, "pair", g[k : k + 1], (H1.ravel(), H2.ravel()))[0])
 
-    def pdf(H1: Array, H2: Array) -> Array:
-        return of(fine, fine.g, H1, H2)
-
-    mass = float(fine.evolved.values[k] @ fine.op.matrices[2])
-    rounding = float(np.max(ROUNDINGS * fine.evolved.rounding)) + 2.0 * abs(mass - 1.0)
+    pdf = partial(of, op, g.values)
+    mass = float(g.values[k] @ op.matrices[2])
+    rounding = float(np.max(ROUNDINGS * g.rounding)) + 2.0 * abs(mass - 1.0)
 
     def pointwise(H1: Array, H2: Array) -> Array:
         p = pdf(H1, H2)
-        moved = np.abs(p - of(coarse, coarse.g, H1, H2)) + np.abs(of(fine, fine.change, H1, H2))
+        moved = np.abs(p - of(other_op, other.values, H1, H2)) + np.abs(of(op, g.change, H1, H2))
         of_modes = 2.0 * relative * (1.0 + H1 / spread[0] + H2 / spread[1])
         return np.asarray(moved + (of_modes + rounding) * np.abs(p))
 
     return certified_density(
         (Coordinate("H", 0), Coordinate("H", 1)),
-        fine.op.nodes,
+        op.nodes,
         pdf,
         pointwise,
         measured=measured,
