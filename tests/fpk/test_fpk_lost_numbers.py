@@ -16,8 +16,7 @@ from fpk.solvers.line.time.elements import degree_for, meshed
 from fpk.solvers.line.time.transition import Source
 from fpk.solvers.plane.solution import graded
 from fpk.solvers.plane.time import exponential, passage
-from fpk.solvers.plane.time.levels import PlaneStart
-from fpk.solvers.plane.time.operator import PlaneOperator
+from fpk.solvers.plane.time.operator import PlaneOperator, PlaneStart
 
 TIMES = np.array([1.0, 100.0])
 """Apart by more than one contour and one Krylov space serve."""

@@ -3,7 +3,7 @@
 Displacements and momenta follow from their joint density, Eqs. (35), (36).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -23,8 +23,7 @@ from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_plane
-from fpk.solvers.plane.time.levels import PlaneStart
-from fpk.solvers.plane.time.operator import PlaneOperator
+from fpk.solvers.plane.time.operator import PlaneOperator, PlaneStart
 from fpk.solvers.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
 from fpk.solvers.plane.time.transient import Level, Seen, seen_on, transient_densities
 
@@ -45,13 +44,7 @@ def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
         seen = "first" if rows == pair[:1] else "second"
     which = [pair.index(r) for r in sorted(rows)]
 
-    def by_modes(t: float, *H: Array) -> Array:
-        spread = _spread(modes, pair, t)
-        each = spread[which] if rows else [spread.min()]
-        reach = sum(np.abs(x) / s for x, s in zip(H, each, strict=True))
-        begins = np.sum(start.energies[pair] / spread)
-        return np.asarray(2.0 * modes.relative_error * (1.0 + reach + begins))
-
+    by_modes = partial(_by_modes, modes, pair, which if rows else None, start)
     posed = _posed(modes, pair, start, tol)
     answer, _ = transient_densities(*posed, seen, times, at, tol=tol, coefficients_error=by_modes)
     return answer
@@ -90,10 +83,24 @@ def _pair(modes: ModalAnalysis, rows: Sequence[int]) -> list[int]:
     return pair
 
 
-def _spread(modes: ModalAnalysis, pair: list[int], t: float) -> Array:
-    """Mean energies (2,) that the noise has fed into two modes from rest by the time ``t``."""
-    decay = 2.0 * modes.half_bandwidth[pair]
-    return np.asarray(modes.temperature[pair] * -np.expm1(-decay * t))
+def _by_modes(
+    modes: ModalAnalysis,
+    pair: list[int],
+    which: list[int] | None,
+    start: EnergyStart,
+    t: float,
+    *H: Array,
+) -> Array:
+    """The relative error of p by that of the modes, at energies ``which`` of a pair or their sum.
+
+    It counts in units of the means (2,) that the noise has fed into the modes from rest by ``t``.
+    """
+    spread = modes.temperature[pair] * -np.expm1(-2.0 * modes.half_bandwidth[pair] * t)
+    each = [spread.min()] if which is None else spread[which]
+    reach = sum(np.abs(x) / s for x, s in zip(H, each, strict=True))
+    return np.asarray(
+        2.0 * modes.relative_error * (1.0 + reach + np.sum(start.energies[pair] / spread))
+    )
 
 
 def _posed(
@@ -128,8 +135,8 @@ def _state_transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
     values, errors = np.empty((2, times.size, at[0].size))
     densities = []
     for k, t in enumerate(times.tolist()):
-        spread = _spread(modes, pair, t)
-        group = _energies(levels, k, modes.relative_error, spread, measured, tol)
+        of_modes = partial(_by_modes, modes, pair, [0, 1], asked.start, t)
+        group = _energies(levels, k, of_modes, measured, tol)
         densities.append(state_density(modes, [group], asked.observable, tol=tol))
         values[k], errors[k] = densities[k].at(*at)
         errors[k] = errors[k] if group.l1_error <= LARGEST_ERROR else np.inf
@@ -142,14 +149,13 @@ def _state_transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
 def _energies(
     levels: tuple[Level, Level],
     k: int,
-    relative: float,
-    spread: Array,
+    of_modes: Callable[..., Array],
     measured: Measured,
     tol: float,
 ) -> Density:
     """The joint density of both energies at the time ``k``, its error the distance of two levels.
 
-    ``relative`` is the error of the modes, in units of the energies' ``spread``.
+    ``of_modes`` is the relative error by the modes at energies.
     """
     (other_op, other), (op, g) = levels
 
@@ -164,8 +170,7 @@ def _energies(
     def pointwise(H1: Array, H2: Array) -> Array:
         p = pdf(H1, H2)
         moved = np.abs(p - of(other_op, other.values, H1, H2)) + np.abs(of(op, g.change, H1, H2))
-        of_modes = 2.0 * relative * (1.0 + H1 / spread[0] + H2 / spread[1])
-        return np.asarray(moved + (of_modes + rounding) * np.abs(p))
+        return np.asarray(moved + (of_modes(H1, H2) + rounding) * np.abs(p))
 
     return certified_density(
         (Coordinate("H", 0), Coordinate("H", 1)),

@@ -94,10 +94,6 @@ class PlaneSolution:
         """p_h at energies that broadcast together; 0 outside the nodes."""
         return weighted(self.u, self.weight, H1, H2)
 
-    def enriched_density(self, H1: Array, H2: Array) -> Array:
-        """p of the enriched solution at energies that broadcast together; 0 outside its nodes."""
-        return weighted(self.enriched, self.weight, H1, H2)
-
     def heights(self, H1: Array, H2: Array) -> Array:
         """Return the rise of −ln w from its least value to energies (points,) each."""
         return np.zeros(H1.shape) if self.weight is None else self.weight.exponent(H1, H2)
@@ -109,7 +105,8 @@ class PlaneSolution:
         relative = np.asarray(self.relative_error + ROUND_OFF * self.degree**2)
         if self.weight is not None:
             relative = relative + ROUND_OFF * self.weight.terms(x, y)
-        return np.asarray(SAFETY * np.abs(p - self.enriched_density(x, y)) + relative * np.abs(p))
+        better = weighted(self.enriched, self.weight, x, y)
+        return np.asarray(SAFETY * np.abs(p - better) + relative * np.abs(p))
 
 
 def weighted(u: PiecewiseTensor, weight: Weight | None, H1: Array, H2: Array) -> Array:

@@ -26,10 +26,12 @@ from fpk.solvers.plane.solution import (
     null_function,
     solve_plane_on_mesh,
     tails,
+    weighted,
 )
 from fpk.solvers.plane.weight import (
     BEYOND,
     NATS,
+    RISE,
     RISE_PER_DEGREE,
     Weight,
     divided_by_diffusion,
@@ -50,8 +52,6 @@ der Pol damping and mixtures of exponentials."""
 COARSE = 1e-4
 """Error above which a better weight is tried on the same rung, or five rungs on, first: it gains
 more."""
-RISE = 4.0
-"""Rise of −ln w by which a mesh becomes longer where too much mass lies beyond."""
 KNOWN = 0.1
 """Relative error of p up to which ln p is fitted."""
 SAMPLES = 32
@@ -207,7 +207,8 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
     # First on the whole mesh, to see how far p is known; then on the box in which it is.
     for _ in range(2):
         x, y = (np.linspace(0.0, end, SAMPLES) for end in ends)
-        p, better = (f(x[:, None], y) for f in (solution.density, solution.enriched_density))
+        both = solution.u, solution.enriched
+        p, better = (weighted(u, solution.weight, x[:, None], y) for u in both)
         known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < KNOWN * better)
         known &= better > np.exp(-rise) * better.max()
         if not known.any():

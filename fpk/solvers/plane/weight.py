@@ -24,11 +24,12 @@ NATS = -float(np.log(EPS))
 """Fall of ln p, 36, beyond which the density is below round-off of its largest value."""
 BEYOND = 1e-3
 """Fraction of the tolerance that w falls to at the far edges of the first mesh."""
+RISE = 3.0
+"""Rise of −ln w from the far edges of one mesh to those of the next longer one, whose difference
+then contains what ending the mesh costs."""
 HIGHEST = 6
 """Highest total degree of Φ. Damping of degree k in the energies gives k + 1 under detailed
 balance."""
-GAIN = 0.5
-"""Factor by which a higher degree must lower the misfit: high degrees extrapolate badly."""
 IMPORTANCE = 10.0
 """Rise of Φ over which a point's share in the sum of squares falls to 1/e: w matters most where p
 is large, but u = p/w should stay of order one far out, too."""
@@ -222,7 +223,7 @@ def _chosen(
     """The best of the fits that rise along every ray beyond the box and where Φ > ``rise``."""
     best, outside = None, np.maximum(RAYS[:, None], RAYS) > 1.0
     for phi, misfit in fits:
-        if misfit < GAIN * least:
+        if misfit < least:
             raised, values = phi.copy(), polygrid2d(RAYS, RAYS, phi)
             lowest = values[~outside].min()
             raised[0, 0], values = phi[0, 0] - lowest, values - lowest

@@ -19,8 +19,14 @@ from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.solvers.plane.elements import factorised
 from fpk.solvers.plane.solution import SAFETY, Nodes, PlaneSolution, graded
 from fpk.solvers.plane.time.exponential import KRYLOV, evolved, relative_residual
-from fpk.solvers.plane.time.levels import SHARE, PlaneStart, far_ends, operators, reach
-from fpk.solvers.plane.time.operator import PlaneOperator
+from fpk.solvers.plane.time.operator import (
+    SHARE,
+    PlaneOperator,
+    PlaneStart,
+    far_ends,
+    operators,
+    reach,
+)
 
 FOLDS = 5.0
 """Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root

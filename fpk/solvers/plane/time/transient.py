@@ -12,8 +12,14 @@ from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.plane.solution import Nodes, PlaneSolution, gauss_grid, graded
 from fpk.solvers.plane.time.exponential import KRYLOV, Evolved, evolved
-from fpk.solvers.plane.time.levels import SHARE, PlaneStart, far_ends, operators, reach
-from fpk.solvers.plane.time.operator import PlaneOperator
+from fpk.solvers.plane.time.operator import (
+    SHARE,
+    PlaneOperator,
+    PlaneStart,
+    far_ends,
+    operators,
+    reach,
+)
 
 Seen = Literal["pair", "first", "second", "sum"]
 """The coordinates in which a density of two energies is seen."""
