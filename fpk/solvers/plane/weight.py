@@ -30,6 +30,8 @@ then contains what ending the mesh costs."""
 HIGHEST = 6
 """Highest total degree of Φ. Damping of degree k in the energies gives k + 1 under detailed
 balance."""
+GAIN = 0.5
+"""Factor by which a higher degree must lower the misfit: high degrees extrapolate badly."""
 IMPORTANCE = 10.0
 """Rise of Φ over which a point's share in the sum of squares falls to 1/e: w matters most where p
 is large, but u = p/w should stay of order one far out, too."""
@@ -223,7 +225,7 @@ def _chosen(
     """The best of the fits that rise along every ray beyond the box and where Φ > ``rise``."""
     best, outside = None, np.maximum(RAYS[:, None], RAYS) > 1.0
     for phi, misfit in fits:
-        if misfit < least:
+        if misfit < GAIN * least:
             raised, values = phi.copy(), polygrid2d(RAYS, RAYS, phi)
             lowest = values[~outside].min()
             raised[0, 0], values = phi[0, 0] - lowest, values - lowest
