@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import factorial
 
-from fpk.numeric.arrays import EPS, Array, Integers
+from fpk.numeric.arrays import EPS, ROUND_OFF, Array, Integers
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.solvers.probe import probed
 from fpk.system.damping import DampingTerm
@@ -22,14 +22,10 @@ from fpk.system.linear import natural_modes
 from fpk.system.process import Coefficients, Process
 from fpk.system.system import System
 
-NEGLIGIBLE = 1e-12
-"""Share of the terms added up in a coefficient below which it is their round-off, so zero."""
 MAX_COEFFICIENTS = 1_000_000
 """Largest number of coefficients Γ_mk of all monomials (8 MB, and as much for their sizes)."""
 MAX_STEPS = 4000
 """Largest number of steps to the balanced energies; the iteration is linear, some hundred steps."""
-BALANCED = 1e-14
-"""Imbalance of a mode, relative to all power in and out, at which the iteration has converged."""
 UNBOUNDED = 1e8
 """Multiple of the first guess above which an energy is taken to grow for ever."""
 
@@ -58,18 +54,12 @@ class AveragedDamping:
 
     def mean(self, means: Array) -> tuple[Array, Array]:
         """Return E[F_m Q̇_k]/E H_k for independent exponential energies, and the sum of sizes."""
-        counts, factorials = self._counts
-        moments = _monomials(self.factors, means) * factorials
+        # Powers of the energies in each monomial (rows, n).
+        counts = (self.factors[:, :, None] == np.arange(1, means.size + 1)).sum(axis=1)
+        moments = _monomials(self.factors, means) * factorial(counts).prod(axis=1)
         weights = moments[:, None] * (1.0 + counts)
         value, size = (np.einsum("rmk,rk->mk", x, weights) for x in (self.values, self.sizes))
         return value, size
-
-    @cached_property
-    def _counts(self) -> tuple[Integers, Array]:
-        """Powers of the energies in each monomial (rows, n), and products of their factorials."""
-        modes = np.arange(1, self.values.shape[1] + 1)
-        counts = (self.factors[:, :, None] == modes).sum(axis=1)
-        return counts, factorial(counts).prod(axis=1)
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
@@ -176,7 +166,7 @@ def modal_analysis(system: System) -> ModalAnalysis:
     names = [f"mode {i + 1} (ω = {w:.4g})" for i, w in enumerate(omega)]
     for i in np.flatnonzero(np.diag(c) <= 0.0) if constant else ():
         raise NotApplicable(f"{names[i]} is not damped, so its energy grows for ever")
-    for i in np.flatnonzero(noise <= NEGLIGIBLE * np.diag(size)):
+    for i in np.flatnonzero(noise <= ROUND_OFF * np.diag(size)):
         raise NotApplicable(
             f"{names[i]} gets no noise, so its energy has no density: b_ii of (17) vanishes"
         )
@@ -239,7 +229,7 @@ def averaged_damping(system: System, shapes: Array, omega: Array) -> AveragedDam
 
     factors, values = total(shapes, system.damping, float)
     _, sizes = total(np.abs(shapes), np.abs(system.damping), abs)
-    return AveragedDamping(factors, np.where(np.abs(values) > NEGLIGIBLE * sizes, values, 0), sizes)
+    return AveragedDamping(factors, np.where(np.abs(values) > ROUND_OFF * sizes, values, 0), sizes)
 
 
 def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> tuple[Integers, Array]:
@@ -301,7 +291,7 @@ def balanced_energies(system: System, damping: AveragedDamping, noise: Array) ->
         rate, size = (np.diag(x) for x in damping.mean(theta))
         step = (noise / theta - rate) / (noise / theta + size)
         theta = theta * np.exp(0.5 * step)
-        if np.any(theta > UNBOUNDED * guess) or np.max(np.abs(step)) < BALANCED:
+        if np.any(theta > UNBOUNDED * guess) or np.max(np.abs(step)) < ROUND_OFF:
             break
     worst = int(np.argmax(theta / guess + np.abs(step)))
     if np.any(theta > UNBOUNDED * guess) or np.max(np.abs(step)) > 1e-9:

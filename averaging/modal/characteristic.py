@@ -1,8 +1,7 @@
 """Densities of displacements and momenta from those of the modal energies, Eq. (35)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from math import prod
 
 import numpy as np
@@ -21,12 +20,10 @@ POINTS = 24
 FIRST_BAND = 8.0
 """Highest wave number of the first attempt, in units of 1/rms: φ of a Gaussian is e^-32 there."""
 WIDER = 2.0**0.5
-"""Factor by which the highest wave number grows from one attempt to the next."""
+"""Factor by which the highest wave number s grows from one attempt to the next. The norm of φ
+beyond s is taken for 1/(√2 − 1) of that between s/√2 and s, as where |φ| falls as s^-2."""
 MAX_WAVES = 40_000
 """Largest number of waves; the estimate of what further ones would add goes into the error."""
-BEYOND = 3.0
-"""Estimate of the norm of φ beyond the highest wave number s over that between s/√2 and s:
-1/(√2 − 1) = 2.4, rounded up, where |φ| falls as s^-2, and less where it falls faster."""
 PHASE = {1: 30.0, 2: 16.0}
 """Largest phase of a wave over one panel, in radians, by the number of coordinates: the rules of
 ``fpk.answer.density`` (20 and 12 points) integrate such a wave to 1e-9."""
@@ -34,37 +31,26 @@ HALF_PANELS = (4.0, 400.0)
 """Least and largest number of panels of an axis on either side of 0."""
 
 
-@dataclass(frozen=True, eq=False)
-class FourierSeries:
-    """Σ_km coefficients_km exp(i (k a_0 + m a_1)) where |a| <= π and 0 elsewhere, a = ``phases`` x.
+def fourier_sum(phases: Array, coefficients: Array, x: Array, y: Array | float = 0.0) -> Array:
+    """Return Σ_km coefficients_km exp(i (k a_0 + m a_1)) where |a| <= π, else 0, a = ``phases`` x.
 
-    ``phases`` (2, 2) is lower triangular. ``coefficients`` (functions, k = 0 .. K, m = −M .. M),
-    of p and of its error or of p alone, have k and −k in one; of one coordinate M = 0.
+    ``phases`` (2, 2) is lower triangular. ``coefficients`` (functions, k = 0 .. K, m = −M .. M)
+    have k and −k in one; of one coordinate M = 0. Of points that broadcast together, the answer is
+    (functions, ...).
     """
-
-    phases: Array
-    coefficients: Array
-
-    @property
-    def counts(self) -> Array:
-        """K and M."""
-        return np.array(self.coefficients.shape[1:]) // [1, 2] - [1, 0]
-
-    def __call__(self, x: Array, y: Array | float = 0.0) -> Array:
-        """The functions (functions, ...) at points that broadcast together."""
-        K, M = self.counts
-        (u, i), (v, j) = (np.unique(z, return_inverse=True) for z in (x, y))
-        k, m = 1j * np.arange(K + 1), 1j * np.arange(-M, M + 1)
-        rows = np.exp(np.outer(self.phases[0, 0] * u, k)) @ self.coefficients
-        rows = rows * np.exp(np.outer(self.phases[1, 0] * u, m))
-        columns = np.exp(np.outer(m, self.phases[1, 1] * v))
-        i, j = np.broadcast_arrays(i.reshape(np.shape(x)), j.reshape(np.shape(y)))
-        if u.size * v.size <= 4 * i.size:  # a grid
-            total = (rows @ columns).real[:, i, j]
-        else:
-            total = np.einsum("c...m,m...->c...", rows[:, i], columns[:, j]).real
-        a = np.tensordot(self.phases, np.array(np.broadcast_arrays(x, y)), 1)
-        return np.where(np.all(np.abs(a) <= np.pi, axis=0), total, 0.0)
+    K, M = np.array(coefficients.shape[1:]) // [1, 2] - [1, 0]
+    (u, i), (v, j) = (np.unique(z, return_inverse=True) for z in (x, y))
+    k, m = 1j * np.arange(K + 1), 1j * np.arange(-M, M + 1)
+    rows = np.exp(np.outer(phases[0, 0] * u, k)) @ coefficients
+    rows = rows * np.exp(np.outer(phases[1, 0] * u, m))
+    columns = np.exp(np.outer(m, phases[1, 1] * v))
+    i, j = np.broadcast_arrays(i.reshape(np.shape(x)), j.reshape(np.shape(y)))
+    if u.size * v.size <= 4 * i.size:  # a grid
+        total = (rows @ columns).real[:, i, j]
+    else:
+        total = np.einsum("c...m,m...->c...", rows[:, i], columns[:, j]).real
+    a = np.tensordot(phases, np.array(np.broadcast_arrays(x, y)), 1)
+    return np.where(np.all(np.abs(a) <= np.pi, axis=0), total, 0.0)
 
 
 def state_density(
@@ -91,7 +77,7 @@ def state_density(
     box = np.hypot(whitened @ U, whitened @ W) @ largest
     phases = np.pi * whitened / box[:, None]
     scale = float(np.prod(np.diag(whitened) / (2.0 * box)))
-    band = FIRST_BAND
+    band, beyond = FIRST_BAND, 1.0 / (WIDER - 1.0)
     while True:  # until the waves beyond the band add less than a tenth of the tolerance
         K, M = np.pad(np.ceil(band * box / np.pi).astype(int), (0, 2 - count))
         k, m = np.mgrid[0 : K + 1, -M : M + 1]
@@ -106,16 +92,16 @@ def state_density(
         ring = np.abs(p.reshape(k.shape))
         ring *= np.maximum(k / K, np.abs(m) / max(M, 1)) > 1.0 / WIDER
         # ∫|·| over the box is at most √Σ|φ|², by Parseval and Cauchy-Schwarz.
-        l1_beyond = BEYOND * float(np.sqrt(np.sum(both_signs * ring**2)))
+        l1_beyond = beyond * float(np.sqrt(np.sum(both_signs * ring**2)))
         if l1_beyond <= 0.1 * tol or np.prod(2.0 * WIDER * np.array([K, M]) + 1.0) > MAX_WAVES:
             break
         band *= WIDER
     coefficients = scale * both_signs * np.stack([p, error]).reshape(2, *k.shape)
-    both = FourierSeries(np.pad(phases, (0, 2 - count)), coefficients)
+    both = partial(fourier_sum, np.pad(phases, (0, 2 - count)), coefficients)
     from_modes = modes.relative_error * 2.0 * count  # of T and ω, in the coordinates
     relative = sum(group.l1_error for group in groups) + from_modes
     round_off = 8.0 * EPS * float(k.size) ** 0.5
-    floor = BEYOND * scale * float(np.sum(both_signs * ring))
+    floor = beyond * scale * float(np.sum(both_signs * ring))
     floor += round_off * float(both(np.zeros(1))[0, 0])
 
     def pointwise(*x: Array) -> Array:
@@ -125,7 +111,7 @@ def state_density(
     extent = np.hypot(U, W) @ largest
     # Panels over which the phase at the edge of the band, where next to nothing is left, turns by
     # ``PHASE``, and no more of them than are affordable.
-    turns = extent * (both.counts @ np.abs(both.phases))[:count] / PHASE[count]
+    turns = extent * (np.array([K, M])[:count] @ np.abs(phases)) / PHASE[count]
     halves = np.ceil(np.clip(turns, *HALF_PANELS)).astype(int)
     return certified_density(
         observable,

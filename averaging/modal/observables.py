@@ -79,7 +79,9 @@ def modal_densities(
         if of_energies(observable):
             return _product(observable, of_groups, tol)
         if observable[0].kind == "H":
-            return _total_energy(observable, of_groups, tol)
+            # p(H) = ∫p(H1, H − H1) dH1 within a group, and convolutions between groups.
+            of_sum = partial(_of_sum, observable, share=tol / (2 * len(of_groups)), tol=tol)
+            return reduce(of_sum, (p if len(p.panels) == 1 else of_sum(p) for p in of_groups))
         return state_density(modes, of_groups, observable, tol=tol)
 
     return tuple(density(observable) for observable in observables)
@@ -154,15 +156,6 @@ def _product(observable: Observable, parts: Sequence[Density], tol: float) -> De
         tol=tol,
         added_error=rule_error if hidden else None,
     )
-
-
-def _total_energy(observable: Observable, parts: Sequence[Density], tol: float) -> Density:
-    """The density of H = Σ H_i over independent groups of one or two energies.
-
-    p(H) = ∫p(H1, H − H1) dH1 within a group, and convolutions between groups.
-    """
-    of_sum = partial(_of_sum, observable, share=tol / (2 * len(parts)), tol=tol)
-    return reduce(of_sum, (part if len(part.panels) == 1 else of_sum(part) for part in parts))
 
 
 def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -> Density:

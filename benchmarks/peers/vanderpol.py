@@ -18,7 +18,7 @@ from averaging.modal.analysis import modal_analysis
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_by_elements
-from fpk.solvers.plane.weight import probed
+from fpk.solvers.plane.weight import flux_free_weight
 from fpk.system.process import Process
 
 Array = NDArray[np.float64]
@@ -79,7 +79,8 @@ class Averaged:
     def truth(self) -> PlaneSolution:
         """The solution that answers are judged by; solved once, in nobody's time."""
         tol, degree = TRUTH
-        return solve_by_elements(self.process, probed(self.process), tol=tol, degree=degree)
+        weight = flux_free_weight(self.process)
+        return solve_by_elements(self.process, weight, tol=tol, degree=degree)
 
     def exact(self, points: Array) -> Array:
         """p(H1, H2) at points (2, ...), 0 where less than 1e-12 of the probability lies."""

@@ -25,7 +25,7 @@ from fpk.solvers import operator
 from fpk.solvers.line.stationary import solve_on_mesh
 from fpk.solvers.operator import null_vectors, solve_by_scikit_fem
 from fpk.solvers.plane.solution import graded, null_function, solve_plane_on_mesh
-from fpk.solvers.plane.weight import probed as probed_plane
+from fpk.solvers.plane.weight import flux_free_weight
 from fpk.solvers.probe import probed
 from fpk.system.escape import require_held
 from fpk.system.process import Process
@@ -190,14 +190,14 @@ def modal_equation(system: System, solver: str = "fem") -> Equation:
         count = " x ".join(str(nodes.size - 1) for nodes in solution.nodes)
         words = f"plain elements (w = 1) of scikit-fem, degree {solution.degree}, {count} on a mesh"
         words += " of their own"
-    ends = probed_plane(process).extent(BEYOND[2]) * process.energy_scales
+    ends = flux_free_weight(process).ends(-float(np.log(BEYOND[2])))
     return Equation(
         name=OF_MODES,
         process=replace(process, coefficients=clock),
         clock=clock,
         reference=reference,
         reference_words=words,
-        ends=ends.tolist(),
+        ends=list(ends),
         by_tolerance={Integrable(solver).route: partial(solved_energies, solver=solver)},
         solver=solver,
         words=UNIFORM

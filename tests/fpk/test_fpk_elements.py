@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from fpk_processes import both, chain, integral
+from scikit_operator import Operator
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import spsolve
 from skfem import Basis, BilinearForm, ElementLineP1, ElementLineP2, ElementLinePp, MeshLine
@@ -11,7 +12,6 @@ from skfem.helpers import dot, grad
 from averaging.energy_process import energy_process
 from fpk.solvers.line.elements import element_rule
 from fpk.solvers.line.stationary import solve_on_mesh
-from fpk.solvers.operator import Operator
 from fpk.solvers.plane.elements import shape_functions
 
 FORMS = ["flux", "drift-diffusion"]
@@ -85,7 +85,7 @@ def chain_with(exponent):
 def density_on_mesh(process, form, degree, nodes):
     if form == "flux":
         return solve_on_mesh(process, nodes, degree).density
-    operator = Operator(process, (nodes,), degree, 2 * element_rule(degree).share.size - 1)
+    operator = Operator(process, (nodes,), degree, element_rule(degree).share.size)
     u = operator.stationary()
     return lambda x: operator.density(u, x.ravel()).reshape(x.shape)
 

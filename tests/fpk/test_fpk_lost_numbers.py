@@ -7,7 +7,7 @@ import pytest
 from fpk_processes import both, chain
 from numba import njit
 from test_fpk_plane import square_root_process
-from test_fpk_plane_time import frame
+from test_fpk_plane_time import density
 
 from averaging.energy_process import energy_process
 from fpk.solvers.line.elements import _residual
@@ -16,8 +16,7 @@ from fpk.solvers.line.time.elements import degree_for, meshed
 from fpk.solvers.line.time.transition import Source
 from fpk.solvers.plane.solution import graded
 from fpk.solvers.plane.time import exponential, passage
-from fpk.solvers.plane.time.levels import PlaneStart
-from fpk.solvers.plane.time.operator import PlaneOperator
+from fpk.solvers.plane.time.operator import PlaneOperator, PlaneStart
 
 TIMES = np.array([1.0, 100.0])
 """Apart by more than one contour and one Krylov space serve."""
@@ -61,7 +60,7 @@ def test_of_a_reliability(monkeypatch):
 
     monkeypatch.setattr(passage, "evolved", without)
     answer = passage.first_passage(
-        frame(square_root_process((0.1, 0.1), (0.05, 0.05))), PlaneStart(np.zeros(2)),
+        density(square_root_process((0.1, 0.1), (0.05, 0.05))), PlaneStart(np.zeros(2)),
         passage.PlaneLimit(total=1.0), TIMES, tol=1e-2,
     )  # fmt: skip
     assert np.isnan(answer.certificate.residual) and not answer.certificate.certified

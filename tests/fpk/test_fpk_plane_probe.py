@@ -1,5 +1,7 @@
 """Coefficients, probe and fits of two energies against plain NumPy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -7,25 +9,31 @@ from processes import process_of
 from test_fpk_plane import manufactured
 
 from fpk.numeric.errors import NotCertified
-from fpk.solvers.plane.elements import by_element, coefficients_on_grid
-from fpk.solvers.plane.weight import AXIS, PROBE, Weight, fits, probed
+from fpk.solvers.plane.elements import by_element, flux_coefficients
+from fpk.solvers.plane.weight import Weight, divided_by_diffusion, fits, flux_free_weight
 
 PROCESS, LOG_P = manufactured(0.4, 0.2)
 X, Y = np.linspace(0.1, 3.0, 7), np.linspace(0.2, 2.0, 5)
 WEIGHT = Weight(np.array([[0.0, 1.2, 0.1], [0.8, 0.2, 0.0], [0.05, 0.0, 0.0]]), (1.0, 2.0))
 
 
-def test_coefficients_at_gauss_points_are_those_of_their_formulas() -> None:
-    c = coefficients_on_grid(PROCESS, X, Y, WEIGHT)
+@pytest.mark.parametrize("balanced", [False, True])
+def test_coefficients_at_gauss_points_are_those_of_their_formulas(balanced: bool) -> None:
     H = np.stack(np.meshgrid(X, Y, indexing="ij"), axis=-1).reshape(-1, 2)
-    at = PROCESS.coefficients(H)
-    value, *slopes = WEIGHT.on_grid(X, Y)
-    slope = np.stack(slopes, axis=-1).reshape(-1, 2)
-    a = at.drift - 0.5 * at.divergence + 0.5 * np.einsum("nij,nj->ni", at.diffusion, slope)
+    at, weight = PROCESS.coefficients(H), replace(WEIGHT, floor=0.01)
+    value, slope = weight(*H.T), np.stack(weight.slopes(*H.T), axis=-1)
+    # A slope of −ln w, and but for the floor −b⁻¹ (2s − ∇·b) where no probability flows.
+    share = 1.0 - 0.01 / value
+    a = at.drift - 0.5 * at.divergence
+    if balanced:
+        a = -0.5 * np.einsum("nij,nj->ni", at.diffusion, slope)
+    a = a + 0.5 * np.einsum("nij,nj->ni", at.diffusion, share[:, None] * slope)
     b = at.diffusion
     expected = (a[:, 0], a[:, 1], b[:, 0, 0], b[:, 0, 1], b[:, 1, 1])
-    for got, values in zip(c, expected, strict=True):
-        assert_allclose(got, values.reshape(value.shape) * value, rtol=1e-12, atol=1e-15)
+    got, *parts = flux_coefficients(PROCESS, X[:, None], Y, weight, balanced=balanced)
+    assert_allclose(got.ravel(), value, rtol=1e-13)
+    for part, values in zip(parts, expected, strict=True):
+        assert_allclose(part.ravel(), values * value, rtol=1e-12, atol=1e-15)
 
 
 def test_elements_run_along_the_second_energy_fastest() -> None:
@@ -36,15 +44,11 @@ def test_elements_run_along_the_second_energy_fastest() -> None:
 
 
 def test_slopes_without_flux_are_those_of_a_linear_system() -> None:
-    inside = np.maximum(PROBE, AXIS)
-    grid = np.stack(np.meshgrid(inside, inside, indexing="ij"), axis=-1).reshape(-1, 2)
-    process, _ = manufactured(0.4, 0.0)
-    scales = np.array(process.energy_scales)
-    c = process.coefficients(grid * scales)
+    grid = np.stack(np.meshgrid(X, Y, indexing="ij"), axis=-1).reshape(-1, 2)
+    c = manufactured(0.4, 0.0)[0].coefficients(grid)
     flow = 2.0 * c.drift - c.divergence
-    expected = np.linalg.solve(c.diffusion, flow[..., None])[..., 0] * scales
-    slopes = probed(process).slopes.reshape(2, -1)
-    assert_allclose(slopes, expected.T, rtol=1e-9, atol=1e-12)
+    expected = np.linalg.solve(c.diffusion, flow[..., None])[..., 0]
+    assert_allclose(divided_by_diffusion(flow, c.diffusion), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_noise_that_leaves_a_combination_alone_is_refused() -> None:
@@ -53,7 +57,7 @@ def test_noise_that_leaves_a_combination_alone_is_refused() -> None:
 
     process = process_of(lambda H: 1.0 - H, diffusion, lambda H: 6.0 * H, (1.0, 1.0))
     with pytest.raises(NotCertified, match="gets no noise"):
-        probed(process)
+        flux_free_weight(process)
 
 
 def powers_to(degree: int) -> np.ndarray:
@@ -83,10 +87,10 @@ def test_fits_end_where_the_points_do_not_tell_columns_apart() -> None:
 
 
 def test_a_weight_on_a_grid_is_that_at_its_points_and_its_slopes() -> None:
-    w, first, second = WEIGHT.on_grid(X, Y)
+    on_grid, slopes = WEIGHT(X[:, None], Y), WEIGHT.slopes(X[:, None], Y)
     at, step = np.broadcast_arrays(X[:, None], Y), 1e-5
-    assert_allclose(w, WEIGHT(*at), rtol=1e-13)
-    for axis, slope in enumerate((first, second)):
+    assert_allclose(on_grid, WEIGHT(*at), rtol=1e-13)
+    for axis, slope in enumerate(slopes):
         near = [
             -np.log(WEIGHT(at[0] + k * (axis == 0), at[1] + k * (axis == 1))) for k in (-step, step)
         ]

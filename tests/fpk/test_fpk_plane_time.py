@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scikit_operator import Operator
 from scipy.linalg import expm
 from scipy.sparse.linalg import splu
 from scipy.special import ive
@@ -10,18 +11,16 @@ from test_fpk_plane import COUPLED, FIG8, manufactured, square_root_process
 
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.operator import Operator
 from fpk.solvers.plane.solution import graded
 from fpk.solvers.plane.stationary import solve_plane
 from fpk.solvers.plane.time.exponential import evolved
-from fpk.solvers.plane.time.levels import Frame, PlaneStart
-from fpk.solvers.plane.time.operator import PlaneOperator
+from fpk.solvers.plane.time.operator import PlaneOperator, PlaneStart
 from fpk.solvers.plane.time.passage import PlaneLimit, _hopeless, first_passage, relaxation_rates
 from fpk.solvers.plane.time.transient import transient_densities
 
 
-def frame(process):
-    return Frame(process, solve_plane(process, tol=1e-11))
+def density(process):
+    return solve_plane(process, tol=1e-11)
 
 
 def square_root_density(h0, t, c, d, x):
@@ -41,7 +40,7 @@ def assert_within(seed):
     x, y = (theta * rng.exponential(1.5, 40) for theta in d / c)
     tol = 10.0 ** rng.uniform(-8, -3)
     answer, _ = transient_densities(
-        frame(square_root_process(tuple(c), tuple(d))), PlaneStart(start), "pair",
+        density(square_root_process(tuple(c), tuple(d))), PlaneStart(start), "pair",
         np.array([t]), (x, y), tol=tol,
     )  # fmt: skip
     exact = np.prod(
@@ -66,7 +65,7 @@ def test_one_equation_written_twice(limit):
     # The process as it is, and with a weight: the matrices differ, u and T do not.
     process, _ = manufactured(0.4, 0.2)
     start, times = PlaneStart(np.array([0.2, 0.1])), np.array([0.1, 0.4])
-    by_weight = first_passage(frame(process), start, limit, times, tol=1e-9)
+    by_weight = first_passage(density(process), start, limit, times, tol=1e-9)
     assert by_weight.certificate.certified, by_weight.certificate.failures
     nodes = (
         graded((0.6, 0.5), 4)
@@ -89,12 +88,12 @@ def test_reliability_is_the_mass_that_the_absorbing_forward_equation_keeps(degre
     # Another assembly, of scikit-fem, and another exponential.
     process, _ = manufactured(0.4, 0.2)
     nodes = (np.array([0.0, 0.1, 0.3, 0.6]), np.array([0.0, 0.1, 0.25, 0.5]))
-    forward = Operator(process, nodes, degree, 2 * degree + 6, absorbing=(0, 1))
+    forward = Operator(process, nodes, degree, degree + 4, absorbing=(0, 1))
     at = forward.basis.probes(np.array([[0.2], [0.15]])).toarray()[0][forward.free]
     step = expm(0.2 * np.linalg.solve(forward.M.toarray(), forward.A.toarray()))
     p = step @ np.linalg.solve(forward.M.toarray(), at)
     start, times = PlaneStart(np.array([0.2, 0.15])), np.array([0.2])
-    answer = first_passage(frame(process), start, PlaneLimit(0.6, 0.5), times, tol=tol)
+    answer = first_passage(density(process), start, PlaneLimit(0.6, 0.5), times, tol=tol)
     assert answer.certificate.certified, answer.certificate.failures
     assert abs(answer.survival[0] - forward.shares @ p) <= gap
 
@@ -103,7 +102,7 @@ def test_a_time_by_which_all_have_failed_spoils_no_other():
     process, _ = manufactured(0.4, 0.2)
     start, limit = PlaneStart(np.array([0.2, 0.15])), PlaneLimit(0.6, 0.5)
     alone, late = (
-        first_passage(frame(process), start, limit, np.array(times), tol=1e-8)
+        first_passage(density(process), start, limit, np.array(times), tol=1e-8)
         for times in ([0.2], [0.2, 1e6])
     )
     assert late.certificate.certified, late.certificate.failures
@@ -116,14 +115,14 @@ def test_a_time_by_which_all_have_failed_spoils_no_other():
 )
 def test_the_slowest_rate_is_that_of_a_finer_tolerance(name):
     process, _ = COUPLED[name]
-    coarse, fine = (relaxation_rates(frame(process), 3, tol=tol) for tol in (1e-4, 1e-9))
+    coarse, fine = (relaxation_rates(density(process), 3, tol=tol) for tol in (1e-4, 1e-9))
     assert fine.certificate.certified, fine.certificate.failures
     assert np.all(np.abs(coarse.values - fine.values) <= coarse.errors + fine.errors)
     assert np.all(fine.values.real > 0.0)
 
 
 def test_degenerate_rates_are_all_there():
-    rates = relaxation_rates(frame(square_root_process((0.1, 0.1), (0.02, 0.03))), 9, tol=1e-8)
+    rates = relaxation_rates(density(square_root_process((0.1, 0.1), (0.02, 0.03))), 9, tol=1e-8)
     exact = 0.1 * np.array([1, 1, 2, 2, 2, 3, 3, 3, 3])
     assert np.all(np.abs(rates.values - exact) <= rates.errors)
 
@@ -132,14 +131,14 @@ def test_degenerate_rates_are_all_there():
 @pytest.mark.parametrize("seen", ["pair", "first", "sum"])
 def test_coupled_transients_relax_to_the_exact_density(name, seen):
     process, log_p = COUPLED[name]
-    of = frame(process)
+    of = density(process)
     x = np.linspace(0.05, 1.0, 5)
     at = (x, x) if seen == "pair" else (x,)
     start = PlaneStart(0.5 * np.array(process.energy_scales))
     answer, _ = transient_densities(of, start, seen, np.array([600.0]), at, tol=1e-8)
     assert answer.certificate.certified, answer.certificate.failures
     nodes = np.linspace(0.0, 1.0, 41)
-    ends = (x[-1] for x in of.stationary.nodes)
+    ends = (x[-1] for x in of.nodes)
     (a, v), (b, u) = ((z.ravel() for z in panel_rule(end * nodes, 12)) for end in ends)
     mass = v @ np.exp(log_p(a[:, None], b)) @ u
     if seen == "pair":
@@ -155,7 +154,7 @@ def test_coupled_transients_relax_to_the_exact_density(name, seen):
 @pytest.mark.slow
 def test_coupled_passage_at_a_loose_tolerance_is_within_its_error():
     process, _ = COUPLED["one of two modes"]
-    of, times = frame(process), np.array([5.0, 50.0])
+    of, times = density(process), np.array([5.0, 50.0])
     for limit in (PlaneLimit(total=2.0), PlaneLimit(1.8, None)):
         loose, tight = (
             first_passage(of, PlaneStart(np.array([0.1, 0.3])), limit, times, tol=tol)
@@ -172,7 +171,7 @@ def test_coupled_passage_at_a_loose_tolerance_is_within_its_error():
 def test_a_failure_of_probability_1e_17_keeps_its_digits():
     c, d = 0.1, 0.05
     answer = first_passage(
-        frame(square_root_process((c, c), (d, d))), PlaneStart(np.zeros(2)),
+        density(square_root_process((c, c), (d, d))), PlaneStart(np.zeros(2)),
         PlaneLimit(total=40.0 * d / c), np.array([1.0, 1e15, 1e17]), tol=1e-8,
     )  # fmt: skip
     assert answer.certificate.certified, answer.certificate.failures
@@ -194,7 +193,7 @@ def test_a_tiny_limit_is_passed_as_by_the_same_motion_without_damping(small):
     # Below it dH = 2 d dt + √(2 d H) dB: E T = H_f/(2 d), E T² − (E T)² = H_f²/(12 d²).
     c, d = 0.1, 0.05
     answer = first_passage(
-        frame(square_root_process((c, c), (d, d))), PlaneStart(np.zeros(2)),
+        density(square_root_process((c, c), (d, d))), PlaneStart(np.zeros(2)),
         PlaneLimit(total=small), np.zeros(0), tol=1e-8,
     )  # fmt: skip
     assert answer.certificate.certified, answer.certificate.failures
@@ -209,7 +208,7 @@ def test_a_limit_that_nobody_reaches_is_refused():
     c, d = FIG8
     with pytest.raises(InvalidInput, match="beyond the range"):
         first_passage(
-            frame(square_root_process(c, d)), PlaneStart(np.zeros(2)), PlaneLimit(total=1e4),
+            density(square_root_process(c, d)), PlaneStart(np.zeros(2)), PlaneLimit(total=1e4),
             np.zeros(0), tol=1e-8,
         )  # fmt: skip
 
@@ -217,7 +216,7 @@ def test_a_limit_that_nobody_reaches_is_refused():
 def test_a_failure_too_rare_for_memory_is_refused_before_any_work():
     with pytest.raises(InvalidInput, match="more equations than fit into memory"):
         first_passage(
-            frame(square_root_process((0.1, 0.1), (0.05, 0.025))), PlaneStart(np.zeros(2)),
+            density(square_root_process((0.1, 0.1), (0.05, 0.025))), PlaneStart(np.zeros(2)),
             PlaneLimit(total=140.0), np.zeros(0), tol=1e-8,
         )  # fmt: skip
 
@@ -236,9 +235,13 @@ def test_coordinates_and_energies_are_inverse(collapsed):
         for a, b in ((1.0, 0.0), (0.0, 1.0))
     ]
     jacobian = np.stack([z[:, 0] for z in columns], axis=1)
-    F, _ = domain.pulled_back(*y, np.array([[1.0, 2.0]]), np.eye(2)[None])
-    assert_allclose(jacobian @ F[0], [1.0, 2.0], rtol=1e-5)
-    assert_allclose(abs(np.linalg.det(jacobian)), domain.jacobian(*y)[0], rtol=1e-5)
+    b = np.array([[0.7, 0.2], [0.2, 0.4]])
+    parts = np.array([1.0, 1.0, 2.0, b[0, 0], b[0, 1], b[1, 1]])[:, None]
+    w, *F, b11, b12, b22 = domain.pulled_back(*y, parts)[:, 0]
+    assert_allclose([w, abs(np.linalg.det(jacobian))], domain.jacobian(*y)[0], rtol=1e-5)
+    assert_allclose(jacobian @ F, w * np.array([1.0, 2.0]), rtol=1e-5)
+    of_y = np.array([[b11, b12], [b12, b22]])
+    assert_allclose(jacobian @ of_y @ jacobian.T, w * b, rtol=1e-5)
 
 
 def test_levels_end_where_no_later_one_could_meet_the_tolerance():

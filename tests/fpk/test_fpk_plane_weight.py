@@ -24,6 +24,7 @@ from test_fpk_plane import (
 from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.plane import stationary
+from fpk.solvers.plane import weight as weight_module
 from fpk.solvers.plane.solution import PlaneSolution, solve_plane_on_mesh
 from fpk.solvers.plane.stationary import (
     RUNGS,
@@ -33,7 +34,7 @@ from fpk.solvers.plane.stationary import (
     solve_plane,
     solve_with_weight,
 )
-from fpk.solvers.plane.weight import Weight, fitted_weight, flux_free_weight, probed
+from fpk.solvers.plane.weight import Weight, fitted_weight, flux_free_weight
 from fpk.system.process import Coefficients, Process
 
 Array = NDArray[np.float64]
@@ -68,7 +69,7 @@ def distance(first: PlaneSolution, second: PlaneSolution) -> float:
 def test_spectral_and_plain_solutions_agree_where_probability_circulates(tol: float) -> None:
     process = one_sided(0.3, 0.05)
     found = solve_plane(process, tol=tol)
-    elements = solve_by_elements(process, probed(process), tol=1e-8)
+    elements = solve_by_elements(process, flux_free_weight(process), tol=1e-8)
     assert_strictly_certified(found)
     assert_strictly_certified(elements)
     assert distance(found, elements) <= found.l1_error + elements.l1_error
@@ -83,7 +84,7 @@ def test_strong_circulation_takes_a_weight_on_a_few_elements(tol: float) -> None
     found = solve_plane(process, tol=tol)
     assert_strictly_certified(found)
     assert found.weight is not None
-    plain = solve_by_elements(process, probed(process), tol=1e-7)
+    plain = solve_by_elements(process, flux_free_weight(process), tol=1e-7)
     assert plain.l1_error <= 1e-7
     assert distance(found, plain) <= found.l1_error + plain.l1_error
     # A coupling 1e-5 of it away is not taken for it, as far as it can be told.
@@ -120,8 +121,7 @@ def test_weighted_elements_converge_in_the_elements_with_their_order() -> None:
 
 def test_values_on_a_grid_are_those_at_its_points() -> None:
     process = one_sided(*STRONG)
-    weight = flux_free_weight(probed(process), process.energy_scales)
-    assert weight is not None
+    weight = flux_free_weight(process)
     nodes = np.array([0.0, 0.4, 1.5, 5.0]), np.array([0.0, 1.0, 4.0])
     for w in (None, weight):
         p = solve_plane_on_mesh(process, nodes, 6, weight=w).density
@@ -152,8 +152,7 @@ def test_any_weight_gives_the_same_density(tilt: float) -> None:
 
 def test_flux_free_weight_is_the_density_where_no_probability_flows() -> None:
     process, log_p = COUPLED["ridge"]
-    weight = flux_free_weight(probed(process), process.energy_scales)
-    assert weight is not None
+    weight = flux_free_weight(process)
     x, y = np.random.default_rng(3).exponential(0.3, (2, 50))
     found = -weight.exponent(x, y)
     assert_allclose(found - found[0], log_p(x, y) - log_p(x, y)[0], rtol=1e-9, atol=1e-9)
@@ -163,8 +162,7 @@ def test_flux_free_weight_is_the_density_where_no_probability_flows() -> None:
 @pytest.mark.parametrize("tol", [1e-4, 1e-9, 1e-12])
 def test_detailed_balance_is_solved_in_closed_form(name: str, tol: float) -> None:
     process, log_p = COUPLED[name]
-    weight = flux_free_weight(probed(process), process.energy_scales)
-    assert weight is not None
+    weight = flux_free_weight(process)
     solution = detailed_balance(process, weight, tol=tol)
     assert solution is not None
     assert_strictly_certified(solution)
@@ -187,8 +185,7 @@ def test_circulating_probability_is_no_detailed_balance() -> None:
 def test_a_flux_across_a_barrier_is_no_detailed_balance() -> None:
     # Two wells with little probability between: where p is small the slope of ln p matters, too.
     process, _ = van_der_pol((-0.2, -0.2), (0.2, 0.2), 13.0, (0.03, 0.03))
-    weight = flux_free_weight(probed(process), process.energy_scales)
-    assert weight is not None
+    weight = flux_free_weight(process)
     within = process.coefficients
 
     def moved(H: Array) -> Coefficients:
@@ -299,7 +296,7 @@ def test_the_estimate_holds_where_the_enriched_solution_is_hardly_better(swirl: 
 @pytest.mark.parametrize("tol", [1e-8, 1e-10])
 def test_the_estimate_of_plain_elements_holds_it_too(tol: float) -> None:
     process, log_p = mixture(*THREE[1], common=0.0, swirl=0.067)
-    solution = solve_by_elements(process, probed(process), tol=tol)
+    solution = solve_by_elements(process, flux_free_weight(process), tol=tol)
     assert_strictly_certified(solution)
     assert l1_error(solution, log_p) <= solution.l1_error <= tol
 
@@ -343,12 +340,13 @@ def test_what_is_not_affordable_is_said_so(monkeypatch: pytest.MonkeyPatch) -> N
     process = square_root_process((0.1, 0.1), (0.1, 0.1))
     monkeypatch.setattr(stationary, "MAX_ENTRIES", 0)
     with pytest.raises(NotCertified, match="affordable"):
-        solve_by_elements(process, probed(process), tol=1e-6)
+        solve_by_elements(process, flux_free_weight(process), tol=1e-6)
 
 
 def test_a_weight_that_is_not_fitted_serves_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stationary, "flux_free_weight", lambda *_: None)
+    monkeypatch.setattr(weight_module, "_chosen", lambda *_: None)
     process, log_p = mixture()
+    assert np.count_nonzero(flux_free_weight(process).coefficients) == 2
     solution = solve_plane(process, tol=1e-6)
     assert_strictly_certified(solution)
     assert l1_error(solution, log_p) <= solution.l1_error <= 1e-6
@@ -357,7 +355,10 @@ def test_a_weight_that_is_not_fitted_serves_as_well(monkeypatch: pytest.MonkeyPa
 def test_circulation_without_any_potential_is_solved_from_exponentials() -> None:
     # The slopes without flux fall off along no path.
     process, log_p = manufactured(0.4, 1.0)
-    assert np.all(probed(process).slopes == -1.0)
+    x, y = np.array([1.0, 2.0]), np.array([0.5, 3.0])
+    means = process.energy_scales
+    first = flux_free_weight(process).exponent(x, y)
+    assert_allclose(first, x / means[0] + y / means[1], rtol=1e-12)
     solution = solve_plane(process, tol=1e-6)
     assert_strictly_certified(solution)
     assert l1_error(solution, log_p) <= solution.l1_error <= 1e-6
@@ -376,13 +377,13 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
 
 
 def test_a_density_that_does_not_fall_off_at_the_edges_takes_five_rungs_at_the_most() -> None:
-    after = [finer(rung, np.inf, coarse=True) for rung in range(len(RUNGS))]
+    after = [finer(rung, np.inf, most=5) for rung in range(len(RUNGS))]
     assert [RUNGS[k] for k in after[:3]] == [(4, 8), (4, 12), (4, 13)]
     assert all(k == rung + 1 for rung, k in enumerate(after) if RUNGS[rung][1] == 18)
     assert after == sorted(after)
     # Half a digit takes one degree more, six digits all that four panels have.
-    assert RUNGS[finer(RUNGS.index((4, 8)), 3.0, coarse=False)] == (4, 9)
-    assert RUNGS[finer(RUNGS.index((4, 8)), 1e6, coarse=False)] == (4, 18)
+    assert RUNGS[finer(RUNGS.index((4, 8)), 3.0, most=99)] == (4, 9)
+    assert RUNGS[finer(RUNGS.index((4, 8)), 1e6, most=99)] == (4, 18)
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from fpk_processes import both, chain, cox_ingersoll_ross
+from scikit_operator import Operator
 from scipy.sparse.linalg import splu
 from square_root_exact import density
 
@@ -13,7 +14,6 @@ from fpk.solvers.line.stationary import solve_stationary
 from fpk.solvers.line.time.passage import fem_passage
 from fpk.solvers.line.time.spectrum import eigenvalues_below, spectrum
 from fpk.solvers.line.time.transition import Source, transition
-from fpk.solvers.operator import Operator
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.contact import Contact
 
@@ -118,7 +118,7 @@ def test_the_forward_matrices_of_the_operator_agree():
     carried = {}
     for absorbing in ((), (0,)):
         own = nodes[nodes <= limit] if absorbing else nodes
-        operator = Operator(process, (own,), 14, 40, flux_form=True, absorbing=absorbing)
+        operator = Operator(process, (own,), 14, 21, flux_form=True, absorbing=absorbing)
         point = operator.basis.probes(np.array([[start]])).toarray()[0][operator.free]
         u = np.zeros((times.size, point.size))
         for c in contours(times):

@@ -8,17 +8,17 @@ coordinates x = V z have E e^(i s·x) = Π exp(−½ θ_t s·C s) Λ_n(a √(s·
 independent energies, Λ_n(z) = Γ(n) (2/z)^(n−1) J_(n−1)(z). For n = 1 that is J0 of a uniform phase.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from math import exp, pi, prod
+from math import pi, prod
 
 import numpy as np
 from scipy.special import hyp0f1, j0
 
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.characteristic import FourierSeries
+from averaging.modal.characteristic import fourier_sum
 from averaging.time.start import (
     FROM_NOISE,
     DensityQuestion,
@@ -44,12 +44,13 @@ DECAY_PANELS, DECAY_POINTS = 80, (14, 18)
 EARLY, SETTLED = 1e-13, 60.0
 """The first and the last of these times, in units of the mean time of rare failures."""
 REACH = 9.0
-"""Standard deviations up to which a Gaussian counts, of the coordinates and of the waves."""
-BEYOND = exp(-0.5 * REACH**2)
-"""A standard normal density at ``REACH``, relative to its maximum: 3e-18."""
+"""Standard deviations, of the coordinates and of the waves, beyond which a Gaussian, e^(−40) of its
+maximum, is less than round-off."""
 MOST_WAVES = {1: 400_000, 2: 1_000_000}
 """Largest number of waves, by the number of coordinates: seconds for each time."""
 DensityOf = Callable[[Array], tuple[Array, Array]]
+Passing = tuple[SquareRoot, float, float]
+"""The process of an energy, its limit, and where it begins."""
 Orbit = tuple[SquareRoot, float, Array]
 """One of the independent energies whose orbits add up to the coordinates: its process, where it
 begins, and the covariance C (count, count) of its share of the coordinates in the stationary state
@@ -89,9 +90,7 @@ def transient(
     for k, t in enumerate(times.tolist()):
         each = [partial(mode.density, H, start.noise, t) for mode, H in parts]
         if len(parts) == len(at):
-            p, e = zip(*(part(x) for part, x in zip(each, at, strict=True)), strict=True)
-            values[k] = prod(p)
-            errors[k] = sum(e[i] * prod(p[:i] + p[i + 1 :]) for i in range(len(p)))
+            values[k], errors[k] = product_of(part(x) for part, x in zip(each, at, strict=True))
         else:
             values[k], errors[k] = _convolved(each, at[0])
         judged = [mode.judged(H, start.noise, t) for mode, H in parts]
@@ -123,7 +122,7 @@ def passage(
         return mode.passage(a, H, times, tol=tol)
     rates = [mode.rate(a) for mode, a, _ in parts]
     rate = Number(sum(r.value for r in rates), sum(r.error for r in rates))
-    survival, lost = _product(parts, times, tol)
+    survival, lost = _surviving(parts, times, tol)
     return certified_passage(
         (*_first_of(parts, rate.value, tol), rate), times, 1.0 - survival, lost, tol=tol
     )
@@ -173,17 +172,21 @@ def _convolved(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Array]
     return fine, own + np.abs(fine - coarse)
 
 
-def _product(
-    parts: Sequence[tuple[SquareRoot, float, float]], times: Array, tol: float
-) -> tuple[Array, Array]:
+def product_of(factors: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return the product of numbers with errors, and its error."""
+    value, error = np.ones(1), np.zeros(1)
+    for x, e in factors:
+        value, error = value * x, error * np.abs(x) + np.abs(value) * e
+    return value, error
+
+
+def _surviving(parts: Sequence[Passing], times: Array, tol: float) -> tuple[Array, Array]:
     """P(T > t) of the first of independent passages, and its error."""
-    failures = [mode.failure(a, H, times, tol=tol) for mode, a, H in parts]
-    return np.asarray(prod(1.0 - p for p, _ in failures)), np.asarray(sum(e for _, e in failures))
+    failures = (mode.failure(a, H, times, tol=tol) for mode, a, H in parts)
+    return product_of((1.0 - p, e) for p, e in failures)
 
 
-def _first_of(
-    parts: Sequence[tuple[SquareRoot, float, float]], rate: float, tol: float
-) -> tuple[Number, Number]:
+def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number, Number]:
     """Mean and variance of the least of independent times: ∫S dt and ∫2t S dt, S the product.
 
     Before the first time S lies between its value then and 1; after the last it is a multiple of
@@ -195,11 +198,11 @@ def _first_of(
     for points in DECAY_POINTS:
         t, w = panel_rule(nodes, points)
         order = np.exp(t.ravel())
-        S, lost = _product(parts, order, tol)
+        S, lost = _surviving(parts, order, tol)
         weights = w.ravel()[:, None] * order[:, None] ** [1, 2] * [1.0, 2.0]
         answers.append((S @ weights, lost @ weights))
     (coarse, _), (fine, own) = answers
-    (first, last), _ = _product(parts, ends, tol)
+    (first, last), _ = _surviving(parts, ends, tol)
     beyond = abs(last) / rate * np.array([1.0, 2.0 * (ends[1] + 1.0 / rate)])
     before = ends[0] ** np.array([1, 2])
     mean, square = fine + 0.5 * (1.0 + first) * before
@@ -223,7 +226,7 @@ def orbit_transient(parts: Sequence[Orbit], asked: DensityQuestion) -> Transient
         largest = max(largest, float(errors[k].max(initial=0.0)) / height)
         least = min(least, float(values[k].min(initial=0.0)) / height)
     # Of waves on a box the mean is 1 exactly: the mass is that of the box, but for what is beyond.
-    tail = 2.0 * len(at) * BEYOND
+    tail = 2.0 * len(at) * EPS
     measured = Measured(largest + tail, tail, least, None, tail, absolute_error=largest)
     return Transient(
         times, values, errors + SMALLEST, "numerical", certify(measured, tol=asked.tol),
@@ -237,7 +240,7 @@ def _density(
     """p at the points, its error, and the height of the Gaussian of the same covariance.
 
     In coordinates y whose Gaussian part is standard normal, as a Fourier series on a box: from its
-    copies, and from waves beyond ``REACH``, come ``BEYOND`` each.
+    copies, and from waves beyond ``REACH``, comes less than round-off each.
     """
     count = len(at)
     scales = [process.scales(start, noise, t) for process, start, _ in parts]
@@ -270,8 +273,8 @@ def _density(
         j0(z) if n == 1 else hyp0f1(n, -0.25 * z * z)
         for (n, _), z in zip(orbits, arguments, strict=True)
     )
-    # Errors: phases count by |φ|, arguments z by |z Λ_n'| <= min(z, 1 + √z), as DLMF (10.14.1) and
-    # (10.17.3) have it; whitening by the square of its condition.
+    # Errors: phases count by |φ|, arguments z by |z Λ_n'| <= min(z, 1 + √z), DLMF (10.14.1) and
+    # (10.17.3); whitening by the square of its condition.
     turns = sum(np.abs(part) * b for part, b in zip(s, box, strict=True))
     argued = sum(np.minimum(z, 1.0 + np.sqrt(z)) for z in arguments)
     relative = max(process.relative_error for process, *_ in parts)
@@ -279,11 +282,11 @@ def _density(
     rounded = np.abs(wave) * ROUNDINGS * turns + gauss * ROUNDINGS * (2.0 + argued + square)
     model = 4.0 * relative * gauss * (1.0 + square + (1.0 + elapsed) * argued)
     condition = float(np.linalg.cond(factor)) ** 2
-    floor = float(np.sum(EPS * condition * rounded + model)) + 4.0 * count * BEYOND
+    floor = float(np.sum(EPS * condition * rounded + model)) + 4.0 * count * EPS
     pad = 0, 2 - count
-    series = FourierSeries(np.pad(pi * whitened / box[:, None], pad), wave[None])
+    phases = np.pad(pi * whitened / box[:, None], pad)
     chunks = np.array_split(np.array(at), 1 + at[0].size * sum(wave.shape) // CHUNK, axis=1)
-    p = np.concatenate([series(*chunk)[0] for chunk in chunks])
+    p = np.concatenate([fourier_sum(phases, wave[None], *chunk)[0] for chunk in chunks])
     jacobian = abs(float(np.linalg.det(whitened)))
     total = np.eye(count) + sum(orbit / (2.0 * n) for n, orbit in orbits)
     height = (2.0 * pi) ** (-0.5 * count) * jacobian / np.sqrt(float(np.linalg.det(total)))

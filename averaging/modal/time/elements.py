@@ -3,8 +3,9 @@
 Displacements and momenta follow from their joint density, Eqs. (35), (36).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -20,8 +21,9 @@ from fpk.answer.limit import Limit
 from fpk.answer.observable import Coordinate
 from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
+from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_plane
-from fpk.solvers.plane.time.levels import Frame, PlaneStart
+from fpk.solvers.plane.time.operator import PlaneOperator, PlaneStart
 from fpk.solvers.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
 from fpk.solvers.plane.time.transient import Level, Seen, seen_on, transient_densities
 
@@ -42,13 +44,7 @@ def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
         seen = "first" if rows == pair[:1] else "second"
     which = [pair.index(r) for r in sorted(rows)]
 
-    def by_modes(t: float, *H: Array) -> Array:
-        spread = _spread(modes, pair, t)
-        each = spread[which] if rows else [spread.min()]
-        reach = sum(np.abs(x) / s for x, s in zip(H, each, strict=True))
-        begins = np.sum(start.energies[pair] / spread)
-        return np.asarray(2.0 * modes.relative_error * (1.0 + reach + begins))
-
+    by_modes = partial(_by_modes, modes, pair, which if rows else None, start)
     posed = _posed(modes, pair, start, tol)
     answer, _ = transient_densities(*posed, seen, times, at, tol=tol, coefficients_error=by_modes)
     return answer
@@ -71,8 +67,8 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
     """Return the ``count`` slowest rates but 0 of two modal energies."""
     if modes.n != 2:
         raise NotApplicable("relaxation rates by fem are those of two modal energies")
-    frame = _frame(modes, _pair(modes, range(2)), tol)
-    return relaxation_rates(frame, count, tol=tol, relative=modes.relative_error)
+    density = _stationary(modes, _pair(modes, range(2)), tol)
+    return relaxation_rates(density, count, tol=tol, relative=modes.relative_error)
 
 
 def _pair(modes: ModalAnalysis, rows: Sequence[int]) -> list[int]:
@@ -87,27 +83,40 @@ def _pair(modes: ModalAnalysis, rows: Sequence[int]) -> list[int]:
     return pair
 
 
-def _spread(modes: ModalAnalysis, pair: list[int], t: float) -> Array:
-    """Mean energies (2,) that the noise has fed into two modes from rest by the time ``t``."""
-    decay = 2.0 * modes.half_bandwidth[pair]
-    return np.asarray(modes.temperature[pair] * -np.expm1(-decay * t))
+def _by_modes(
+    modes: ModalAnalysis,
+    pair: list[int],
+    which: list[int] | None,
+    start: EnergyStart,
+    t: float,
+    *H: Array,
+) -> Array:
+    """The relative error of p by that of the modes, at energies ``which`` of a pair or their sum.
+
+    It counts in units of the means (2,) that the noise has fed into the modes from rest by ``t``.
+    """
+    spread = modes.temperature[pair] * -np.expm1(-2.0 * modes.half_bandwidth[pair] * t)
+    each = [spread.min()] if which is None else spread[which]
+    reach = sum(np.abs(x) / s for x, s in zip(H, each, strict=True))
+    return np.asarray(
+        2.0 * modes.relative_error * (1.0 + reach + np.sum(start.energies[pair] / spread))
+    )
 
 
 def _posed(
     modes: ModalAnalysis, pair: list[int], start: EnergyStart, tol: float
-) -> tuple[Frame, PlaneStart]:
-    """The operator's frame, and what the density begins with."""
-    frame = _frame(modes, pair, tol)
+) -> tuple[PlaneSolution, PlaneStart]:
+    """The stationary density of the equation, and what the density begins with."""
+    stationary = _stationary(modes, pair, tol)
     if start.noise is None:
-        return frame, PlaneStart(start.energies[pair])
+        return stationary, PlaneStart(start.energies[pair])
     louder = replace(modes, modal_noise=start.noise * modes.modal_noise)
-    return frame, PlaneStart(None, _frame(louder, pair, tol).stationary, start.noise)
+    return stationary, PlaneStart(None, _stationary(louder, pair, tol), start.noise)
 
 
-def _frame(modes: ModalAnalysis, pair: list[int], tol: float) -> Frame:
-    """The stationary density is computed to a hundredth of the tolerance, or to 1e-11."""
-    process = modes.process(pair)
-    return Frame(process, solve_plane(process, tol=max(1e-2 * tol, 1e-11)))
+def _stationary(modes: ModalAnalysis, pair: list[int], tol: float) -> PlaneSolution:
+    """The stationary density to a hundredth of the tolerance, or to 1e-11."""
+    return solve_plane(modes.process(pair), tol=max(1e-2 * tol, 1e-11))
 
 
 def _state_transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
@@ -118,16 +127,16 @@ def _state_transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
     not certified, its errors infinite.
     """
     times, at, tol, pair = asked.times, asked.at, asked.tol, _pair(modes, range(modes.n))
-    frame, start = _posed(modes, pair, asked.start, tol)
+    stationary, start = _posed(modes, pair, asked.start, tol)
     none = np.zeros(0), np.zeros(0)
-    answer, levels = transient_densities(frame, start, "pair", times, none, tol=0.5 * tol)
+    answer, levels = transient_densities(stationary, start, "pair", times, none, tol=0.5 * tol)
     tail = outside(answer.certificate)
-    measured = Measured(start.l1_error + 2.0 * tail, None, None, levels[1].evolved.residual, tail)
+    measured = Measured(start.l1_error + 2.0 * tail, None, None, levels[1][1].residual, tail)
     values, errors = np.empty((2, times.size, at[0].size))
     densities = []
     for k, t in enumerate(times.tolist()):
-        spread = _spread(modes, pair, t)
-        group = _energies(levels, k, modes.relative_error, spread, measured, tol)
+        of_modes = partial(_by_modes, modes, pair, [0, 1], asked.start, t)
+        group = _energies(levels, k, of_modes, measured, tol)
         densities.append(state_density(modes, [group], asked.observable, tol=tol))
         values[k], errors[k] = densities[k].at(*at)
         errors[k] = errors[k] if group.l1_error <= LARGEST_ERROR else np.inf
@@ -140,37 +149,32 @@ def _state_transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
 def _energies(
     levels: tuple[Level, Level],
     k: int,
-    relative: float,
-    spread: Array,
+    of_modes: Callable[..., Array],
     measured: Measured,
     tol: float,
 ) -> Density:
     """The joint density of both energies at the time ``k``, its error the distance of two levels.
 
-    ``relative`` is the error of the modes, in units of the energies' ``spread``.
+    ``of_modes`` is the relative error by the modes at energies.
     """
-    coarse, fine = levels
+    (other_op, other), (op, g) = levels
 
-    def of(level: Level, g: Array, H1: Array, H2: Array) -> Array:
-        """The density with the coefficients ``g``, (energies, energies): H1 a column, H2 a row."""
-        grid = seen_on(level.op, "pair", g[k : k + 1], (H1.ravel(), H2.ravel()))
-        return np.asarray(grid[0])
+    def of(op: PlaneOperator, g: Array, H1: Array, H2: Array) -> Array:
+        """The density of unknowns g at all times, (energies, energies): H1 a column, H2 a row."""
+        return np.asarray(seen_on(op, "pair", g[k : k + 1], (H1.ravel(), H2.ravel()))[0])
 
-    def pdf(H1: Array, H2: Array) -> Array:
-        return of(fine, fine.g, H1, H2)
-
-    mass = float(fine.evolved.values[k] @ fine.op.matrices[2])
-    rounding = float(np.max(ROUNDINGS * fine.evolved.rounding)) + 2.0 * abs(mass - 1.0)
+    pdf = partial(of, op, g.values)
+    mass = float(g.values[k] @ op.matrices[2])
+    rounding = float(np.max(ROUNDINGS * g.rounding)) + 2.0 * abs(mass - 1.0)
 
     def pointwise(H1: Array, H2: Array) -> Array:
         p = pdf(H1, H2)
-        moved = np.abs(p - of(coarse, coarse.g, H1, H2)) + np.abs(of(fine, fine.change, H1, H2))
-        of_modes = 2.0 * relative * (1.0 + H1 / spread[0] + H2 / spread[1])
-        return np.asarray(moved + (of_modes + rounding) * np.abs(p))
+        moved = np.abs(p - of(other_op, other.values, H1, H2)) + np.abs(of(op, g.change, H1, H2))
+        return np.asarray(moved + (of_modes(H1, H2) + rounding) * np.abs(p))
 
     return certified_density(
         (Coordinate("H", 0), Coordinate("H", 1)),
-        fine.op.nodes,
+        op.nodes,
         pdf,
         pointwise,
         measured=measured,

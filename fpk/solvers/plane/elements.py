@@ -12,7 +12,7 @@ from numpy.polynomial.legendre import legvander
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.arrays import SMALLEST, Array, Integers
 from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.solvers.plane.weight import Weight
@@ -20,12 +20,10 @@ from fpk.system.process import Process
 
 
 @lru_cache
-def local_order(degree: int) -> tuple[Integers, int]:
-    """Return the local numbers, those of the element's boundary first, and how many these are."""
-    k = degree + 1
-    i, j = np.divmod(np.arange(k * k), k)
-    inside = (i >= 2) & (j >= 2)
-    return np.argsort(inside, kind="stable"), int(np.count_nonzero(~inside))
+def local_order(degree: int) -> Integers:
+    """Return the local numbers of an element, those of the 4 ``degree`` on its boundary first."""
+    i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
+    return np.argsort((i >= 2) & (j >= 2), kind="stable")
 
 
 def axis_numbers(elements: int, degree: int) -> Integers:
@@ -35,43 +33,38 @@ def axis_numbers(elements: int, degree: int) -> Integers:
     return np.hstack([vertex, bubbles])
 
 
-@lru_cache(maxsize=32)
-def _skeleton(counts: tuple[int, int], degree: int) -> tuple[Integers, ...]:
-    """Return the numbers of the unknowns on boundaries of elements, and their matrix's pattern.
-
-    ``numbers`` (elements, boundary unknowns of one), ``vertices`` among them; ``indices`` and
-    ``starts`` of scipy's CSC format, ``places`` (entries of all element matrices) in it.
-    """
-    along = [axis_numbers(count, degree) for count in counts]
-    width = counts[1] * degree + 1
-    flat = along[0][:, None, :, None] * width + along[1][None, :, None, :]
-    order, boundary = local_order(degree)
-    local = flat.reshape(counts[0] * counts[1], -1)[:, order[:boundary]]
-    corners = (np.arange(counts[0] + 1)[:, None] * width + np.arange(counts[1] + 1)).ravel()
-    used, numbers = np.unique(local, return_inverse=True)
-    size, numbers = used.size, numbers.reshape(local.shape)
-    keys = numbers[:, None, :] * size + numbers[:, :, None]
-    pattern = np.unique(keys)
-    columns, indices = np.divmod(pattern, size)
-    starts = np.searchsorted(columns, np.arange(size + 1))
-    return numbers, np.searchsorted(used, corners), indices, starts, np.searchsorted(pattern, keys)
+def local_numbers(counts: tuple[int, int], degree: int) -> Integers:
+    """Return the global numbers (elements, m) of each element's functions, in ``local_order``."""
+    first, second = (axis_numbers(count, degree) for count in counts)
+    flat = first[:, None, :, None] * (counts[1] * degree + 1) + second[None, :, None, :]
+    return flat.reshape(counts[0] * counts[1], -1)[:, local_order(degree)]
 
 
-def factorised(matrix: csc_array) -> SuperLU:
-    """Return the LU factors in a symmetric ordering; the residual of every solution is measured.
+def assembled(matrices: Array, numbers: Integers) -> csc_array:
+    """Return the sum of element matrices (elements, m, m) of functions ``numbers``."""
+    m, size = numbers.shape[1], int(numbers.max()) + 1
+    places = np.repeat(numbers, m, axis=1).ravel(), np.tile(numbers, (1, m)).ravel()
+    return csc_array((matrices.ravel(), places), shape=(size, size))
 
-    Raises ``NotCertified`` where the matrix is singular.
+
+def factorised(
+    matrix: csc_array, refusal: str = "the equations of a step in time have no unique solution"
+) -> SuperLU:
+    """Return the LU factors in a symmetric ordering, with pivots on the diagonal.
+
+    The matrices are of the form ∫ w (...): with w over many orders of magnitude such an elimination
+    does not depend on how rows and columns are scaled. The residual of every solution is measured.
+    Raises ``NotCertified`` with the words of ``refusal`` where the matrix is singular.
     """
     try:
-        # A diagonal pivot down to 0.01 of its column keeps that ordering.
         return splu(
             matrix,
             permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.01,
+            diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
     except RuntimeError:  # what SuperLU raises for a singular matrix
-        raise NotCertified("the stationary equation has no unique solution on this mesh") from None
+        raise NotCertified(refusal) from None
 
 
 def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
@@ -90,7 +83,7 @@ def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
         entries[rows == held] = entries[own] = 0.0
         entries[own][rows[own] == held], right[held] = scale, scale
         pinned = csc_array((entries, rows, starts))
-        factors = factorised(pinned)
+        factors = factorised(pinned, "the stationary equation has no unique solution on this mesh")
         y = factors.solve(right)
         y += factors.solve(right - pinned @ y)
         largest = int(vertices[np.argmax(np.abs(y[vertices]))])
@@ -105,21 +98,19 @@ def condensed_null_vector(
 ) -> tuple[Array, float]:
     """Return the coefficients (elements, m) of the null vector of the assembled ``matrices``.
 
-    They come in ``local_order``, the coefficients in that of their products. The unknowns inside
-    every element are eliminated first.
+    The matrices come in ``local_order``, the coefficients in that of their products. The unknowns
+    inside every element are eliminated first.
     """
-    order, n = local_order(degree)
-    outer = matrices[:, :n, :n]
-    fold: Array = np.zeros((len(matrices), order.size - n, n))
-    if order.size > n:
-        fold = np.asarray(-np.linalg.solve(matrices[:, n:, n:], matrices[:, n:, :n]))
-        outer = np.asarray(outer + matrices[:, :n, n:] @ fold)
-    numbers, vertices, indices, starts, places = _skeleton(counts, degree)
-    entries = np.bincount(places.ravel(), outer.ravel())
-    y, residual = null_vector(csc_array((entries, indices, starts)), vertices)
+    order, n = local_order(degree), 4 * degree
+    fold = -np.linalg.solve(matrices[:, n:, n:], matrices[:, n:, :n])
+    _, numbers = np.unique(local_numbers(counts, degree)[:, :n], return_inverse=True)
+    numbers = numbers.reshape(-1, n)
+    vertices = np.unique(numbers[:, [0, 1, degree + 1, degree + 2]])
+    outer = assembled(matrices[:, :n, :n] + matrices[:, :n, n:] @ fold, numbers)
+    y, residual = null_vector(outer, vertices)
     coefficients = np.empty((len(matrices), order.size))
-    coefficients[:, order[:n]] = local = y[numbers]
-    coefficients[:, order[n:]] = (fold @ local[:, :, None])[:, :, 0]
+    coefficients[:, order[:n]] = own = y[numbers]
+    coefficients[:, order[n:]] = (fold @ own[:, :, None])[:, :, 0]
     return coefficients, residual
 
 
@@ -148,26 +139,34 @@ def by_element(values: Array, counts: tuple[int, int]) -> Array:
     return np.ascontiguousarray(blocks).reshape(*more, -1, *blocks.shape[-2:])
 
 
-def coefficients_on_grid(process: Process, H1: Array, H2: Array, weight: Weight | None) -> Array:
-    """Return a_1, a_2, b_11, b_12, b_22 (5, H1.size, H2.size) of ``J_i = a_i u − ½ b_ij ∂_j u``.
+def flux_coefficients(
+    process: Process, H1: Array, H2: Array, weight: Weight | None, *, balanced: bool = False
+) -> Array:
+    """Return w, w a_1, w a_2, w b_11, w b_12, w b_22 (6, ...) at energies that broadcast together.
 
-    With p = w u, w = exp(−Φ), the flux is ``J_i = w (s_i − ½ ∂_j b_ij + ½ b_ij ∂_j Φ) u
-    − ½ w b_ij ∂_j u``; w = 1 without a ``weight``.
+    With p = w u the flux is ``J_i = w (a_i u − ½ b_ij ∂_j u)``, a = s − ½ ∇·b + ½ b ∇ ln w; w = 1
+    without a ``weight``. Of a ``balanced`` one, without its floor the stationary density where no
+    probability flows, s − ½ ∇·b is ½ b ∇Φ: what is left of a is of the size of the floor.
     """
-    shape = H1.size, H2.size
+    shape = np.broadcast_shapes(H1.shape, H2.shape)
     points = np.empty((*shape, 2))
-    points[..., 0], points[..., 1] = H1[:, None], H2
+    points[..., 0], points[..., 1] = H1, H2
     c = process.coefficients(points.reshape(-1, 2))
-    out = np.empty((5, *shape))
-    out[:2] = (c.drift - 0.5 * c.divergence).T.reshape(2, *shape)
-    b = c.diffusion.reshape(*shape, 2, 2)
-    out[2], out[3], out[4] = b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]
-    if weight is None:
-        return out
-    w, first, second = weight.on_grid(H1, H2)
-    out[0] += 0.5 * (out[2] * first + out[3] * second)
-    out[1] += 0.5 * (out[3] * first + out[4] * second)
-    return np.asarray(w * out)
+    out, b = np.zeros((6, *shape)), c.diffusion.reshape(*shape, 2, 2)
+    out[3], out[4], out[5] = b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]
+    if not balanced:
+        out[1:3] = (c.drift - 0.5 * c.divergence).T.reshape(2, *shape)
+    out[0] = 1.0
+    if weight is not None:
+        out[0] = weight(H1, H2)
+        # Where w underflows without a floor its slope is that of nothing.
+        floor = weight.floor / np.maximum(out[0], SMALLEST)
+        share = -0.5 * floor if balanced else 0.5 - 0.5 * floor
+        first, second = (share * slope for slope in weight.slopes(H1, H2))
+        out[1] += out[3] * first + out[4] * second
+        out[2] += out[4] * first + out[5] * second
+        out[1:] *= out[0]
+    return out
 
 
 @lru_cache
@@ -185,21 +184,26 @@ def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array, Int
         np.einsum("q,iq,jq->qij", 0.5 * w, test, trial).reshape(points, -1) for test, trial in pairs
     )
     k = degree + 1
-    i, m = np.divmod(local_order(degree)[0], k)
+    i, m = np.divmod(local_order(degree), k)
     places = (i[:, None] * k + i) * k * k + m[:, None] * k + m
     return vv, sv, vs, ss, places.ravel()
 
 
-def element_matrices(coefficients: Array, sizes: Array, degree: int) -> Array:
+def _lengths(nodes: tuple[Array, Array]) -> tuple[tuple[int, int], Array, Array]:
+    """Numbers of elements along both axes, and the lengths (elements, 1, 1) of the elements."""
+    h1, h2 = (h.reshape(-1, 1, 1) for h in np.meshgrid(*map(np.diff, nodes), indexing="ij"))
+    return (nodes[0].size - 1, nodes[1].size - 1), h1, h2
+
+
+def element_matrices(coefficients: Array, nodes: tuple[Array, Array], degree: int) -> Array:
     """Return the element matrices (elements, m, m), m = (degree+1)², test functions first.
 
-    ``coefficients`` (5, elements, q, q) are those of ``coefficients_on_grid`` at Gauss points,
-    ``sizes`` (elements, 2) the lengths along H1 and H2. The local number of φ_i ψ_k is
-    i(degree+1)+k; they come in ``local_order``.
+    ``coefficients`` (5, along H1, along H2) are w a and w b of ``flux_coefficients`` on the grid of
+    the Gauss points. The local number of φ_i ψ_k is i(degree+1)+k; they come in ``local_order``.
     """
-    a1, a2, b11, b12, b22 = coefficients
+    counts, h1, h2 = _lengths(nodes)
+    a1, a2, b11, b12, b22 = by_element(coefficients, counts)
     vv, sv, vs, ss, places = _products(degree, a1.shape[-1])
-    h1, h2 = sizes[:, 0, None, None], sizes[:, 1, None, None]
     # Along H2 first: for every Gauss point of H1 a small matrix over (k, l).
     slope_slope = (-0.5 * h2 / h1 * b11) @ vv
     slope_value = (h2 * a1) @ vv
@@ -211,19 +215,19 @@ def element_matrices(coefficients: Array, sizes: Array, degree: int) -> Array:
         inner.append((-0.5 * b12) @ sv)
     factors = np.concatenate(outer).T
     m = (degree + 1) ** 2
-    matrices = np.empty((len(sizes), m, m))
+    matrices = np.empty((h1.size, m, m))
     for matrix, *parts in zip(matrices, *inner, strict=True):
         np.take((factors @ np.concatenate(parts)).ravel(), places, out=matrix.reshape(-1))
     return matrices
 
 
-def mass_matrices(weights: Array, sizes: Array, degree: int) -> Array:
+def mass_matrices(weights: Array, nodes: tuple[Array, Array], degree: int) -> Array:
     """Return ∫ w φ_i φ_j of each element (elements, m, m), in ``local_order``.
 
-    ``weights`` (elements, q, q) is w at Gauss points, ``sizes`` (elements, 2) as above.
+    ``weights`` (along H1, along H2) is w on the grid of the Gauss points.
     """
-    vv, *_, places = _products(degree, weights.shape[-1])
-    m = (degree + 1) ** 2
-    area = sizes[:, 0, None, None] * sizes[:, 1, None, None]
-    matrices = vv.T @ (area * weights) @ vv
-    return np.take(matrices.reshape(len(sizes), -1), places, axis=1).reshape(-1, m, m)
+    counts, h1, h2 = _lengths(nodes)
+    w, m = by_element(weights, counts), (degree + 1) ** 2
+    vv, *_, places = _products(degree, w.shape[-1])
+    matrices = vv.T @ (h1 * h2 * w) @ vv
+    return np.take(matrices.reshape(h1.size, -1), places, axis=1).reshape(-1, m, m)

@@ -15,7 +15,6 @@ from math import ceil
 import numpy as np
 
 from fpk.answer.certificate import Measured, certify, outside
-from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.numeric.piecewise import PiecewiseTensor
 from fpk.solvers.plane.solution import (
@@ -27,17 +26,18 @@ from fpk.solvers.plane.solution import (
     null_function,
     solve_plane_on_mesh,
     tails,
+    weighted,
 )
 from fpk.solvers.plane.weight import (
     BEYOND,
     NATS,
+    RISE,
     RISE_PER_DEGREE,
-    Probe,
     Weight,
     divided_by_diffusion,
     fitted_weight,
     flux_free_weight,
-    probed,
+    last,
 )
 from fpk.system.ends import require_confined
 from fpk.system.process import Process
@@ -52,12 +52,6 @@ der Pol damping and mixtures of exponentials."""
 COARSE = 1e-4
 """Error above which a better weight is tried on the same rung, or five rungs on, first: it gains
 more."""
-LONGER = 4.0
-"""Rise of −ln w from the far edges of the answer to those of the enriched solution, and to those of
-the next answer where too much mass lies beyond."""
-MIN_EXTENSION = 1.05
-"""Least relative lengthening of the mesh for the enriched solution: ``Weight.ends`` is good to 7 %
-only."""
 KNOWN = 0.1
 """Relative error of p up to which ln p is fitted."""
 SAMPLES = 32
@@ -79,9 +73,8 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
     require_confined(process)
-    probe = probed(process)
     best: PlaneSolution | None = None
-    for solution in _attempts(process, probe, tol):
+    for solution in _attempts(process, flux_free_weight(process), tol):
         if solution.certificate.certified:
             return solution
         if best is None or not best.l1_error <= solution.l1_error:
@@ -91,21 +84,14 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     return best
 
 
-def _attempts(process: Process, probe: Probe, tol: float) -> Iterator[PlaneSolution]:
-    """Solutions, each made after the one before was not certified.
-
-    Where no polynomial falls off, the first w is the product of exponentials of the scales.
-    """
-    weight = flux_free_weight(probe, process.energy_scales)
-    if weight is None:
-        first, second = process.energy_scales
-        weight = Weight(np.array([[0.0, 1.0], [1.0, 0.0]]), (first, second))
+def _attempts(process: Process, weight: Weight, tol: float) -> Iterator[PlaneSolution]:
+    """Solutions, each made after the one before was not certified."""
     balanced = detailed_balance(process, weight, tol=tol)
     if balanced is not None:
         yield balanced
     try:
         yield from solve_with_weight(process, weight, tol=tol)
-        yield solve_by_elements(process, probe, tol=tol)
+        yield solve_by_elements(process, weight, tol=tol)
     except NotCertified:
         return
 
@@ -126,7 +112,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     points = 22  # of Gauss on each panel: e^(−32 t) is integrated to 4e-14
     for panels in (2, 4, 8, 16, 24):
         (x, y), (v, area) = gauss_grid(graded(ends, panels), points)
-        w, *slopes = weight.on_grid(x, y)
+        w = weight(x[:, None], y)
         mass = float(v @ w @ area)
         (fewer_x, fewer_y), fewer = gauss_grid(graded(ends, panels), points - 2)
         p = weight(fewer_x[:, None], fewer_y) / mass
@@ -137,7 +123,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
         return None
     at = np.stack(np.broadcast_arrays(x[:, None], y), axis=-1)
     c = process.coefficients(at.reshape(-1, 2))
-    slope = np.stack(slopes, axis=-1).reshape(-1, 2)
+    slope = np.stack(weight.slopes(x[:, None], y), axis=-1).reshape(-1, 2)
     flow = 2.0 * c.drift - c.divergence
     flux = np.einsum("nij,nj->ni", c.diffusion, slope) + flow
     missed = np.abs(divided_by_diffusion(flux, c.diffusion)).reshape(at.shape)
@@ -176,44 +162,34 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
     while rung < len(RUNGS) and stalled < 2:
         panels, degree = RUNGS[rung]
         try:
-            ends, farther = weight.ends(reach), weight.ends(reach + LONGER)
+            nodes = graded(weight.ends(reach), panels)
         except NotCertified:
             return
-        nodes = graded(ends, panels)
-        # All panels grow alike: to lengthen the last one alone would cost the enriched solution as
-        # much there, where u is least smooth, as its degree gains.
-        first, second = (
-            H * max(end / H[-1], MIN_EXTENSION) for H, end in zip(nodes, farther, strict=True)
-        )
-        solution = solve_plane_on_mesh(
-            process, nodes, degree, tol=tol, weight=weight, longer=(first, second)
-        )
+        solution = solve_plane_on_mesh(process, nodes, degree, tol=tol, weight=weight, longer=True)
         yield solution
         error, better = solution.l1_error, None
-        halved = error < 0.5 * least
+        gained = error < 0.3 * least
         # A mass beyond that is a millionth of the error is not known so well.
-        if outside(solution.measured) > 0.1 * max(tol, 1e-6 * error) or not halved:
-            rise = reach + LONGER
+        if outside(solution.measured) > 0.1 * max(tol, 1e-6 * error) or not gained:
+            rise = reach + RISE
         reach = rise
-        if halved:
+        if gained:
             best, better, least = weight, weight_of(solution), error
         # On the first rung an error above ten times that says too little of p.
         if better is None or error < COARSE or (rung == 0 and error > 10.0 * COARSE):
-            rung = finer(rung, error / tol, coarse=error > COARSE)
+            rung = finer(rung, error / tol, most=5 if error > COARSE else len(RUNGS))
         # A weight that does not lower the error extrapolates badly: back to the one before.
         weight = best if better is None else better
-        stalled = 0 if halved else stalled + 1
+        stalled = 0 if gained else stalled + 1
 
 
-def finer(rung: int, missing: float, *, coarse: bool) -> int:
+def finer(rung: int, missing: float, *, most: int) -> int:
     """Return the next of ``RUNGS`` where the error is ``missing`` times the tolerance.
 
-    As many rungs on as the missing digits take, if ``coarse`` five at the most; no rung beyond the
-    highest degree is skipped to. Where the density does not fall off at the edges infinitely many
-    digits are missing.
+    As many rungs on as the missing digits take, at the ``most`` so many; no rung beyond the highest
+    degree is skipped to.
     """
-    gain = ceil(min(float(np.log10(max(missing, 1.0))) / DIGITS, float(len(RUNGS))))
-    gain = min(gain, 5) if coarse else gain
+    gain = ceil(min(float(np.log10(max(missing, 1.0))) / DIGITS, most))
     # The second rung is four degrees above the first.
     return max(rung + 1, min(rung + gain - (3 if rung == 0 else 0), RUNGS.index((4, 18))))
 
@@ -231,22 +207,20 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
     # First on the whole mesh, to see how far p is known; then on the box in which it is.
     for _ in range(2):
         x, y = (np.linspace(0.0, end, SAMPLES) for end in ends)
-        p, better = (f(x[:, None], y) for f in (solution.density, solution.enriched_density))
+        both = solution.u, solution.enriched
+        p, better = (weighted(u, solution.weight, x[:, None], y) for u in both)
         known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < KNOWN * better)
         known &= better > np.exp(-rise) * better.max()
         if not known.any():
             return None
-        ends = [
-            float(H[min(int(np.flatnonzero(known.any(axis=1 - axis))[-1]) + 1, SAMPLES - 1)])
-            for axis, H in enumerate((x, y))
-        ]
+        ends = [H[min(last(known, k) + 1, SAMPLES - 1)] for k, H in enumerate((x, y))]
     log_p = np.log(np.where(known, better, 1.0))
     return fitted_weight((x, y), log_p, known, rise, present=solution.weight)
 
 
 def solve_by_elements(
     process: Process,
-    probe: Probe,
+    weight: Weight,
     *,
     tol: float,
     degree: int | None = None,
@@ -258,7 +232,7 @@ def solve_by_elements(
     ``degree`` follows from ``tol`` unless given. Of the intervals, four along each axis at first,
     those are halved whose highest modes exceed the share ``marked`` of the largest, all of them for
     0; the mesh is lengthened where mass lies beyond: until the answer is certified, or the next
-    mesh has more than ``MAX_ENTRIES``. The ends of the first mesh are from the ``probe``.
+    mesh has more than ``MAX_ENTRIES``. The ends of the first mesh are those of the ``weight``.
     ``solved`` as of ``solve_plane_on_mesh``.
 
     Raises ``NotCertified`` where the first mesh has more than ``MAX_ENTRIES``.
@@ -266,11 +240,10 @@ def solve_by_elements(
     if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
         degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))
     points, solution = degree + ENRICHMENT, None
-    first, second = graded(np.array(process.energy_scales) * probe.extent(1e-2 * tol), 4)
+    first, second = graded(weight.ends(-float(np.log(1e-2 * tol))), 4)
     while (first.size - 1) * (second.size - 1) * (points + 1) ** 4 <= MAX_ENTRIES:
-        longer = _lengthened(first), _lengthened(second)
         solution = solve_plane_on_mesh(
-            process, (first, second), degree, tol=tol, longer=longer, solved=solved
+            process, (first, second), degree, tol=tol, longer=True, solved=solved
         )
         if solution.certificate.certified:
             break
@@ -286,13 +259,9 @@ def solve_by_elements(
             for x, rough in zip((first, second), highest, strict=True)
         )
         first, second = (
-            _lengthened(x) if far else x for x, far in zip((first, second), beyond, strict=True)
+            np.append(x, 2.0 * x[-1] - x[-2]) if far else x
+            for x, far in zip((first, second), beyond, strict=True)
         )
     if solution is None:
         raise NotCertified(f"the tolerance {tol:.2g} takes more elements than are affordable")
     return solution
-
-
-def _lengthened(nodes: Array) -> Array:
-    """The nodes with another interval as long as the last one."""
-    return np.append(nodes, 2.0 * nodes[-1] - nodes[-2])

@@ -1,8 +1,8 @@
 """The weight w = exp(−Φ) of p = w u: Φ a polynomial of both energies, close to −ln p.
 
 Any weight gives the same p, as the equation is solved for w u; the closer w is to p, the fewer
-unknowns u takes, and the farther out p stays positive. The first weight is fitted to a probe of the
-process, later ones to solutions.
+unknowns u takes, and the farther out p stays positive. The first weight is fitted to the slopes of
+ln p that zero flux would give, later ones to solutions.
 """
 
 from collections.abc import Iterator
@@ -10,28 +10,26 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder, polyval2d
+from numpy.polynomial.polynomial import polyder, polygrid2d, polyval2d
 from scipy.linalg import solve_triangular
 
-from fpk.numeric.arrays import EPS, SMALLEST, Array, Flags, Integers
+from fpk.numeric.arrays import EPS, ROUND_OFF, Array, Flags, Integers
 from fpk.numeric.errors import NotCertified
 from fpk.system.process import Process
 
-PROBE = np.concatenate([[0.0], np.logspace(-2.0, 3.0, 52)])
-"""Energies of a probe along each axis, in units of the process's scales; ten per decade resolve
-ln p of damping of any power of H."""
-AXIS = 1e-4
-"""Where the slopes at H_i = 0 are evaluated, in units of the scale: b is singular on the axis, and
-the slopes vary over energies of the order of the scale."""
+PROBE = np.logspace(-2.0, 3.0, 26)
+"""Energies of a probe along each axis, in units of the process's scales: five per decade, and the
+first one for the axis itself, where b is singular."""
 NATS = -float(np.log(EPS))
 """Fall of ln p, 36, beyond which the density is below round-off of its largest value."""
 BEYOND = 1e-3
 """Fraction of the tolerance that w falls to at the far edges of the first mesh."""
+RISE = 3.0
+"""Rise of −ln w from the far edges of one mesh to those of the next longer one, whose difference
+then contains what ending the mesh costs."""
 HIGHEST = 6
 """Highest total degree of Φ. Damping of degree k in the energies gives k + 1 under detailed
 balance."""
-EXACT = 1e-12
-"""Relative misfit that is round-off: no higher degree is tried."""
 GAIN = 0.5
 """Factor by which a higher degree must lower the misfit: high degrees extrapolate badly."""
 IMPORTANCE = 10.0
@@ -51,7 +49,7 @@ p ≥ −1e-14 of its maximum."""
 class Weight:
     """w = exp(−Φ) + ``floor`` with Φ = Σ ``coefficients``[i, j] x^i y^j, x, y = H1, H2/``scales``.
 
-    The least Φ on the fitted box is 0.
+    The least Φ on the fitted box is 0. Energies broadcast together.
     """
 
     coefficients: Array
@@ -59,97 +57,87 @@ class Weight:
     floor: float = FLOOR
 
     def exponent(self, H1: Array, H2: Array) -> Array:
-        """Φ at energies that broadcast together."""
-        return _values(self.coefficients, H1 / self.scales[0], H2 / self.scales[1])
+        """Return Φ."""
+        return self._values(self.coefficients, H1, H2)
 
     def __call__(self, H1: Array, H2: Array) -> Array:
-        """w at energies that broadcast together."""
+        """Return w."""
         return np.asarray(np.exp(-self.exponent(H1, H2)) + self.floor)
 
-    def on_grid(self, H1: Array, H2: Array) -> tuple[Array, Array, Array]:
-        """w and the slopes of −ln w along H1 and H2 on the grid (H1.size, H2.size)."""
-        x, y = H1 / self.scales[0], H2 / self.scales[1]
-        w = np.exp(-on_grid(x, y, self.coefficients))
-        # Where w underflows without a floor its slope is that of nothing.
-        share = w / np.maximum(w + self.floor, SMALLEST)
+    def slopes(self, H1: Array, H2: Array) -> tuple[Array, Array]:
+        """Return ∂Φ/∂H1 and ∂Φ/∂H2, the slopes of −ln w but for the floor."""
         first, second = (
-            on_grid(x, y, np.asarray(polyder(self.coefficients, axis=axis), float))
-            * share
+            self._values(np.asarray(polyder(self.coefficients, axis=axis), float), H1, H2)
             / self.scales[axis]
             for axis in (0, 1)
         )
-        return w + self.floor, first, second
+        return first, second
 
     def terms(self, H1: Array, H2: Array) -> Array:
-        """Sum of the sizes of the terms of Φ, to which its round-off is relative."""
-        sizes = np.abs(self.coefficients)
-        return _values(sizes, np.abs(H1) / self.scales[0], np.abs(H2) / self.scales[1])
+        """Return the sum of the sizes of the terms of Φ, to which its round-off is relative."""
+        return self._values(np.abs(self.coefficients), np.abs(H1), np.abs(H2))
+
+    def _values(self, coefficients: Array, H1: Array, H2: Array) -> Array:
+        x, y = np.asarray(H1) / self.scales[0], np.asarray(H2) / self.scales[1]
+        if x.ndim == 2 and x.shape[1] == 1 and y.ndim == 1:
+            return np.asarray(polygrid2d(x[:, 0], y, coefficients))
+        first, second = np.broadcast_arrays(x, y)
+        return np.asarray(polyval2d(first, second, coefficients))
 
     def ends(self, rise: float) -> tuple[float, float]:
         """Return the energies along each axis beyond which Φ > ``rise`` everywhere.
 
         Raises ``NotCertified`` where Φ does not rise so far within ``RAYS``.
         """
-        inside = on_grid(RAYS, RAYS, self.coefficients) < rise
+        inside = polygrid2d(RAYS, RAYS, self.coefficients) < rise
         if inside[-1].any() or inside[:, -1].any():
             raise NotCertified(f"the weight falls by less than exp(−{rise:.0f})")
         first, second = (
-            float(RAYS[int(np.flatnonzero(inside.any(axis=1 - axis))[-1]) + 1]) * scale
-            for axis, scale in enumerate(self.scales)
+            float(RAYS[last(inside, axis) + 1]) * scale for axis, scale in enumerate(self.scales)
         )
         return first, second
 
 
-@dataclass(frozen=True, eq=False)
-class Probe:
-    """Approximate ln p and its slopes (2, …) on the grid of ``PROBE`` in units of the scales.
+def flux_free_weight(process: Process) -> Weight:
+    """Return w fitted to the slopes that zero flux everywhere gives, ∇ ln p = b⁻¹ (2s − ∇·b).
 
-    Meshes and weights start from it; the answer does not rest on it.
+    Where probability circulates they are no gradient, and Φ is the nearest potential. Where they or
+    the fit do not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified`` where b is
+    singular off the axes.
     """
-
-    log_density: Array
-    slopes: Array
-
-    def extent(self, tail: float) -> Array:
-        """Return the energies (2,), in units of the scales, with the share ``tail`` beyond each."""
-        width = np.gradient(PROBE)
-        mass = np.exp(self.log_density - self.log_density.max()) * np.multiply.outer(width, width)
-        ends = np.empty(2)
-        for axis in (0, 1):
-            beyond = np.cumsum(mass.sum(axis=1 - axis)[::-1])[::-1]
-            share = np.log(np.maximum(beyond / beyond[0], SMALLEST))
-            ends[axis] = np.interp(-np.log(tail), -share, PROBE)
-        return ends
-
-
-def probed(process: Process) -> Probe:
-    """Return the density that zero flux everywhere would give, ∇ ln p = b⁻¹ (2s − ∇·b).
-
-    ln p is the mean of the integrals along two paths, first one energy, then the other: exact
-    under detailed balance, whatever the coupling. Where that does not fall off, the probability
-    circulates strongly; taken instead is the product of exponentials whose means are the process's
-    scales.
-
-    Raises ``NotCertified`` where b is singular off the axes.
-    """
-    inside = np.maximum(PROBE, AXIS)
-    points = np.stack(np.broadcast_arrays(inside[:, None], inside), axis=-1).reshape(-1, 2)
-    c = process.coefficients(points * process.energy_scales)
+    scales = np.array(process.energy_scales)
+    points = np.stack(np.broadcast_arrays(PROBE[:, None], PROBE), axis=-1).reshape(-1, 2)
+    c = process.coefficients(points * scales)
     slopes = divided_by_diffusion(2.0 * c.drift - c.divergence, c.diffusion)
-    first, second = (slopes * process.energy_scales).T.reshape(2, PROBE.size, PROBE.size)
+    first, second = (slopes * scales).T.reshape(2, PROBE.size, PROBE.size)
 
     def integral(slope: Array) -> Array:
         steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(PROBE)[:, None]
         return np.concatenate([np.zeros_like(slope[:1]), np.cumsum(steps, axis=0)])
 
+    # The mean of the integrals along two paths, first one energy, then the other.
     along = integral(first), integral(second.T).T
-    log_density = 0.5 * (along[0][:, :1] + along[1] + along[1][:1] + along[0])
+    log_p = 0.5 * (along[0][:, :1] + along[1] + along[1][:1] + along[0])
     # p H1 H2, the density of the logarithms of the energies.
-    log = np.log(np.maximum(PROBE, PROBE[1]))
-    log_mass = log_density + log[:, None] + log
+    log_mass = log_p + np.log(np.multiply.outer(PROBE, PROBE))
+    weight = None
     if max(log_mass[-1].max(), log_mass[:, -1].max()) < log_mass.max() - NATS:
-        return Probe(log_density, np.stack([first, second]))
-    return Probe(-PROBE[:, None] - PROBE, np.full((2, PROBE.size, PROBE.size), -1.0))
+        rise = log_p.max() - log_p
+        m, n = (max(last(rise < NATS, axis) + 2, HIGHEST + 2) for axis in (0, 1))
+        ends = PROBE[[min(m, PROBE.size) - 1, min(n, PROBE.size) - 1]]
+        x, y = PROBE[:m] / ends[0], PROBE[:n] / ends[1]
+        powers, root = _powers(HIGHEST)[1:], np.exp(-0.5 * rise[:m, :n] / IMPORTANCE)
+        i, j = powers.T
+        columns = [
+            root[..., None] * _monomials(x, i, slope=True)[:, None] * _monomials(y, j),
+            root[..., None] * _monomials(x, i)[:, None] * _monomials(y, j, slope=True),
+        ]
+        right = -root * first[:m, :n] * ends[0], -root * second[:m, :n] * ends[1]
+        candidates = fits(np.reshape(columns, (-1, len(powers))), np.ravel(right), powers)
+        weight = _chosen(candidates, (float(ends[0] * scales[0]), float(ends[1] * scales[1])))
+    # 40 times the scales: within them RAYS see Φ rise by ``NATS``.
+    far = 40.0 * scales
+    return weight or Weight(np.array([[0.0, 40.0], [40.0, 0.0]]), (float(far[0]), float(far[1])))
 
 
 def divided_by_diffusion(flow: Array, b: Array) -> Array:
@@ -160,36 +148,6 @@ def divided_by_diffusion(flow: Array, b: Array) -> Array:
     first = b[:, 1, 1] * flow[:, 0] - b[:, 0, 1] * flow[:, 1]
     second = b[:, 0, 0] * flow[:, 1] - b[:, 0, 1] * flow[:, 0]
     return np.stack([first, second], axis=1) / determinant[:, None]
-
-
-def flux_free_weight(probe: Probe, scales: tuple[float, ...]) -> Weight | None:
-    """Return w fitted to the slopes of the probe, or None where no fit falls off.
-
-    Where probability circulates b⁻¹ (2s − ∇·b) is no gradient, and Φ the nearest potential.
-    """
-    rise = probe.log_density.max() - probe.log_density
-    last = [
-        max(int(np.flatnonzero((rise < NATS).any(axis=1 - axis))[-1]) + 1, HIGHEST + 1)
-        for axis in (0, 1)
-    ]
-    first, second = (min(n, PROBE.size - 1) for n in last)
-    # Every second point, the last one included, resolves ln p as well.
-    inside = slice(2 - first % 2, first + 1, 2), slice(2 - second % 2, second + 1, 2)
-    ends = float(PROBE[first]), float(PROBE[second])
-    x, y = PROBE[inside[0]] / ends[0], PROBE[inside[1]] / ends[1]
-    powers, root = _powers(HIGHEST)[1:], np.exp(-0.5 * rise[inside] / IMPORTANCE)
-    i, j = powers.T
-    columns = [
-        root[..., None] * _monomials(x, i, slope=True)[:, None] * _monomials(y, j),
-        root[..., None] * _monomials(x, i)[:, None] * _monomials(y, j, slope=True),
-    ]
-    right = [-root * slope[inside] * end for slope, end in zip(probe.slopes, ends, strict=True)]
-    candidates = fits(
-        np.concatenate([part.reshape(-1, len(powers)) for part in columns]),
-        np.concatenate([part.ravel() for part in right]),
-        powers,
-    )
-    return _chosen(candidates, (ends[0] * scales[0], ends[1] * scales[1]), np.inf, np.inf)
 
 
 def fitted_weight(
@@ -203,16 +161,16 @@ def fitted_weight(
     """Return w fitted to ``log_p`` where it is ``known`` on a grid, None where no fit falls off.
 
     Beyond the grid, and where Φ exceeds ``rise``, how far ln p is known to fall, Φ must rise along
-    every ray from the origin. The misfit must be less than ``GAIN`` times that of the ``present``
-    weight.
+    every ray from the origin.
     """
     scales = float(grid[0][-1]), float(grid[1][-1])
     i, j = np.nonzero(known)
     target = log_p[known].max() - log_p[known]
-    powers = _powers(min(HIGHEST, int(rise / RISE_PER_DEGREE)))
-    if target.size < len(powers):
-        return None
-    root, (first, second) = np.exp(-0.5 * target / IMPORTANCE), powers.T
+    root, powers = (
+        np.exp(-0.5 * target / IMPORTANCE),
+        _powers(min(HIGHEST, int(rise / RISE_PER_DEGREE))),
+    )
+    first, second = powers.T
     x, y = grid[0][i] / scales[0], grid[1][j] / scales[1]
     columns = root[:, None] * _monomials(x, first) * _monomials(y, second)
     least = np.inf
@@ -223,20 +181,9 @@ def fitted_weight(
     return _chosen(fits(columns, root * target, powers), scales, rise, least)
 
 
-def on_grid(x: Array, y: Array, coefficients: Array) -> Array:
-    """Return Σ c_ij x^i y^j on the grid (x.size, y.size)."""
-    first, second = (
-        np.vander(z, n, increasing=True) for z, n in zip((x, y), coefficients.shape, strict=True)
-    )
-    return np.asarray(first @ coefficients @ second.T)
-
-
-def _values(coefficients: Array, x: Array, y: Array) -> Array:
-    """Σ c_ij x^i y^j at points that broadcast together; of a grid (m, 1), (n,) by axes."""
-    if x.ndim == 2 and x.shape[1] == 1 and y.ndim == 1:
-        return on_grid(x[:, 0], y, coefficients)
-    first, second = np.broadcast_arrays(x, y)
-    return np.asarray(polyval2d(first, second, coefficients))
+def last(inside: Flags, axis: int) -> int:
+    """Return the last index along an axis at which anything is ``inside``."""
+    return int(np.flatnonzero(inside.any(axis=1 - axis))[-1])
 
 
 @lru_cache
@@ -254,15 +201,15 @@ def _monomials(x: Array, powers: Integers, *, slope: bool = False) -> Array:
 def fits(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array, float]]:
     """Yield the least-squares fit of ``right`` for each total degree, with its relative misfit.
 
-    ``columns`` belong to ``powers`` by rising degree, so that the leading blocks of one
-    triangular factor hold every fit. Ends where columns are linearly dependent.
+    ``columns`` belong to ``powers`` by rising degree, so that the leading blocks of one triangular
+    factor hold every fit. Ends where columns are linearly dependent.
     """
     R = np.asarray(np.linalg.qr(np.column_stack([columns, right]), mode="r"))
     total = powers.sum(axis=1)
-    dependent = np.abs(np.diag(R)) <= EXACT * np.sqrt(np.sum(R**2, axis=0))
+    dependent = np.abs(np.diag(R)) <= ROUND_OFF * np.linalg.norm(R, axis=0)[: len(R)]
     for degree in range(1, int(total[-1]) + 1):
         n = int(np.count_nonzero(total <= degree))
-        if dependent[:n].any():
+        if n >= len(R) or dependent[:n].any():
             return
         phi = np.zeros((degree + 1, degree + 1))
         phi[powers[:n, 0], powers[:n, 1]] = solve_triangular(R[:n, :n], R[:n, -1])
@@ -270,21 +217,24 @@ def fits(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array
 
 
 def _chosen(
-    fits: Iterator[tuple[Array, float]], scales: tuple[float, float], rise: float, least: float
+    fits: Iterator[tuple[Array, float]],
+    scales: tuple[float, float],
+    rise: float = np.inf,
+    least: float = np.inf,
 ) -> Weight | None:
     """The best of the fits that rise along every ray beyond the box and where Φ > ``rise``."""
     best, outside = None, np.maximum(RAYS[:, None], RAYS) > 1.0
     for phi, misfit in fits:
         if misfit < GAIN * least:
-            raised, values = phi.copy(), on_grid(RAYS, RAYS, phi)
+            raised, values = phi.copy(), polygrid2d(RAYS, RAYS, phi)
             lowest = values[~outside].min()
             raised[0, 0], values = phi[0, 0] - lowest, values - lowest
             # (i + j) Φ_ij are the coefficients of x ∂Φ/∂x + y ∂Φ/∂y, the slope along a ray.
             powers = np.arange(len(phi))
-            along = on_grid(RAYS, RAYS, (powers[:, None] + powers) * phi)
+            along = polygrid2d(RAYS, RAYS, (powers[:, None] + powers) * phi)
             far = outside | (values > rise)
             if np.all(along[far] > 0.0) and np.all(values[far] > 0.0):
                 best, least = Weight(raised, scales), misfit
-        if misfit <= EXACT:
+        if misfit <= ROUND_OFF:
             break
     return best

@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array
-from scipy.sparse.linalg import SuperLU, splu
 
 from fpk.numeric.arrays import EPS, Array
-from fpk.numeric.errors import NotCertified
+from fpk.solvers.plane.elements import factorised
 
 RATIO = 30.0
 """Largest over smallest time of one Krylov space."""
@@ -21,9 +20,6 @@ GROWN = 8
 """Dimensions by which a space grows; the answer without the last ones gives the error."""
 MOST = 160
 """Largest dimension."""
-LARGEST = 20.0
-"""Largest growth of a mode of a small space, whose numerical range leans into the right half plane;
-e^20 of anything is far from converged, and NaN says so."""
 
 
 class Evolved(NamedTuple):
@@ -37,24 +33,6 @@ class Evolved(NamedTuple):
     change: Array
     rounding: Array
     residual: float
-
-
-def factorised(matrix: csc_array) -> SuperLU:
-    """Return the factors with pivots on the diagonal.
-
-    The matrices are of the form ∫ w (...): with w over many orders of magnitude such an elimination
-    does not depend on how rows and columns are scaled. Raises ``NotCertified`` where it breaks
-    down.
-    """
-    try:
-        return splu(
-            matrix.tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-    except RuntimeError as error:
-        raise NotCertified("the equations of a step in time have no unique solution") from error
 
 
 def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Array) -> float:
@@ -137,9 +115,8 @@ def _reduced(H: Array, times: Array, gamma: float, symmetric: bool) -> tuple[Arr
     # Of s below 1e-3 the factor e^(t(1 − 1/s)/γ) is e^−1100 by t/γ > 1/(RATIO · POLE) = 1.1.
     live = np.abs(s) > 1e-3
     rate = (1.0 - 1.0 / s[live]) / gamma
-    if np.any(rate.real * times[-1] > LARGEST):
-        nan = np.full(times.size, np.nan)
-        return np.full((times.size, len(H)), np.nan), nan, nan
+    # No mode grows, but the numerical range of a small space leans into the right half plane.
+    rate = np.minimum(rate.real, 0.0) + 1j * rate.imag
     values = ((np.exp(np.outer(times, rate)) * first[live]) @ X[:, live].T).real
     # What has decayed has no error of its own.
     norms = np.maximum(np.linalg.norm(values, axis=1), 1e-200)

@@ -1,4 +1,4 @@
-"""The FPK operator of two energies in time on high-order elements, with absorbing ends.
+"""The FPK operators of two energies in time on ever finer elements, with absorbing ends; starts.
 
 With p = w g, w a weight near the stationary density, the weak forms of ∂p/∂t = L* p and of the
 backward ∂u/∂t = L u are ``M ∂g/∂t = A g`` and ``M ∂u/∂t = Aᵀ u`` with
@@ -7,25 +7,32 @@ At H_i = 0, where the diffusion across vanishes, zero flux is natural; w is no a
 weight gives the same p.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder, polyval2d
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, eye_array
 
 from fpk.numeric.arrays import Array, Flags, Integers
 from fpk.solvers.plane.elements import (
+    assembled,
     axis_numbers,
-    by_element,
     element_matrices,
-    local_order,
+    flux_coefficients,
+    local_numbers,
     mass_matrices,
     shape_functions,
 )
-from fpk.solvers.plane.solution import ENRICHMENT, WEIGHT_POINTS, Nodes, gauss_grid
-from fpk.solvers.plane.weight import Weight
+from fpk.solvers.plane.solution import ENRICHMENT, WEIGHT_POINTS, Nodes, PlaneSolution, gauss_grid
+from fpk.solvers.plane.weight import BEYOND, RISE, Weight
 from fpk.system.process import Process
+
+LEVELS = ((3, 7), (4, 9), (5, 11), (6, 13), (8, 14), (11, 15))
+"""Panels along each axis and degree: about two digits more from one to the next."""
+SHARE = 0.1
+"""Share of the largest difference of two levels, anywhere, that is in every error: levels agree by
+chance, too, as their difference crosses zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +41,11 @@ class PlaneOperator:
 
     y = (H1, H2), or, ``collapsed``, (H, H1/H) with H = H1 + H2: of the triangle H < H_f. Where
     H = 0 that map is singular and the weak form is not: b ~ H, so that ∫ ½ b ∇u·∇u dH of a u that
-    depends on the share H1/H alone is finite. ``balanced`` says that w without its floor is the
-    stationary density and no probability flows: but for the floor a = 0 exactly. ``absorbing`` says
-    at which last nodes, of the first and of the second coordinate, g = 0: first passage. There one
-    vertex function, that where w is largest, gives way to the sum of all of them, which is 1 but
-    beside the limit: its matrix entries are integrals beside the limit, as small as the failure
-    rate, and computed as such, not as a difference of large ones.
+    depends on the share H1/H alone is finite. ``balanced`` is that of ``flux_coefficients``.
+    ``absorbing`` says at which last nodes, of the first and of the second coordinate, g = 0: first
+    passage. There one vertex function, that where w is largest, gives way to the sum of all of
+    them, which is 1 but beside the limit: its matrix entries are integrals beside the limit, as
+    small as the failure rate, and computed as such, not as a difference of large ones.
     """
 
     process: Process
@@ -52,12 +58,10 @@ class PlaneOperator:
 
     def energies(self, first: Array, second: Array) -> tuple[Array, Array]:
         """Return H1 and H2 at coordinates."""
-        x, y = np.broadcast_arrays(first, second)
-        return (np.asarray(x * y), np.asarray(x * (1.0 - y))) if self.collapsed else (x, y)
+        return (first * second, first * (1.0 - second)) if self.collapsed else (first, second)
 
     def coordinates(self, H1: Array, H2: Array) -> tuple[Array, Array]:
         """Return the coordinates of energies; a share of ½ at H = 0, where no function knows it."""
-        H1, H2 = np.broadcast_arrays(H1, H2)
         if not self.collapsed:
             return H1, H2
         H = H1 + H2
@@ -65,20 +69,23 @@ class PlaneOperator:
 
     def jacobian(self, first: Array, second: Array) -> Array:
         """Return |∂H/∂y|."""
-        x, _ = np.broadcast_arrays(first, second)
-        return np.asarray(x) if self.collapsed else np.ones(x.shape)
+        return first + 0.0 * second if self.collapsed else np.ones_like(first + second)
 
-    def pulled_back(self, first: Array, second: Array, F: Array, b: Array) -> tuple[Array, Array]:
-        """Return G F and G b Gᵀ, G = ∂y/∂H: coefficients of ∫ (F u − ½ b ∇u)·∇v dH in y.
+    def pulled_back(self, first: Array, second: Array, of_energies: Array) -> Array:
+        """Return |∂H/∂y| times w, G w a and G w b Gᵀ (6, ...), G = ∂y/∂H, from those of energies.
 
-        The axes of energies are the last ones.
+        With them the weak form of ``flux_coefficients`` holds in y.
         """
         if not self.collapsed:
-            return F, b
-        H, x = np.broadcast_arrays(first, second)
-        G = np.stack([np.ones_like(H), np.ones_like(H), (1.0 - x) / H, -x / H], axis=-1)
-        G = G.reshape(*H.shape, 2, 2)
-        return np.einsum("...ij,...j->...i", G, F), G @ b @ np.swapaxes(G, -1, -2)
+            return of_energies
+        w, a1, a2, b11, b12, b22 = of_energies
+
+        def share(along_1: Array, along_2: Array) -> Array:
+            return np.asarray(((1.0 - second) * along_1 - second * along_2) / first)
+
+        across = share(b11, b12), share(b12, b22)
+        parts = [w, a1 + a2, share(a1, a2), b11 + 2.0 * b12 + b22, sum(across), share(*across)]
+        return np.asarray(first * np.stack(parts))
 
     @property
     def points(self) -> int:
@@ -97,6 +104,11 @@ class PlaneOperator:
         first, second = (count * self.degree + 1 for count in self.counts)
         return first, second
 
+    @property
+    def unknowns(self) -> int:
+        """Number of shape functions not held at zero by an absorbing end."""
+        return int(np.count_nonzero(~self._held))
+
     @cached_property
     def _held(self) -> Flags:
         """Whether a shape function (all of them) is held at zero by an absorbing end."""
@@ -106,114 +118,71 @@ class PlaneOperator:
         return held.ravel()
 
     @cached_property
-    def _vertices(self) -> Flags:
-        """Whether a shape function (all of them) belongs to a vertex."""
-        vertex = np.zeros(self.sizes, dtype=bool)
-        vertex[: self.counts[0] + 1, : self.counts[1] + 1] = True
-        return vertex.ravel()
-
-    @cached_property
-    def free(self) -> Integers:
-        """The shape functions not held at zero."""
-        return np.flatnonzero(~self._held)
+    def _vertices(self) -> Integers:
+        """The shape functions (of all of them) that belong to a vertex."""
+        first, second = (np.arange(count + 1) for count in self.counts)
+        return (first[:, None] * self.sizes[1] + second).ravel()
 
     @cached_property
     def _pinned(self) -> int | None:
         """The free unknown that gives way to the sum of the vertex functions, if any is held."""
         if not any(self.absorbing):
             return None
-        vertices = np.flatnonzero(self._vertices[self.free])
-        if self.weight is None:
-            return int(vertices[0])
-        i, j = np.unravel_index(self.free[vertices], self.sizes)
-        H1, H2 = self.energies(self.nodes[0][i], self.nodes[1][j])
-        return int(vertices[np.argmin(self.weight.exponent(H1, H2))])
+        vertices = self._vertices[~self._held[self._vertices]]
+        if self.weight is not None:
+            i, j = np.unravel_index(vertices, self.sizes)
+            H1, H2 = self.energies(self.nodes[0][i], self.nodes[1][j])
+            vertices = vertices[np.argsort(self.weight.exponent(H1, H2), kind="stable")]
+        return int(np.count_nonzero(~self._held[: vertices[0]]))
+
+    def _pinned_column(self, rows: Integers) -> csc_array:
+        """1 in ``rows`` (of all shape functions) of the pinned unknown's column."""
+        places = rows, np.full(rows.size, self._pinned)
+        return csc_array((np.ones(rows.size), places), shape=(self._held.size, self.unknowns))
+
+    @cached_property
+    def _functions(self) -> csc_array:
+        """The functions of the free unknowns, as coefficients (all shape functions, unknowns)."""
+        free: csc_array = eye_array(self._held.size, format="csc")[:, np.flatnonzero(~self._held)]
+        if self._pinned is None:
+            return free
+        free.data[self._pinned] = 0.0
+        vertices = self._vertices[~self._held[self._vertices]]
+        return csc_array(free + self._pinned_column(vertices))
 
     @cached_property
     def matrices(self) -> tuple[csc_array, csc_array, Array]:
         """A and M of the free unknowns, and ∫ w φ of their functions."""
-        lengths = np.meshgrid(*(np.diff(x) for x in self.nodes), indexing="ij")
-        sizes = np.stack([h.ravel() for h in lengths], axis=1)
         (x, y), (v, u) = gauss_grid(self.nodes, self.points)
-        coefficients, w = self._coefficients(x[:, None], y[None, :])
-        order, _ = local_order(self.degree)
-        along = [axis_numbers(count, self.degree) for count in self.counts]
-        flat = along[0][:, None, :, None] * self.sizes[1] + along[1][None, :, None, :]
-        local = flat.reshape(len(sizes), -1)[:, order]
-        m, total = local.shape[1], self._held.size
-        places = np.repeat(local, m, axis=1).ravel(), np.tile(local, (1, m)).ravel()
-        A, M = (
-            csc_array((parts.ravel(), places), shape=(total, total))
-            for parts in (
-                element_matrices(by_element(coefficients, self.counts), sizes, self.degree),
-                mass_matrices(by_element(w, self.counts), sizes, self.degree),
-            )
+        at = self.energies(x[:, None], y)
+        parts = flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
+        w, *coefficients = self.pulled_back(x[:, None], y, parts)
+        numbers = local_numbers(self.counts, self.degree)
+        A = assembled(element_matrices(np.stack(coefficients), self.nodes, self.degree), numbers)
+        M = assembled(mass_matrices(w, self.nodes, self.degree), numbers)
+        S, k = self._functions, self._pinned
+        N, of_one = S, np.zeros(self.unknowns)
+        if k is not None:
+            # The vertex functions add up to 1, and 1 tested by A is 0: the sum of the free ones is
+            # 1 − the held ones. A times 1, ∫ w a·∇φ, is not taken as a sum that cancels.
+            N = S - self._pinned_column(self._vertices)
+            first, second = (self.along(axis, z) for axis, z in enumerate((x, y)))
+            slopes = [self.along(axis, z, slope=True) for axis, z in enumerate((x, y))]
+            area = v[:, None] * u
+            flux = slopes[0].T @ (area * coefficients[0]) @ second
+            flux += first.T @ (area * coefficients[1]) @ slopes[1]
+            of_one = N.T @ flux.ravel()
+        rows = np.flatnonzero(of_one)
+        added = csc_array(
+            (of_one[rows], (rows, np.full(rows.size, k or 0))), shape=(S.shape[1],) * 2
         )
-        vertices = self._vertices.astype(float)
-        shares = np.asarray(M @ vertices)
-        if self._pinned is None:
-            return A, M, shares
-        # A times 1, ∫ w a·∇φ of all shape functions, not as a sum that cancels.
-        first, second = (self.along(k, z) for k, z in enumerate((x, y)))
-        slopes = [self.along(k, z, slope=True) for k, z in enumerate((x, y))]
-        area = v[:, None] * u
-        flux = slopes[0].T @ (area * coefficients[0]) @ second
-        flux = np.asarray(flux + first.T @ (area * coefficients[1]) @ slopes[1]).ravel()
-        # The sum e of the free vertex functions is 1 − (that of the held ones, b).
-        b = vertices * self._held
-        rows, columns = -np.asarray(A.T @ b)[self.free], (flux - A @ b)[self.free]
-        both = float(b @ (A @ b) - b @ flux)
-        e = vertices - b
-        Me, of_e = np.asarray(M @ e), float(e @ shares)
-        shares = shares[self.free]
-        shares[self._pinned] = of_e
-        return (
-            self._with_sum(self._pinned, A, rows, columns, both),
-            self._with_sum(self._pinned, M, Me[self.free], Me[self.free], float(e @ Me)),
-            shares,
-        )
-
-    def _with_sum(
-        self, k: int, matrix: csc_array, row: Array, column: Array, both: float
-    ) -> csc_array:
-        """The free part of a matrix with row and column of the pinned unknown ``k`` replaced."""
-        free = matrix[:, self.free][self.free]
-        free.data[free.indices == k] = 0.0
-        free.data[slice(*free.indptr[[k, k + 1]])] = 0.0
-        row, column = row.copy(), column.copy()
-        row[k], column[k] = both, 0.0
-        i, j = np.flatnonzero(column), np.flatnonzero(row)
-        places = np.append(i, np.full(j.size, k)), np.append(np.full(i.size, k), j)
-        return free + csc_array((np.append(column[i], row[j]), places), shape=free.shape)
-
-    def _coefficients(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """w a, w b_11, b_12, b_22 times |∂H/∂y|, pulled back (5, ...), and w |∂H/∂y|."""
-        H1, H2 = self.energies(first, second)
-        c = self.process.coefficients(np.stack([H1.ravel(), H2.ravel()], axis=1))
-        b = c.diffusion.reshape(*H1.shape, 2, 2)
-        # w, the slope ∇Φ of the weight without its floor, and the floor's share of w.
-        w, slope, held = np.ones(H1.shape), np.zeros((*H1.shape, 2)), np.zeros(H1.shape)
-        if self.weight is not None:
-            phi, scales, floor = self.weight.coefficients, self.weight.scales, self.weight.floor
-            x, y = H1 / scales[0], H2 / scales[1]
-            w = np.exp(-polyval2d(x, y, phi)) + floor
-            slopes = [polyval2d(x, y, polyder(phi, axis=k)) / scales[k] for k in (0, 1)]
-            slope, held = np.stack(slopes, axis=-1), floor / w
-        if self.balanced:
-            # s − ½ ∇·b is −½ b ∇Φ: what is left is of the size of the floor, without cancellation.
-            a = -0.5 * np.einsum("...ij,...j->...i", b, held[..., None] * slope)
-        else:
-            a = (c.drift - 0.5 * c.divergence).reshape(*H1.shape, 2)
-            a = a + 0.5 * np.einsum("...ij,...j->...i", b, (1.0 - held)[..., None] * slope)
-        a, b = self.pulled_back(first, second, a, b)
-        of_y = w * self.jacobian(first, second)
-        parts = [a[..., 0], a[..., 1], b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]]
-        return of_y * np.stack(parts), of_y
+        one = np.zeros(self._held.size)
+        one[self._vertices] = 1.0
+        return (N.T @ A @ N + added).tocsc(), (S.T @ M @ S).tocsc(), S.T @ (M @ one)
 
     def weight_at(self, H1: Array, H2: Array) -> Array:
         """Return w at energies that broadcast together."""
-        H1, H2 = np.broadcast_arrays(H1, H2)
-        return np.ones(H1.shape) if self.weight is None else self.weight(H1, H2)
+        return np.ones_like(H1 + H2) if self.weight is None else self.weight(H1, H2)
 
     def along(self, axis: int, y: Array, *, slope: bool = False) -> Array:
         """Return the shape functions of one axis, or their slopes, at coordinates y; 0 outside."""
@@ -228,29 +197,97 @@ class PlaneOperator:
         np.put_along_axis(values, axis_numbers(nodes.size - 1, k)[panel], phi, axis=1)
         return values
 
-    def at(self, H1: Array, H2: Array) -> Array:
-        """Return the functions of the free unknowns at points, (points, unknowns)."""
-        y = self.coordinates(np.atleast_1d(H1), np.atleast_1d(H2))
-        first, second = self.along(0, y[0]), self.along(1, y[1])
-        return self.gathered((first[:, :, None] * second[:, None, :]).reshape(y[0].size, -1))
+    def at(self, energies: Array) -> Array:
+        """Return the functions (unknowns,) of the free unknowns at energies (2,)."""
+        y = self.coordinates(*energies[:, None])
+        return self.gathered(np.outer(*(self.along(axis, z) for axis, z in enumerate(y))).ravel())
 
     def gathered(self, rows: Array) -> Array:
         """Return functionals (..., all shape functions) as those of the free unknowns."""
-        free = rows[..., self.free].copy()
-        if self._pinned is not None:
-            free[..., self._pinned] = rows[..., self._vertices & ~self._held].sum(axis=-1)
-        return free
+        return np.asarray(rows @ self._functions)
 
     def spread(self, g: Array) -> Array:
         """Return the coefficients (..., *sizes) of all shape functions from free unknowns."""
-        full = np.zeros((*g.shape[:-1], self._held.size))
-        full[..., self.free] = g
-        if self._pinned is not None:
-            full[..., self.free[self._pinned]] = 0.0
-            full[..., self._vertices & ~self._held] += g[..., self._pinned, None]
-        return full.reshape(*g.shape[:-1], *self.sizes)
+        return np.asarray(g @ self._functions.T).reshape(*g.shape[:-1], *self.sizes)
 
     def largest(self, g: Array) -> Array:
         """Return the largest size (...) of functions at the vertices of the mesh."""
         at_vertices = self.spread(g)[..., : self.counts[0] + 1, : self.counts[1] + 1]
         return np.asarray(np.abs(at_vertices).max(axis=(-2, -1)))
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneStart:
+    """Where two energies begin: at ``energies`` (2,), or with a ``density``.
+
+    This is the stationary one under ``factor`` times the noise.
+    """
+
+    energies: Array | None = None
+    density: PlaneSolution | None = None
+    factor: float = 1.0
+
+    @property
+    def l1_error(self) -> float:
+        """Estimate of the L1 error of the initial density, which no evolution increases."""
+        return 0.0 if self.density is None else self.density.l1_error
+
+    def height(self, stationary: PlaneSolution) -> float:
+        """Return the rise of −ln w from its least value to the energies; 0 for a density."""
+        if self.energies is None:
+            return 0.0
+        return float(stationary.heights(*self.energies[:, None])[0])
+
+    def dual(self, op: PlaneOperator) -> Array:
+        """Return φ at the energies, or ∫ p_0 φ over the domain, of the free unknowns."""
+        if self.density is None:
+            assert self.energies is not None
+            return op.at(self.energies)
+        (x, y), (v, w) = gauss_grid(op.nodes, op.points)
+        p = self.density.density(*op.energies(x[:, None], y)) * op.jacobian(x[:, None], y)
+        rows = op.along(0, x).T @ (v[:, None] * p * w) @ op.along(1, y)
+        return op.gathered(rows.ravel())
+
+
+def reach(tol: float, height: float, level: int = 0) -> float:
+    """Return the rise of −ln w from its least value beyond which p is negligible.
+
+    From a start at which −ln w is ``height`` a density reaches w e^height at the most, up to a
+    factor.
+    """
+    return height - float(np.log(BEYOND * tol)) + level * RISE
+
+
+def far_ends(stationary: PlaneSolution, rise: float) -> Array:
+    """Return the energies (2,) beyond which −ln w exceeds ``rise``."""
+    if stationary.weight is None:
+        return np.array([x[-1] for x in stationary.nodes])
+    return np.array(stationary.weight.ends(rise))
+
+
+def operators(
+    stationary: PlaneSolution,
+    nodes: Callable[[float, int], Nodes],
+    *,
+    tol: float,
+    height: float = 0.0,
+    share: float = 1.0,
+    absorbing: tuple[bool, bool] = (False, False),
+    collapsed: bool = False,
+) -> Iterator[PlaneOperator]:
+    """Yield operators, each finer than the last, on ``nodes(rise, panels)``.
+
+    The weight, that of the ``stationary`` density, is to the power ``share`` <= 1, and flat where
+    −ln w would exceed the rise by ``RISE``: in the corner of a mesh it may do so by hundreds, and
+    elements over which it rises by 40 have singular matrices.
+    """
+    weight, balanced = stationary.weight, stationary.balanced
+    if weight is not None and share < 1.0:
+        weight, balanced = replace(weight, coefficients=share * weight.coefficients), False
+    for level, (panels, degree) in enumerate(LEVELS):
+        rise = reach(tol, height, level)
+        floored = weight and replace(weight, floor=float(np.exp(-share * (rise + RISE))))
+        mesh = nodes(rise, panels)
+        yield PlaneOperator(
+            stationary.process, mesh, degree, floored, balanced, absorbing, collapsed
+        )

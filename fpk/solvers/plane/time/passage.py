@@ -6,7 +6,6 @@ L E[T²] = −2 T: the transpose of the operator of the density.
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigs
@@ -17,10 +16,17 @@ from fpk.answer.observable import number_text
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotCertified
-from fpk.solvers.plane.solution import SAFETY, Nodes, graded
-from fpk.solvers.plane.time.exponential import KRYLOV, evolved, factorised, relative_residual
-from fpk.solvers.plane.time.levels import Frame, PlaneStart
-from fpk.solvers.plane.time.operator import PlaneOperator
+from fpk.solvers.plane.elements import factorised
+from fpk.solvers.plane.solution import SAFETY, Nodes, PlaneSolution, graded
+from fpk.solvers.plane.time.exponential import KRYLOV, evolved, relative_residual
+from fpk.solvers.plane.time.operator import (
+    SHARE,
+    PlaneOperator,
+    PlaneStart,
+    far_ends,
+    operators,
+    reach,
+)
 
 FOLDS = 5.0
 """Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
@@ -29,8 +35,6 @@ HIGHEST = 300.0
 """Largest rise of −ln w up to a limit: E T² of the order of e^600 is within double precision."""
 MOST_UNKNOWNS = 300_000
 """Unknowns of the largest level, of 3 GB; two levels are needed for an answer with an error."""
-SHARE = 0.1
-"""Share of the largest error of the reliability that is in each: levels agree by chance, too."""
 VECTORS = (4, 30)
 """Arnoldi vectors: so many times those sought, and so many more. Rates of the same size are common,
 of modes that decay alike, and a small space may miss one."""
@@ -65,19 +69,17 @@ class PlaneLimit:
         lines = np.array([[a + 0.0 * t, b * t], [a * t, b + 0.0 * t]])[np.array(self.absorbing)]
         return np.concatenate(lines[:, 0]), np.concatenate(lines[:, 1])
 
-    def nodes(self, frame: Frame, rise: float, panels: int) -> Nodes:
+    def nodes(self, stationary: PlaneSolution, rise: float, panels: int) -> Nodes:
         """Return nodes up to the limit, or to where −ln w exceeds ``rise``; more where it rises."""
         if self.total is not None:
-            corners = frame.heights(
-                self.total * np.array([0.0, 1.0]), self.total * np.array([1.0, 0.0])
-            )
-            rise, across = float(corners.max()), abs(float(corners[1] - corners[0]))
+            corners = stationary.heights(*(self.total * np.eye(2)))
+            steep, across = float(corners.max()), abs(float(corners[1] - corners[0]))
             angles = np.linspace(0.0, 0.5 * np.pi, 1 + max(panels, int(across / FOLDS)))
-            along = graded((self.total, 1.0), max(panels, int(rise / FOLDS)))[0]
+            along = graded((self.total, 1.0), max(panels, int(steep / FOLDS)))[0]
             return along, np.sin(angles) ** 2
-        limits = zip((self.first, self.second), frame.ends(rise), strict=True)
+        limits = zip((self.first, self.second), far_ends(stationary, rise), strict=True)
         ends = [far if limit is None else limit for limit, far in limits]
-        rises = frame.heights(np.array([ends[0], 0.0]), np.array([0.0, ends[1]]))
+        rises = stationary.heights(*np.diag(ends))
         first, second = (
             graded((end, 1.0), max(panels, int(rise / FOLDS)))[0]
             for end, rise in zip(ends, rises, strict=True)
@@ -85,19 +87,13 @@ class PlaneLimit:
         return first, second
 
 
-class _Answer(NamedTuple):
-    """Mean, variance and rate (3,), the reliability, round-off and residual of one level."""
-
-    op: PlaneOperator
-    numbers: Array
-    rounding: Array
-    survival: Array
-    survival_error: Array
-    residual: float
+Level = tuple[PlaneOperator, Array, Array, float]
+"""An operator; mean, variance, rate and the reliability at all times, and their errors by round-off
+and by the exponential; and the largest residual."""
 
 
 def first_passage(
-    frame: Frame,
+    stationary: PlaneSolution,
     start: PlaneStart,
     limit: PlaneLimit,
     times: Array,
@@ -114,48 +110,49 @@ def first_passage(
     Levels end early where they are nearer to each other than the error that no level lowers, or
     come nearer so slowly that those left could not meet it, see ``_hopeless``.
     """
-    height = start.height(frame)
-    far = frame.ends(frame.rise(tol, height, 0))
-    lowest = float(np.min(frame.heights(*limit.edge(far))))
+    height = start.height(stationary)
+    far = far_ends(stationary, reach(tol, height))
+    lowest = float(np.min(stationary.heights(*limit.edge(far))))
     given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
     words = ", ".join(map(number_text, given))
     if lowest > HIGHEST:
         raise InvalidInput("limit", words, BEYOND_RANGE)
-    operators = frame.operators(
-        lambda rise, panels: limit.nodes(frame, rise, panels),
+    finer = operators(
+        stationary,
+        lambda rise, panels: limit.nodes(stationary, rise, panels),
         tol=tol,
         height=max(height, lowest),
         absorbing=limit.absorbing,
         collapsed=limit.collapsed,
     )
-    every = [op for op in operators if op.sizes[0] * op.sizes[1] <= MOST_UNKNOWNS]
+    every = [op for op in finer if op.sizes[0] * op.sizes[1] <= MOST_UNKNOWNS]
     if len(every) < 2:
         remedy = "so rare a failure takes more equations than fit into memory; take a lower one"
         raise InvalidInput("limit", words, remedy)
     distances = list[float]()
-    levels = (_answer(op, start, times, tol) for op in every)
+    levels = (_level(op, start, times, tol) for op in every)
     for left, (coarse, fine) in zip(reversed(range(len(every) - 1)), pairwise(levels), strict=True):
-        edge = limit.edge(np.array([x[-1] for x in fine.op.nodes]))
+        op, values, own, residual = fine
+        edge = limit.edge(np.array([x[-1] for x in op.nodes]))
         # The relative error by coefficients, weight and start.
-        model = coefficients_error * (2.0 + 2.0 * float(np.min(frame.heights(*edge))))
-        model += 2.0 * frame.relative_error + start.l1_error
-        values = fine.numbers
-        errors = np.abs(values - coarse.numbers) + fine.rounding + model * np.abs(values)
+        model = coefficients_error * (2.0 + 2.0 * float(np.min(stationary.heights(*edge))))
+        model += 2.0 * stationary.relative_error * stationary.balanced + start.l1_error
+        size = np.append(np.abs(values[:3]), np.ones(times.size))
+        errors = np.abs(values - coarse[1]) + own + model * size
         # The variance is the difference of two moments, each with the error of the coefficients.
         errors[1] += model * 2.0 * values[0] ** 2
-        lost = np.abs(fine.survival - coarse.survival) + fine.survival_error + model
-        mean, variance, rate = map(Number, values.tolist(), errors.tolist())
+        mean, variance, rate = map(Number, values[:3].tolist(), errors[:3].tolist())
         answer = certified_passage(
             (mean, variance, rate),
             times,
-            1.0 - fine.survival,
-            lost + SHARE * np.max(lost, initial=0.0),
+            1.0 - values[3:],
+            errors[3:] + SHARE * np.max(errors[3:], initial=0.0),
             tol=tol,
-            residual=float(np.max([fine.residual, coarse.residual])),
-            settings={"unknowns": int(fine.op.free.size), "degree": fine.op.degree},
+            residual=float(np.max([residual, coarse[3]])),
+            settings={"unknowns": op.unknowns, "degree": op.degree},
         )
-        apart = values / coarse.numbers - 1.0, fine.survival - coarse.survival
-        distances.append(float(np.max(np.abs(np.concatenate(apart)))))
+        size[:3] = np.abs(coarse[1][:3])
+        distances.append(float(np.max(np.abs(values - coarse[1]) / size)))
         if answer.certificate.certified or _hopeless(distances, left, max(tol, model)):
             break
     return answer
@@ -173,7 +170,7 @@ def _hopeless(distances: list[float], left: int, tol: float) -> bool:
     return bool(distances[-1] * gain ** (2 ** (left + 1) - 2) > tol)
 
 
-def _answer(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> _Answer:
+def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Level:
     # Equal factors on all three change nothing; without them small energies underflow.
     A, M, shares = (part / op.matrices[2].max() for part in op.matrices)
     transposed, dual = (-A.T).tocsc(), start.dual(op)
@@ -201,8 +198,6 @@ def _answer(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> _
     inverse = LinearOperator(A.shape, matvec=lambda u: backward.solve(M @ u) / longest, dtype=float)
     (largest,) = eigs(inverse, k=1, ncv=8, v0=T / longest, tol=0.0, return_eigenvectors=False)
     rate = 1.0 / (largest.real * longest)
-    numbers = np.array([mean, second - mean**2, rate])
-    rounding = relative * np.array([mean, second + 2.0 * mean**2, rate])
     survival, lost = np.full(times.size, float(np.nan)), np.zeros(times.size)
     at_zero = times <= 0.0
     if start.density is None:
@@ -220,10 +215,14 @@ def _answer(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> _
         survival[late] = u.values @ dual
         lost[late] = np.abs(u.change @ dual) + ROUNDINGS * u.rounding * op.largest(u.values)
         residual = float(np.max([residual, u.residual]))
-    return _Answer(op, numbers, rounding, survival, lost, residual)
+    values = np.append([mean, second - mean**2, rate], survival)
+    rounding = relative * np.array([mean, second + 2.0 * mean**2, rate])
+    return op, values, np.append(rounding, lost), residual
 
 
-def relaxation_rates(frame: Frame, count: int, *, tol: float, relative: float = 0.0) -> Rates:
+def relaxation_rates(
+    stationary: PlaneSolution, count: int, *, tol: float, relative: float = 0.0
+) -> Rates:
     """Return the ``count`` eigenvalues of −L with the least real parts but 0.
 
     Levels rise until two of them agree to ``tol``, relative to each; the answer is that of the
@@ -232,17 +231,18 @@ def relaxation_rates(frame: Frame, count: int, *, tol: float, relative: float = 
     """
 
     def nodes(rise: float, panels: int) -> Nodes:
-        return graded(frame.ends(rise), panels)
+        return graded(far_ends(stationary, rise), panels)
 
+    process = stationary.process
     # A rate of the order of the slowest: b/H² of the energies at their scales, the lesser one.
-    scales = np.array(frame.process.energy_scales)
-    b = frame.process.coefficients(scales[None, :]).diffusion[0]
+    scales = np.array(process.energy_scales)
+    b = process.coefficients(scales[None, :]).diffusion[0]
     shift, sought, answer = float(np.min(np.diag(b) / scales**2)), 2 * count + 2, None
     vectors = VECTORS[0] * sought + VECTORS[1]
     levels = (
         (op, *_eigenvalues(op, sought, vectors, shift))
-        for op in frame.operators(nodes, tol=tol, height=HEIGHT)
-        if vectors < op.free.size
+        for op in operators(stationary, nodes, tol=tol, height=HEIGHT)
+        if vectors < op.unknowns
     )
     for (_, coarse, _), (op, every, residual) in pairwise(levels):
         values = every[:count]
@@ -250,8 +250,8 @@ def relaxation_rates(frame: Frame, count: int, *, tol: float, relative: float = 
         errors = SAFETY * np.abs(coarse - values[:, None]).min(axis=1)
         # Round-off of an eigenvalue of the shifted inverse, relative to its largest.
         errors += 50.0 * EPS * (size + shift) ** 2 / shift
-        errors += (relative + 2.0 * frame.relative_error) * size
-        settings = {"unknowns": int(op.free.size), "degree": op.degree}
+        errors += (relative + 2.0 * stationary.relative_error * stationary.balanced) * size
+        settings = {"unknowns": op.unknowns, "degree": op.degree}
         answer = certified_rates(values, errors, tol=tol, residual=residual, settings=settings)
         if answer.certificate.certified:
             break

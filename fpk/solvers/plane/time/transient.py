@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -10,43 +10,36 @@ from fpk.answer.certificate import Measured, certify
 from fpk.answer.evolution import LARGEST_ERROR, Transient
 from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.plane.solution import Nodes, gauss_grid, graded
+from fpk.solvers.plane.solution import Nodes, PlaneSolution, gauss_grid, graded
 from fpk.solvers.plane.time.exponential import KRYLOV, Evolved, evolved
-from fpk.solvers.plane.time.levels import MORE, Frame, PlaneStart
-from fpk.solvers.plane.time.operator import PlaneOperator
+from fpk.solvers.plane.time.operator import (
+    SHARE,
+    PlaneOperator,
+    PlaneStart,
+    far_ends,
+    operators,
+    reach,
+)
 
 Seen = Literal["pair", "first", "second", "sum"]
 """The coordinates in which a density of two energies is seen."""
 HEIGHT = 12.0
 """Largest rise of −ln w up to a start: errors of p grow by the root of its exponential, here 400.
 A start higher up gets a flatter weight."""
-SHARE = 0.05
-"""Share of the largest difference of two levels, anywhere, that is in the error at every point:
-their difference crosses zero."""
 GIVEN_UP = (13, 0.5)
 """Degree from which on an L1 distance larger than that ends the search: the last level resolves
 times a quarter as long, and no shorter ones."""
-
-
-class Level(NamedTuple):
-    """Densities at all times on the elements of one operator.
-
-    ``evolved`` holds the free unknowns; ``g`` and ``change`` (times, n1, n2) are its ``values`` and
-    ``change`` as coefficients of all shape functions.
-    """
-
-    op: PlaneOperator
-    evolved: Evolved
-    g: Array
-    change: Array
+Level = tuple[PlaneOperator, Evolved]
+"""An operator, and its free unknowns at all times."""
 
 
 def seen_at(op: PlaneOperator, seen: Seen, g: Array, points: tuple[Array, ...]) -> Array:
-    """Return the densities (times, points) of g (times, n1, n2) at points (points,) each."""
+    """Return the densities (times, points) of unknowns g (times, unknowns) at points (points,)."""
+    g = op.spread(g)
     if seen == "pair":
         first, second = (op.along(k, H) for k, H in enumerate(points))
         values = np.array([np.sum((first @ each) * second, axis=1) for each in g])
-        return np.asarray(values * op.weight_at(*points))
+        return np.asarray(values.reshape(len(g), -1) * op.weight_at(*points))
     (energy,) = points
     if seen == "sum":
         # ∫ w φ_i(x) ψ_j(H − x) dx, cut where panels end.
@@ -56,13 +49,13 @@ def seen_at(op: PlaneOperator, seen: Seen, g: Array, points: tuple[Array, ...]) 
             if low < high:
                 cuts = np.concatenate([op.nodes[0], H - op.nodes[1]])
                 nodes = np.unique(np.clip(cuts, low, high))
-                x, v = (a.ravel() for a in panel_rule(nodes, op.points + MORE))
+                x, v = (a.ravel() for a in panel_rule(nodes, op.points))
                 y, weighted = np.maximum(H - x, 0.0), v * op.weight_at(x, H - x)
                 row[...] = (op.along(0, x) * weighted[:, None]).T @ op.along(1, y)
     else:
         # ∫ w φ_i ψ_j over the other energy.
         axis = int(seen == "second")
-        y, v = (a.ravel() for a in panel_rule(op.nodes[1 - axis], op.points + MORE))
+        y, v = (a.ravel() for a in panel_rule(op.nodes[1 - axis], op.points))
         own, other = op.along(axis, energy), op.along(1 - axis, y)
         H1, H2 = (energy[:, None], y) if axis == 0 else (y, energy[:, None])
         inner = (op.weight_at(H1, H2) * v) @ other
@@ -72,11 +65,11 @@ def seen_at(op: PlaneOperator, seen: Seen, g: Array, points: tuple[Array, ...]) 
 
 
 def seen_on(op: PlaneOperator, seen: Seen, g: Array, axes: tuple[Array, ...]) -> Array:
-    """Return the densities (times, *grid) of g (times, n1, n2) on the grid of ``axes``."""
+    """Return the densities (times, *grid) of g (times, unknowns) on the grid of ``axes``."""
     if seen != "pair":
         return seen_at(op, seen, g, axes)
     first, second = op.along(0, axes[0]), op.along(1, axes[1])
-    return np.asarray((first @ g @ second.T) * op.weight_at(axes[0][:, None], axes[1]))
+    return np.asarray((first @ op.spread(g) @ second.T) * op.weight_at(axes[0][:, None], axes[1]))
 
 
 def seen_grid(op: PlaneOperator, seen: Seen) -> tuple[tuple[Array, ...], Array, list[float]]:
@@ -94,7 +87,7 @@ def seen_grid(op: PlaneOperator, seen: Seen) -> tuple[tuple[Array, ...], Array, 
 
 
 def transient_densities(
-    frame: Frame,
+    stationary: PlaneSolution,
     start: PlaneStart,
     seen: Seen,
     times: Array,
@@ -110,24 +103,25 @@ def transient_densities(
     the last level is not certified. ``coefficients_error(t, *at)`` is the relative error of p by
     that of the coefficients. With the answer come the last two levels, the finer one last.
     """
-    for coarse, fine in pairwise(_levels(frame, start, times, tol)):
-        axes, area, ends = seen_grid(fine.op, seen)
+    for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
+        (op, g), (other_op, other_g) = fine, coarse
+        axes, area, ends = seen_grid(op, seen)
         points = [x.ravel() for x in np.meshgrid(*axes, indexing="ij")]
-        solutions = (fine.op, fine.g), (coarse.op, coarse.g), (fine.op, fine.change)
+        solutions = (op, g.values), (other_op, other_g.values), (op, g.change)
         p, other, change = (
             seen_on(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions
         )
         lost = np.abs(p - other) + np.abs(change)
         largest, distance = np.max(np.abs(p), axis=1), lost @ area
-        mass = fine.evolved.values @ fine.op.matrices[2]
+        mass = g.values @ op.matrices[2]
         # Up to 3 times the estimated round-off was measured.
-        rounding = ROUNDINGS * fine.evolved.rounding + 2.0 * np.abs(mass - 1.0)
+        rounding = ROUNDINGS * g.rounding + 2.0 * np.abs(mass - 1.0)
         highest = np.max(lost, axis=1) + rounding * largest
         values, coarser, change = (seen_at(op, seen, g, at) for op, g in solutions)
         # What lies beyond the mesh is less than what there is at its end.
         within = tuple(np.clip(x, 0.0, end) for x, end in zip(at, ends, strict=True))
         outside = np.any([x != y for x, y in zip(at, within, strict=True)], axis=0)
-        beyond = np.abs(seen_at(fine.op, seen, fine.g, within)) * outside
+        beyond = np.abs(seen_at(op, seen, g.values, within)) * outside
         errors = np.abs(values - coarser) + np.abs(change) + beyond + SHARE * highest[:, None]
         errors = np.maximum(errors, (rounding * largest)[:, None])
         errors += np.abs(values) * np.array([coefficients_error(t, *at) for t in times])
@@ -136,7 +130,7 @@ def transient_densities(
         errors = np.where(unresolved[:, None], np.inf, errors)
         errors = np.where(np.min(np.broadcast_arrays(*at), axis=0) < 0.0, 0.0, errors) + SMALLEST
         l1 = distance + model + rounding + start.l1_error
-        farther = zip(points, seen_grid(coarse.op, seen)[2], strict=True)
+        farther = zip(points, seen_grid(other_op, seen)[2], strict=True)
         tail = np.abs(p * np.any([x > end for x, end in farther], axis=0)) @ area
         absolute = float(np.max(highest / largest))
         short = (f"the time {t:.4g} is too short for the mesh" for t in times[unresolved])
@@ -144,38 +138,37 @@ def transient_densities(
             l1_error=float(np.max([*l1, absolute])),
             mass_defect=float(np.max(np.abs(mass - 1.0))),
             minimum=float(np.min(p.min(axis=1) / largest)),
-            residual=float(np.max([fine.evolved.residual, coarse.evolved.residual])),
+            residual=float(np.max([g.residual, other_g.residual])),
             tail_mass=float(np.max(tail)),
             absolute_error=absolute,
             failures=tuple(short),
         )
         settings = {
-            "unknowns": fine.g[0].size,
-            "degree": fine.op.degree,
+            "unknowns": op.sizes[0] * op.sizes[1],
+            "degree": op.degree,
             "L1 error at the first time": float(l1[0]),
             "L1 error at the last time": float(l1[-1]),
         }
         certificate = certify(measured, tol=tol)
         answer = Transient(times, values, errors, "numerical", certificate, settings)
         degree, least = GIVEN_UP
-        hopeless = fine.op.degree >= degree and float(np.max(distance)) > least
-        if answer.certificate.certified or hopeless:
+        if certificate.certified or (op.degree >= degree and float(np.max(distance)) > least):
             break
     return answer, (coarse, fine)
 
 
-def _levels(frame: Frame, start: PlaneStart, times: Array, tol: float) -> Iterator[Level]:
-    height, least = start.height(frame), np.zeros(2)
+def _levels(
+    stationary: PlaneSolution, start: PlaneStart, times: Array, tol: float
+) -> Iterator[Level]:
+    height, least = start.height(stationary), np.zeros(2)
     share = min(1.0, HEIGHT / max(height, HEIGHT), 1.0 / start.factor)
     if start.density is not None:
         least = np.array([x[-1] for x in start.density.nodes])
-    longest = frame.rise(tol, height, 0)
 
     def nodes(rise: float, panels: int) -> Nodes:
-        longer = 1.0 + 0.03 * (rise - longest)
-        return graded(np.maximum(frame.ends(rise), least * longer), panels)
+        longer = 1.0 + 0.03 * (rise - reach(tol, height))
+        return graded(np.maximum(far_ends(stationary, rise), least * longer), panels)
 
-    for op in frame.operators(nodes, tol=tol, height=height, share=share):
+    for op in operators(stationary, nodes, tol=tol, height=height, share=share):
         A, M, _ = op.matrices
-        parts = evolved(A, M, start.dual(op), times, tol=KRYLOV * tol)
-        yield Level(op, parts, op.spread(parts.values), op.spread(parts.change))
+        yield op, evolved(A, M, start.dual(op), times, tol=KRYLOV * tol)
