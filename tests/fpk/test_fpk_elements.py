@@ -85,7 +85,7 @@ def chain_with(exponent):
 def density_on_mesh(process, form, degree, nodes):
     if form == "flux":
         return solve_on_mesh(process, nodes, degree).density
-    operator = Operator(process, (nodes,), degree, 2 * element_rule(degree).share.size - 1)
+    operator = Operator(process, (nodes,), degree, 2 * degree + 7)
     u = operator.stationary()
     return lambda x: operator.density(u, x.ravel()).reshape(x.shape)
 

@@ -7,21 +7,17 @@ import numpy as np
 from fpk.numeric.arrays import Array
 from fpk.solvers.probe import Probe
 
-NATS_PER_ELEMENT = 3.0
-"""Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
-SMOOTH_NATS = 4.0
-"""Fall of ln(p/T) over one element where ln(p/T) is linear in H: over n nats a polynomial of degree
-p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the
+NATS = 4.0
+"""Fall of ln(p/T) over one element. Where ln(p/T) is linear in H, over n nats a polynomial of
+degree p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the
 degree of a tolerance (four more than its digits) 1e-1 to 1e-2 of the tolerance."""
 LOG_GROWTH = math.log(1.75)
-"""ln of how many times ``SMOOTH_NATS`` an element may have where little of the mass is left: over 7
+"""ln of how many times ``NATS`` an element may have where little of the mass is left: over 7
 nats p still exceeds its error at the far end (of degree 6 and more), so that it stays positive."""
-SPREAD = 20.0
-"""Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
 """Ratio of neighbouring lengths towards a point where smoothness is lost."""
-GRADED_LAYERS = 5
-DEEP_LAYERS = 14
+GRADED_LAYERS = 6
+DEEP_LAYERS = 15
 """Layers down to 3e-12 of the next element: beside a stiff stop and a small clearance T itself has
 layers as thin as that."""
 
@@ -31,24 +27,17 @@ def initial_nodes(
     end: float,
     nonsmooth: tuple[float, ...],
     *,
-    nats: Array | float = NATS_PER_ELEMENT,
+    nats: Array | float = NATS,
     layers: int = GRADED_LAYERS,
 ) -> Array:
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
 
     ``nats`` is the fall of ln(p/T) over one element. Geometric ``layers`` lie above every nonsmooth
-    energy (below it, the density is smooth up to it). Where that is tiny beside its element, T
-    still changes with H/H_c: elements grow from there.
+    energy (below it, the density is smooth up to it). With none elements still grow from there
+    where that is tiny beside them, as T changes with H/H_c.
     """
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
-    nodes: Array = _placed(probe.energy, probe.roughness / nats, ends)
-    wide = [H for H in ends[1:-1] if nodes[np.searchsorted(nodes, H) + 1] > SPREAD * H]
-    if wide:
-        steps = np.concatenate(
-            [H * SPREAD ** np.arange(1.0, np.log(end / H) / math.log(SPREAD)) for H in wide]
-        )
-        nodes = np.unique(np.concatenate([nodes, steps]))
-    return with_layers(nodes, nonsmooth, count=layers)
+    return with_layers(_placed(probe.energy, probe.roughness / nats, ends), nonsmooth, count=layers)
 
 
 def _placed(energy: Array, rate: Array, ends: Array) -> Array:
@@ -68,14 +57,15 @@ def _placed(energy: Array, rate: Array, ends: Array) -> Array:
 def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRADED_LAYERS) -> Array:
     """Return the nodes and geometric layers above those that are nonsmooth energies.
 
-    They go from the last node down to ``count`` layers below the node next to H: wherever that is,
-    the distance of the ends of an element from H is in the ratio ``GRADING`` or nearer to 1.
+    They go from the last node down to the ``count``-th from the node next to H: wherever that is,
+    the distance of the ends of an element from H is in the ratio ``GRADING`` or nearer to 1, but
+    for the first one.
     """
     for H in nonsmooth:
-        if count and nodes[0] <= H < nodes[-1]:
+        if nodes[0] <= H < nodes[-1]:
             reach = float(nodes[-1]) - H
             gap = float(nodes[np.searchsorted(nodes, H, side="right")]) - H
-            layers = np.arange(1.0, count + 1.0 + math.log(gap / reach) / math.log(GRADING))
+            layers = np.arange(1.0, count + math.log(gap / reach) / math.log(GRADING))
             nodes = np.unique(np.concatenate([nodes, H + reach * GRADING**layers]))
     return nodes
 

@@ -5,7 +5,7 @@ from math import comb, exp, sqrt
 import numpy as np
 
 from fpk.numeric.arrays import Array
-from fpk.solvers.line.mesh import SMOOTH_NATS, initial_nodes
+from fpk.solvers.line.mesh import NATS, initial_nodes
 from fpk.solvers.probe import probed
 from fpk.system.process import Process
 
@@ -59,7 +59,7 @@ def time_nodes(
     for those that nearly are others.
     """
     n = process.degrees_of_freedom
-    nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)
+    nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=NATS)
     nodes = _with(nodes, end * np.array([0.25, 0.5, 0.75]))  # four elements at least
     kept = [0.0, end, *(H for H in process.nonsmooth if end > H)]
     beside_zero = [length for energy, length in fine if energy == 0.0]
@@ -68,7 +68,7 @@ def time_nodes(
         scale = min([process.energy_scale, end, *(n * length / FAST for length in beside_zero)])
         first = 10.0 ** (-16.0 / (first_degree(degree - 1, n) + 2)) * scale
         # ln T ~ (n − 1) ln H.
-        ratio = min(exp(SMOOTH_NATS / (n - 1)), GROWTH if beside_zero else np.inf)
+        ratio = min(exp(NATS / (n - 1)), GROWTH if beside_zero else np.inf)
         if first < 0.5 * nodes[1]:
             steps = int(np.log(end / first) / np.log(ratio))
             nodes = _with(nodes, first * ratio ** np.arange(steps + 1.0))

@@ -7,7 +7,7 @@ M ∂g/∂t = (−e² K + (1 − e²) C) g.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 
@@ -36,34 +36,23 @@ RATIO = 3.0
 """Ratio of the ends of a step at the level 0, as long as steps grow with the time."""
 LEVELS = (1, 4)
 """Halvings of all steps: those with which the mesh is adapted, and the most."""
+Processes = Callable[[float], Process]
+"""The process of an energy under F times the noise intensity, by F."""
 
 
-@dataclass(frozen=True, eq=False)
-class Modulated:
-    """An energy under modulated noise, which begins with ``source``.
+def quiet_until(modulation: Modulation, source: Source) -> float:
+    """Return the time at which the density that begins with ``source`` begins to change.
 
-    ``under(F)`` is its process under F times the noise intensity.
+    Raises ``InvalidInput`` for an energy > 0 that decays before there is any noise.
     """
-
-    under: Callable[[float], Process]
-    modulation: Modulation
-    source: Source
-
-    @property
-    def quiet(self) -> float:
-        """Return the time at which the density begins to change.
-
-        Raises ``InvalidInput`` for an energy > 0 that decays before there is any noise.
-        """
-        quiet, energy = self.modulation.quiet, self.source.energy
-        if self.source.process is not None:
-            return 0.0
-        if quiet > 0.0 and energy > 0.0:
-            remedy = f"decays without noise until t = {quiet:g}; begin there"
-            raise InvalidInput(
-                "start", f"H={number_text(energy)}", f"{remedy}, at rest or from noise=F"
-            )
-        return quiet
+    if source.process is not None:
+        return 0.0
+    if modulation.quiet > 0.0 and source.energy > 0.0:
+        remedy = f"decays without noise until t = {modulation.quiet:g}; begin there"
+        raise InvalidInput(
+            "start", f"H={number_text(source.energy)}", f"{remedy}, at rest or from noise=F"
+        )
+    return modulation.quiet
 
 
 def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
@@ -172,22 +161,24 @@ def stepped(
     )
 
 
-def modulated_transition(motion: Modulated, times: Array, *, tol: float) -> Transition:
-    """Return the density of the energy at ``times`` > 0.
+def modulated_transition(
+    under: Processes, modulation: Modulation, source: Source, times: Array, *, tol: float
+) -> Transition:
+    """Return the density at ``times`` > 0 of an energy that begins with ``source``.
 
-    By steps of Radau IIA of the order 9 on elements that adapt; the error is the distance to
-    elements of a higher degree and to steps twice as long, and settings have the order that the
-    last three levels of steps show. Without noise it is the equation of the decay alone, of first
-    order. Raises ``InvalidInput`` for times at which the density is still one energy, and as
-    ``Modulated.quiet`` and ``posed`` do.
+    ``under(F)`` is its process under F times the noise intensity. By steps of Radau IIA of the
+    order 9 on elements that adapt; the error is the distance to elements of a higher degree and to
+    steps twice as long, and settings have the order that the last three levels of steps show.
+    Without noise it is the equation of the decay alone, of first order. Raises ``InvalidInput`` for
+    times at which the density is still one energy, and as ``quiet_until`` and ``posed`` do.
     """
-    quiet, source = motion.quiet, motion.source
+    quiet = quiet_until(modulation, source)
     if times[0] <= quiet:
         raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
-    modulation, times = motion.modulation.after(quiet), times - quiet
+    modulation, times = modulation.after(quiet), times - quiet
     unit = modulation.largest or 1.0
     first = float(modulation.energy(times[0])) / unit
-    question, pair = posed(motion.under(unit), source, first, tol)
+    question, pair = posed(under(unit), source, first, tol)
 
     @lru_cache(maxsize=len(pair))
     def carried(e: Elements, level: int) -> Evolved:
@@ -248,7 +239,9 @@ def halved(
     return level, finer, moved, settings
 
 
-def modulated_transient(motion: Modulated, times: Array, at: Array, *, tol: float) -> Transient:
+def modulated_transient(
+    under: Processes, modulation: Modulation, source: Source, times: Array, at: Array, *, tol: float
+) -> Transient:
     """Return the densities at energies ``at``; all else as of ``modulated_transition``.
 
     Where the modulation ends with 0, dH/dt = F(H) leads from H_0 at its end to H at a later time,
@@ -256,14 +249,13 @@ def modulated_transient(motion: Modulated, times: Array, at: Array, *, tol: floa
     exceeds ``LARGEST_ERROR`` errors are infinite. Raises ``NotApplicable`` where damping feeds
     energy in after the end of the noise.
     """
-    modulation = motion.modulation
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
     later = times > end
     stops = np.unique(np.minimum(times, end))
-    solved = modulated_transition(motion, stops, tol=tol)
+    solved = modulated_transition(under, modulation, source, stops, tol=tol)
     values, errors = np.zeros((2, times.size, at.size))
     values[~later], errors[~later] = (a[: int((~later).sum())] for a in solved.density(at))
-    process, e, l1_error = motion.under(1.0), solved.elements, solved.measured.l1_error
+    process, e, l1_error = under(1.0), solved.elements, solved.measured.l1_error
     inner, last = e.x.ravel(), e.right[-1]
     H, positive = process.on_mesh(at, float(np.max(at, initial=last)))
 

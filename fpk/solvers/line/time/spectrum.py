@@ -1,8 +1,9 @@
-"""Relaxation rates of one energy: eigenvalues of −L without flux at the ends, by counting them."""
+"""Relaxation rates of one energy: eigenvalues of −L without flux at the ends, and their number."""
 
 import math
 
 import numpy as np
+from scipy.sparse.linalg import eigsh
 
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Integers
@@ -10,6 +11,7 @@ from fpk.numeric.errors import NotCertified
 from fpk.solvers.line.mesh import split_points
 from fpk.solvers.line.time.elements import MOST_ELEMENTS, SAFETY, Elements, degree_for, meshed
 from fpk.solvers.line.time.mesh import time_nodes
+from fpk.solvers.line.time.modulated import matrices
 from fpk.solvers.line.time.resolvent import eliminated
 from fpk.solvers.line.time.transition import TAIL
 from fpk.solvers.probe import probed
@@ -19,9 +21,6 @@ LONGER = 1.3
 """Factor on the last energy from one round to the next."""
 WAVES = 10
 """Waves of an eigenfunction that an element takes: towards H = 0 the k-th has k a temperature."""
-POINTS = 160
-"""Trial values at which eigenvalues are counted at once: fewer take no less time, and halving the
-interval of each eigenvalue takes the fewest in all."""
 ROUNDS = 6
 """Most rounds, at every second of which all elements are cut in two."""
 
@@ -32,28 +31,17 @@ def eigenvalues_below(e: Elements, rates: Array) -> Integers:
     As many as pivots of A − λM are negative (Sylvester), those of the own functions of the elements
     among them (Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263).
     """
-    c = eliminated(e, -rates)
-    inner, ends = (c.damped < 0.0).sum(axis=(0, 1)), (c.total[1:] < 0.0).sum(axis=0)
-    return np.asarray(inner + ends + (c.passed[-1] + c.shunt[-1, 1] < 0.0))
+    _, shunt, damped, total, _, passed = eliminated(e, -rates)
+    inner, ends = (damped < 0.0).sum(axis=(0, 1)), (total[1:] < 0.0).sum(axis=0)
+    return np.asarray(inner + ends + (passed[-1] + shunt[-1, 1] < 0.0))
 
 
 def eigenvalues(e: Elements, count: int, scale: float) -> Array:
-    """Return the ``count`` least eigenvalues > 0 of −L, by section; ``scale`` is of their order."""
-    trial = scale * 2.0 ** np.arange(-80.0, 81.0)
-    below = eigenvalues_below(e, trial)
-    wanted, sections = np.arange(2, count + 2), 1 + max(1, POINTS // count)
-    low, high = (trial[np.searchsorted(below, wanted) + k] for k in (-1, 0))
-    while np.any(high - low > 2.0 * EPS * high):
-        share = np.arange(1.0, sections) / sections
-        grid = low[:, None] * (high / low)[:, None] ** share
-        below = eigenvalues_below(e, grid.ravel()).reshape(grid.shape)
-        k = (below < wanted[:, None]).sum(axis=1)
-        every = np.column_stack([low, grid, high])
-        before = high - low
-        low, high = np.take_along_axis(every, np.stack([k, k + 1], 1), 1).T
-        if not np.any(high - low < before):
-            break
-    return 0.5 * (low + high)
+    """Return the ``count`` least eigenvalues > 0 of −L; ``scale`` is of their order."""
+    M, K, *_ = matrices(e)
+    first = np.linspace(1.0, 2.0, M.shape[0])
+    found = eigsh(K, count + 1, M, sigma=-0.1 * scale, v0=first, return_eigenvectors=False)
+    return np.asarray(np.sort(found)[1:])
 
 
 def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
@@ -92,7 +80,9 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
         errors = SAFETY * np.abs(rates - better) + common * rates
         if (errors <= tol * rates).all() or 2 * answer.count > MOST_ELEMENTS:
             break
-    # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost.
-    residual = float(eigenvalues_below(answer, rates[:1] * 0.5)[0] != 1)
+    # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost. And
+    # no rate is missed.
+    below = eigenvalues_below(answer, np.array([0.5 * rates[0], (1.0 + tol) * rates[-1]]))
+    residual = float(below.tolist() != [1, count + 1])
     settings = {"elements": answer.count, "tol": tol}
     return certified_rates(rates, errors, tol=tol, residual=residual, settings=settings)
