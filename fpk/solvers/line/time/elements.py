@@ -21,8 +21,7 @@ from scipy.special import roots_jacobi
 
 from fpk.numeric.arrays import Array, Flags, Integers
 from fpk.numeric.quadrature import gauss_legendre
-from fpk.solvers.line.mesh import split_points
-from fpk.solvers.line.time.mesh import HIGHEST, NONE, first_degree
+from fpk.solvers.line.mesh import HIGHEST, NONE, first_degree, split_points
 from fpk.solvers.plane.elements import shape_functions
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
@@ -144,12 +143,11 @@ class Elements:
         ``f`` (…, elements, functions) are the coefficients and ``size`` the sizes of theirs.
         """
         k, values = self.functions(x)
-        both = (f, values), (np.abs(f) if size is None else size, np.abs(values))
-        rows = [
-            [np.einsum("xi,xi->x", each[k], v) for each in a.reshape(-1, *f.shape[-2:])]
-            for a, v in both
-        ]
-        p, sizes = np.array(rows).reshape(2, *f.shape[:-2], x.size)
+        size = np.abs(f) if size is None else size
+        p, sizes = (
+            np.einsum("...xi,xi->...x", a[..., k, :], v)
+            for a, v in ((f, values), (size, np.abs(values)))
+        )
         return p, sizes
 
     def log_phase_density(self, x: Array) -> Array:
@@ -212,19 +210,16 @@ def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
     """
     # π is no polynomial, and above a contact energy it is smooth in the cubic root of H − H_c.
     count = 3 * degree + 8 if contact else degree + 6
-    if steepness > 7 and not contact:
-        x, w = roots_jacobi(count, 0, steepness)
-        t = 0.5 * (1.0 + x)
+    steep = steepness > 7 and not contact
+    x, w = roots_jacobi(count, 0, steepness) if steep else gauss_legendre(count)
+    s = 0.5 * (1.0 + x)
+    t, stretch = (s**3, 3.0 * s**2) if contact else (s, np.ones(count))
+    project = (np.arange(count) + 0.5)[:, None] * (legvander(x, count - 1).T * w)
+    integral = 0.5 * np.asarray(legint(project, lbnd=-1.0)) * stretch
+    weight = 0.5 * w * stretch
+    if steep:
         weight = np.exp(np.log(w) - (steepness + 1) * np.log(2.0) - steepness * np.log(t))
-        integral = np.zeros((count + 1, count))
-        integral[:2] = 0.5 / count
-    else:
-        x, w = gauss_legendre(count)
-        s = 0.5 * (1.0 + x)
-        t, stretch = (s**3, 3.0 * s**2) if contact else (s, np.ones(count))
-        project = (np.arange(count) + 0.5)[:, None] * (legvander(x, count - 1).T * w)
-        integral = 0.5 * np.asarray(legint(project, lbnd=-1.0)) * stretch
-        weight = 0.5 * w * stretch
+        integral[:] = np.eye(count + 1, 2).sum(axis=1, keepdims=True) * 0.5 / count
     values, slopes = shape_functions(degree, t)
     series = np.asarray(legvander(x, count), dtype=float)
     return t, weight, series, integral, values.T, slopes.T

@@ -14,6 +14,7 @@ from fpk.answer.evolution import BEYOND_RANGE, STARTS, Passage, StartCurve, cert
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.solvers.line.mesh import HIGHEST, NONE, layer_at, time_nodes
 from fpk.solvers.line.time.elements import (
     ENRICHMENT,
     SAFETY,
@@ -25,7 +26,6 @@ from fpk.solvers.line.time.elements import (
     meshed,
     refined,
 )
-from fpk.solvers.line.time.mesh import HIGHEST, NONE, layer_at, time_nodes
 from fpk.solvers.line.time.modulated import LEVELS, Processes, halved, quiet_until, stepped
 from fpk.solvers.line.time.resolvent import evolved, moment
 from fpk.solvers.line.time.transition import Source, adapted, posed

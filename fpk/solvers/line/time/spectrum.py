@@ -8,9 +8,8 @@ from scipy.sparse.linalg import eigsh
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Integers
 from fpk.numeric.errors import NotCertified
-from fpk.solvers.line.mesh import split_points
+from fpk.solvers.line.mesh import split_points, time_nodes
 from fpk.solvers.line.time.elements import MOST_ELEMENTS, SAFETY, Elements, degree_for, meshed
-from fpk.solvers.line.time.mesh import time_nodes
 from fpk.solvers.line.time.modulated import matrices
 from fpk.solvers.line.time.resolvent import eliminated
 from fpk.solvers.line.time.transition import TAIL

@@ -11,6 +11,7 @@ from fpk.answer.certificate import Certificate, Measured, certify
 from fpk.answer.observable import number_text
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput
+from fpk.solvers.line.mesh import GROWTH, HIGHEST, LAYER, NONE, layer_at, time_nodes
 from fpk.solvers.line.time.elements import (
     ENRICHMENT,
     SAFETY,
@@ -23,7 +24,6 @@ from fpk.solvers.line.time.elements import (
     meshed,
     refined,
 )
-from fpk.solvers.line.time.mesh import GROWTH, HIGHEST, LAYER, NONE, layer_at, time_nodes
 from fpk.solvers.line.time.resolvent import evolved
 from fpk.solvers.probe import probed
 from fpk.system.process import Process
