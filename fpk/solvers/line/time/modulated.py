@@ -180,33 +180,28 @@ def modulated_transition(
     first = float(modulation.energy(times[0])) / unit
     question, pair = posed(under(unit), source, first, tol)
 
-    @lru_cache(maxsize=len(pair))
+    @lru_cache(maxsize=4)
     def carried(e: Elements, level: int) -> Evolved:
         return stepped(e, source.load(e), modulation, unit, times, level=level)[0]
 
     solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0]))
     e, finer = solved.elements, solved.enriched.elements
-    x, w = e.x, e.weight
-
-    def values(level: int) -> Array:
-        return carried(e, level).density(x.ravel())[0].reshape(solved.distance.shape)
-
-    def l1(moved: Array, _: Array) -> float:
-        return float((moved * w).sum(axis=(1, 2)).max())
-
-    level, _, moved, settings = halved(e, values, l1, 0.25 * tol, tol)
-    own = carried(e, level)
+    weight = e.weight.ravel()
+    level, settings = halved(
+        e,
+        lambda level: carried(e, level).density(e.x.ravel())[0],
+        lambda moved, _: float((moved @ weight).max()),
+        0.25 * tol,
+        tol,
+    )
     # In steps twice as long, so that what is compared with it sees the error of both.
-    enriched = solved.enriched if level - 1 == LEVELS[0] else carried(finer, level - 1)
-    solved, _, _ = judged(question, own, enriched, distance=solved.distance + moved)
+    own, enriched = carried(e, level), carried(finer, level - 1)
+    solved, _, _ = judged(question, own, enriched)
     # At the ends of elements, where no point is, distances are largest while there is no noise.
     at_ends = np.abs(own.density(e.right)[0] - enriched.density(e.right)[0])
     beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
-    return replace(
-        solved,
-        distance=np.maximum(solved.distance, beside[..., None]),
-        settings={**solved.settings, **settings},
-    )
+    distance = np.maximum(solved.distance, beside[..., None])
+    return replace(solved, distance=distance, settings={**solved.settings, **settings})
 
 
 def halved(
@@ -215,17 +210,16 @@ def halved(
     size: Callable[[Array, Array], float],
     wanted: float,
     tol: float,
-) -> tuple[int, Array, Array, Settings]:
+) -> tuple[int, Settings]:
     """Halve all steps until the ``values(level)`` change by no more than ``wanted``.
 
-    ``size(changes, values)`` is what counts of the absolute changes. Returned are the last level,
-    its values and changes, and the settings, with the order that the changes show.
+    ``size(changes, values)`` is what counts of the absolute changes. Returned are the last level
+    and the settings, with the order that the changes show.
     """
-    finer, sizes = values(LEVELS[0]), []
+    sizes: list[float] = []
     for level in range(LEVELS[0] + 1, LEVELS[1] + 1):
-        coarse, finer = finer, values(level)
-        moved = np.abs(finer - coarse)
-        sizes.append(size(moved, finer))
+        coarse, finer = values(level - 1), values(level)
+        sizes.append(size(np.abs(finer - coarse), finer))
         if SAFETY * sizes[-1] <= wanted:
             break
     settings: Settings = {
@@ -236,7 +230,7 @@ def halved(
     }
     if len(sizes) > 1 and sizes[-1] > 0.0:
         settings["observed order"] = math.log2(sizes[-2] / sizes[-1])
-    return level, finer, moved, settings
+    return level, settings
 
 
 def modulated_transient(

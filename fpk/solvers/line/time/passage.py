@@ -307,7 +307,7 @@ def modulated_passage(
     first = float(modulation.energy(stops[1])) / unit
     question, pair = posed(process, source, first, SHARE * tol, limit=limit)
 
-    @lru_cache(maxsize=len(pair))
+    @lru_cache(maxsize=4)
     def solve(e: Elements, level: int) -> tuple[Evolved, Array, Array]:
         """p at the stops > 0; P(T > t) at all stops, E T and E T², and errors by ``later``.
 
@@ -335,14 +335,15 @@ def modulated_passage(
 
     solved = adapted(question, pair, lambda e, **_: solve(e, LEVELS[0])[0])
     e, finer = solved.elements, solved.enriched.elements
-    off = np.abs(solve(e, LEVELS[0])[1] - solve(finer, LEVELS[0])[1])
 
     def size(moved: Array, numbers: Array) -> float:
         return float(np.max(moved / np.maximum(numbers, 1.0)))
 
-    level, numbers, moved, settings = halved(e, lambda k: solve(e, k)[1], size, SHARE * tol, tol)
-    g, _, lost = solve(e, level)
-    error, failure, at = SAFETY * (off + moved), 1.0 - numbers[:-2], np.searchsorted(stops, asked)
+    level, settings = halved(e, lambda level: solve(e, level)[1], size, SHARE * tol, tol)
+    g, numbers, lost = solve(e, level)
+    # In steps twice as long, so that what is compared with it sees the error of both.
+    error = SAFETY * np.abs(numbers - solve(finer, level - 1)[1])
+    failure, at = 1.0 - numbers[:-2], np.searchsorted(stops, asked)
     relative = 2.0 * e.coefficient_error(source.energy)
     relative += ROUNDINGS * EPS * (e.count + e.log_range)
     failure_error = error[:-2] + _by_coefficients(relative, failure) + ROUNDINGS * EPS
