@@ -167,7 +167,8 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     below ``tol``.
     """
     probe = probed(process)
-    nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)
+    end = probe.extent(1e-2 * tol)
+    nodes = initial_nodes(probe, end, process.nonsmooth)
     special = np.array([0.0, *process.nonsmooth])
 
     def rate_and_error(energy: Array) -> Array:
@@ -182,18 +183,16 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
 
     def unresolved(lengths: Array, coefficients: Array) -> Array:
         error = truncation(lengths, coefficients)
-        # What the coefficients do not know, no panel can resolve.
-        return np.where(error > lengths * coefficients[:, 0, 1], error, 0.0)
-
-    def cut(left: Array, right: Array, end: float = float(nodes[-1])) -> Array:
-        return np.where(right - left <= NARROW * end, left, split_points(left, right, special))
+        # What the coefficients do not know no panel can resolve, nor is a very short one cut.
+        known = (error > lengths * coefficients[:, 0, 1]) & (lengths > NARROW * end)
+        return np.where(known, error, 0.0)
 
     rate = fit(
         rate_and_error,
         nodes,
         0.1 * tol / nodes.size,
         degree=POINTS[0] - 1,
-        cut=cut,
+        cut=lambda left, right: split_points(left, right, special),
         estimate=unresolved,
     )
     nodes, lengths = rate.nodes, np.diff(rate.nodes)

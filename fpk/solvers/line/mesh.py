@@ -8,17 +8,21 @@ from fpk.numeric.arrays import Array
 from fpk.solvers.probe import Probe, probed
 from fpk.system.process import Process
 
-NATS = 4.0
-"""Fall of ln(p/T) over one element. Where ln(p/T) is linear in H, over n nats a polynomial of
-degree p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the
+NATS = 3.0
+"""Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
+SMOOTH_NATS = 4.0
+"""Fall of ln(p/T) over one element where ln(p/T) is linear in H: over n nats a polynomial of degree
+p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the
 degree of a tolerance (four more than its digits) 1e-1 to 1e-2 of the tolerance."""
 LOG_GROWTH = math.log(1.75)
-"""ln of how many times ``NATS`` an element may have where little of the mass is left: over 7
+"""ln of how many times ``SMOOTH_NATS`` an element may have where little of the mass is left: over 7
 nats p still exceeds its error at the far end (of degree 6 and more), so that it stays positive."""
+SPREAD = 20.0
+"""Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
 """Ratio of neighbouring lengths towards a point where smoothness is lost."""
-GRADED_LAYERS = 6
-DEEP_LAYERS = 15
+GRADED_LAYERS = 5
+DEEP_LAYERS = 14
 """Layers down to 3e-12 of the next element: beside a stiff stop and a small clearance T itself has
 layers as thin as that."""
 HIGHEST = 16
@@ -53,11 +57,16 @@ def initial_nodes(
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
 
     ``nats`` is the fall of ln(p/T) over one element. Geometric ``layers`` lie above every nonsmooth
-    energy (below it, the density is smooth up to it). With none elements still grow from there
-    where that is tiny beside them, as T changes with H/H_c.
+    energy (below it, the density is smooth up to it). Where that is tiny beside its element, T
+    still changes with H/H_c: elements grow from there.
     """
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
-    return with_layers(_placed(probe.energy, probe.roughness / nats, ends), nonsmooth, count=layers)
+    nodes: Array = _placed(probe.energy, probe.roughness / nats, ends)
+    for H in ends[1:-1]:
+        if nodes[np.searchsorted(nodes, H) + 1] > SPREAD * H:
+            steps = np.arange(1.0, math.log(end / H) / math.log(SPREAD))
+            nodes = np.unique(np.append(nodes, H * SPREAD**steps))
+    return with_layers(nodes, nonsmooth, count=layers)
 
 
 def _placed(energy: Array, rate: Array, ends: Array) -> Array:
@@ -77,15 +86,14 @@ def _placed(energy: Array, rate: Array, ends: Array) -> Array:
 def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRADED_LAYERS) -> Array:
     """Return the nodes and geometric layers above those that are nonsmooth energies.
 
-    They go from the last node down to the ``count``-th from the node next to H: wherever that is,
-    the distance of the ends of an element from H is in the ratio ``GRADING`` or nearer to 1, but
-    for the first one.
+    They go from the last node down to ``count`` layers below the node next to H: wherever that is,
+    the distance of the ends of an element from H is in the ratio ``GRADING`` or nearer to 1.
     """
     for H in nonsmooth:
-        if nodes[0] <= H < nodes[-1]:
+        if count and nodes[0] <= H < nodes[-1]:
             reach = float(nodes[-1]) - H
             gap = float(nodes[np.searchsorted(nodes, H, side="right")]) - H
-            layers = np.arange(1.0, count + math.log(gap / reach) / math.log(GRADING))
+            layers = np.arange(1.0, count + 1.0 + math.log(gap / reach) / math.log(GRADING))
             nodes = np.unique(np.concatenate([nodes, H + reach * GRADING**layers]))
     return nodes
 
@@ -127,7 +135,7 @@ def time_nodes(
     shorter. ``more`` are nodes that are added, but for those that nearly are others.
     """
     n = process.degrees_of_freedom
-    nodes = initial_nodes(probed(process), end, process.nonsmooth)
+    nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)
     added = [nodes, more, end * np.array([0.25, 0.5, 0.75])]  # four elements at least
     beside_zero = [length for energy, length in fine if energy == 0.0]
     if n > 2:
@@ -135,7 +143,7 @@ def time_nodes(
         scale = min([process.energy_scale, end, *(n * length / FAST for length in beside_zero)])
         first = 10.0 ** (-16.0 / (first_degree(degree - 1, n) + 2)) * scale
         # ln T ~ (n − 1) ln H.
-        ratio = min(math.exp(NATS / (n - 1)), GROWTH if beside_zero else np.inf)
+        ratio = min(math.exp(SMOOTH_NATS / (n - 1)), GROWTH if beside_zero else np.inf)
         if first < 0.5 * nodes[1]:
             steps = int(math.log(end / first) / math.log(ratio))
             added.append(first * ratio ** np.arange(steps + 1.0))

@@ -22,6 +22,7 @@ from fpk.solvers.line.mesh import (
     GRADED_LAYERS,
     LOG_GROWTH,
     NATS,
+    SMOOTH_NATS,
     initial_nodes,
     split_points,
     with_layers,
@@ -39,6 +40,8 @@ decades over an element 2 is too little: of 779 chains of 1 to 100 masses at tol
 2e-10 the error at a point was above twice the distance in 8, up to three times it."""
 MOST_ELEMENTS = 20_000
 """Elements beyond which none is cut any more: a solution of so many takes seconds."""
+
+
 HALF_WAVE = 4
 """Points at which the distance to the enriched solution is sampled, for each of its half-waves."""
 
@@ -91,19 +94,14 @@ class StationarySolution:
 
     def pointwise_error(self, energy: Array) -> Array:
         """Estimate of |p_h − p| at energies of any shape."""
-        return self._error(energy, self._log_states(energy), 0.0)
+        return self._error(energy, self._log_states(energy))
 
     def phase_space_error(self, energy: Array) -> Array:
         """Estimate of |p_h − p|/T at energies of any shape."""
-        # Towards H = 0 p/T has no bound.
-        log_T = self._log_states(np.maximum(energy, self._first))
-        return self._error(energy, np.zeros(np.shape(energy)), -log_T)
+        return self._error(energy, np.zeros(np.shape(energy)))
 
-    def _error(self, energy: Array, factor: Array, unit: Array | float) -> Array:
-        """Error of u e^``factor``: distance to the enriched one, and what shifts all of p alike.
-
-        Round-off of p counts e^``unit`` times.
-        """
+    def _error(self, energy: Array, factor: Array) -> Array:
+        """Error of u e^``factor``: distance to the enriched one, and what shifts all of p alike."""
         x = np.asarray(energy, dtype=float)
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
         share = np.clip((x - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k]), 0.0, 1.0)
@@ -114,7 +112,9 @@ class StationarySolution:
         most, relative = self._round_off
         floor = self.common_error + outside(self.measured) + relative[k]
         error = POINTWISE_SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor))
-        return np.asarray(error + most[k] * np.exp(unit))
+        # Towards H = 0 p/T has no bound.
+        log_T = self._log_states(np.maximum(x, self._first))
+        return np.asarray(error + most[k] * np.exp(factor - log_T))
 
     def _log_states(self, energy: Array) -> Array:
         """ln T at energies of any shape; beyond the last node, ln T of that node."""
@@ -191,7 +191,7 @@ def solve_stationary(
     if smooth:
         # The error of an element counts by its mass, and rises with the nats to this power.
         fall = probe.log_mass.max() - probe.log_mass
-        nats = NATS * np.exp(np.minimum(fall / (degree + 1), LOG_GROWTH))
+        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), LOG_GROWTH))
     layers = 0 if smooth else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree)

@@ -44,10 +44,10 @@ class Elements:
     functions, functions), F the part of the drift due to damping; ``conductance`` is 1/∫dx/m, and
     ∫m v_j'² = 1. At H = 0 no flux is natural: in the first element h_0 = 0, h_1 = 1 and v_j(0) is
     free; it may have fewer v_j, and the others are 0. ``x`` and ``weight`` (…, points) integrate π
-    times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln u, u = π/T, less its
-    value at the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from
-    0 to 1. ``relative_error`` is the error of π and m by the coefficients; ``slope_error`` the
-    error that it leaves in ln π from one end to the other.
+    times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln π/T, less its value at
+    the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from 0 to 1.
+    ``relative_error`` is the error of π and m by the coefficients; ``slope_error`` the error that
+    it leaves in ln π from one end to the other.
     """
 
     process: Process
@@ -150,17 +150,15 @@ class Elements:
         )
         return p, sizes
 
-    def log_phase_density(self, x: Array) -> Array:
-        """Return ln u = ln π/T at the points x, 0 at H = 0."""
+    def log_density(self, x: Array, *, of_states: bool = False) -> Array:
+        """Return ln π at points x > 0, in the unit of ``log_scale``; or ln π/T, ``of_states``."""
         k, t = self._within(x)
         s = np.where(self.contact[k], np.cbrt(t), t)
         series = legvander(2.0 * s - 1.0, self.log_rise.shape[1] - 1)
-        return np.asarray(self.log_u[k] + (series * self.log_rise[k]).sum(axis=1))
-
-    def log_density(self, x: Array) -> Array:
-        """Return ln π at points x > 0, in the unit of ``log_scale``."""
-        log_T = self.process.coefficients(x).log_density_of_states
-        return np.asarray(log_T + self.log_phase_density(x))
+        log_u = self.log_u[k] + (series * self.log_rise[k]).sum(axis=1)
+        if of_states:
+            return np.asarray(log_u)
+        return np.asarray(log_u + self.process.coefficients(x).log_density_of_states)
 
     def _within(self, x: Array) -> tuple[Integers, Array]:
         """The elements of the points x and the shares of these that lie below, in [0, 1]."""
@@ -192,9 +190,8 @@ class Evolved(NamedTuple):
         Or u = p/T ``of_states``, by its own: T vanishes at H = 0.
         """
         e = self.elements
-        log_factor = e.log_phase_density(x) if of_states else e.log_density(x)
         p, size = e.at(x, self.values, self.size)
-        factor = np.exp(log_factor - e.log_scale[e.element_of(x)])
+        factor = np.exp(e.log_density(x, of_states=of_states) - e.log_scale[e.element_of(x)])
         return p * factor, size * factor
 
 
@@ -233,12 +230,14 @@ def elements(
     The element at H = 0 may be of a lower degree; ``enriched`` has it one higher.
     """
     contact, first = np.isin(left, np.array(process.nonsmooth)), left == 0.0
-    parts = []
-    for kind in ((True, True), (True, False), (False, True), (False, False)):
-        k = np.flatnonzero((first == kind[0]) & (contact == kind[1]))
-        if k.size:
-            parts.append(_alike(process, left[k], right[k], degree, *kind, enriched))
-    return _joined(*parts)
+    kinds = ((first == a) & (contact == b) for a in (True, False) for b in (True, False))
+    alike = [np.flatnonzero(kind) for kind in kinds if kind.any()]
+    return _joined(
+        *(
+            _alike(process, left[k], right[k], degree, first[k[0]], contact[k[0]], enriched)
+            for k in alike
+        )
+    )
 
 
 def _joined(*parts: Elements, chosen: Flags | slice = slice(None)) -> Elements:
@@ -332,8 +331,8 @@ def meshed(process: Process, nodes: Array, degree: int, *, beyond: Array = NONE)
 def refined(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
     """Return the answer of ``solve`` on a pair whose elements are cut until it marks none.
 
-    Elements of the answer that it marks are cut in two in both, towards a singular point if they
-    begin there.
+    Marked elements of the answer are cut in two in both, towards a singular point if they begin
+    there.
     """
     for _ in range(MOST_ROUNDS):
         answer, marked = solve(pair)

@@ -1,6 +1,6 @@
 """Relaxation rates of one energy: eigenvalues of −L without flux at the ends, and their number."""
 
-import math
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse.linalg import eigsh
@@ -54,19 +54,16 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
     temperature = scale / process.degrees_of_freedom
     wave = WAVES / count * temperature
-    # ln π φ² is linear in ln H between energies of the probe; φ rises from the temperature on.
+    # φ rises from the temperature on. Of a Laguerre polynomial of the norm 1, with φ ~ H^count, the
+    # largest π φ² far out is 4^count.
     probe = probed(process)
-    log_energy = np.sort(np.append(np.log(probe.energy), math.log(temperature)))
-    log_mass = np.interp(log_energy, np.log(probe.energy), probe.log_mass)
-    grown = log_mass + 2.0 * count * np.maximum(log_energy - math.log(temperature), 0.0)
-    ends = []
-    for share in TAIL:
-        wanted = log_mass.max() + math.log(share * tol)
-        if not grown[-1] < wanted:
-            raise NotCertified("the density does not fall faster than the eigenfunctions rise")
-        k = int(np.flatnonzero(grown >= wanted)[-1])
-        fall = (grown[k] - wanted) / (grown[k] - grown[k + 1])
-        ends.append(math.exp(log_energy[k] + fall * (log_energy[k + 1] - log_energy[k])))
+    rise = np.where(probe.energy > temperature, 2.0 * count / probe.energy, 0.0)
+    grown = replace(probe, slope=probe.slope + rise)
+    try:
+        ends = [grown.extent(tail * tol * 0.25**count) for tail in TAIL]
+    except NotCertified:
+        words = "the density does not fall faster than the eigenfunctions rise"
+        raise NotCertified(words) from None
     for turn in range(ROUNDS):
         end, last = (LONGER**turn * energy for energy in ends)
         nodes = time_nodes(process, end, degree, fine=((0.0, wave),) if count > WAVES else ())
