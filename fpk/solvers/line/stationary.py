@@ -20,7 +20,6 @@ from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
 from fpk.solvers.line.mesh import (
     GRADED_LAYERS,
-    LOG_GROWTH,
     NATS,
     SMOOTH_NATS,
     initial_nodes,
@@ -40,8 +39,6 @@ decades over an element 2 is too little: of 779 chains of 1 to 100 masses at tol
 2e-10 the error at a point was above twice the distance in 8, up to three times it."""
 MOST_ELEMENTS = 20_000
 """Elements beyond which none is cut any more: a solution of so many takes seconds."""
-
-
 HALF_WAVE = 4
 """Points at which the distance to the enriched solution is sampled, for each of its half-waves."""
 
@@ -187,12 +184,7 @@ def solve_stationary(
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
     probe = probed(process)
     end = probe.extent(1e-2 * tol)
-    nats: Array | float = NATS
-    if smooth:
-        # The error of an element counts by its mass, and rises with the nats to this power.
-        fall = probe.log_mass.max() - probe.log_mass
-        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), LOG_GROWTH))
-    layers = 0 if smooth else GRADED_LAYERS
+    nats, layers = (SMOOTH_NATS, 0) if smooth else (NATS, GRADED_LAYERS)
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
     special = np.array([0.0, *process.nonsmooth])

@@ -93,7 +93,7 @@ class Elements:
     @cached_property
     def steps(self) -> Array:
         """Unit of π in each element but the last, divided by that in the next."""
-        return np.exp(self.log_scale[:-1] - self.log_scale[1:])
+        return np.exp(-np.diff(self.log_scale))
 
     @cached_property
     def load(self) -> Array:
@@ -118,9 +118,9 @@ class Elements:
     def coefficient_error(self, upto: float = 0.0) -> float:
         """Relative error that the coefficients leave in densities and rates.
 
-        An element counts by its share of the mass and of the way through the bulk, in units of
-        √b: near a contact energy errors are large on very short elements. Beyond the bulk is 1e-6
-        of the mass. ``upto`` is an energy that the way reaches at least.
+        An element counts by its share of the mass and of the way through the bulk, beyond which is
+        1e-6 of the mass, in units of √b: near a contact energy errors are large on very short
+        elements. ``upto`` is an energy that the way reaches at least.
         """
         mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
         bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
@@ -143,12 +143,12 @@ class Elements:
         ``f`` (…, elements, functions) are the coefficients and ``size`` the sizes of theirs.
         """
         k, values = self.functions(x)
-        size = np.abs(f) if size is None else size
         p, sizes = (
-            np.einsum("...xi,xi->...x", a[..., k, :], v)
-            for a, v in ((f, values), (size, np.abs(values)))
+            np.array([np.einsum("xi,xi->x", each[k], v) for each in a.reshape(-1, *f.shape[-2:])])
+            for a, v in ((f, values), (np.abs(f) if size is None else size, np.abs(values)))
         )
-        return p, sizes
+        shape = *f.shape[:-2], x.size
+        return p.reshape(shape), sizes.reshape(shape)
 
     def log_density(self, x: Array, *, of_states: bool = False) -> Array:
         """Return ln π at points x > 0, in the unit of ``log_scale``; or ln π/T, ``of_states``."""

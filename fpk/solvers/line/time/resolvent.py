@@ -90,8 +90,8 @@ def evolved(
 ) -> Evolved:  # fmt: skip
     """Return the coefficients at ``times`` > 0 of what begins with ``load``, as of ``resolvent``.
 
-    By inverse transforms with ``more`` points on each contour. The last end is ``held`` at a value
-    from the time 0 on; None: no flux leaves there.
+    Contours have ``more`` points. The last end is ``held`` at a value from the time 0 on; None: no
+    flux leaves there.
     """
     values, size = np.zeros((2, times.size, e.count, e.degree + 1))
     residuals = [0.0]
