@@ -20,8 +20,6 @@ from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
 from fpk.solvers.line.mesh import (
     GRADED_LAYERS,
-    NATS,
-    SMOOTH_NATS,
     initial_nodes,
     split_points,
     with_layers,
@@ -184,8 +182,8 @@ def solve_stationary(
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
     probe = probed(process)
     end = probe.extent(1e-2 * tol)
-    nats, layers = (SMOOTH_NATS, 0) if smooth else (NATS, GRADED_LAYERS)
-    nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
+    layers = 0 if smooth else GRADED_LAYERS
+    nodes = initial_nodes(probe, end, process.nonsmooth, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
