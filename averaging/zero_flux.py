@@ -23,9 +23,6 @@ POINTS = (16, 20)
 """Gauss points per panel of integrals along H, and of the finer rule that tells their error."""
 ROUND_OFF = 16.0 * EPS
 """Round-off of a logarithm of p or of σ², relative to 1 + |ln|, of some dozens of operations."""
-NARROW = 1e-13
-"""Length of a panel, relative to the last energy, below which it is not cut: what is left of a
-singularity there is part of the stated error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +164,7 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     below ``tol``.
     """
     probe = probed(process)
-    end = probe.extent(1e-2 * tol)
-    nodes = initial_nodes(probe, end, process.nonsmooth)
+    nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)
     special = np.array([0.0, *process.nonsmooth])
 
     def rate_and_error(energy: Array) -> Array:
@@ -183,15 +179,13 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
 
     def unresolved(lengths: Array, coefficients: Array) -> Array:
         error = truncation(lengths, coefficients)
-        # What the coefficients do not know no panel can resolve, nor is a very short one cut.
-        known = (error > lengths * coefficients[:, 0, 1]) & (lengths > NARROW * end)
-        return np.where(known, error, 0.0)
+        # What the coefficients do not know, no panel can resolve.
+        return np.where(error > lengths * coefficients[:, 0, 1], error, 0.0)
 
     rate = fit(
         rate_and_error,
         nodes,
         0.1 * tol / nodes.size,
-        degree=POINTS[0] - 1,
         cut=lambda left, right: split_points(left, right, special),
         estimate=unresolved,
     )

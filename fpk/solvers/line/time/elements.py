@@ -21,12 +21,11 @@ from scipy.special import roots_jacobi
 
 from fpk.numeric.arrays import Array, Flags, Integers
 from fpk.numeric.quadrature import gauss_legendre
+from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.line.mesh import HIGHEST, NONE, first_degree, split_points
 from fpk.solvers.plane.elements import shape_functions
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
-ENRICHMENT = 2
-"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
 SAFETY = 3.0
 """Factor on the distance to the enriched solution, of densities, first passage and rates."""
 MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000

@@ -14,9 +14,10 @@ from fpk.answer.evolution import BEYOND_RANGE, STARTS, Passage, StartCurve, cert
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.line.mesh import HIGHEST, NONE, layer_at, time_nodes
 from fpk.solvers.line.time.elements import (
-    ENRICHMENT,
     SAFETY,
     Elements,
     Evolved,
@@ -39,8 +40,6 @@ LARGEST_MEAN = 1e300
 """Mean times beyond it are out of the range of double precision in what is made of them."""
 MOST_STEPS = 2_000
 """Most iterations for the failure rate; a hundred do for a hundred masses."""
-SAMPLES = np.array([0.0, 0.1, 0.35, 0.65, 0.9])
-"""Points of an element, as shares of its length, at which the answer is compared."""
 SHARE = 0.1
 """Share of the tolerance for the mesh, and for the steps of modulated noise: variances have more
 error than p."""
@@ -200,7 +199,7 @@ def first_passage(
         for own, better in ((a.conductance, b.conductance), masses):
             marked |= np.abs(own * unit - better) > wanted * better
         if times.size:
-            x = (a.left[:, None] + (a.right - a.left)[:, None] * SAMPLES).ravel()
+            x = panel_rule(a.nodes, 5)[0].ravel()
             p, better = answer.failures(times, x)[0]
             distance = np.abs(p - better)
             marked |= (distance.max(axis=0) > wanted).reshape(a.count, -1).any(axis=1)

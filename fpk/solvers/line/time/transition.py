@@ -11,9 +11,9 @@ from fpk.answer.certificate import Certificate, Measured, certify
 from fpk.answer.observable import number_text
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput
+from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.line.mesh import GROWTH, HIGHEST, LAYER, NONE, layer_at, time_nodes
 from fpk.solvers.line.time.elements import (
-    ENRICHMENT,
     SAFETY,
     Elements,
     Evolved,
@@ -33,8 +33,6 @@ TAIL = (1e-3, 1e-8)
 FARTHEST = -600.0
 """ln of the least stationary probability beyond a start that double precision can relate to one;
 four times as much where the start is a density and not one energy (at −5000 errors exceed it)."""
-STALLED = 0.9
-"""Ratio of the error to that of the round before that shows that finer elements do not help."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +225,7 @@ def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Tr
         solutions = solve(e=pair[0], more=0), solve(e=pair[1], more=ENRICHMENT)
         answer, own, rounding = judged(question, *solutions)
         marked = own > np.maximum(0.1 * tol / own.size, rounding)
-        small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < STALLED * before
+        small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < before
         before = own.sum()
         return answer, marked & (not small)
 
