@@ -8,9 +8,9 @@ from fpk.numeric.arrays import Array
 from fpk.solvers.probe import Probe, probed
 from fpk.system.process import Process
 
-NATS = 3.0
-"""Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11. A polynomial of
-degree p misses e^(−x) over n nats by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev)."""
+NATS = 3.5
+"""Fall of ln(p/T) over one element. Over n nats a polynomial of degree p misses e^(−x) by
+n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev): 1e-8 in degree 10."""
 SPREAD = 20.0
 """Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15

@@ -17,7 +17,7 @@ from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify, out
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.numeric.piecewise import Piecewise
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
+from fpk.solvers.line.elements import MORE_POINTS, Elements, NullVectors, joined, solve_elements
 from fpk.solvers.line.mesh import (
     GRADED_LAYERS,
     initial_nodes,
@@ -104,12 +104,9 @@ class StationarySolution:
         point = (np.arccos(1.0 - 2.0 * share) * count / np.pi).astype(int)
         ends = self._log_distance[k, point], self._log_distance[k, np.minimum(point + 1, count)]
         distance = np.exp(np.maximum(*ends) + factor)
-        most, relative = self._round_off
-        floor = self.common_error + outside(self.measured) + relative[k]
+        floor = self.common_error + outside(self.measured)
         error = POINTWISE_SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor))
-        # Towards H = 0 p/T has no bound.
-        log_T = self._log_states(np.maximum(x, self._first))
-        return np.asarray(error + most[k] * np.exp(factor - log_T))
+        return np.asarray(error + np.exp(np.interp(x, *self._log_round_off) + factor))
 
     def _log_states(self, energy: Array) -> Array:
         """ln T at energies of any shape; beyond the last node, ln T of that node."""
@@ -117,11 +114,6 @@ class StationarySolution:
         x, positive = self.process.on_mesh(np.asarray(energy, dtype=float), end)
         log_T = self.process.coefficients(x.ravel()).log_density_of_states.reshape(x.shape)
         return np.where(positive | (np.asarray(energy) > end), log_T, -np.inf)
-
-    @property
-    def _first(self) -> float:
-        """Least energy at which the equation is tested."""
-        return float(self.nodes[1] * element_rule(self.degree).share[0])
 
     @cached_property
     def _log_distance(self) -> Array:
@@ -142,29 +134,34 @@ class StationarySolution:
         log_scale = np.array([self.answer.log_scale, self.enriched.log_scale])
         distance = np.abs(u - np.exp(log_scale[1] - log_scale[0])[:, None] * better)
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * 0.5 * (1.0 + t)
-        power = 0.5 * (self.process.degrees_of_freedom - 1)
-        log_root = power * np.log(np.maximum(x, self._first))
+        first = float(panel_rule(self.nodes[:2], self.degree + MORE_POINTS)[0][0, 0])
+        log_root = 0.5 * (self.process.degrees_of_freedom - 1) * np.log(np.maximum(x, first))
         weighted = np.log(np.maximum(distance, SMALLEST)) + log_root
         around = maximum_filter1d(weighted, 4 * HALF_WAVE + 1, axis=1, mode="nearest")
         return np.asarray(around - log_root + log_scale[0][:, None])
 
     @cached_property
-    def _round_off(self) -> tuple[Array, Array]:
-        """Round-off of p in each element, as it is and relative to p, (elements,).
+    def _log_round_off(self) -> tuple[Array, Array]:
+        """Energies, and the logarithm of the round-off of u there.
 
         Elimination of m unknowns, sums of m terms in m steps, leaves between m and m² roundings of
         the largest p in the element, everywhere in it, m^(3/2) by the largest that was measured;
         the answer and the enriched solution have them alike. At a node where p is much less it
         spoils the scale of all elements on the side of less mass.
         """
-        p = np.abs(self.density(panel_rule(self.nodes, self.degree)[0]))
+        x = panel_rule(self.nodes, self.degree + MORE_POINTS)[0]
+        x = np.hstack([self.nodes[:-1, None], x, self.nodes[1:, None]])
+        x[0, 0] = x[0, 1]  # towards H = 0 p/T has no bound
+        log_T = self._log_states(x)
+        p = np.abs(self.answer(x, log_factor=log_T))
         most = self.degree**1.5 * p.max(axis=1)
-        at_nodes = np.maximum(np.abs(self.density(self.nodes[1:-1])), SMALLEST)
+        at_nodes = np.maximum(p[:-1, -1], SMALLEST)
         steps, top = (most[:-1] + most[1:]) / at_nodes, int(most.argmax())
         # Added up from the most massive element outwards: farther out they grow without bound.
         below, above = np.cumsum(steps[:top][::-1])[::-1], np.cumsum(steps[top:])
         relative = self.nodes.size + np.concatenate([below, [0.0], above])
-        return 2.0 * EPS * most, 2.0 * EPS * relative
+        error = 2.0 * EPS * (most[:, None] + relative[:, None] * p)
+        return x.ravel(), (np.log(np.maximum(error, SMALLEST)) - log_T).ravel()
 
 
 def solve_stationary(

@@ -113,22 +113,20 @@ def steps_of(
     for stop in stops.tolist():
         inner = grown[(grown > ends[-1] * (1.0 + FIRST)) & (grown < stop * (1.0 - FIRST))]
         ends += [*inner.tolist(), stop]
+    number, parts = np.arange(len(ends)), 2**level
     M, K, C = MKC
-    (A, c), eye, parts = radau(), np.eye(STAGES), 2**level
-    g, before = None, 0.0
-    for a, b in pairwise(ends):
-        step = (b - a) / parts
-        for k in range(1, parts + 1):
-            r = modulation(before + step * c) ** 2 / unit
-            system = csc_array(kron(M, eye) + kron(K, step * A * r) - kron(C, step * A * (1.0 - r)))
-            right = np.repeat(load if g is None else M @ g, STAGES)
-            stages = splu(system).solve(right)
-            size = float(np.max(abs(system) @ np.abs(stages)))
-            missed = float(np.max(np.abs(system @ stages - right)))
-            residual = missed / size if size > 0.0 else missed  # all is 0: nothing is left
-            g = stages[STAGES - 1 :: STAGES]
-            before = b if k == parts else a + (b - a) * k / parts
-            yield before, step, stages.reshape(-1, STAGES).T, residual
+    (A, c), eye = radau(), np.eye(STAGES)
+    for before, end in pairwise(np.interp(np.arange(number[-1] * parts + 1) / parts, number, ends)):
+        step = end - before
+        r = modulation(before + step * c) ** 2 / unit
+        system = csc_array(kron(M, eye) + kron(K, step * A * r) - kron(C, step * A * (1.0 - r)))
+        right = np.repeat(load, STAGES)
+        stages = splu(system).solve(right)
+        size = float(np.max(abs(system) @ np.abs(stages)))
+        missed = float(np.max(np.abs(system @ stages - right)))
+        residual = missed / size if size > 0.0 else missed  # all is 0: nothing is left
+        load = M @ stages[STAGES - 1 :: STAGES]
+        yield end, step, stages.reshape(-1, STAGES).T, residual
 
 
 def stepped(
@@ -186,14 +184,14 @@ def modulated_transition(
 
     solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0]))
     e, finer = solved.elements, solved.enriched.elements
-    weight = e.weight.ravel()
-    level, settings = halved(
-        e,
-        lambda level: carried(e, level).density(e.x.ravel())[0],
-        lambda moved, _: float((moved @ weight).max()),
-        0.25 * tol,
-        tol,
-    )
+
+    def values(level: int) -> Array:
+        return carried(e, level).density(e.x.ravel())[0] * e.weight.ravel()
+
+    def l1(moved: Array, _: Array) -> float:
+        return float(moved.sum(axis=1).max())
+
+    level, settings = halved(e, values, l1, 0.25 * tol, tol)
     # In steps twice as long, so that what is compared with it sees the error of both.
     own, enriched = carried(e, level), carried(finer, level - 1)
     solved, _, _ = judged(question, own, enriched)
