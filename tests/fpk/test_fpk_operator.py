@@ -25,7 +25,7 @@ def test_the_stationary_vector_of_one_energy_is_that_of_single_elements(degree, 
     nodes = np.unique([*np.linspace(0.0, 4.0, 9), *process.nonsmooth])
     solved = solve_on_mesh(process, nodes, degree)
     # The points of an element are degree + MORE_POINTS, exact for twice as many.
-    operator = Operator(process, (nodes,), degree, 2 * (degree + 8) - 1, flux_form=True)
+    operator = Operator(process, (nodes,), degree, 2 * (degree + 10) - 1, flux_form=True)
     u = operator.stationary()
     p, expected = operator.density(u, H[:, 0]), solved.density(H[:, 0])
     if contact:

@@ -21,7 +21,7 @@ from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 ENRICHMENT = 2
 """Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
-MORE_POINTS = 8
+MORE_POINTS = 10
 """Points of an element beyond its degree: with fewer the answer and the enriched solution share an
 error where T ~ H^(n−1) is steep (n from 7 to 40: up to four times their distance)."""
 NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
