@@ -23,9 +23,6 @@ POINTS = (16, 20)
 """Gauss points per panel of integrals along H, and of the finer rule that tells their error."""
 ROUND_OFF = 16.0 * EPS
 """Round-off of a logarithm of p or of σ², relative to 1 + |ln|, of some dozens of operations."""
-NARROW = 1e-13
-"""Length of a panel, relative to the last energy, below which it is not cut: what is left of a
-singularity there is part of the stated error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,15 +182,11 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
         # What the coefficients do not know, no panel can resolve.
         return np.where(error > lengths * coefficients[:, 0, 1], error, 0.0)
 
-    def cut(left: Array, right: Array, end: float = float(nodes[-1])) -> Array:
-        return np.where(right - left <= NARROW * end, left, split_points(left, right, special))
-
     rate = fit(
         rate_and_error,
         nodes,
         0.1 * tol / nodes.size,
-        degree=POINTS[0] - 1,
-        cut=cut,
+        cut=lambda left, right: split_points(left, right, special),
         estimate=unresolved,
     )
     nodes, lengths = rate.nodes, np.diff(rate.nodes)

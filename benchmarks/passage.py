@@ -61,7 +61,7 @@ def ours(solver: str, asked: str, x: int) -> Answer:
 def mean_alone(x: int) -> Answer:
     """Return the mean by the elements, without variance and the check by the forward equation."""
     solved = first_passage(energy_process(SYSTEM), x * D / C, times=NONE)
-    value, other = solved.longest, solved.enriched.longest
+    value, other = solved.from_rest
     return value, SAFETY * abs(value - other) + solved.relative * value
 
 

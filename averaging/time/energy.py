@@ -19,7 +19,7 @@ from fpk.answer.evolution import Passage, Transient, checked_times
 from fpk.answer.observable import Coordinate
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable
-from fpk.solvers.line.time.modulated import Modulated, modulated_transient, modulated_transition
+from fpk.solvers.line.time.modulated import modulated_transient, modulated_transition
 from fpk.solvers.line.time.passage import fem_passage, modulated_passage
 from fpk.solvers.line.time.spectrum import spectrum
 from fpk.solvers.line.time.transition import Source, transition
@@ -51,15 +51,16 @@ def transient(system: System, solver: str, asked: DensityQuestion) -> Transient:
     if modulation is None:
         solved = transition(energy_process(system), source, times, tol=tol)
     elif of_energy:
-        motion = Modulated(partial(_process, system), modulation, source)
-        return modulated_transient(motion, times, asked.at[0], tol=tol)
+        return modulated_transient(
+            partial(_process, system), modulation, source, times, asked.at[0], tol=tol
+        )
     elif not modulation.last and times[-1] > modulation.times[-1]:
         raise NotApplicable(
             "after the end of the noise fem gives densities of the energy only, not of q, p"
         )
     else:
-        motion = Modulated(partial(_process, system), modulation, source)
-        solved = modulated_transition(motion, times, tol=tol)
+        under = partial(_process, system)
+        solved = modulated_transition(under, modulation, source, times, tol=tol)
     if not of_energy:
         return state_transient(system, solved, asked)
     numbers = solved.density(asked.at[0])
@@ -73,8 +74,8 @@ def passage(
     checked_times(times)
     source, modulation = _source(system, start), system.modulation
     if solver == "fem" and modulation is not None:
-        motion = Modulated(partial(_process, system), modulation, source)
-        return modulated_passage(motion, limit, times, tol=tol)
+        under = partial(_process, system)
+        return modulated_passage(under, modulation, source, limit, times, tol=tol)
     if solver == "fem":
         return fem_passage(energy_process(system), limit, source, times, tol=tol)
     closed = square_root(system, solver)

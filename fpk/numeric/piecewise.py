@@ -47,16 +47,11 @@ class Piecewise:
         return value.reshape((*at.shape, *shape[2:]))
 
     def antiderivative(self) -> "Piecewise":
-        """Return ∫f from the first node, continuous."""
-        factor, log_scale = 0.5 * np.diff(self.nodes), None
-        if self.log_scale is not None:
-            top = float(self.log_scale.max())
-            factor = factor * np.exp(self.log_scale - top)
-            log_scale = np.full(self.log_scale.size, top)
+        """Return ∫f from the first node, continuous, of f without a ``log_scale``."""
         within = np.asarray(legendre.legint(self.coefficients, axis=1, lbnd=-1), float)
-        within *= factor.reshape(-1, *(1,) * (within.ndim - 1))
+        within *= 0.5 * np.diff(self.nodes).reshape(-1, *(1,) * (within.ndim - 1))
         within[1:, 0] += np.cumsum(within.sum(axis=1), axis=0)[:-1]
-        return replace(self, coefficients=within, log_scale=log_scale, error=None)
+        return replace(self, coefficients=within, error=None)
 
 
 def fit(

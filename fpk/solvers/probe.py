@@ -7,7 +7,6 @@ from functools import cached_property
 import numpy as np
 
 from fpk.numeric.arrays import Array
-from fpk.numeric.compiling import cached_njit
 from fpk.numeric.errors import NotCertified
 from fpk.system.ends import FAR_OUT, OUT_OF_RANGE, require_falling
 from fpk.system.process import Coefficients, Process, log_density_slope
@@ -21,8 +20,6 @@ SAGITTA = 1.0
 may rise above its chord. Asked for where p is within exp(−``DEEP``) of its maximum."""
 DEEP = 100.0
 """Nats below the largest p H down to which a probe resolves it: 1e-43 of the mass."""
-LOG_LARGEST = math.log(np.finfo(float).max)
-"""Logarithm of the largest floating-point number: a density that rises by more has no bound."""
 PROBE_ROUNDS = 20
 """Halvings of the distance between points of a probe, at the most."""
 
@@ -74,9 +71,15 @@ class Probe:
         beyond the last one at the rate there.
         """
         first = int(np.searchsorted(self.energy, end, side="right"))
-        rate = -float(np.interp(end, self.energy, self.slope))
-        length = _mean_length(self.energy[first:] - end, self.slope[first:], rate)
-        return density_at_end * length if length < math.inf else math.inf  # not 0 · ∞
+        rate = -np.append(np.interp(end, self.energy, self.slope), self.slope[first:])
+        least = np.minimum(rate[:-1], rate[1:])
+        with np.errstate(all="ignore"):
+            fall = least * np.diff(self.energy[first:], prepend=end)
+            share = np.exp(-np.append(0.0, fall.cumsum()))
+            length = float(np.sum(-np.diff(share) / least) + share[-1] / rate[-1])
+        # Not where p rises beyond all bounds, or at the end; and not 0 · ∞.
+        falls = rate[-1] > 0.0 and math.isfinite(length)
+        return density_at_end * length if falls else math.inf
 
     def e_fold(self, end: float) -> float:
         """Return the mean energy over which p/T changes by the factor e, below ``end``."""
@@ -84,21 +87,6 @@ class Probe:
         energy = np.concatenate([[0.0], self.energy[inside], [end]])
         nats = float(np.trapezoid(np.interp(energy, self.energy, self.roughness), energy))
         return end / nats
-
-
-@cached_njit()
-def _mean_length(distance: Array, slope: Array, rate: float) -> float:
-    """∫p/p(end) over the distances from the end, p falling at ``rate`` there; ∞ where it rises."""
-    total, share, before = 0.0, 1.0, 0.0
-    for k in range(distance.size):
-        least = min(rate, -slope[k])
-        fall = least * (distance[k] - before)
-        if least == 0.0 or not fall > -LOG_LARGEST:
-            return np.inf
-        after = share * np.exp(-fall)
-        total += (share - after) / least
-        rate, share, before = -slope[k], after, distance[k]
-    return total + share / rate if rate > 0.0 else np.inf
 
 
 def probed(process: Process) -> Probe:

@@ -46,8 +46,8 @@ MOST_TERMS = 20_000
 elements."""
 BESSEL = 50.0
 """Error of scipy's ``ive`` in roundings, and of the power series beside it."""
-FEW, MOST_POWERS = 60.0, 40
-"""x y below which the Bessel function is summed as a power series, and its powers: 60^41/41!² is
+FEW = 60.0
+"""x y below which the Bessel function is summed as a power series, of 40 powers: 60^41/41!² is
 1e-26, beside a sum of 1 or more."""
 LARGE = 1e4
 """Argument of a Bessel function, over the square of its order, beyond which it is asymptotic."""
@@ -84,11 +84,9 @@ class SquareRoot:
         The latter, under the multiple ``noise`` of the noise, stays a gamma density. From an energy
         H_0 it is noncentral χ² of 2n degrees: Cox, Ingersoll and Ross, Econometrica 53 (1985) 385.
         """
-        values, errors = np.empty((2, times.size, at.size))
-        judged = []
-        for k, t in enumerate(times.tolist()):
-            values[k], errors[k] = self.density(start, noise, t, at)
-            judged.append(self.judged(start, noise, t))
+        each = times.tolist()
+        judged = [self.judged(start, noise, t) for t in each]
+        values, errors = np.array([self.density(start, noise, t, at) for t in each]).swapaxes(0, 1)
         error, mass, least = np.max(judged, axis=0).tolist()
         measured = Measured(error, mass, -least, None, None)
         return Transient(times, values, errors, "numerical", certify(measured, tol=tol))
@@ -258,9 +256,9 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
     """
     few = x * y < FEW
     # Σ (x y)^k/(k! (n)_k), of positive terms.
-    product, series = np.where(few, x * y, 0.0), np.ones(x.shape)
-    for k in range(MOST_POWERS if y > 0.0 else 0, 0, -1):
-        series = 1.0 + product / (k * (n + k - 1.0)) * series
+    k = np.arange(1.0, 41.0)
+    steps = np.where(few, x * y, 0.0)[..., None] / (k * (n + k - 1.0))
+    series = 1.0 + np.cumprod(steps, axis=-1).sum(axis=-1)
     # e^(−z) I_(n−1)(z): scipy's has no value at very large z, where Abramowitz and Stegun (9.7.1)
     # has a next term below 1/LARGE^4.
     z, mu = 2.0 * np.sqrt(x) * np.sqrt(y), 4.0 * (n - 1) ** 2

@@ -85,7 +85,7 @@ def chain_with(exponent):
 def density_on_mesh(process, form, degree, nodes):
     if form == "flux":
         return solve_on_mesh(process, nodes, degree).density
-    operator = Operator(process, (nodes,), degree, element_rule(degree).share.size)
+    operator = Operator(process, (nodes,), degree, degree + 4)
     u = operator.stationary()
     return lambda x: operator.density(u, x.ravel()).reshape(x.shape)
 

@@ -59,8 +59,6 @@ def test_scales_reach_beyond_double_precision():
     f = Piecewise(nodes, np.repeat(unit, 240, axis=0), log_scale=-200.0 * nodes[:-1])
     np.testing.assert_allclose(f(X, log_factor=200.0 * X), 1.0, rtol=1e-11)
     assert f(3.6) == 0.0 or f(3.6) < 1e-300
-    assert f.antiderivative()(6.0) == pytest.approx(1.0 / 200.0, rel=1e-12)
-    np.testing.assert_allclose(f.antiderivative()(X), -np.expm1(-200.0 * X) / 200.0, rtol=1e-10)
 
 
 def test_outside_its_nodes_it_is_what_it_is_said_to_be():

@@ -14,20 +14,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legder, legvander
-from numpy.typing import NDArray
 
 from fpk.numeric.arrays import SMALLEST, Array
-from fpk.numeric.compiling import cached_njit, inlined
 from fpk.numeric.quadrature import gauss_legendre
-from fpk.system.process import Coefficients, Process
+from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 ENRICHMENT = 2
 """Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
-STEEP_POINTS = 4
-"""Gauss points that an element has more where T ~ H^(n−1) is steep, n > 2: with fewer the answer
-and the enriched solution share an error (n from 7 to 40: up to four times their distance)."""
-CONTACT_POINTS = 8
-"""Points by which integrals over an element that begins where contact does exceed the degree."""
+MORE_POINTS = 10
+"""Points of an element beyond its degree: with fewer the answer and the enriched solution share an
+error where T ~ H^(n−1) is steep (n from 7 to 40: up to four times their distance)."""
 NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
 """Solver on nodes, of a degree, by a number of Gauss points: Legendre series of u, residual."""
 
@@ -44,10 +40,10 @@ class Rule(NamedTuple):
 
     In elements that begin where contact does both masses have points of their own, at
     ``contact_share`` with ``contact_weight`` and values ``contact_P``: those of the answer first,
-    then those of the enriched solution. They are Gauss points in (H − H_c)^⅓: in √(H − H_c) T is
-    smooth, but stiff contact leaves a layer just above H_c. Without clearance, or with very little
-    beside a stiff stop, T has other roots and both rules converge algebraically: twice as many
-    points keep less than half of the error for any power of H − H_c from ½ on.
+    as many as above, then those of the enriched solution. They are Gauss points in (H − H_c)^⅓: in
+    √(H − H_c) T is smooth, but stiff contact leaves a layer just above H_c. Without clearance, or
+    with very little beside a stiff stop, T has other roots and both rules converge algebraically:
+    twice as many points keep less than half of the error for any power of H − H_c from ½ on.
     """
 
     share: Array
@@ -61,63 +57,58 @@ class Rule(NamedTuple):
 
 
 @lru_cache
-def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
-    """Return the points of elements of ``degree`` where T ~ H^(n−1), n = ``degrees_of_freedom``."""
-    steep = STEEP_POINTS if degrees_of_freedom > 2 else 0
-    share, weight = _gauss(degree + ENRICHMENT + 2 + steep)
-    count, highest = degree + 2 + CONTACT_POINTS, degree + ENRICHMENT
-    t, w = (np.concatenate(x) for x in zip(_gauss(count), _gauss(2 * count - 2), strict=True))
-    value = np.asarray(legvander(2.0 * share - 1.0, highest), dtype=float)
+def element_rule(degree: int) -> Rule:
+    """Return the points of elements of ``degree``."""
+    points, highest = degree + MORE_POINTS, degree + ENRICHMENT
+    (x, w), other = gauss_legendre(points), gauss_legendre(2 * points - 2)
+    t, contact_w = (
+        0.5 * np.concatenate(both)
+        for both in zip((x + 1.0, w), (other[0] + 1.0, other[1]), strict=True)
+    )
+    value = np.asarray(legvander(x, highest), dtype=float)
     slope = 2.0 * value[:, :-1] @ legder(np.eye(highest + 1))
     tests = value[:, :-1, None]
     # All points but the middle one, exact for as many degrees as are left.
-    enriched_weight, used = np.zeros(share.size), np.arange(share.size) != share.size // 2
-    every = legvander(2.0 * share[used] - 1.0, share.size - 2)
-    enriched_weight[used] = np.linalg.solve(every.T, np.eye(share.size - 1)[0])
+    interpolation, used = np.zeros(points), np.arange(points) != points // 2
+    every = legvander(x[used], points - 2)
+    interpolation[used] = np.linalg.solve(every.T, np.eye(points - 1)[0])
     return Rule(
-        share=share,
-        weight=weight,
-        enriched_weight=enriched_weight,
-        P=np.ascontiguousarray(value.T),
-        tested=np.concatenate(
-            [(tests * f[:, None]).reshape(share.size, -1) for f in (value, slope)]
-        ),
+        share=0.5 * (1.0 + x),
+        weight=0.5 * w,
+        enriched_weight=interpolation,
+        P=value.T,
+        tested=np.concatenate([(tests * f[:, None]).reshape(points, -1) for f in (value, slope)]),
         contact_share=t**3,
-        contact_weight=3.0 * t**2 * w,
-        contact_P=np.ascontiguousarray(legvander(2.0 * t**3 - 1.0, highest).T),
+        contact_weight=3.0 * t**2 * contact_w,
+        contact_P=np.asarray(legvander(2.0 * t**3 - 1.0, highest).T, dtype=float),
     )
-
-
-def _gauss(points: int) -> tuple[Array, Array]:
-    """Gauss points and weights on [0, 1]."""
-    x, w = gauss_legendre(points)
-    return 0.5 * (1.0 + x), 0.5 * w
 
 
 class Elements(NamedTuple):
     """Solutions of single elements, each of mass 1; every array (elements, …).
 
     ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
-    p e^(−log_factor)/T; ``values`` and ``enriched_values`` (elements, points) are p at the same
-    points, ``weights`` those of the points. ``residual`` is
-    relative to the terms that cancel in it; ``net_flux`` is the mean of J and ``one_way`` the terms
-    that cancel in that. ``coefficient_error`` is the largest relative error of the coefficients,
-    ``at_end`` p at the right end.
+    p e^(−log_factor)/T; ``values`` and ``enriched_values`` (elements, points) are p at the points
+    ``x`` with ``weights``. ``residual`` is relative to the terms that cancel in it;
+    ``net_flux`` is the mean of J and ``one_way`` the terms that cancel in that.
+    ``coefficient_error`` is the largest relative error of the coefficients, ``slope_error`` the
+    error that it leaves in ln p from one end to the other.
     """
 
     left: Array
     right: Array
     coefficient_error: Array
+    slope_error: Array
     u: Array
     enriched: Array
     log_factor: Array
+    x: Array
+    weights: Array
     values: Array
     enriched_values: Array
-    weights: Array
     residual: Array
     net_flux: Array
     one_way: Array
-    at_end: Array
 
 
 def solve_elements(
@@ -137,25 +128,18 @@ def solve_elements(
     own for them. ``null_vectors(process, nodes, degree, points)`` gives u of all elements and the
     residual by another solver of the same equations.
     """
-    rule, h = element_rule(degree, process.degrees_of_freedom), (right - left)[:, None]
-    above = np.array([k for k, H in enumerate(left.tolist()) if H in process.nonsmooth], np.intp)
-    energy = left[:, None] + h * rule.share
-    inner = left[above, None] + h[above] * rule.contact_share
-    flat = process.coefficients(np.concatenate([energy.ravel(), inner.ravel(), right]))
-    c = Coefficients(*(a[: energy.size].reshape(energy.shape) for a in flat))
+    rule, h = element_rule(degree), (right - left)[:, None]
+    contact = np.flatnonzero(np.isin(left, process.nonsmooth))
+    x, points = left[:, None] + h * rule.share, rule.share.size
+    inner = left[contact, None] + h[contact] * rule.contact_share
+    flat = process.coefficients(np.concatenate([x.ravel(), inner.ravel()]))
+    c = Coefficients(*(a[: x.size].reshape(x.shape) for a in flat))
     error = c.relative_error.max(axis=1)
-    log_T = flat.log_density_of_states
-    log_factor = np.maximum(c.log_density_of_states.max(axis=1), log_T[-left.size :])
+    log_factor = c.log_density_of_states.max(axis=1)
     T = np.exp(c.log_density_of_states - log_factor[:, None])
-    T_end = np.exp(log_T[-left.size :] - log_factor)
-    inner_T = log_T[energy.size : -left.size].reshape(inner.shape) - log_factor[above, None]
-    inner_T = np.exp(inner_T)
     # J h = factors · (u, du/dt) at the Gauss points, t from 0 to 1 over the element.
-    factors = np.empty((left.size, 2, rule.share.size))
-    factors[:] = (rule.weight * T)[:, None]
-    factors[:, 0] *= h * c.dissipation
-    factors[:, 1] *= -0.5 * c.diffusion
-    A = (factors.reshape(left.size, -1) @ rule.tested).reshape(left.size, -1, degree + 3)
+    factors = np.hstack([h * c.dissipation, -0.5 * c.diffusion]) * np.tile(rule.weight * T, 2)
+    A = (factors @ rule.tested).reshape(left.size, degree + 2, degree + 3)
     largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), SMALLEST)
     A /= largest
     degrees = degree, degree + ENRICHMENT
@@ -163,106 +147,53 @@ def solve_elements(
         u, enriched = (_null_vectors(A, m) for m in degrees)
     else:
         nodes = np.append(left, right[-1])
-        (u, own), (enriched, _) = (
-            null_vectors(process, nodes, m, rule.share.size) for m in degrees
+        (u, own), (enriched, _) = (null_vectors(process, nodes, m, points) for m in degrees)
+    residual, net_flux, one_way = _residuals(A, u)
+    values, better = (T * (f @ rule.P[: f.shape[1]]) for f in (u, enriched))
+    weights, better_mass = np.tile(rule.weight, (left.size, 1)), better @ rule.enriched_weight
+    if contact.size:
+        of_T, of_error = (a[x.size :].reshape(inner.shape) for a in flat[-2:])
+        error[contact] = np.maximum(error[contact], of_error.max(axis=1))
+        inner_T = np.exp(of_T - log_factor[contact, None])
+        own_values, finer = (
+            inner_T * (f[contact] @ rule.contact_P[: f.shape[1]]) for f in (u, enriched)
         )
-    if above.size:
-        inner_error = flat.relative_error[energy.size : -left.size].reshape(inner.shape)
-        error[above] = np.maximum(error[above], inner_error.max(axis=1))
-    points, judged = (left.size, degree + 2 + CONTACT_POINTS), np.empty((4, left.size))
-    e = Elements(
+        x[contact], weights[contact] = inner[:, :points], rule.contact_weight[:points]
+        values[contact], better[contact] = own_values[:, :points], finer[:, :points]
+        better_mass[contact] = finer[:, points:] @ rule.contact_weight[points:]
+    mass = (weights * values).sum(axis=1)
+    # The first equation, of the test function 1, is the mean of J.
+    scale = np.abs(largest[:, 0, 0] / (mass * h[:, 0] ** 2))
+    mass, better_mass = h * mass[:, None], h * better_mass[:, None]
+    slope_error = (h * rule.weight * log_density_slope_error(c)).sum(axis=1)
+    return Elements(
         left=left,
         right=right,
         coefficient_error=error,
-        u=u,
-        enriched=enriched,
+        slope_error=slope_error if process.state_damping else np.zeros(left.size),
+        u=u / mass,
+        enriched=enriched / better_mass,
         log_factor=log_factor,
-        values=np.empty(points),
-        enriched_values=np.empty(points),
-        weights=np.zeros(points),
-        residual=judged[0],
-        net_flux=judged[1],
-        one_way=judged[2],
-        at_end=judged[3],
+        x=x,
+        weights=h * weights,
+        values=values / mass,
+        enriched_values=better / better_mass,
+        residual=residual if null_vectors is None else np.full(left.size, own),
+        net_flux=scale * net_flux,
+        one_way=scale * one_way,
     )
-    _scale_to_mass_one(e, A, largest[:, 0, 0], T, T_end, above, inner_T, rule)
-    if null_vectors is not None:
-        e.residual[:] = own
-    return e
 
 
-@cached_njit()
-def _scale_to_mass_one(
-    e: Elements, A: Array, first: Array, T: Array, T_end: Array, above: NDArray[np.intp],
-    inner_T: Array, rule: Rule,
-) -> None:  # fmt: skip
-    """Scale u of each element to mass 1, and write what is measured on it; all in place.
+def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
+    """Largest residual of A u = 0 of each element, relative to the terms in it, (elements,).
 
-    ``first`` is the factor of the first row of A, which is the equation of the test function 1 and
-    so the mean of J. ``above`` are the elements that begin where contact does, with T at their own
-    points in ``inner_T``. Values at fewer points than the arrays hold are filled with the last one.
+    Then residual and size of the terms of the first equation.
     """
-    most, row = e.weights.shape[1], 0
-    for k in range(e.left.size):
-        u, better, h = e.u[k], e.enriched[k], e.right[k] - e.left[k]
-        e.residual[k], e.net_flux[k], e.one_way[k] = _residual(A[k], u)
-        contact = row < above.size and above[row] == k
-        P, states = (rule.contact_P, inner_T[row]) if contact else (rule.P, T[k])
-        row += contact
-        own = most if contact else states.size
-        for g in range(most):
-            m = min(g, own - 1)
-            e.values[k, g] = states[m] * _series(u, P, m)
-            e.enriched_values[k, g] = states[m] * _series(better, P, m)
-        mass, better_mass, end = 0.0, 0.0, 0.0
-        for g in range(own):
-            e.weights[k, g] = h * (rule.contact_weight[g] if contact else rule.weight[g])
-            mass += e.weights[k, g] * e.values[k, g]
-        if contact:
-            for g in range(own, states.size):
-                better_mass += rule.contact_weight[g] * states[g] * _series(better, P, g)
-        else:
-            for g in range(own):
-                better_mass += rule.enriched_weight[g] * e.enriched_values[k, g]
-        better_mass *= h
-        scale = abs(first[k] / (mass * h))
-        e.net_flux[k], e.one_way[k] = scale * e.net_flux[k], scale * e.one_way[k]
-        for g in range(most):
-            e.values[k, g] /= mass
-            e.enriched_values[k, g] /= better_mass
-        for j in range(u.size):
-            end += u[j]
-            u[j] /= mass
-        for j in range(better.size):
-            better[j] /= better_mass
-        e.at_end[k] = T_end[k] * end / mass
-
-
-@inlined
-def _residual(A: Array, u: Array) -> tuple[float, float, float]:
-    """Largest residual of A u = 0 relative to the terms in it; residual and terms of row one."""
     # All terms are zero where an element is so short that the damping in it underflows.
-    residual, largest, net, one_way = 0.0, SMALLEST, 0.0, 0.0
-    for i in range(u.size - 1):
-        total, size = 0.0, 0.0
-        for j in range(u.size):
-            total += A[i, j] * u[j]
-            size += abs(A[i, j] * u[j])
-        # Of numbers and NaN np.maximum keeps the NaN, unlike max.
-        residual = np.maximum(residual, abs(total))
-        largest = np.maximum(largest, size)
-        if i == 0:
-            net, one_way = abs(total), size
-    return residual / largest, net, one_way
-
-
-@inlined
-def _series(coefficients: Array, P: Array, point: int) -> float:
-    """Σ c_j P_j at one of the points of ``P`` (polynomials, points)."""
-    total = 0.0
-    for j in range(coefficients.size):
-        total += coefficients[j] * P[j, point]
-    return total
+    terms = A[:, : u.shape[1] - 1, : u.shape[1]] * u[:, None]
+    residual, size = np.abs(terms.sum(axis=2)), np.abs(terms).sum(axis=2)
+    relative = residual.max(axis=1) / np.maximum(size.max(axis=1), SMALLEST)
+    return relative, residual[:, 0], size[:, 0]
 
 
 def _null_vectors(A: Array, degree: int) -> Array:

@@ -10,26 +10,22 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial.legendre import legvander
+from scipy.ndimage import maximum_filter1d
 
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify, outside
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
-from fpk.numeric.compiling import cached_njit
 from fpk.numeric.piecewise import Piecewise
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
+from fpk.solvers.line.elements import MORE_POINTS, Elements, NullVectors, joined, solve_elements
 from fpk.solvers.line.mesh import (
     GRADED_LAYERS,
-    LOG_GROWTH,
-    NATS_PER_ELEMENT,
-    SMOOTH_NATS,
     initial_nodes,
     split_points,
     with_layers,
 )
 from fpk.solvers.probe import Probe, probed
-from fpk.system.process import Process, log_density_slope_error
+from fpk.system.process import Process
 
 SAFETY = 2.0
 """Factor on the distance to the enriched solution: at an algebraic singularity of order r of u it
@@ -138,14 +134,11 @@ class StationarySolution:
         log_scale = np.array([self.answer.log_scale, self.enriched.log_scale])
         distance = np.abs(u - np.exp(log_scale[1] - log_scale[0])[:, None] * better)
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * 0.5 * (1.0 + t)
-        n = self.process.degrees_of_freedom
-        first = self.nodes[1] * element_rule(self.degree, n).share[0]
-        log_root = 0.5 * (n - 1) * np.log(np.maximum(x, first))
+        first = float(panel_rule(self.nodes[:2], self.degree + MORE_POINTS)[0][0, 0])
+        log_root = 0.5 * (self.process.degrees_of_freedom - 1) * np.log(np.maximum(x, first))
         weighted = np.log(np.maximum(distance, SMALLEST)) + log_root
-        wide = 2 * HALF_WAVE
-        around = np.pad(weighted, ((0, 0), (wide, wide)), constant_values=-np.inf)
-        largest = sliding_window_view(around, 2 * wide + 1, axis=1).max(axis=2)
-        return np.asarray(largest - log_root + log_scale[0][:, None])
+        around = maximum_filter1d(weighted, 4 * HALF_WAVE + 1, axis=1, mode="nearest")
+        return np.asarray(around - log_root + log_scale[0][:, None])
 
     @cached_property
     def _log_round_off(self) -> tuple[Array, Array]:
@@ -156,15 +149,13 @@ class StationarySolution:
         the answer and the enriched solution have them alike. At a node where p is much less it
         spoils the scale of all elements on the side of less mass.
         """
-        share = np.concatenate(
-            [[0.0], element_rule(self.degree, self.process.degrees_of_freedom).share, [1.0]]
-        )
-        x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * share
+        x = panel_rule(self.nodes, self.degree + MORE_POINTS)[0]
+        x = np.hstack([self.nodes[:-1, None], x, self.nodes[1:, None]])
         x[0, 0] = x[0, 1]  # towards H = 0 p/T has no bound
         log_T = self._log_states(x)
         p = np.abs(self.answer(x, log_factor=log_T))
         most = self.degree**1.5 * p.max(axis=1)
-        at_nodes = np.maximum(np.abs(self.density(self.nodes[1:-1])), SMALLEST)
+        at_nodes = np.maximum(p[:-1, -1], SMALLEST)
         steps, top = (most[:-1] + most[1:]) / at_nodes, int(most.argmax())
         # Added up from the most massive element outwards: farther out they grow without bound.
         below, above = np.cumsum(steps[:top][::-1])[::-1], np.cumsum(steps[top:])
@@ -188,13 +179,8 @@ def solve_stationary(
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
     probe = probed(process)
     end = probe.extent(1e-2 * tol)
-    nats: Array | float = NATS_PER_ELEMENT
-    if smooth:
-        # The error of an element counts by its mass, and rises with the nats to this power.
-        fall = probe.log_mass.max() - probe.log_mass
-        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), LOG_GROWTH))
     layers = 0 if smooth else GRADED_LAYERS
-    nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
+    nodes = initial_nodes(probe, end, process.nonsmooth, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
@@ -228,9 +214,10 @@ def _assembled(
     process: Process, probe: Probe, e: Elements, degree: int, tol: float
 ) -> tuple[StationarySolution, Flags]:
     """Return the elements scaled to one density, judged, and which of them to cut in two."""
-    nodes = np.concatenate([e.left, e.right[-1:]])
-    sign, log_scale, log_mass, share = _chained(e)
-    p, better = share[0, :, None] * e.values, share[1, :, None] * e.enriched_values
+    nodes = np.append(e.left, e.right[-1])
+    series = e.u, e.enriched
+    signed, log_scale, share = zip(*(_chained(u, e.log_factor) for u in series), strict=True)
+    p, better = share[0][:, None] * e.values, share[1][:, None] * e.enriched_values
     difference = np.abs(p - better)
     distance = float((e.weights * difference).sum())
     # The enriched solution has the mass 1 by a lesser rule: by that of the answer it has another,
@@ -239,21 +226,17 @@ def _assembled(
     size = np.abs(share[0])
     least, most, residual = float(p.min()), float(p.max()), float(e.residual.max())
     net_flux = float((size * e.net_flux).max() / (size * e.one_way).max())
-    tail = probe.tail_bound(float(nodes[-1]), abs(float(share[0, -1] * e.at_end[-1])))
+    tail = probe.tail_bound(float(e.x[-1, -1]), abs(float(p[-1, -1])))
     # Errors of s and b shift d ln p/dH by as much. Their effect on ln p is bounded by the error
     # times the fall of ln p over the bulk of the mass, about one per energy scale; the worst
     # point of each element counts by its share of the mass.
     coefficient_error = 2.0 * float(size @ e.coefficient_error)
     # They add up where they do not cancel: over one element an error of ln p moves mass from one
     # side of it to the other, at most twice the smaller of the two with the element on both sides.
-    moved, accumulated, below = 0.0, 0.0, np.cumsum(size)
-    if process.state_damping:
-        x, w = panel_rule(nodes, degree)
-        c = process.coefficients(x.ravel())
-        steps = np.sum(w * log_density_slope_error(c).reshape(x.shape), axis=1)
-        sides = np.minimum(below, np.maximum(1.0 - below, 0.0) + size)
-        moved, accumulated = 2.0 * float(steps @ sides), float(steps.sum())
-    estimate = SAFETY * distance + 2.0 * tail + coefficient_error + moved
+    below = np.cumsum(size)
+    sides = np.minimum(below, np.maximum(1.0 - below, 0.0) + size)
+    estimate = SAFETY * distance + 2.0 * tail + coefficient_error
+    estimate += 2.0 * float(e.slope_error @ sides)
     estimate += 2.0 * EPS * (size.size + degree**2)  # a sum over elements and functions
     measured = Measured(
         l1_error=estimate,
@@ -265,16 +248,13 @@ def _assembled(
     )
     if not residual < 0.1 * ROUND_OFF:  # elimination in one element leaves some hundred roundings
         measured = measured.with_failures(f"the algebraic residual is {residual:.2g}")
+    log_enriched_mass = math.log(max(abs(enriched_mass), SMALLEST))
     solution = StationarySolution(
         process=process,
         degree=degree,
-        answer=Piecewise(nodes, sign[0, :, None] * e.u, log_scale[0]),
-        enriched=Piecewise(
-            nodes,
-            sign[1, :, None] * e.enriched,
-            log_scale[1] - math.log(max(abs(enriched_mass), SMALLEST)),
-        ),
-        common_error=coefficient_error + accumulated + abs(enriched_mass - 1.0),
+        answer=Piecewise(nodes, signed[0], log_scale[0]),
+        enriched=Piecewise(nodes, signed[1], log_scale[1] - log_enriched_mass),
+        common_error=coefficient_error + float(e.slope_error.sum()) + abs(enriched_mass - 1.0),
         measured=measured,
         certificate=certify(measured, tol=tol),
     )
@@ -285,47 +265,29 @@ def _assembled(
     # neighbours, which moves the smaller of the masses on its sides.
     own = size * np.sum(e.weights * np.abs(e.values - e.enriched_values), axis=1)
     below = below[:-1]
-    step = np.abs(np.diff(log_mass[0] - log_mass[1]))
+    step = np.abs(np.diff(log_scale[0] - log_scale[1]))
     step *= np.minimum(below, np.maximum(1.0 - below, 0.0))
     own += np.append(step, 0.0) + np.append(0.0, step)
     return solution, (p.min(axis=1) < NEGATIVE * most) | (own > 0.1 * tol / own.size)
 
 
-@cached_njit()
-def _chained(e: Elements) -> tuple[Array, Array, Array, Array]:
-    """Return signs and logarithms of the scales by which elements make a density of mass 1.
+def _chained(u: Array, log_factor: Array) -> tuple[Array, Array, Array]:
+    """Scale elements so that they match at the nodes and make a density of mass 1.
 
-    Returned are arrays (2, elements), for the answer and the enriched solution, of them and of the
-    logarithm and the signed value of each element's mass. The scales that match the elements at
-    the nodes are added up as logarithms, so that no density is too steep; where mass is most it is
-    positive.
+    ``u`` (elements, terms) are Legendre series of which each has the mass 1 times e^``log_factor``.
+    Returned are these with signs, positive where mass is most, the logarithms of their scales, and
+    the masses with signs. Scales are added up as logarithms, so that no density is too steep.
     """
-    count = e.left.size
-    sign, log_scale = np.ones((2, count)), np.zeros((2, count))
-    log_mass, share = np.empty((2, count)), np.empty((2, count))
-    for s in range(2):
-        series = e.u if s == 0 else e.enriched
-        before, most = 0.0, 0
-        for k in range(count):
-            start, end = 0.0, 0.0  # u at both ends of the element, where P_j is (−1)^j and 1
-            for j in range(series.shape[1]):
-                start += series[k, j] * (1.0 - 2.0 * (j % 2))
-                end += series[k, j]
-            if k > 0:
-                ratio = max(abs(before), SMALLEST) / max(abs(start), SMALLEST)
-                log_scale[s, k] = log_scale[s, k - 1] + np.log(ratio)
-                sign[s, k] = -sign[s, k - 1] if (before < 0.0) != (start < 0.0) else sign[s, k - 1]
-            log_mass[s, k] = log_scale[s, k] + e.log_factor[k]
-            most = k if log_mass[s, k] > log_mass[s, most] else most
-            before = end
-        positive, total = sign[s, most], 0.0
-        for k in range(count):
-            sign[s, k] *= positive
-            share[s, k] = sign[s, k] * np.exp(log_mass[s, k] - log_mass[s, most])
-            total += share[s, k]
-        log_total = log_mass[s, most] + np.log(total)
-        for k in range(count):
-            share[s, k] /= total
-            log_mass[s, k] -= log_total
-            log_scale[s, k] -= log_total
-    return sign, log_scale, log_mass, share
+    # P_j is (−1)^j at the left end and 1 at the right one.
+    ends = np.stack([u @ (-1.0) ** np.arange(u.shape[1]), u.sum(axis=1)])
+    start, end = np.log(np.maximum(np.abs(ends), SMALLEST))
+    log_scale = np.append(0.0, np.cumsum(end[:-1] - start[1:]))
+    turned = (ends[1, :-1] < 0.0) != (ends[0, 1:] < 0.0)
+    sign = np.append(1.0, np.where(turned, -1.0, 1.0).cumprod())
+    log_mass = log_scale + log_factor
+    top = int(log_mass.argmax())
+    sign *= sign[top]
+    mass = sign * np.exp(log_mass - log_mass[top])
+    total = float(mass.sum())
+    log_scale -= log_mass[top] + math.log(max(total, SMALLEST))
+    return sign[:, None] * u, log_scale, mass / total

@@ -21,13 +21,11 @@ from scipy.special import roots_jacobi
 
 from fpk.numeric.arrays import Array, Flags, Integers
 from fpk.numeric.quadrature import gauss_legendre
-from fpk.solvers.line.mesh import split_points
-from fpk.solvers.line.time.mesh import HIGHEST, NONE, first_degree
+from fpk.solvers.line.elements import ENRICHMENT
+from fpk.solvers.line.mesh import HIGHEST, NONE, first_degree, split_points
 from fpk.solvers.plane.elements import shape_functions
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
-ENRICHMENT = 2
-"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
 SAFETY = 3.0
 """Factor on the distance to the enriched solution, of densities, first passage and rates."""
 MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
@@ -45,10 +43,10 @@ class Elements:
     functions, functions), F the part of the drift due to damping; ``conductance`` is 1/∫dx/m, and
     ∫m v_j'² = 1. At H = 0 no flux is natural: in the first element h_0 = 0, h_1 = 1 and v_j(0) is
     free; it may have fewer v_j, and the others are 0. ``x`` and ``weight`` (…, points) integrate π
-    times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln u, u = π/T, less its
-    value at the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from
-    0 to 1. ``relative_error`` is the error of π and m by the coefficients; ``slope_error`` the
-    error that it leaves in ln π from one end to the other.
+    times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln π/T, less its value at
+    the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from 0 to 1.
+    ``relative_error`` is the error of π and m by the coefficients; ``slope_error`` the error that
+    it leaves in ln π from one end to the other.
     """
 
     process: Process
@@ -94,7 +92,7 @@ class Elements:
     @cached_property
     def steps(self) -> Array:
         """Unit of π in each element but the last, divided by that in the next."""
-        return np.exp(self.log_scale[:-1] - self.log_scale[1:])
+        return np.exp(-np.diff(self.log_scale))
 
     @cached_property
     def load(self) -> Array:
@@ -119,9 +117,9 @@ class Elements:
     def coefficient_error(self, upto: float = 0.0) -> float:
         """Relative error that the coefficients leave in densities and rates.
 
-        An element counts by its share of the mass and of the way through the bulk, in units of
-        √b: near a contact energy errors are large on very short elements. Beyond the bulk is 1e-6
-        of the mass. ``upto`` is an energy that the way reaches at least.
+        An element counts by its share of the mass and of the way through the bulk, beyond which is
+        1e-6 of the mass, in units of √b: near a contact energy errors are large on very short
+        elements. ``upto`` is an energy that the way reaches at least.
         """
         mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
         bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
@@ -144,25 +142,22 @@ class Elements:
         ``f`` (…, elements, functions) are the coefficients and ``size`` the sizes of theirs.
         """
         k, values = self.functions(x)
-        both = (f, values), (np.abs(f) if size is None else size, np.abs(values))
-        rows = [
-            [np.einsum("xi,xi->x", each[k], v) for each in a.reshape(-1, *f.shape[-2:])]
-            for a, v in both
-        ]
-        p, sizes = np.array(rows).reshape(2, *f.shape[:-2], x.size)
-        return p, sizes
+        p, sizes = (
+            np.array([np.einsum("xi,xi->x", each[k], v) for each in a.reshape(-1, *f.shape[-2:])])
+            for a, v in ((f, values), (np.abs(f) if size is None else size, np.abs(values)))
+        )
+        shape = *f.shape[:-2], x.size
+        return p.reshape(shape), sizes.reshape(shape)
 
-    def log_phase_density(self, x: Array) -> Array:
-        """Return ln u = ln π/T at the points x, 0 at H = 0."""
+    def log_density(self, x: Array, *, of_states: bool = False) -> Array:
+        """Return ln π at points x > 0, in the unit of ``log_scale``; or ln π/T, ``of_states``."""
         k, t = self._within(x)
         s = np.where(self.contact[k], np.cbrt(t), t)
         series = legvander(2.0 * s - 1.0, self.log_rise.shape[1] - 1)
-        return np.asarray(self.log_u[k] + (series * self.log_rise[k]).sum(axis=1))
-
-    def log_density(self, x: Array) -> Array:
-        """Return ln π at points x > 0, in the unit of ``log_scale``."""
-        log_T = self.process.coefficients(x).log_density_of_states
-        return np.asarray(log_T + self.log_phase_density(x))
+        log_u = self.log_u[k] + (series * self.log_rise[k]).sum(axis=1)
+        if of_states:
+            return np.asarray(log_u)
+        return np.asarray(log_u + self.process.coefficients(x).log_density_of_states)
 
     def _within(self, x: Array) -> tuple[Integers, Array]:
         """The elements of the points x and the shares of these that lie below, in [0, 1]."""
@@ -194,9 +189,8 @@ class Evolved(NamedTuple):
         Or u = p/T ``of_states``, by its own: T vanishes at H = 0.
         """
         e = self.elements
-        log_factor = e.log_phase_density(x) if of_states else e.log_density(x)
         p, size = e.at(x, self.values, self.size)
-        factor = np.exp(log_factor - e.log_scale[e.element_of(x)])
+        factor = np.exp(e.log_density(x, of_states=of_states) - e.log_scale[e.element_of(x)])
         return p * factor, size * factor
 
 
@@ -212,19 +206,16 @@ def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
     """
     # π is no polynomial, and above a contact energy it is smooth in the cubic root of H − H_c.
     count = 3 * degree + 8 if contact else degree + 6
-    if steepness > 7 and not contact:
-        x, w = roots_jacobi(count, 0, steepness)
-        t = 0.5 * (1.0 + x)
+    steep = steepness > 7 and not contact
+    x, w = roots_jacobi(count, 0, steepness) if steep else gauss_legendre(count)
+    s = 0.5 * (1.0 + x)
+    t, stretch = (s**3, 3.0 * s**2) if contact else (s, np.ones(count))
+    project = (np.arange(count) + 0.5)[:, None] * (legvander(x, count - 1).T * w)
+    integral = 0.5 * np.asarray(legint(project, lbnd=-1.0)) * stretch
+    weight = 0.5 * w * stretch
+    if steep:
         weight = np.exp(np.log(w) - (steepness + 1) * np.log(2.0) - steepness * np.log(t))
-        integral = np.zeros((count + 1, count))
-        integral[:2] = 0.5 / count
-    else:
-        x, w = gauss_legendre(count)
-        s = 0.5 * (1.0 + x)
-        t, stretch = (s**3, 3.0 * s**2) if contact else (s, np.ones(count))
-        project = (np.arange(count) + 0.5)[:, None] * (legvander(x, count - 1).T * w)
-        integral = 0.5 * np.asarray(legint(project, lbnd=-1.0)) * stretch
-        weight = 0.5 * w * stretch
+        integral[:] = np.eye(count + 1, 2).sum(axis=1, keepdims=True) * 0.5 / count
     values, slopes = shape_functions(degree, t)
     series = np.asarray(legvander(x, count), dtype=float)
     return t, weight, series, integral, values.T, slopes.T
@@ -238,12 +229,14 @@ def elements(
     The element at H = 0 may be of a lower degree; ``enriched`` has it one higher.
     """
     contact, first = np.isin(left, np.array(process.nonsmooth)), left == 0.0
-    parts = []
-    for kind in ((True, True), (True, False), (False, True), (False, False)):
-        k = np.flatnonzero((first == kind[0]) & (contact == kind[1]))
-        if k.size:
-            parts.append(_alike(process, left[k], right[k], degree, *kind, enriched))
-    return _joined(*parts)
+    kinds = ((first == a) & (contact == b) for a in (True, False) for b in (True, False))
+    alike = [np.flatnonzero(kind) for kind in kinds if kind.any()]
+    return _joined(
+        *(
+            _alike(process, left[k], right[k], degree, first[k[0]], contact[k[0]], enriched)
+            for k in alike
+        )
+    )
 
 
 def _joined(*parts: Elements, chosen: Flags | slice = slice(None)) -> Elements:
@@ -337,8 +330,8 @@ def meshed(process: Process, nodes: Array, degree: int, *, beyond: Array = NONE)
 def refined(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
     """Return the answer of ``solve`` on a pair whose elements are cut until it marks none.
 
-    Elements of the answer that it marks are cut in two in both, towards a singular point if they
-    begin there.
+    Marked elements of the answer are cut in two in both, towards a singular point if they begin
+    there.
     """
     for _ in range(MOST_ROUNDS):
         answer, marked = solve(pair)

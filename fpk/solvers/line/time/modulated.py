@@ -7,7 +7,7 @@ M ∂g/∂t = (−e² K + (1 − e²) C) g.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 
@@ -36,34 +36,23 @@ RATIO = 3.0
 """Ratio of the ends of a step at the level 0, as long as steps grow with the time."""
 LEVELS = (1, 4)
 """Halvings of all steps: those with which the mesh is adapted, and the most."""
+Processes = Callable[[float], Process]
+"""The process of an energy under F times the noise intensity, by F."""
 
 
-@dataclass(frozen=True, eq=False)
-class Modulated:
-    """An energy under modulated noise, which begins with ``source``.
+def quiet_until(modulation: Modulation, source: Source) -> float:
+    """Return the time at which the density that begins with ``source`` begins to change.
 
-    ``under(F)`` is its process under F times the noise intensity.
+    Raises ``InvalidInput`` for an energy > 0 that decays before there is any noise.
     """
-
-    under: Callable[[float], Process]
-    modulation: Modulation
-    source: Source
-
-    @property
-    def quiet(self) -> float:
-        """Return the time at which the density begins to change.
-
-        Raises ``InvalidInput`` for an energy > 0 that decays before there is any noise.
-        """
-        quiet, energy = self.modulation.quiet, self.source.energy
-        if self.source.process is not None:
-            return 0.0
-        if quiet > 0.0 and energy > 0.0:
-            remedy = f"decays without noise until t = {quiet:g}; begin there"
-            raise InvalidInput(
-                "start", f"H={number_text(energy)}", f"{remedy}, at rest or from noise=F"
-            )
-        return quiet
+    if source.process is not None:
+        return 0.0
+    if modulation.quiet > 0.0 and source.energy > 0.0:
+        remedy = f"decays without noise until t = {modulation.quiet:g}; begin there"
+        raise InvalidInput(
+            "start", f"H={number_text(source.energy)}", f"{remedy}, at rest or from noise=F"
+        )
+    return modulation.quiet
 
 
 def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
@@ -124,22 +113,20 @@ def steps_of(
     for stop in stops.tolist():
         inner = grown[(grown > ends[-1] * (1.0 + FIRST)) & (grown < stop * (1.0 - FIRST))]
         ends += [*inner.tolist(), stop]
+    number, parts = np.arange(len(ends)), 2**level
     M, K, C = MKC
-    (A, c), eye, parts = radau(), np.eye(STAGES), 2**level
-    g, before = None, 0.0
-    for a, b in pairwise(ends):
-        step = (b - a) / parts
-        for k in range(1, parts + 1):
-            r = modulation(before + step * c) ** 2 / unit
-            system = csc_array(kron(M, eye) + kron(K, step * A * r) - kron(C, step * A * (1.0 - r)))
-            right = np.repeat(load if g is None else M @ g, STAGES)
-            stages = splu(system).solve(right)
-            size = float(np.max(abs(system) @ np.abs(stages)))
-            missed = float(np.max(np.abs(system @ stages - right)))
-            residual = missed / size if size > 0.0 else missed  # all is 0: nothing is left
-            g = stages[STAGES - 1 :: STAGES]
-            before = b if k == parts else a + (b - a) * k / parts
-            yield before, step, stages.reshape(-1, STAGES).T, residual
+    (A, c), eye = radau(), np.eye(STAGES)
+    for before, end in pairwise(np.interp(np.arange(number[-1] * parts + 1) / parts, number, ends)):
+        step = end - before
+        r = modulation(before + step * c) ** 2 / unit
+        system = csc_array(kron(M, eye) + kron(K, step * A * r) - kron(C, step * A * (1.0 - r)))
+        right = np.repeat(load, STAGES)
+        stages = splu(system).solve(right)
+        size = float(np.max(abs(system) @ np.abs(stages)))
+        missed = float(np.max(np.abs(system @ stages - right)))
+        residual = missed / size if size > 0.0 else missed  # all is 0: nothing is left
+        load = M @ stages[STAGES - 1 :: STAGES]
+        yield end, step, stages.reshape(-1, STAGES).T, residual
 
 
 def stepped(
@@ -172,50 +159,47 @@ def stepped(
     )
 
 
-def modulated_transition(motion: Modulated, times: Array, *, tol: float) -> Transition:
-    """Return the density of the energy at ``times`` > 0.
+def modulated_transition(
+    under: Processes, modulation: Modulation, source: Source, times: Array, *, tol: float
+) -> Transition:
+    """Return the density at ``times`` > 0 of an energy that begins with ``source``.
 
-    By steps of Radau IIA of the order 9 on elements that adapt; the error is the distance to
-    elements of a higher degree and to steps twice as long, and settings have the order that the
-    last three levels of steps show. Without noise it is the equation of the decay alone, of first
-    order. Raises ``InvalidInput`` for times at which the density is still one energy, and as
-    ``Modulated.quiet`` and ``posed`` do.
+    ``under(F)`` is its process under F times the noise intensity. By steps of Radau IIA of the
+    order 9 on elements that adapt; the error is the distance to elements of a higher degree and to
+    steps twice as long, and settings have the order that the last three levels of steps show.
+    Without noise it is the equation of the decay alone, of first order. Raises ``InvalidInput`` for
+    times at which the density is still one energy, and as ``quiet_until`` and ``posed`` do.
     """
-    quiet, source = motion.quiet, motion.source
+    quiet = quiet_until(modulation, source)
     if times[0] <= quiet:
         raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
-    modulation, times = motion.modulation.after(quiet), times - quiet
+    modulation, times = modulation.after(quiet), times - quiet
     unit = modulation.largest or 1.0
     first = float(modulation.energy(times[0])) / unit
-    question, pair = posed(motion.under(unit), source, first, tol)
+    question, pair = posed(under(unit), source, first, tol)
 
-    @lru_cache(maxsize=len(pair))
+    @lru_cache(maxsize=4)
     def carried(e: Elements, level: int) -> Evolved:
         return stepped(e, source.load(e), modulation, unit, times, level=level)[0]
 
     solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0]))
     e, finer = solved.elements, solved.enriched.elements
-    x, w = e.x, e.weight
 
     def values(level: int) -> Array:
-        return carried(e, level).density(x.ravel())[0].reshape(solved.distance.shape)
+        return carried(e, level).density(e.x.ravel())[0] * e.weight.ravel()
 
     def l1(moved: Array, _: Array) -> float:
-        return float((moved * w).sum(axis=(1, 2)).max())
+        return float(moved.sum(axis=1).max())
 
-    level, _, moved, settings = halved(e, values, l1, 0.25 * tol, tol)
-    own = carried(e, level)
+    level, settings = halved(e, values, l1, 0.25 * tol, tol)
     # In steps twice as long, so that what is compared with it sees the error of both.
-    enriched = solved.enriched if level - 1 == LEVELS[0] else carried(finer, level - 1)
-    solved, _, _ = judged(question, own, enriched, distance=solved.distance + moved)
+    own, enriched = carried(e, level), carried(finer, level - 1)
+    solved, _, _ = judged(question, own, enriched)
     # At the ends of elements, where no point is, distances are largest while there is no noise.
     at_ends = np.abs(own.density(e.right)[0] - enriched.density(e.right)[0])
     beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
-    return replace(
-        solved,
-        distance=np.maximum(solved.distance, beside[..., None]),
-        settings={**solved.settings, **settings},
-    )
+    distance = np.maximum(solved.distance, beside[..., None])
+    return replace(solved, distance=distance, settings={**solved.settings, **settings})
 
 
 def halved(
@@ -224,17 +208,16 @@ def halved(
     size: Callable[[Array, Array], float],
     wanted: float,
     tol: float,
-) -> tuple[int, Array, Array, Settings]:
+) -> tuple[int, Settings]:
     """Halve all steps until the ``values(level)`` change by no more than ``wanted``.
 
-    ``size(changes, values)`` is what counts of the absolute changes. Returned are the last level,
-    its values and changes, and the settings, with the order that the changes show.
+    ``size(changes, values)`` is what counts of the absolute changes. Returned are the last level
+    and the settings, with the order that the changes show.
     """
-    finer, sizes = values(LEVELS[0]), []
+    sizes: list[float] = []
     for level in range(LEVELS[0] + 1, LEVELS[1] + 1):
-        coarse, finer = finer, values(level)
-        moved = np.abs(finer - coarse)
-        sizes.append(size(moved, finer))
+        coarse, finer = values(level - 1), values(level)
+        sizes.append(size(np.abs(finer - coarse), finer))
         if SAFETY * sizes[-1] <= wanted:
             break
     settings: Settings = {
@@ -245,10 +228,12 @@ def halved(
     }
     if len(sizes) > 1 and sizes[-1] > 0.0:
         settings["observed order"] = math.log2(sizes[-2] / sizes[-1])
-    return level, finer, moved, settings
+    return level, settings
 
 
-def modulated_transient(motion: Modulated, times: Array, at: Array, *, tol: float) -> Transient:
+def modulated_transient(
+    under: Processes, modulation: Modulation, source: Source, times: Array, at: Array, *, tol: float
+) -> Transient:
     """Return the densities at energies ``at``; all else as of ``modulated_transition``.
 
     Where the modulation ends with 0, dH/dt = F(H) leads from H_0 at its end to H at a later time,
@@ -256,14 +241,13 @@ def modulated_transient(motion: Modulated, times: Array, at: Array, *, tol: floa
     exceeds ``LARGEST_ERROR`` errors are infinite. Raises ``NotApplicable`` where damping feeds
     energy in after the end of the noise.
     """
-    modulation = motion.modulation
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
     later = times > end
     stops = np.unique(np.minimum(times, end))
-    solved = modulated_transition(motion, stops, tol=tol)
+    solved = modulated_transition(under, modulation, source, stops, tol=tol)
     values, errors = np.zeros((2, times.size, at.size))
     values[~later], errors[~later] = (a[: int((~later).sum())] for a in solved.density(at))
-    process, e, l1_error = motion.under(1.0), solved.elements, solved.measured.l1_error
+    process, e, l1_error = under(1.0), solved.elements, solved.measured.l1_error
     inner, last = e.x.ravel(), e.right[-1]
     H, positive = process.on_mesh(at, float(np.max(at, initial=last)))
 

@@ -14,8 +14,10 @@ from fpk.answer.evolution import BEYOND_RANGE, STARTS, Passage, StartCurve, cert
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.elements import ENRICHMENT
+from fpk.solvers.line.mesh import HIGHEST, NONE, layer_at, time_nodes
 from fpk.solvers.line.time.elements import (
-    ENRICHMENT,
     SAFETY,
     Elements,
     Evolved,
@@ -25,11 +27,11 @@ from fpk.solvers.line.time.elements import (
     meshed,
     refined,
 )
-from fpk.solvers.line.time.mesh import HIGHEST, NONE, layer_at, time_nodes
-from fpk.solvers.line.time.modulated import LEVELS, Modulated, halved, stepped
+from fpk.solvers.line.time.modulated import LEVELS, Processes, halved, quiet_until, stepped
 from fpk.solvers.line.time.resolvent import evolved, moment
 from fpk.solvers.line.time.transition import Source, adapted, posed
 from fpk.solvers.probe import probed
+from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
 FARTHEST = 900.0
@@ -38,84 +40,38 @@ LARGEST_MEAN = 1e300
 """Mean times beyond it are out of the range of double precision in what is made of them."""
 MOST_STEPS = 2_000
 """Most iterations for the failure rate; a hundred do for a hundred masses."""
-SAMPLES = np.array([0.0, 0.1, 0.35, 0.65, 0.9])
-"""Points of an element, as shares of its length, at which the answer is compared."""
 SHARE = 0.1
 """Share of the tolerance for the mesh, and for the steps of modulated noise: variances have more
 error than p."""
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
-    """First passage of the right end of the last element, on one mesh in one degree."""
-
-    elements: Elements
-    more: int = 0
-
-    @cached_property
-    def mean(self) -> Array:
-        """T: mean time of first passage over the start, L T = −1, (elements, functions)."""
-        return moment(self.elements, self.elements.load)
-
-    @cached_property
-    def longest(self) -> float:
-        """Mean time from H = 0, the longest."""
-        return float(self.elements.at(np.zeros(1), self.mean)[0][0])
-
-    @cached_property
-    def second(self) -> Array:
-        """(−L)⁻¹ T in units of the square of the longest T: half of the second moment."""
-        unit = self.longest
-        return moment(self.elements, self._load(self.mean / unit)) / unit
-
-    @cached_property
-    def rate(self) -> tuple[float, float]:
-        """The least eigenvalue λ of −L, and an error of the iteration.
-
-        By powers of (−L)⁻¹, which is positive: f/(−L)⁻¹f, at its largest and least, are bounds of
-        λ (Barta), whatever its size; the error of the Rayleigh quotient is the square of their
-        relative distance, which is round-off where that is 1e-9.
-        """
-        e, f = self.elements, self.mean
-        share = np.exp(e.log_scale - e.log_mass.max())  # what underflows counts nothing
-        quotient = bracket = np.nan
-        for _ in range(MOST_STEPS):
-            f = f / f[0, 1]
-            load = self._load(f)
-            g = moment(e, load)
-            quotient = float(share @ (load * f).sum(axis=1) / (share @ (load * g).sum(axis=1)))
-            before, bracket = bracket, float(np.ptp(f[:, 0] / g[:, 0])) / quotient
-            if bracket < 1e-9 or (bracket < 1e-6 and not bracket < before):
-                break
-            f = g
-        return quotient, quotient * bracket**2
-
-    def _load(self, f: Array) -> Array:
-        """∫π f f_i (elements, functions) in the units of the elements."""
-        return np.asarray(np.einsum("eij,ej->ei", self.elements.mass, f))
-
-    def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
-        """Return P(T <= t) (times, points) from the starts x, and its round-off."""
-        e, later = self.elements, times > 0.0
-        nothing = np.zeros(e.load.shape)
-        f = evolved(e, nothing, times[later], held=1.0, more=self.more, density=False)
-        p, size = np.zeros((2, times.size, x.size))
-        p[later], size[later] = e.at(x, f.values, f.size)
-        return p, EPS * size
-
-
-@dataclass(frozen=True, eq=False)
 class FirstPassage:
-    """First passage of an energy through a ``limit`` with errors: ``answer`` and ``enriched``."""
+    """First passage of an energy through the ``limit``, the right end of both last elements."""
 
     limit: float
-    answer: Answers
-    enriched: Answers
+    pair: Pair
+
+    @cached_property
+    def means(self) -> list[Array]:
+        """T: mean time over the start, L T = −1, by both elements, (elements, functions) each."""
+        return [moment(e, e.load) for e in self.pair]
+
+    @cached_property
+    def from_rest(self) -> list[float]:
+        """Mean time from H = 0, the longest, by both elements."""
+        each = zip(self.pair, self.means, strict=True)
+        return [float(e.at(np.zeros(1), T)[0][0]) for e, T in each]
+
+    @property
+    def longest(self) -> float:
+        """Mean time from H = 0."""
+        return self.from_rest[0]
 
     @property
     def round_off(self) -> float:
         """Relative round-off of sums along the chain."""
-        e = self.answer.elements
+        e = self.pair[0]
         return ROUNDINGS * EPS * (e.count + e.log_range + e.degree)
 
     @cached_property
@@ -124,7 +80,7 @@ class FirstPassage:
 
         T = ∫dx/m ∫π: an element counts by what T falls over it, and by its mass in all below.
         """
-        e, T = self.answer.elements, self.answer.mean
+        e, T = self.pair[0], self.means[0]
         mass = np.exp(e.log_mass - e.log_mass.max())
         below = np.cumsum(e.relative_error * mass) / np.maximum(np.cumsum(mass), SMALLEST)
         fall = T[:, 0] - T[:, 1]
@@ -137,41 +93,71 @@ class FirstPassage:
         """Relative error of the mean time from H = 0 by coefficients and round-off."""
         return float(self._coefficients[0]) / self.longest + self.round_off
 
-    @property
-    def longest(self) -> float:
-        """Mean time from H = 0."""
-        return self.answer.longest
-
     def moments(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Return mean and variance of the time from the starts x, each with its error after it.
 
         In units of the ``longest`` mean time and of its square.
         """
-        (T, of_T, U, of_U), (better, _, half, _) = (
-            (*a.elements.at(x, a.mean / self.longest), *a.elements.at(x, a.second))
-            for a in (self.answer, self.enriched)
-        )
+        values = []
+        for e, mean in zip(self.pair, self.means, strict=True):
+            f = mean / self.longest
+            # (−L)⁻¹ T is half of the second moment.
+            half = moment(e, np.einsum("eij,ej->ei", e.mass, f)) / self.longest
+            values += [*e.at(x, f), *e.at(x, half)]
+        T, of_T, U, of_U, better, _, half, _ = values
         # T is about linear in H_f − x, and has the round-off of energies.
         rounding = ROUNDINGS * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
         error = SAFETY * np.abs(T - better) + rounding * T + self.round_off * of_T
-        error += self._coefficients[self.answer.elements.element_of(x)] / self.longest
+        error += self._coefficients[self.pair[0].element_of(x)] / self.longest
         V = 2.0 * U - T**2
-        distance = np.abs(V - 2.0 * half * (self.enriched.longest / self.longest) ** 2 + better**2)
+        distance = np.abs(V - 2.0 * half + better**2)
         # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
         V_error = SAFETY * distance + (3.0 * self.relative + rounding) * V
         return T, error, V, V_error + self.round_off * 2.0 * (V + of_U + T * of_T)
 
     def rate(self) -> tuple[float, float]:
-        """Return the failure rate and its error."""
-        (value, left), (better, other) = self.answer.rate, self.enriched.rate
+        """Return the failure rate, the least eigenvalue λ of −L, and its error.
+
+        By powers of (−L)⁻¹, which is positive: f/(−L)⁻¹f, at its largest and least, are bounds of
+        λ (Barta), whatever its size; the error of the Rayleigh quotient is the square of their
+        relative distance, which is round-off where that is 1e-9.
+        """
+        found = []
+        for e, f in zip(self.pair, self.means, strict=True):
+            share = np.exp(e.log_scale - e.log_mass.max())  # what underflows counts nothing
+            quotient = bracket = np.nan
+            for _ in range(MOST_STEPS):
+                f = f / f[0, 1]
+                load = np.einsum("eij,ej->ei", e.mass, f)
+                g = moment(e, load)
+                quotient = float(share @ (load * f).sum(axis=1) / (share @ (load * g).sum(axis=1)))
+                before, bracket = bracket, float(np.ptp(f[:, 0] / g[:, 0])) / quotient
+                if bracket < 1e-9 or (bracket < 1e-6 and not bracket < before):
+                    break
+                f = g
+            found.append((quotient, quotient * bracket**2))
+        (value, left), (better, other) = found
         error = SAFETY * abs(value - better) + left + other + 2.0 * self.relative * value
         return value, error
 
+    def failures(self, times: Array, x: Array) -> tuple[Array, Array]:
+        """Return P(T <= t) (2, times, points) from the starts x by both elements, and its terms.
+
+        These are the sizes of the terms that cancel in it.
+        """
+        p, size = np.zeros((2, 2, times.size, x.size))
+        later = times > 0.0
+        for k, e in enumerate(self.pair):
+            nothing, more = np.zeros(e.load.shape), k * ENRICHMENT
+            f = evolved(e, nothing, times[later], held=1.0, more=more, density=False)
+            p[k, later], size[k, later] = e.at(x, f.values, f.size)
+        return p, size
+
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t), (times, points), from the starts x and its error."""
-        (p, own), (better, other) = (a.failure(times, x) for a in (self.answer, self.enriched))
+        (p, better), size = self.failures(times, x)
         error = SAFETY * np.abs(p - better) + _by_coefficients(2.0 * self.relative, p)
-        return p, error + ROUNDINGS * (own + other) + EPS**2
+        return p, error + ROUNDINGS * EPS * size.sum(axis=0) + EPS**2
 
 
 def _by_coefficients(relative: float, failure: Array) -> Array:
@@ -202,7 +188,7 @@ def first_passage(
     def solved(pair: Pair) -> tuple[FirstPassage, Flags]:
         # Sums to beyond the range are judged below.
         with np.errstate(over="ignore", invalid="ignore"):
-            answer = FirstPassage(limit, Answers(pair[0]), Answers(pair[1], more=ENRICHMENT))
+            answer = FirstPassage(limit, pair)
             longest = answer.longest
         if not longest < LARGEST_MEAN:
             raise beyond
@@ -213,8 +199,8 @@ def first_passage(
         for own, better in ((a.conductance, b.conductance), masses):
             marked |= np.abs(own * unit - better) > wanted * better
         if times.size:
-            x = (a.left[:, None] + (a.right - a.left)[:, None] * SAMPLES).ravel()
-            p, better = (each.failure(times, x)[0] for each in (answer.answer, answer.enriched))
+            x = panel_rule(a.nodes, 5)[0].ravel()
+            p, better = answer.failures(times, x)[0]
             distance = np.abs(p - better)
             marked |= (distance.max(axis=0) > wanted).reshape(a.count, -1).any(axis=1)
         return answer, marked
@@ -232,10 +218,10 @@ def fem_passage(
     """
     nodes = source.nodes(limit, HIGHEST)
     solved = first_passage(process, limit, times=times, tol=tol, nodes=nodes)
-    e = solved.answer.elements
+    e = solved.pair[0]
     # The means over the source by the points of the elements, and by those of the enriched ones.
     x, weights = source.samples(e)
-    y, better = source.samples(solved.enriched.elements)
+    y, better = source.samples(solved.pair[1])
     unit, beyond = solved.longest, float(1.0 - weights.sum())
     off = 0.0 if source.process is None else solved.round_off
     starts, both = np.linspace(0.0, limit, STARTS), x.size + y.size
@@ -283,7 +269,15 @@ def fem_passage(
     )
 
 
-def modulated_passage(motion: Modulated, limit: float, times: Array, *, tol: float) -> Passage:
+def modulated_passage(
+    under: Processes,
+    modulation: Modulation,
+    source: Source,
+    limit: float,
+    times: Array,
+    *,
+    tol: float,
+) -> Passage:
     """Return the first passage of ``limit`` under modulated noise.
 
     P(T > t) is the mass that the forward equation with p = 0 at the limit keeps; mean, variance
@@ -292,8 +286,7 @@ def modulated_passage(motion: Modulated, limit: float, times: Array, *, tol: flo
     ``modulated_transition``, in probabilities and in the moments. Raises ``NotApplicable`` where
     damping feeds energy in at the limit while there is no noise, and as ``first_passage`` does.
     """
-    under, modulation, source = motion.under, motion.modulation, motion.source
-    unit, last, quiet = modulation.largest, modulation.last, motion.quiet
+    unit, last, quiet = modulation.largest, modulation.last, quiet_until(modulation, source)
     if unit == 0.0:
         raise NotApplicable("there is no noise at any time: nothing passes a limit")
     if modulation.times.size == 1:
@@ -313,7 +306,7 @@ def modulated_passage(motion: Modulated, limit: float, times: Array, *, tol: flo
     first = float(modulation.energy(stops[1])) / unit
     question, pair = posed(process, source, first, SHARE * tol, limit=limit)
 
-    @lru_cache(maxsize=len(pair))
+    @lru_cache(maxsize=4)
     def solve(e: Elements, level: int) -> tuple[Evolved, Array, Array]:
         """p at the stops > 0; P(T > t) at all stops, E T and E T², and errors by ``later``.
 
@@ -341,14 +334,15 @@ def modulated_passage(motion: Modulated, limit: float, times: Array, *, tol: flo
 
     solved = adapted(question, pair, lambda e, **_: solve(e, LEVELS[0])[0])
     e, finer = solved.elements, solved.enriched.elements
-    off = np.abs(solve(e, LEVELS[0])[1] - solve(finer, LEVELS[0])[1])
 
     def size(moved: Array, numbers: Array) -> float:
         return float(np.max(moved / np.maximum(numbers, 1.0)))
 
-    level, numbers, moved, settings = halved(e, lambda k: solve(e, k)[1], size, SHARE * tol, tol)
-    g, _, lost = solve(e, level)
-    error, failure, at = SAFETY * (off + moved), 1.0 - numbers[:-2], np.searchsorted(stops, asked)
+    level, settings = halved(e, lambda level: solve(e, level)[1], size, SHARE * tol, tol)
+    g, numbers, lost = solve(e, level)
+    # In steps twice as long, so that what is compared with it sees the error of both.
+    error = SAFETY * np.abs(numbers - solve(finer, level - 1)[1])
+    failure, at = 1.0 - numbers[:-2], np.searchsorted(stops, asked)
     relative = 2.0 * e.coefficient_error(source.energy)
     relative += ROUNDINGS * EPS * (e.count + e.log_range)
     failure_error = error[:-2] + _by_coefficients(relative, failure) + ROUNDINGS * EPS

@@ -6,7 +6,7 @@ lie in one sector of the complex plane: nothing cancels, whatever range the dens
 """
 
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,26 +18,15 @@ Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 """Real numbers, or complex ones where the Laplace variables are."""
 
 
-class Chain(NamedTuple):
-    """The elements at the Laplace variables z, each with all below it eliminated.
+def eliminated(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
+    """Return the elements at the Laplace variables ``z`` (points,), each with all below eliminated.
 
-    Every array is (elements, …, points). ``series`` is the conductance of an element from end to
-    end, ``shunt`` (elements, 2, …) what flows off at each of its ends, ``damped`` 1 + zν of its own
-    functions. ``total`` is the admittance at its left end, its own conductance included, ``ratio``
-    the share of that conductance in it, by which the right end acts on the left one, and ``passed``
+    Every array is (elements, …, points): ``series``, the conductance of an element from end to end;
+    ``shunt`` (elements, 2, …), what flows off at each of its ends; ``damped``, 1 + zν of its own
+    functions; ``total``, the admittance at its left end, its own conductance included; ``ratio``,
+    the share of that conductance in it, by which the right end acts on the left one; ``passed``,
     what of the rest is seen through it from the right. The first element conducts nothing.
     """
-
-    series: Numbers
-    shunt: Numbers
-    damped: Numbers
-    total: Numbers
-    ratio: Numbers
-    passed: Numbers
-
-
-def eliminated(e: Elements, z: Numbers) -> Chain:
-    """Return the chain at the Laplace variables ``z`` (points,)."""
     coupling, own = e.mass[:, 2:, :2], e.load[:, 2:]
     damped = 1.0 + e.relaxation[:, :, None] * z
     pairs = np.stack([coupling[:, :, 0] * coupling[:, :, 1], *np.moveaxis(coupling, 2, 0) * own])
@@ -52,7 +41,7 @@ def eliminated(e: Elements, z: Numbers) -> Chain:
         total[k, zero] = EPS * series[k, zero]
         ratio[k] = series[k] / total[k]
         passed[k] = below * ratio[k]
-    return Chain(series, shunt, damped, total, ratio, passed)
+    return series, shunt, damped, total, ratio, passed
 
 
 def resolvent(
@@ -66,28 +55,29 @@ def resolvent(
     elements. Of a density is returned, too, the residual of the equations at the nodes, relative to
     their terms.
     """
-    c, coupling = eliminated(e, z), e.mass[:, 2:, :2]
+    series, shunt, damped, total, ratio, passed = eliminated(e, z)
+    coupling = e.mass[:, 2:, :2]
     up, down = (np.ones(e.count - 1), e.steps) if density else (e.steps, np.ones(e.count - 1))
-    inner = load[:, 2:, None] / c.damped
+    inner = load[:, 2:, None] / damped
     source = load[:, :2, None] - z * np.einsum("eva,evz->eaz", coupling, inner)
-    current = np.zeros_like(c.total)
+    current = np.zeros_like(total)
     for k in range(1, e.count):
-        current[k] = (c.ratio[k - 1] * current[k - 1] + source[k - 1, 1]) * up[k - 1] + source[k, 0]
-    f = np.empty((e.count, e.degree + 1, z.size), dtype=c.total.dtype)
+        current[k] = (ratio[k - 1] * current[k - 1] + source[k - 1, 1]) * up[k - 1] + source[k, 0]
+    f = np.empty((e.count, e.degree + 1, z.size), dtype=total.dtype)
     low, high = f[:, 0], f[:, 1]
     if end is None:
-        end = (c.ratio[-1] * current[-1] + source[-1, 1]) / (c.passed[-1] + c.shunt[-1, 1])
+        end = (ratio[-1] * current[-1] + source[-1, 1]) / (passed[-1] + shunt[-1, 1])
     high[-1] = end
     for k in range(e.count - 1, 0, -1):
-        low[k] = c.ratio[k] * high[k] + current[k] / c.total[k]
+        low[k] = ratio[k] * high[k] + current[k] / total[k]
         high[k - 1] = low[k] * down[k - 1]
     low[0] = high[0]
-    f[:, 2:] = inner - z * np.einsum("eva,eaz->evz", coupling, f[:, :2]) / c.damped
+    f[:, 2:] = inner - z * np.einsum("eva,eaz->evz", coupling, f[:, :2]) / damped
     if not density:
         return f, 0.0
-    flux = c.series * high, c.series * low
-    right = np.array([flux[0], -flux[1], c.shunt[:, 1] * high, -source[:, 1]])[:, :-1]
-    left = np.array([flux[1], -flux[0], c.shunt[:, 0] * low, -source[:, 0]])[:, 1:]
+    flux = series * high, series * low
+    right = np.array([flux[0], -flux[1], shunt[:, 1] * high, -source[:, 1]])[:, :-1]
+    left = np.array([flux[1], -flux[0], shunt[:, 0] * low, -source[:, 0]])[:, 1:]
     terms = np.concatenate([right, left])
     # Smaller numbers lose precision in their products with EPS.
     size = np.maximum(np.abs(terms).sum(axis=0), SMALLEST / EPS)
@@ -100,8 +90,8 @@ def evolved(
 ) -> Evolved:  # fmt: skip
     """Return the coefficients at ``times`` > 0 of what begins with ``load``, as of ``resolvent``.
 
-    By inverse transforms with ``more`` points on each contour. The last end is ``held`` at a value
-    from the time 0 on; None: no flux leaves there.
+    Contours have ``more`` points. The last end is ``held`` at a value from the time 0 on; None: no
+    flux leaves there.
     """
     values, size = np.zeros((2, times.size, e.count, e.degree + 1))
     residuals = [0.0]

@@ -1,15 +1,16 @@
-"""Relaxation rates of one energy: eigenvalues of −L without flux at the ends, by counting them."""
+"""Relaxation rates of one energy: eigenvalues of −L without flux at the ends, and their number."""
 
-import math
+from dataclasses import replace
 
 import numpy as np
+from scipy.sparse.linalg import eigsh
 
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Integers
 from fpk.numeric.errors import NotCertified
-from fpk.solvers.line.mesh import split_points
+from fpk.solvers.line.mesh import split_points, time_nodes
 from fpk.solvers.line.time.elements import MOST_ELEMENTS, SAFETY, Elements, degree_for, meshed
-from fpk.solvers.line.time.mesh import time_nodes
+from fpk.solvers.line.time.modulated import matrices
 from fpk.solvers.line.time.resolvent import eliminated
 from fpk.solvers.line.time.transition import TAIL
 from fpk.solvers.probe import probed
@@ -19,9 +20,6 @@ LONGER = 1.3
 """Factor on the last energy from one round to the next."""
 WAVES = 10
 """Waves of an eigenfunction that an element takes: towards H = 0 the k-th has k a temperature."""
-POINTS = 160
-"""Trial values at which eigenvalues are counted at once: fewer take no less time, and halving the
-interval of each eigenvalue takes the fewest in all."""
 ROUNDS = 6
 """Most rounds, at every second of which all elements are cut in two."""
 
@@ -32,28 +30,17 @@ def eigenvalues_below(e: Elements, rates: Array) -> Integers:
     As many as pivots of A − λM are negative (Sylvester), those of the own functions of the elements
     among them (Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263).
     """
-    c = eliminated(e, -rates)
-    inner, ends = (c.damped < 0.0).sum(axis=(0, 1)), (c.total[1:] < 0.0).sum(axis=0)
-    return np.asarray(inner + ends + (c.passed[-1] + c.shunt[-1, 1] < 0.0))
+    _, shunt, damped, total, _, passed = eliminated(e, -rates)
+    inner, ends = (damped < 0.0).sum(axis=(0, 1)), (total[1:] < 0.0).sum(axis=0)
+    return np.asarray(inner + ends + (passed[-1] + shunt[-1, 1] < 0.0))
 
 
 def eigenvalues(e: Elements, count: int, scale: float) -> Array:
-    """Return the ``count`` least eigenvalues > 0 of −L, by section; ``scale`` is of their order."""
-    trial = scale * 2.0 ** np.arange(-80.0, 81.0)
-    below = eigenvalues_below(e, trial)
-    wanted, sections = np.arange(2, count + 2), 1 + max(1, POINTS // count)
-    low, high = (trial[np.searchsorted(below, wanted) + k] for k in (-1, 0))
-    while np.any(high - low > 2.0 * EPS * high):
-        share = np.arange(1.0, sections) / sections
-        grid = low[:, None] * (high / low)[:, None] ** share
-        below = eigenvalues_below(e, grid.ravel()).reshape(grid.shape)
-        k = (below < wanted[:, None]).sum(axis=1)
-        every = np.column_stack([low, grid, high])
-        before = high - low
-        low, high = np.take_along_axis(every, np.stack([k, k + 1], 1), 1).T
-        if not np.any(high - low < before):
-            break
-    return 0.5 * (low + high)
+    """Return the ``count`` least eigenvalues > 0 of −L; ``scale`` is of their order."""
+    M, K, *_ = matrices(e)
+    first = np.linspace(1.0, 2.0, M.shape[0])
+    found = eigsh(K, count + 1, M, sigma=-0.1 * scale, v0=first, return_eigenvectors=False)
+    return np.asarray(np.sort(found)[1:])
 
 
 def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
@@ -67,19 +54,16 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
     temperature = scale / process.degrees_of_freedom
     wave = WAVES / count * temperature
-    # ln π φ² is linear in ln H between energies of the probe; φ rises from the temperature on.
+    # φ rises from the temperature on. Of a Laguerre polynomial of the norm 1, with φ ~ H^count, the
+    # largest π φ² far out is 4^count.
     probe = probed(process)
-    log_energy = np.sort(np.append(np.log(probe.energy), math.log(temperature)))
-    log_mass = np.interp(log_energy, np.log(probe.energy), probe.log_mass)
-    grown = log_mass + 2.0 * count * np.maximum(log_energy - math.log(temperature), 0.0)
-    ends = []
-    for share in TAIL:
-        wanted = log_mass.max() + math.log(share * tol)
-        if not grown[-1] < wanted:
-            raise NotCertified("the density does not fall faster than the eigenfunctions rise")
-        k = int(np.flatnonzero(grown >= wanted)[-1])
-        fall = (grown[k] - wanted) / (grown[k] - grown[k + 1])
-        ends.append(math.exp(log_energy[k] + fall * (log_energy[k + 1] - log_energy[k])))
+    rise = np.where(probe.energy > temperature, 2.0 * count / probe.energy, 0.0)
+    grown = replace(probe, slope=probe.slope + rise)
+    try:
+        ends = [grown.extent(tail * tol * 0.25**count) for tail in TAIL]
+    except NotCertified:
+        words = "the density does not fall faster than the eigenfunctions rise"
+        raise NotCertified(words) from None
     for turn in range(ROUNDS):
         end, last = (LONGER**turn * energy for energy in ends)
         nodes = time_nodes(process, end, degree, fine=((0.0, wave),) if count > WAVES else ())
@@ -92,7 +76,9 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
         errors = SAFETY * np.abs(rates - better) + common * rates
         if (errors <= tol * rates).all() or 2 * answer.count > MOST_ELEMENTS:
             break
-    # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost.
-    residual = float(eigenvalues_below(answer, rates[:1] * 0.5)[0] != 1)
+    # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost. And
+    # no rate is missed.
+    below = eigenvalues_below(answer, np.array([0.5 * rates[0], (1.0 + tol) * rates[-1]]))
+    residual = float(below.tolist() != [1, count + 1])
     settings = {"elements": answer.count, "tol": tol}
     return certified_rates(rates, errors, tol=tol, residual=residual, settings=settings)

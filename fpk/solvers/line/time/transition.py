@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from fpk.answer.certificate import Certificate, Measured, certify
 from fpk.answer.observable import number_text
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput
+from fpk.solvers.line.elements import ENRICHMENT
+from fpk.solvers.line.mesh import GROWTH, HIGHEST, LAYER, NONE, layer_at, time_nodes
 from fpk.solvers.line.time.elements import (
-    ENRICHMENT,
     SAFETY,
     Elements,
     Evolved,
@@ -23,7 +24,6 @@ from fpk.solvers.line.time.elements import (
     meshed,
     refined,
 )
-from fpk.solvers.line.time.mesh import GROWTH, HIGHEST, LAYER, NONE, layer_at, time_nodes
 from fpk.solvers.line.time.resolvent import evolved
 from fpk.solvers.probe import probed
 from fpk.system.process import Process
@@ -33,8 +33,6 @@ TAIL = (1e-3, 1e-8)
 FARTHEST = -600.0
 """ln of the least stationary probability beyond a start that double precision can relate to one;
 four times as much where the start is a density and not one energy (at −5000 errors exceed it)."""
-STALLED = 0.9
-"""Ratio of the error to that of the round before that shows that finer elements do not help."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,22 +66,17 @@ class Source:
         if self.process is None:
             return np.array([self.energy]), np.ones(1)
         k = int(np.searchsorted(e.left, self.extent))
-        own, x = elements(self.process, e.left[:k], e.right[:k], e.degree), e.x[:k]
-        log = own.log_density(x.ravel()) - self._log_total
-        return x.ravel(), (e.weight[:k] * np.exp(log).reshape(x.shape)).ravel()
+        own, x = elements(self.process, e.left[:k], e.right[:k], e.degree), e.x[:k].ravel()
+        # Its mass, in the unit in which u = 1 at H = 0.
+        nodes = time_nodes(self.process, self.extent, HIGHEST)
+        whole = elements(self.process, nodes[:-1], nodes[1:], HIGHEST)
+        log = own.log_density(x) - np.logaddexp.reduce(whole.log_mass)
+        return x, e.weight[:k].ravel() * np.exp(log)
 
     @cached_property
     def extent(self) -> float:
         """Energy above which no more than the round-off of the source is."""
         return self.energy if self.process is None else float(probed(self.process).extent(EPS))
-
-    @cached_property
-    def _log_total(self) -> float:
-        """ln ∫π of the process, in the unit in which u = 1 at H = 0."""
-        assert self.process is not None
-        nodes = time_nodes(self.process, self.extent, HIGHEST)
-        mass = elements(self.process, nodes[:-1], nodes[1:], HIGHEST).log_mass
-        return float(np.logaddexp.reduce(mass))
 
 
 @dataclass(frozen=True)
@@ -162,14 +155,13 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
     ``InvalidInput`` for a start beyond the range of double precision.
     """
 
-    def propagated(times: Array, e: Elements, more: int) -> Evolved:
-        return evolved(e, source.load(e), times, more=more)
-
     question, pair = posed(process, source, float(times.min()), tol)
     # The mesh is adapted at six of the times first, then at all.
     few = np.unique(np.linspace(0, times.size - 1, 6).astype(int))
     for chosen in (times[few], times) if few.size < times.size else (times,):
-        solved = adapted(question, pair, partial(propagated, chosen))
+        solved = adapted(
+            question, pair, lambda e, more, t=chosen: evolved(e, source.load(e), t, more=more)
+        )
         pair = solved.elements, solved.enriched.elements
     return solved
 
@@ -233,34 +225,30 @@ def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Tr
         solutions = solve(e=pair[0], more=0), solve(e=pair[1], more=ENRICHMENT)
         answer, own, rounding = judged(question, *solutions)
         marked = own > np.maximum(0.1 * tol / own.size, rounding)
-        small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < STALLED * before
+        small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < before
         before = own.sum()
         return answer, marked & (not small)
 
     return refined(pair, solved)
 
 
-def judged(
-    question: Question, own: Evolved, finer: Evolved, *, distance: Array | None = None
-) -> tuple[Transition, Array, Array]:
+def judged(question: Question, own: Evolved, finer: Evolved) -> tuple[Transition, Array, Array]:
     """Return the solution, judged, each element's part of its error, and of its round-off.
 
-    ``distance`` as of ``Transition``; left out, it is that to the enriched solution ``finer``.
+    Its error is the distance to the enriched solution ``finer``.
     """
     answer, enriched = own.elements, finer.elements
     x, w = answer.x, answer.weight
-    p, size = own.density(x.ravel())
+    (p, size), (better, other) = (f.density(x.ravel()) for f in (own, finer))
     shape = (len(p), *x.shape)
-    if distance is None:
-        better, other = finer.density(x.ravel())
-        distance, size = np.abs(p - better).reshape(shape), size + other
+    distance = np.abs(p - better).reshape(shape)
     last = float(enriched.right[-1])
     # What the enriched solution has beyond the last element of the answer.
     far, far_w = enriched.x[answer.count :], enriched.weight[answer.count :]
     beyond = np.abs(finer.density(np.append(far.ravel(), last))[0])
     tail = (beyond[:, :-1] @ far_w.ravel()).max()
     tail += probed(answer.process).tail_bound(last, float(beyond[:, -1].max()))
-    common = question.common_error(answer, p, size, x.ravel())
+    common = question.common_error(answer, p, size + other, x.ravel())
     pointwise = SAFETY * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w
     top = p.max(axis=1)
