@@ -8,7 +8,6 @@ that are not observed are integrated out on grids of their law given the others.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from math import ceil, exp, log2
 
 import numpy as np
@@ -76,24 +75,6 @@ def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
 def conditionals(system: System, masses: Sequence[int]) -> tuple[Conditional, ...]:
     """Return the law of each displacement given those before it: Π √a_k² is det K_red."""
     return tuple(conditional(system, mass, masses[:k]) for k, mass in enumerate(masses))
-
-
-def bridge_covariance(system: System, given: Sequence[int]) -> Array:
-    """Return the covariance (n, n) at temperature 1 of displacements given those of some masses.
-
-    ``given`` ascends. Masses with one of these in between are independent. Between two of them the
-    chain is a bridge: with the flexibilities a from the lower one up to the nearer of two masses, b
-    from the farther one on and s in all the covariance is a b / s, and a where none is above.
-    """
-    flexibility, covariance = 1.0 / system.stiffness, np.zeros((system.n, system.n))
-    for below, above in pairwise([-1, *given, system.n]):
-        a = np.cumsum(flexibility[below + 1 : above])
-        block = np.minimum.outer(a, a)
-        if above < system.n:
-            s, *b = (flexibility[k : above + 1].sum() for k in range(below + 1, above + 1))
-            block = block * (np.minimum.outer(b, b) / s)
-        covariance[below + 1 : above, below + 1 : above] = block
-    return covariance
 
 
 def rules_of(hidden: int) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from scipy.special import beta
 
 from averaging.shell.energy_shell import TARGET, EnergyShell
 from averaging.shell.laplace import PartitionLines, by_lines
-from averaging.shell.parts import ROUND_OFF, parts_of
+from averaging.shell.parts import ROUND_OFF, parts_along_rays, parts_of
 from fpk.numeric.arrays import EPS, Array
 from fpk.numeric.piecewise import Piecewise, fit
 from fpk.numeric.quadrature import panel_rule
@@ -96,7 +96,7 @@ def shell_columns(system: System, energy: Array) -> Array:
             columns[touching] = system.fact(PartitionLines)(above, shell_columns)
         else:
             columns[touching] = system.fact(_table)(above)
-    columns[:, 1, 3:] += ROUND_OFF * parts.free_size  # of the parts, however they are integrated
+    columns[:, 1, 3:] += ROUND_OFF * parts.scale  # of the parts, however they are integrated
     return columns
 
 
@@ -108,7 +108,7 @@ def _along_rays(system: System, energy: Array) -> Array:
         sums, errors = shell.integrals(energy)
     else:
         target = TARGETS[min(n, 2) - 1] if c == 1 else TARGET
-        orders, combine = parts.along_rays(shell)
+        orders, combine = parts_along_rays(system)
         sums, errors = shell.integrals(energy, orders=orders, combine=combine, target=target)
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(beta(a + 1.0, 0.5 * c)) / gamma(0.5 * c)
@@ -140,7 +140,7 @@ def _table(system: System) -> Callable[[Array], Array]:
     Powers are in units of their sizes.
     """
     parts, breaks = system.fact(parts_of), system.fact(EnergyShell).contact_energies
-    unit = np.append(np.ones(3), np.where(parts.free_size > 0.0, parts.free_size, 1.0))
+    unit = np.append(np.ones(3), np.where(parts.scale > 0.0, parts.scale, 1.0))
     ends = np.array([*breaks, 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0])
     towards = ends[:-1, None] + np.diff(ends)[:, None] * GRADING ** np.arange(1.0, LAYERS + 1.0)
     # Above the highest contact energy each panel is twice as long as the one below it.

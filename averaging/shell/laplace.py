@@ -83,17 +83,11 @@ class PartitionLines:
         loss = self.n * (shares - 1.0 - np.log(shares))
         self.first, last = np.interp(NATS, loss, shares).tolist()
         self.factor = last / self.first
-        parts = system.fact(parts_of)
-        degree, self.order = parts.groups.T
-        most = self.n + 0.5 * max(self.order, default=0)
+        self.parts = parts = system.fact(parts_of)
+        most = self.n + 0.5 * max(parts.orders, default=0)
         alias = self.n * shares - most * np.log1p(shares / self.first)
         self.step = 2.0 * np.pi / float(shares[np.argmax(alias > -log(MISSING))])
-        self.free, self.size = (
-            np.bincount(np.append(0, 1 + parts.group), [1.0, *x], 1 + self.order.size)
-            for x in (parts.mean, parts.spread)
-        )
-        rest = np.exp(gammaln(self.n) - gammaln(self.n + 0.5 * self.order))
-        self.of_degree = (degree == parts.degrees[:, None]) * rest
+        self.free, self.size = np.append(1.0, parts.mean), np.append(1.0, parts.spread)
         self.alone: list[System] = []
         if self._end(1.0) > LONG:
             touching = ([c for c in system.contacts if c.index == i] for i in self.masses)
@@ -108,7 +102,7 @@ class PartitionLines:
         """
         # Rows of the lines and their orders m: T/T_lin, the same of the phase volume and of T', the
         # power times T/T_lin; an inverse is relative to H^(n − 1 + m/2)/Γ(n + m/2).
-        rows = [(0, 0), (0, 2), (0, -2), *enumerate(self.order.tolist(), start=1)]
+        rows = [(0, 0), (0, 2), (0, -2), *enumerate(self.parts.orders.tolist(), start=1)]
         both = np.empty((energy.size, 2, len(rows)))  # values and errors
         index = np.floor(np.log(energy / self.unit) / np.log(self.factor)).astype(int)
         for k in np.unique(index).tolist():
@@ -131,9 +125,9 @@ class PartitionLines:
                 missing = np.abs(by_window[:, 1:] - by_window[:, :1]).max(axis=1)
                 both[here, 0, at] = known * self.free[row] + by_window[:, 0]
                 both[here, 1, at] = SAFETY * (missing + np.abs(terms) @ error[row])
-        both = np.concatenate([both[..., :3], both[..., 3:] @ self.of_degree.T], axis=-1)
+        both = np.concatenate([both[..., :3], both[..., 3:] @ self.parts.of_degree], axis=-1)
         values, errors = np.swapaxes(both, 0, 1)
-        free = np.array([1.0, 1.0, 1.0, *(self.of_degree @ self.free[1:])])
+        free = np.array([1.0, 1.0, 1.0, *(self.parts.mean @ self.parts.of_degree)])
         for own in self.alone:
             x, dx = np.swapaxes(alone(own, energy), 0, 1)
             states, relative = x[:, :1], dx[:, :1]
@@ -210,10 +204,9 @@ class PartitionLines:
                 f[:, rows] = transfer(height, beta[0].real, step, part).swapaxes(1, 2)
             f *= np.sqrt(beta * stiffness / (2.0 * np.pi))[:, None, None]
         moments = f[:, 0] * beta[:, None] ** (0.5 * powers.sum(axis=1))
-        moments = moments[:, column.ravel()] * [1.0, *parts.coefficient]
-        rows = np.zeros((1 + self.order.size, beta.size), dtype=complex)
-        np.add.at(rows, np.append(0, 1 + parts.group), moments.T)
-        return rows
+        first, *others = moments.T[column.ravel()]
+        of_parts = np.reshape(others, (-1, beta.size)) * parts.coefficient[:, None]
+        return np.vstack([first[None], parts.of_group.T @ of_parts])
 
     def _grids(self, real: float, end: float) -> list[list[tuple[Array, Array]]]:
         """Displacements and weights by both rules of each mass, for β from ``real`` to (1 + i end).

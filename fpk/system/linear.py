@@ -1,6 +1,8 @@
 """The linear part of a system: springs, its natural modes (13), constant damping and noise."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import inf
 
 import numpy as np
@@ -40,6 +42,31 @@ def natural_modes(system: System) -> tuple[Array, Array]:
     _, omega, transposed = np.linalg.svd(G / roots)
     shapes = (transposed[::-1] / roots).T
     return np.ascontiguousarray(shapes), np.ascontiguousarray(omega[::-1])
+
+
+def displacements_given(system: System, masses: Sequence[int]) -> tuple[Array, Array]:
+    """Return w (n, c) and Σ (n, n) of q = w q_c + ξ, ξ ~ N(0, θ Σ): the law given those of masses.
+
+    Without contacts, at the temperature θ. ``masses`` ascend from 0. Between two of them the chain
+    is a bridge: with the flexibilities a from the lower one up to the nearer of two masses, b from
+    the farther one on and s in all the covariance is a b/s, and a where none is above. Nothing
+    cancels at any ratio of the springs.
+    """
+    n, flexibility = system.n, 1.0 / system.stiffness
+    weights, covariance = np.zeros((n, len(masses))), np.zeros((n, n))
+    for k, (below, above) in enumerate(pairwise([-1, *masses, n])):
+        a = np.cumsum(flexibility[below + 1 : above])
+        block, share = np.minimum.outer(a, a), np.ones(a.size)
+        if above < n:
+            s, *rest = (flexibility[i : above + 1].sum() for i in range(below + 1, above + 1))
+            b = np.array(rest)
+            block, share = block * (np.minimum.outer(b, b) / s), b / s
+            weights[below + 1 : above, k] = a / s
+            weights[above, k] = 1.0
+        if k:
+            weights[below + 1 : above, k - 1] = share
+        covariance[below + 1 : above, below + 1 : above] = block
+    return weights, covariance
 
 
 def modal_energies(system: System, q: Array, p: Array) -> Array:
