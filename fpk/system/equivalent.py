@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from itertools import product
 from math import comb, exp, lgamma, log, prod, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
@@ -38,8 +38,8 @@ GROWS = "the damping does not balance the noise, so the energy grows for ever"
 class Balance(NamedTuple):
     """The last state at which damping and noise balance; with stops to some per cent.
 
-    ``temperature`` is that of a Gibbs state, in which the power of the damping has the ``slope``
-    dP/dθ there; ``energy`` that of a shell. 0 where there is none.
+    In the Gibbs state of ``temperature`` θ the power of the damping has the ``slope`` dP/dθ;
+    ``energy`` is that of a shell in balance. 0 where there is none.
     """
 
     temperature: float
@@ -109,7 +109,7 @@ def damping_balance(system: System) -> Balance:
     order = system.n + np.gradient(np.log([weights.sum() for _, weights in states]), log_theta)
     gibbs, shell = constant * theta, constant * theta
     size = np.abs(gibbs)
-    alike: dict[tuple[object, ...], list[DampingTerm]] = defaultdict(list)
+    alike: dict[Any, list[DampingTerm]] = defaultdict(list)
     for term in system.damping_terms:
         alike[term.q, term.velocities(system.n), term.energy].append(term)
     log_gamma = scipy.special.gammaln
