@@ -63,10 +63,10 @@ def log_linear_states(system: System, energy: Array | float) -> Array:
 def shell_averages(system: System, energy: Array) -> ShellAverages:
     """Return the averages at energies > 0 (energies,), for any contacts and damping terms.
 
-    The (2n−1)-fold integrals of (10) are reduced to the c contact masses: momenta and the other
-    displacements are integrated out exactly, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c, times
-    polynomials for the power. For one contact mass it is integrated afresh, for two it is
-    interpolated, for more it follows from the partition function of the chain.
+    Of the (2n−1)-fold integrals of (10) those over momenta and displacements without contact are
+    exact, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c over the c contact masses, times polynomials
+    for the power: for one it is integrated afresh, for two interpolated, for more it follows from
+    the partition function of the chain.
     """
     values, errors = np.swapaxes(shell_columns(system, energy), 0, 1)
     powers = energy[:, None] ** (1.0 + 0.5 * system.fact(parts_of).degrees)
@@ -76,7 +76,7 @@ def shell_averages(system: System, energy: Array) -> ShellAverages:
 
 
 def shell_columns(system: System, energy: Array) -> Array:
-    """Return T/T_lin, the same of the phase volume, H T'/T and the factors g_d, and their errors.
+    """Return T/T_lin, the same of the phase volume, H T'/T and the g_d, and their errors.
 
     An array (energies, 2, 3 + degrees), values before errors: Σ_d g_d H^(1 + d/2) is the power of
     the damping terms. The errors of the first two are equal and relative; H T'/T has none.
@@ -108,8 +108,7 @@ def _along_rays(system: System, energy: Array) -> Array:
         sums, errors = shell.integrals(energy)
     else:
         target = TARGETS[min(n, 2) - 1] if c == 1 else TARGET
-        orders, combine = parts_along_rays(system)
-        sums, errors = shell.integrals(energy, orders=orders, combine=combine, target=target)
+        sums, errors = shell.integrals(energy, *parts_along_rays(system), target)
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(beta(a + 1.0, 0.5 * c)) / gamma(0.5 * c)
     states = sums[:, :1]
@@ -133,11 +132,10 @@ def _along_rays(system: System, energy: Array) -> Array:
 
 
 def _table(system: System) -> Callable[[Array], Array]:
-    """The columns over two contact masses by panels that are fitted on demand.
+    """The columns over two contact masses, smooth between contact energies.
 
-    One energy takes milliseconds, and a solver asks for thousands. Between contact energies the
-    columns are smooth: a panel is fitted once as many energies are asked for as a fit needs.
-    Powers are in units of their sizes.
+    One energy takes milliseconds, and a solver asks for thousands: a panel is fitted once as many
+    energies are asked for as a fit needs. Powers are in units of their sizes.
     """
     parts, breaks = system.fact(parts_of), system.fact(EnergyShell).contact_energies
     unit = np.append(np.ones(3), np.where(parts.scale > 0.0, parts.scale, 1.0))
@@ -146,15 +144,11 @@ def _table(system: System) -> Callable[[Array], Array]:
     # Above the highest contact energy each panel is twice as long as the one below it.
     edges = np.unique(np.concatenate([breaks, towards.ravel(), ends[-1] * 2.0 ** np.arange(60.0)]))
     panels: dict[int, Piecewise] = {}
-    single: dict[float, Array] = {}  # solvers begin by asking for the same energies
-
-    def evaluate(energy: Array) -> Array:
-        return np.asarray(_along_rays(system, energy) / unit)
 
     def fitted(ends: Array) -> Piecewise:
         """The fit between two edges, with a constant bound of the error on each of its panels."""
         values = fit(
-            evaluate,
+            lambda energy: np.asarray(_along_rays(system, energy) / unit),
             ends,
             FIT_TARGET,
             degree=POINTS - 1,
@@ -178,12 +172,8 @@ def _table(system: System) -> Callable[[Array], Array]:
         result = np.empty((energy.size, 2, unit.size))
         for k in panels.keys() & set(used.tolist()):
             result[index == k] = panels[k](energy[index == k])
-        others = ~np.isin(index, list(panels))
-        new = np.array([H for H in energy[others].tolist() if H not in single])
-        if new.size:
-            single.update(zip(new.tolist(), evaluate(new), strict=True))
-        remembered = [single[H] for H in energy[others].tolist()]
-        result[others] = np.reshape(remembered, (-1, 2, unit.size))
+        if (others := ~np.isin(index, list(panels))).any():
+            result[others] = _along_rays(system, energy[others]) / unit
         return np.asarray(result * unit)
 
     return columns

@@ -27,8 +27,6 @@ RULES = (14, 18, 24, 48, 96, 192)
 are evaluated at once: 32 points fill four vectors, as fewer would."""
 RADIAL_RULE = 2
 """Index of the rule of 24 points, enough along a ray for any contact stiffness, not over angles."""
-MANY = 5
-"""Masses from which the first rule along a line would be refused, as v^a is narrow."""
 TARGET = 3e-12
 """Relative disagreement of two rules that ends the refinement and is reported as the error."""
 ROUND_OFF = 2e-15
@@ -37,6 +35,7 @@ ROOT_ROUND_OFF = 4e-13
 """Relative error of a sum of a system of one mass, ε points²: its integrand is 1/√v, v = 1 − V/H,
 where v ~ 1/points² at the Gauss point next to the turning point."""
 
+NONE = np.empty((0, 2), dtype=np.int64)
 Combine = Callable[[Array, Array], Array]
 """Quantities (..., rays, quantities) from directions (rays, c) and integrals (..., rays, ·)."""
 
@@ -46,9 +45,8 @@ class EnergyShell:
     """Shells of constant energy of one system, over the c masses that have a contact.
 
     Masses without contact are integrated out exactly, which leaves
-    V_red = ½ q_cᵀ K_red q_c + Σ U_i(q_i) with ``K_red`` the Schur complement of the stiffness
-    matrix. With q_c = L y and L Lᵀ = K_red⁻¹ the springs become ½|y|². Held by the system as
-    ``system.fact(EnergyShell)``.
+    V_red = ½ q_cᵀ K_red q_c + Σ U_i(q_i). With q_c = L y and L Lᵀ = K_red⁻¹ the springs become
+    ½|y|². Held by the system as ``system.fact(EnergyShell)``.
     """
 
     system: System
@@ -60,11 +58,8 @@ class EnergyShell:
 
     @cached_property
     def L(self) -> Array:
-        """L (c, c): each contact mass hangs on the one before it by springs in series.
-
-        y are the extensions of these springs, times the root of their stiffness: nothing cancels
-        at any ratio of the springs.
-        """
+        """L (c, c): y are the extensions of the springs in series between the contact masses, times
+        the root of their stiffness; nothing cancels at any ratio of the springs."""
         laws = conditionals(self.system, self.system.contact_masses)
         return np.asarray(np.tri(self.count) * [law.precision**-0.5 for law in laws])
 
@@ -132,21 +127,18 @@ class EnergyShell:
     def integrals(
         self,
         energy: Array,
-        *,
-        orders: Integers | None = None,
-        combine: Combine | None = None,
+        orders: Integers = NONE,
+        combine: Combine = lambda directions, integrals: integrals,
         target: float = TARGET,
     ) -> tuple[Array, Array]:
         """Return integrals over the shells (energies, quantities) and their errors, of that shape.
 
-        One or two masses have contact. The quantities are the integrals along rays of
-        ``ray_integrals``, with ``orders``, or what ``combine`` makes of them, summed over all
-        directions. Errors are relative, that of H T', which may vanish, to T at the least. The
-        rules are refined until the errors of the first three are below ``TARGET``, all others below
-        ``target``.
+        One or two masses have contact. ``combine`` makes the quantities of the integrals along rays
+        of ``ray_integrals``; they are summed over all directions. Errors are relative, of H T' to T
+        at the least. The rules are refined until the errors of the first three are below
+        ``TARGET``, all others below ``target``.
         """
         n, mirror = self.system.n, self.system.fact(looks_the_same_mirrored)
-        orders = np.empty((0, 2), dtype=np.int64) if orders is None else orders
         laws = tuple(sorted({stop.law for stop in self.system.stops}))
         add_rays = ray_integrals(laws, 2 * n - self.count - 2 <= 0)
         cuts = self._cut_angles(energy) if self.count == 2 else np.empty((energy.size, 0))
@@ -155,7 +147,7 @@ class EnergyShell:
             """The quantities of each ray by each rule, (rules, rays, ·)."""
             out = np.zeros((len(rules), energy.size, 3 + len(orders)))
             add_rays(energy, directions, self.stops, n, orders, *gauss_rules(rules), out)
-            return out if combine is None else combine(directions, out)
+            return combine(directions, out)
 
         def sums(i: Integers, first: int, count: int) -> Array:
             """The quantities at some energies by ``count`` rules, (rules, energies, ·)."""
@@ -179,11 +171,10 @@ class EnergyShell:
             size[:, 2] = np.maximum(size[:, 2], fine[:, 0])
             return np.abs(coarse - fine) / size + floor
 
-        first = 1 if self.count == 1 and n >= MANY else 0
-        coarse, fine = sums(np.arange(energy.size), first, 2)
+        coarse, fine = sums(np.arange(energy.size), 0, 2)
         error = error_of(coarse, fine)
         targets = np.array([TARGET] * 3 + [target] * (fine.shape[1] - 3))
-        for rule in range(first + 2, len(RULES)):
+        for rule in range(2, len(RULES)):
             i = np.flatnonzero(~np.all(error <= targets, axis=1))  # no number is refined, too
             if not i.size:
                 break
@@ -199,7 +190,7 @@ class EnergyShell:
         stop, level = np.nonzero(self.potential(touch)[:, None] < energy)
         if stop.size:
             # On the line where a stop is just touched V is convex: H is met once on either side of
-            # the lowest point, no farther than where the springs alone reach it, round-off or not.
+            # the lowest point, no farther than where the springs alone reach it.
             (x0, y0), H = touch[stop].T, energy[level]
             dx, dy = np.array([-rows[stop, 1], rows[stop, 0]]) / np.linalg.norm(rows[stop], axis=1)
             end = np.array([[1.0], [-1.0]]) * (1.000000001 * np.sqrt(2.0 * H) + np.hypot(x0, y0))
@@ -221,8 +212,8 @@ def _circle_rule(cuts: Array, nodes: int, *, mirror: bool) -> tuple[Integers, Ar
     """Gauss panels over the angle between ``cuts`` (energies, cuts): rays of two contact masses.
 
     Returns the index of each ray's energy (rays,), the directions (rays, 2), the weights (rays,).
-    The substitution sin² towards both ends of a panel turns the half-integer powers that Hertz
-    contact leaves there into smooth functions. ``mirror`` says that V is even.
+    sin² towards both ends of a panel turns the half-integer powers that Hertz contact leaves there
+    into smooth functions. ``mirror`` says that V is even.
     """
     period = pi if mirror else 2.0 * pi
     cuts = np.sort(cuts % period, axis=1)

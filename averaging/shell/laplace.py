@@ -43,8 +43,8 @@ ENDS = (1.6, 16.0)
 LONG = 10.0
 """End of a line over β₀ beyond which the systems with one contact mass are taken off."""
 NATS = (0.4, 3.5)
-"""Loss of digits, in nats, at the least and the highest energy of a line. Just above n/β₀, where
-none are lost, the end of the line misses most."""
+"""Loss of digits, in nats, at the least and the highest energy of a line: where none are lost the
+end of the line misses most."""
 SHORTER = (0.6, 1.2, 1.8)
 """Nats by which shorter ends of the same line miss more: their answers estimate what it misses."""
 SAFETY = 1.5
@@ -68,9 +68,8 @@ class PartitionLines:
     """T, phase volume, T' and damping power of the shell, by lines of Z(β) on demand.
 
     A line serves energies above n/β₀, where up to ``NATS`` digits are lost. With few masses the
-    line would have to be long; there the systems with one contact mass alone are taken
-    off, whose ratios are integrated along rays: what is left of R falls much faster. Held by the
-    system as ``system.fact(PartitionLines)``.
+    line would have to be long; there the systems with one contact mass alone are taken off, whose
+    ratios are integrated along rays: what is left of R falls much faster.
     """
 
     def __init__(self, system: System) -> None:
@@ -150,8 +149,8 @@ class PartitionLines:
     def _line(self, real: float) -> tuple[Complexes, Complexes, Array, float]:
         """The line Re β = ``real``: its points, the function inverted there, its error, ``known``.
 
-        The function and the error are (rows, points): row 0 is R, the others are the transforms of
-        damping power. ``known`` times the chain without contact has been taken off.
+        Function and error are (rows, points), of R and of the transforms of damping power, less
+        ``known`` times the chain without contact.
         """
         end = self._end(1.0)
         both = np.array([real, complex(real, real * end)])
@@ -209,10 +208,10 @@ class PartitionLines:
         return np.vstack([first[None], parts.of_group.T @ of_parts])
 
     def _grids(self, real: float, end: float) -> list[list[tuple[Array, Array]]]:
-        """Displacements and weights by both rules of each mass, for β from ``real`` to (1 + i end).
+        """Displacements and weights by both rules of each mass, for β to ``real`` (1 + i ``end``).
 
-        Next to a stop they are Gauss points of the root of the overlap, in which the contact energy
-        of a Hertz law is a polynomial.
+        Next to a stop they are Gauss points of the root of the overlap, a variable in which the
+        contact energy of a Hertz law is a polynomial.
         """
         turns = POINTS[1] * RADIANS / end
         longest = min(WIDTHS_PER_PANEL, turns / (2.0 * RISE) ** 0.5)
@@ -258,12 +257,11 @@ def by_lines(shell: EnergyShell) -> bool:
 
 @cached_njit()
 def transfer(height: Array, begin: float, step: float, g: Complexes) -> Complexes:
-    """Apply one integral operator of the chain at the points β_k = begin + i k step of a line.
+    """Return f_kmr = Σ_c exp(−β_k height_rc) g_kcm (points, m, rows) at β_k = begin + i k step.
 
-    Returns f_kmr = Σ_c exp(−β_k height_rc) g_kcm (points, m, rows) for ``height`` (rows, columns),
-    the energies of the spring, and ``g`` (points, columns, m). A library's product of matrices is
-    no faster for so few columns, and its threads wait for each other where another program runs
-    (``cases/commands/cli.py``).
+    One integral operator of the chain: ``height`` (rows, columns) are the energies of the spring.
+    A library's product of matrices is no faster for so few columns, and its threads wait for each
+    other where another program runs.
     """
     rows, columns = height.shape
     points, _, count = g.shape

@@ -2,9 +2,8 @@
 
 Along a ray y = r e of whitened coordinates V rises strictly, so the shell is 0 <= r <= R. Between
 stops lie panels. X is the distance from the beginning of one to the turning point that the engaged
-stops alone would leave. Up to the first stop y = √(X − x) removes the root there. From each stop on
-x = X sin²φ removes the half-integer powers of Hertz contact, too, and stays smooth when the next
-stop comes before.
+stops alone would leave. x = X sin²φ removes the root there and the half-integer powers of Hertz
+contact at the beginning, and stays smooth when the next stop comes before.
 """
 
 from collections.abc import Callable
@@ -85,8 +84,7 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         whole, half = int(np.ceil(a)), a % 1.0 > 0.0
         none, size = np.empty(total), rule.shape[1]
         ray = Stops(none, none.copy(), none.copy(), none.copy(), np.empty(total, dtype=np.int64))
-        x, left, dx, v = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-        states, change = np.empty(size), np.empty(size)
+        r, dx, v, change = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
         for i in range(energy.size):
             H, scale = energy[i], 1.0 / np.sqrt(energy[i])
             count = _along(np.sqrt(2.0 * H), directions[i], stops, ray)
@@ -101,34 +99,25 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                 if length <= 0.0:
                     continue
                 X = _turning_point(height, start, k, ray, U, g)
-                _points(H, start, X, min(length, X), k, ray, rule, x, left, dx, v, U, g)
-                for j in range(x.size):
-                    r = start + x[j]
-                    states[j] = dx[j] * v[j] ** whole
+                _points(H, start, X, min(length, X), k, ray, rule, r, dx, v, U, g)
+                for j in range(size):
+                    states = dx[j] * v[j] ** whole * scale
                     if half:
-                        states[j] /= np.sqrt(v[j])
+                        states /= np.sqrt(v[j])
                     if c == 2:
-                        states[j] *= r * scale
+                        states *= r[j] * scale
+                    dx[j] = states
+                    change[j] = a / v[j]
                     if singular:
-                        change[j] = states[j] * (a + 1.0 + _bent(r, k, c, ray, U, g, bend))
-                    else:
-                        change[j] = states[j] * a / v[j]
+                        change[j] = a + 1.0 + _bent(r[j], k, c, ray, U, g, bend)
                 for m in range(out.shape[0]):
-                    first, last = ends[m], ends[m + 1]
-                    of_states, of_volume, of_change = 0.0, 0.0, 0.0
-                    for j in range(first, last):
-                        of_states += states[j]
-                        of_volume += states[j] * v[j]
-                        of_change += change[j]
-                    out[m, i, 0] += scale * of_states
-                    out[m, i, 1] += scale * of_volume
-                    out[m, i, 2] += scale * of_change
-                    for o in range(orders.shape[0]):
-                        value = 0.0
-                        for j in range(first, last):
-                            r = (start + x[j]) * scale
-                            value += states[j] * r ** orders[o, 0] * v[j] ** orders[o, 1]
-                        out[m, i, 3 + o] += scale * value
+                    for j in range(ends[m], ends[m + 1]):
+                        out[m, i, 0] += dx[j]
+                        out[m, i, 1] += dx[j] * v[j]
+                        out[m, i, 2] += dx[j] * change[j]
+                        for o in range(orders.shape[0]):
+                            power = (r[j] * scale) ** orders[o, 0] * v[j] ** orders[o, 1]
+                            out[m, i, 3 + o] += dx[j] * power
         return sources
 
     return add_rays
@@ -218,42 +207,30 @@ def _points(
     k: int,
     ray: Stops,
     rule: Array,
-    x: Array,
-    left: Array,
+    r: Array,
     dx: Array,
     v: Array,
     U: Any,
     g: Any,
 ) -> None:
-    """Write x, the rest of X, dx and v = 1 − V/H at the points of a panel of length ``span``.
+    """Write r, dr and v = 1 − V/H at the points of a panel of length ``span``.
 
-    v is the fall of springs and stops between X and x.
+    v is the fall of springs and stops between X and x = r − ``start``.
     """
     share, weight, sine, cosine = rule[0], rule[1], rule[2], rule[3]
-    if k == 0:
-        top = np.sqrt(X)
-        width = span / (top + np.sqrt(X - span))
-        for j in range(x.size):
-            fall = width * share[j]  # of √(X − x) from its value at x = 0
-            x[j], left[j] = fall * (2.0 * top - fall), (top - fall) * (top - fall)
-            dx[j] = 2.0 * (top - fall) * width * weight[j]
-    else:
-        end = 0.5 * np.pi if span == X else np.arctan2(np.sqrt(span), np.sqrt(X - span))
-        for j in range(x.size):
-            s, c = sine[j], cosine[j]
-            if span < X:
-                s, c = np.sin(end * share[j]), np.cos(end * share[j])
-            x[j], left[j] = X * s * s, X * c * c
-            dx[j] = 2.0 * X * end * s * c * weight[j]
-    for j in range(x.size):
-        v[j] = left[j] * (start + 0.5 * (X + x[j]))
-    for i in range(k):
-        reach, begun = ray.reach[i], ray.reach[i] * (start - ray.touch[i])
-        last = _of_stop(U, ray, i, begun + reach * X)
-        for j in range(x.size):
-            v[j] += _gain(begun + reach * x[j], reach * left[j], last, ray, i, U, g)
-    for j in range(x.size):
-        v[j] *= 1.0 / H
+    end = 0.5 * np.pi if span == X else np.arctan2(np.sqrt(span), np.sqrt(X - span))
+    for j in range(r.size):
+        s, c = sine[j], cosine[j]
+        if span < X:
+            s, c = np.sin(end * share[j]), np.cos(end * share[j])
+        x, left = X * s * s, X * c * c
+        dx[j] = 2.0 * X * end * s * c * weight[j]
+        fall = left * (start + 0.5 * (X + x))
+        for i in range(k):
+            reach, begun = ray.reach[i], ray.reach[i] * (start - ray.touch[i])
+            last = _of_stop(U, ray, i, begun + reach * X)
+            fall += _gain(begun + reach * x, reach * left, last, ray, i, U, g)
+        r[j], v[j] = start + x, fall / H
 
 
 @inlined
