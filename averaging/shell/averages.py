@@ -30,8 +30,6 @@ POINTS = 16
 """Gauss points of a panel of a table."""
 FIT_TARGET = 1e-11
 """Last Legendre coefficients of a panel, relative to the largest, above which it is split."""
-MOST_SPLITS = 8
-"""Splits of a panel at most: each leaves a fifth of it next to a contact energy."""
 
 
 class ShellAverages(NamedTuple):
@@ -104,11 +102,8 @@ def _along_rays(system: System, energy: Array) -> Array:
     """The columns above the first contact energy, by quadrature over one or two contact masses."""
     shell, parts = system.fact(EnergyShell), system.fact(parts_of)
     n, c = system.n, shell.count
-    if not system.damping_terms:
-        sums, errors = shell.integrals(energy)
-    else:
-        target = TARGETS[min(n, 2) - 1] if c == 1 else TARGET
-        sums, errors = shell.integrals(energy, *parts_along_rays(system), target)
+    target = TARGETS[min(n, 2) - 1] if c == 1 else TARGET
+    sums, errors = shell.integrals(energy, *system.fact(parts_along_rays), target)
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(beta(a + 1.0, 0.5 * c)) / gamma(0.5 * c)
     states = sums[:, :1]
@@ -122,12 +117,11 @@ def _along_rays(system: System, energy: Array) -> Array:
         rises = rises / energy[:, None] + 4.0 * EPS * np.array([-1.0, 1.0])[:, None, None]
         beyond = np.diff(np.sqrt(np.maximum(rises, 0.0)), axis=0)[0].sum(axis=1) / pi
         columns[:, 1, :2] += beyond[:, None] * flat / states
-    if system.damping_terms:
-        shifted, most = np.split(sums[:, 3:], 2, axis=1)
-        columns[:, 0, 3:] = (shifted - 2.0 * most) / states
-        # The errors of shifted (at most 3 of most), of 2 most and of T (g is at most most).
-        largest = np.maximum(errors[:, :1], errors[:, 3:].max(axis=1, keepdims=True))
-        columns[:, 1, 3:] = 6.0 * largest * most / states
+    shifted, most = np.split(sums[:, 3:], 2, axis=1)
+    columns[:, 0, 3:] = (shifted - 2.0 * most) / states
+    # The errors of shifted (at most 3 of most), of 2 most and of T (g is at most most).
+    largest = errors[:, [0, *range(3, errors.shape[1])]].max(axis=1, keepdims=True)
+    columns[:, 1, 3:] = 6.0 * largest * most / states
     return columns
 
 
@@ -144,6 +138,7 @@ def _table(system: System) -> Callable[[Array], Array]:
     # Above the highest contact energy each panel is twice as long as the one below it.
     edges = np.unique(np.concatenate([breaks, towards.ravel(), ends[-1] * 2.0 ** np.arange(60.0)]))
     panels: dict[int, Piecewise] = {}
+    single: dict[float, Array] = {}  # solvers begin by asking for the same energies
 
     def fitted(ends: Array) -> Piecewise:
         """The fit between two edges, with a constant bound of the error on each of its panels."""
@@ -154,7 +149,6 @@ def _table(system: System) -> Callable[[Array], Array]:
             degree=POINTS - 1,
             cut=lambda left, right: left + GRADING * (right - left),
             estimate=lambda _, c: np.abs(c[:, -2:, 0]).max(axis=(1, 2)),
-            rounds=MOST_SPLITS,
         )
         assert values.error is not None
         # The fit goes through what was evaluated at the Gauss points.
@@ -172,8 +166,11 @@ def _table(system: System) -> Callable[[Array], Array]:
         result = np.empty((energy.size, 2, unit.size))
         for k in panels.keys() & set(used.tolist()):
             result[index == k] = panels[k](energy[index == k])
-        if (others := ~np.isin(index, list(panels))).any():
-            result[others] = _along_rays(system, energy[others]) / unit
+        others = ~np.isin(index, list(panels))
+        asked = energy[others].tolist()
+        if new := [H for H in asked if H not in single]:
+            single.update(zip(new, _along_rays(system, np.array(new)) / unit, strict=True))
+        result[others] = np.reshape([single[H] for H in asked], (-1, 2, unit.size))
         return np.asarray(result * unit)
 
     return columns

@@ -35,7 +35,6 @@ ROOT_ROUND_OFF = 4e-13
 """Relative error of a sum of a system of one mass, ε points²: its integrand is 1/√v, v = 1 − V/H,
 where v ~ 1/points² at the Gauss point next to the turning point."""
 
-NONE = np.empty((0, 2), dtype=np.int64)
 Combine = Callable[[Array, Array], Array]
 """Quantities (..., rays, quantities) from directions (rays, c) and integrals (..., rays, ·)."""
 
@@ -125,11 +124,7 @@ class EnergyShell:
         return tuple(float(H) for before, H in both if H - before > SAME * H)
 
     def integrals(
-        self,
-        energy: Array,
-        orders: Integers = NONE,
-        combine: Combine = lambda directions, integrals: integrals,
-        target: float = TARGET,
+        self, energy: Array, orders: Integers, combine: Combine, target: float
     ) -> tuple[Array, Array]:
         """Return integrals over the shells (energies, quantities) and their errors, of that shape.
 

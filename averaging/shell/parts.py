@@ -72,6 +72,8 @@ def parts_along_rays(system: System) -> tuple[Integers, Combine]:
     moment of degree 2j is (H − V_red)^j Γ(N/2)/Γ(N/2 + j) times that of Gaussian ones.
     """
     shell, parts = system.fact(EnergyShell), system.fact(parts_of)
+    if not system.damping_terms:
+        return np.empty((0, 2), dtype=np.int64), lambda directions, integrals: integrals
     total, odd = parts.powers.sum(axis=1), parts.powers % 2
     both = np.stack([total, (parts.of_group @ parts.orders - total).astype(int) // 2], axis=1)
     orders, column = np.unique(both, axis=0, return_inverse=True)

@@ -202,8 +202,8 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
     """Displacements (masses, points) of the contact masses, and weights (points,), at θ.
 
     A mass departs from the one before it by the flexibility in between, as far as its stops let it
-    go. Of many masses ``KEPT`` points are drawn again after each: the weights of all masses
-    together would leave one point in thousands.
+    go. Of many masses ``KEPT`` points are drawn again after each, as the weights of all together
+    would leave one point in thousands.
     """
     masses, reach = system.contact_masses, sqrt(2.0 * DEEP)
     on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= GRID]
@@ -228,9 +228,8 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
         if not on_grid:
             # Fractions of the golden ratio: evenly spread beside the order of the mass before.
             k, total = np.arange(KEPT), np.cumsum(weights)
-            kept = np.searchsorted(
-                total, (k + k * 0.5 * (sqrt(5.0) - 1.0) % 1.0) / KEPT * total[-1]
-            )
+            share = (k + k * 0.5 * (sqrt(5.0) - 1.0) % 1.0) / KEPT
+            kept = np.searchsorted(total, share * total[-1])
             q = q[:, kept[np.argsort(q[-1, kept])]]
             weights = np.full(KEPT, total[-1] / KEPT)
     return q, weights

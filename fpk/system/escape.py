@@ -138,7 +138,7 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
 
 
 def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array, Array]]:
-    """Return the function of states x = (q, v)/``unit``, (states, 2n): dx/dt, ∂(dx/dt)/∂x and H."""
+    """The function of states x = (q, v)/``unit``, (states, 2n), to dx/dt, ∂(dx/dt)/∂x and H."""
     n, terms, K = system.n, system.damping_terms, system.stiffness_matrix
     powers = np.array([[*t.powers("q", n), *t.powers("v", n)] for t in terms])
     powers[range(len(terms)), [n + t.column for t in terms]] += 1
@@ -181,7 +181,7 @@ def _powers(system: System, z: Array) -> Array:
 
 
 def _words(system: System, state: Array) -> str:
-    """Return the reason: the term that feeds most in at ``state``, and where it does so."""
+    """The reason: the term that feeds most in at ``state``, and where it does so."""
     term = system.damping_terms[int(np.argmin(_powers(system, state[None])[:, 0]))]
     names = [f"{key}{i + 1}" for key in "qv" for i in range(system.n)]
     powers = [*term.powers("q", system.n), *term.powers("v", system.n)]

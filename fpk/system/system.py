@@ -144,8 +144,7 @@ class System:
     def compliance(self) -> Array:
         """Inverse (n, n) of the stiffness matrix of the chain: Σ 1/k_l over l <= min(i, j).
 
-        Mass i and mass j share the springs from the wall to the nearer of the two; nothing cancels,
-        so that every entry has full relative accuracy for any ratio of the springs.
+        Nothing cancels: every entry has full relative accuracy for any ratio of the springs.
         """
         reach = np.cumsum(1.0 / self.stiffness)
         matrix: Array = np.minimum.outer(reach, reach)
