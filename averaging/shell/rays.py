@@ -37,14 +37,11 @@ class Stops(NamedTuple):
 
 
 @lru_cache
-def gauss_rules(rules: tuple[int, ...]) -> tuple[Array, Integers]:
-    """Return the points of some rules one after another, and where each begins (rules + 1,).
-
-    (4, points): Gauss points of [0, 1], their weights, sin φ and cos φ at φ = π/2 of the point.
-    """
-    t, w = (np.concatenate(part) for part in zip(*map(gauss_legendre, rules), strict=True))
+def gauss_rule(points: int) -> Array:
+    """Return Gauss points of [0, 1], their weights, and sin φ, cos φ at φ = π/2 of the point."""
+    t, w = gauss_legendre(points)
     phi = 0.25 * np.pi * (1.0 + t)
-    return np.array([0.5 * (1.0 + t), 0.5 * w, np.sin(phi), np.cos(phi)]), np.cumsum([0, *rules])
+    return np.array([0.5 * (1.0 + t), 0.5 * w, np.sin(phi), np.cos(phi)])
 
 
 @lru_cache
@@ -66,25 +63,23 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         n: int,
         orders: Integers,
         rule: Array,
-        ends: Integers,
         out: Array,
     ) -> int:
-        """Add the integrals along rays to ``out``, (rules, rays, 3 + orders).
+        """Add the integrals along rays to ``out``, (rays, 3 + orders).
 
-        ``energy`` (rays,) and unit vectors ``directions`` (rays, c). ``rule`` as ``gauss_rules``
-        returns it; points of rule k are those from ``ends[k]`` to ``ends[k + 1]``. With
-        v = 1 − V/H and lengths in units of √H the integrals are those of v^a r^(c−1) (1, v, w),
-        which belong to T, the phase volume and H T', then of v^(a+j) r^(c−1+k) for the rows (k, j)
-        of ``orders``. For a > 0, w = a/v is the derivative under the integral; otherwise that
-        diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²) comes from differentiating with V as
-        the variable. Returns the checksum of the sources.
+        ``energy`` (rays,) and unit vectors ``directions`` (rays, c). ``rule`` as ``gauss_rule``
+        returns it. With v = 1 − V/H and lengths in units of √H the integrals are those of
+        v^a r^(c−1) (1, v, w), which belong to T, the phase volume and H T', then of
+        v^(a+j) r^(c−1+k) for the rows (k, j) of ``orders``. For a > 0, w = a/v is the derivative
+        under the integral; otherwise that diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²)
+        comes from differentiating with V as the variable. Returns the checksum of the sources.
         """
         total, c = stops.reach.shape
         a = n - 0.5 * c - 1.0
         whole, half = int(np.ceil(a)), a % 1.0 > 0.0
         none, size = np.empty(total), rule.shape[1]
         ray = Stops(none, none.copy(), none.copy(), none.copy(), np.empty(total, dtype=np.int64))
-        r, dx, v, change = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+        r, dx, v = np.empty(size), np.empty(size), np.empty(size)
         for i in range(energy.size):
             H, scale = energy[i], 1.0 / np.sqrt(energy[i])
             count = _along(np.sqrt(2.0 * H), directions[i], stops, ray)
@@ -106,18 +101,15 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                         states /= np.sqrt(v[j])
                     if c == 2:
                         states *= r[j] * scale
-                    dx[j] = states
-                    change[j] = a / v[j]
+                    change = a / v[j]
                     if singular:
-                        change[j] = a + 1.0 + _bent(r[j], k, c, ray, U, g, bend)
-                for m in range(out.shape[0]):
-                    for j in range(ends[m], ends[m + 1]):
-                        out[m, i, 0] += dx[j]
-                        out[m, i, 1] += dx[j] * v[j]
-                        out[m, i, 2] += dx[j] * change[j]
-                        for o in range(orders.shape[0]):
-                            power = (r[j] * scale) ** orders[o, 0] * v[j] ** orders[o, 1]
-                            out[m, i, 3 + o] += dx[j] * power
+                        change = a + 1.0 + _bent(r[j], k, c, ray, U, g, bend)
+                    out[i, 0] += states
+                    out[i, 1] += states * v[j]
+                    out[i, 2] += states * change
+                    for o in range(orders.shape[0]):
+                        power = (r[j] * scale) ** orders[o, 0] * v[j] ** orders[o, 1]
+                        out[i, 3 + o] += states * power
         return sources
 
     return add_rays
