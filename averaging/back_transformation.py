@@ -36,9 +36,8 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
     """Return the density of ``observable``, H or one or two of (q, p), from u(H).
 
     Momenta and masses without contact are quadratic in H and integrated out exactly (Weyl
-    integrals of u); contact masses that are not observed by quadrature on grids that follow their
-    law given the observed ones, two at the most unless u is exponential. ``tol`` is the L1
-    tolerance that was asked for.
+    integrals of u), hidden contact masses by quadrature, two at the most unless u is exponential.
+    ``tol`` is the L1 tolerance that was asked for.
     """
     system = source.system
     if observable[0].kind == "H":
@@ -47,11 +46,7 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         nodes = with_layers(solution.panels, solution.process.nonsmooth, count=DEEP_LAYERS)
 
         def own(energy: Array) -> Array:
-            """Relative error of T at the points themselves.
-
-            At a contact energy it may be worse than on the mesh, where the solver estimated the
-            error of u.
-            """
+            """Relative error of T, at a contact energy perhaps worse than on the mesh of u."""
             x, _ = solution.process.on_mesh(energy, float(nodes[-1]))
             return shell_averages(system, x.ravel()).error.reshape(x.shape)
 
@@ -99,10 +94,9 @@ def marginal_of(
 ) -> tuple[Callable[..., Array], Callable[..., Array], Callable[..., Array]]:
     """Return the integral of u(H) over everything but the observed displacements and momenta.
 
-    It is a function of these, broadcast together. With it come its error, and the part of that by
-    tables and quadrature, a function of the integral and of the same points. All but hidden contact
-    masses is quadratic in H and integrated exactly. ``flux_of``, a mass: the momentum of the one
-    displacement is integrated over its velocity > 0.
+    It is a function of these, broadcast together, as is its error; the part of that by tables and
+    quadrature is one of the integral and of the same points. ``flux_of``, a mass: the momentum of
+    the one displacement is integrated over its velocity > 0.
     """
     system, T = source.system, source.temperature
     q = [c.row for c in observable if c.kind == "q"]
@@ -150,9 +144,8 @@ def reduced(
 ) -> tuple[float, float, tuple[Conditional, ...]]:
     """Return ν and ln of (2π)^ν/(√det T_lin) of the quadratic coordinates integrated out, and laws.
 
-    These coordinates are all but the observed ones and the displacements ``hidden``, whose laws
-    follow on the observed displacements' own. det K of the masses is exactly det K over det K_red,
-    a product each. T_lin is the density of states without contact at the energy ``unit``.
+    These are all but the observed ones and the displacements ``hidden``, whose laws follow on the
+    observed displacements' own. T_lin is the density of states without contact at ``unit``.
     """
     q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
     laws = conditionals(system, [*q, *hidden])
@@ -179,10 +172,10 @@ def observed_energy(
 
 
 def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:
-    """Return panel nodes of q_mass (from 0): the range that the energy ``end`` allows.
+    """Return panel nodes of q_mass (from 0) over the range that the energy ``end`` allows.
 
-    Panels have the width of the thermal displacement of the free mass, with layers beyond every
-    stop of this mass, and on both sides of where another mass, tied to it, begins to touch.
+    Panels are a thermal displacement wide, with layers beyond every stop of this mass, and on both
+    sides of where another mass, tied to it, begins to touch.
     """
     compliance = system.compliance
     own = float(compliance[mass, mass])
@@ -207,10 +200,10 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
 
 
 def crossing_rates(source: StateDensity, row: int, at: Array, *, tol: float) -> Curve:
-    """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row`` (of 0).
+    """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row`` (from 0).
 
-    Rice's ∫_0^∞ v f(q, p) dp, v = p/m, of a density of the energy is its integral over p²/2m: a
-    Weyl integral of half an order above that of p(q). The scale is σ_v/(2πσ_q).
+    Rice's ∫_0^∞ v f(q, p) dp, v = p/m, is an integral over p²/2m: a Weyl integral of half an order
+    above that of p(q). The scale is σ_v/(2πσ_q).
     """
     observable, mass = (Coordinate("q", row),), float(source.system.mass[row])
     q = back_transformed(source, observable, tol=tol)

@@ -1,14 +1,12 @@
 """Laws of displacements of a chain given those of some other masses, and integrals over them.
 
 A mass depends on its nearest neighbours among these alone, through the springs in between in
-series: nothing in its law ½ a (q − μ)² + U(q) cancels at any ratio of the springs. Contact masses
-that are not observed are integrated out on grids of their law given the others.
+series: nothing in its law ½ a (q − μ)² + U(q) cancels at any ratio of the springs.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from math import ceil, exp, log2
 
 import numpy as np
@@ -28,11 +26,10 @@ LEVELS = (1e-5, 1e-3, 0.1, 1.0)
 """Contact energies in units of T between which panels lie beyond a stop, then twice the one before:
 over [x, 2x] a Gauss rule of ten points misses at most 2e-12 of exp(−x), at x = 16."""
 FIT_TOLERANCE = 1e-13
-"""Largest error of the integral over all masses beyond one, a number between 0 and 1; round-off is
-a tenth of it."""
+"""Largest error of the integral over all masses beyond one, 0 to 1; round-off is a tenth of it."""
 RULES = ((1, 1), (10, 14), (8, 10), (14, 18))
 """Gauss points per panel over 0, 1, 2 or more hidden contact masses, and of the finer rule of the
-answer: the distance between the two is its error. The errors of passes along a chain add up."""
+answer: the distance is its error. The errors of passes along a chain add up."""
 CHUNK = 50_000
 """Points of the innermost integral evaluated at once: their arrays stay in the cache."""
 
@@ -78,24 +75,6 @@ def conditionals(system: System, masses: Sequence[int]) -> tuple[Conditional, ..
     return tuple(conditional(system, mass, masses[:k]) for k, mass in enumerate(masses))
 
 
-def bridge_covariance(system: System, given: Sequence[int]) -> Array:
-    """Return the covariance (n, n) at temperature 1 of displacements given those of some masses.
-
-    ``given`` ascends. Masses with one of these in between are independent. Between two of them the
-    chain is a bridge: with the flexibilities a from the lower one up to the nearer of two masses, b
-    from the farther one on and s in all the covariance is a b / s, and a where none is above.
-    """
-    flexibility, covariance = 1.0 / system.stiffness, np.zeros((system.n, system.n))
-    for below, above in pairwise([-1, *given, system.n]):
-        a = np.cumsum(flexibility[below + 1 : above])
-        block = np.minimum.outer(a, a)
-        if above < system.n:
-            s, *b = (flexibility[k : above + 1].sum() for k in range(below + 1, above + 1))
-            block = block * (np.minimum.outer(b, b) / s)
-        covariance[below + 1 : above, below + 1 : above] = block
-    return covariance
-
-
 def rules_of(hidden: int) -> tuple[int, int]:
     """Return the points of both rules for a number of hidden contact masses."""
     return RULES[min(hidden, len(RULES) - 1)]
@@ -112,12 +91,12 @@ def hidden_integral(
     points: int,
     beyond: Piecewise | None = None,
 ) -> Array:
-    """Return ∫ f(E + V(hidden | observed)) over one or two hidden displacements, (N,).
+    """Return ∫ f(E + V(hidden | observed)) over up to two hidden displacements, (N,).
 
-    ``energy`` E (N,) is that of the observed masses, ``given`` (observed, N) their displacements.
-    ``laws`` are those of the hidden displacements, each given the observed ones and the hidden ones
-    before it; f falls by 1/e over the energy ``temperature`` and vanishes beyond ``end``. Each
-    panel has ``points`` Gauss points. ``beyond`` multiplies f, a function of the last displacement.
+    E = ``energy`` (N,) and ``given`` (observed, N) are of the observed masses, ``laws`` of the
+    hidden displacements, each given the observed ones and the hidden ones before it. f falls by 1/e
+    over the energy ``temperature`` and vanishes beyond ``end``. A panel has ``points`` Gauss
+    points. ``beyond`` multiplies f, a function of the last displacement.
     """
     if not laws:
         return f(energy)
@@ -161,29 +140,23 @@ def gibbs_integral(
 
     With it comes the error of interpolation, to which that of the rule of ``points`` adds. ``at``
     (observed, N) are the displacements of the observed masses. Up to two hidden masses between them
-    are integrated at once. On either side of them the hidden ones are a chain, integrated in one
-    pass from the last mass to the first: the integral over all that lies beyond a mass is a smooth
-    function of its displacement, between 0 and 1.
+    are integrated at once, a chain of hidden ones on either side from the last to the first: the
+    integral over all that lies beyond a mass is a smooth function of its displacement, 0 to 1.
     """
 
     def over(laws: Sequence[Conditional], given: Array, beyond: Piecewise | None = None) -> Array:
-        scale = np.prod([np.sqrt(law.precision / (2.0 * np.pi * temperature)) for law in laws])
-        return np.asarray(
-            scale
-            * hidden_integral(
-                lambda V: np.exp(-V / temperature),
-                np.zeros(given.shape[1]),
-                given,
-                laws,
-                temperature=temperature,
-                end=DEPTH * temperature,
-                points=points,
-                beyond=beyond,
-            )
+        value = hidden_integral(
+            lambda V: np.exp(-V / temperature),
+            np.zeros(given.shape[1]),
+            given,
+            laws,
+            temperature=temperature,
+            end=DEPTH * temperature,
+            points=points,
+            beyond=beyond,
         )
-
-    def over_one(law: Conditional, beyond: Piecewise | None, unit: float, x: Array) -> Array:
-        return over([law], x[None], beyond) / unit
+        widths = [np.sqrt(2.0 * np.pi * temperature / law.precision) for law in laws]
+        return np.asarray(value / np.prod(widths))
 
     hidden = [i for i in system.contact_masses if i not in observed]
     low, high = min(observed, default=-1), max(observed, default=-1)
@@ -202,14 +175,14 @@ def gibbs_integral(
         beyond, error, scale = None, 0.0, 1.0  # the error in units of the scale
         for law, most in reversed(list(zip(laws[1:], np.max(np.abs(x)) + reach, strict=False))):
             # In units of its value at rest: along many masses it becomes very small.
-            top = float(over_one(law, beyond, 1.0, np.zeros(1))[0])
+            top = float(over([law], np.zeros((1, 1)), beyond)[0])
             # The total weight of ``beyond``, and with it of its error, is 1 at the most. It is
             # largest where the mean is between the stops, or far beyond where there is one alone.
             free = [stop.sign * min(stop.clearance, most) for stop in law.stops]
             means = [np.linspace(-most, most, 33), np.linspace(min(free), max(free), 9)]
-            weight = float(over_one(law, None, 1.0, np.concatenate(means)).max())
-            in_units = partial(over_one, law, beyond, top)
-            beyond = fit(in_units, np.linspace(-most, most, 9), FIT_TOLERANCE)
+            weight = float(over([law], np.concatenate(means)[None]).max())
+            f = partial(lambda law, beyond, unit, x: over([law], x[None], beyond) / unit, law)
+            beyond = fit(partial(f, beyond, top), np.linspace(-most, most, 9), FIT_TOLERANCE)
             assert beyond.error is not None
             error, scale = error * weight / top + float(beyond.error.max()), scale * top
         given = x[None] if observed else np.zeros((0, x.size))
@@ -238,8 +211,7 @@ def stop_panels(
 ) -> Array:
     """Return panel nodes of q_mass (from 0) over the range that the energy ``end`` allows.
 
-    Panels are ``width`` long at the most, and end where a stop of this mass takes up the contact
-    energies ``levels``.
+    Panels are at most ``width`` long, and end where a stop takes up the energies ``levels``.
     """
     most = float(np.sqrt(2.0 * system.compliance[mass, mass] * end))
     stops = [stop for stop in system.stops if stop.index == mass]

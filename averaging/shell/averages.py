@@ -14,7 +14,7 @@ from scipy.special import beta
 
 from averaging.shell.energy_shell import TARGET, EnergyShell
 from averaging.shell.laplace import PartitionLines, by_lines
-from averaging.shell.parts import ROUND_OFF, parts_of
+from averaging.shell.parts import ROUND_OFF, parts_along_rays, parts_of
 from fpk.numeric.arrays import EPS, Array
 from fpk.numeric.piecewise import Piecewise, fit
 from fpk.numeric.quadrature import panel_rule
@@ -30,8 +30,6 @@ POINTS = 16
 """Gauss points of a panel of a table."""
 FIT_TARGET = 1e-11
 """Last Legendre coefficients of a panel, relative to the largest, above which it is split."""
-MOST_SPLITS = 8
-"""Splits of a panel at most: each leaves a fifth of it next to a contact energy."""
 
 
 class ShellAverages(NamedTuple):
@@ -63,10 +61,10 @@ def log_linear_states(system: System, energy: Array | float) -> Array:
 def shell_averages(system: System, energy: Array) -> ShellAverages:
     """Return the averages at energies > 0 (energies,), for any contacts and damping terms.
 
-    The (2n−1)-fold integrals of (10) are reduced to the c contact masses: momenta and the other
-    displacements are integrated out exactly, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c, times
-    polynomials for the power. For one contact mass it is integrated afresh, for two it is
-    interpolated, for more it follows from the partition function of the chain.
+    Of the (2n−1)-fold integrals of (10) those over momenta and displacements without contact are
+    exact, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c over the c contact masses, times polynomials
+    for the power: for one it is integrated afresh, for two interpolated, for more it follows from
+    the partition function of the chain.
     """
     values, errors = np.swapaxes(shell_columns(system, energy), 0, 1)
     powers = energy[:, None] ** (1.0 + 0.5 * system.fact(parts_of).degrees)
@@ -76,7 +74,7 @@ def shell_averages(system: System, energy: Array) -> ShellAverages:
 
 
 def shell_columns(system: System, energy: Array) -> Array:
-    """Return T/T_lin, the same of the phase volume, H T'/T and the factors g_d, and their errors.
+    """Return T/T_lin, the same of the phase volume, H T'/T and the g_d, and their errors.
 
     An array (energies, 2, 3 + degrees), values before errors: Σ_d g_d H^(1 + d/2) is the power of
     the damping terms. The errors of the first two are equal and relative; H T'/T has none.
@@ -96,7 +94,7 @@ def shell_columns(system: System, energy: Array) -> Array:
             columns[touching] = system.fact(PartitionLines)(above, shell_columns)
         else:
             columns[touching] = system.fact(_table)(above)
-    columns[:, 1, 3:] += ROUND_OFF * parts.free_size  # of the parts, however they are integrated
+    columns[:, 1, 3:] += ROUND_OFF * parts.scale  # of the parts, however they are integrated
     return columns
 
 
@@ -104,12 +102,8 @@ def _along_rays(system: System, energy: Array) -> Array:
     """The columns above the first contact energy, by quadrature over one or two contact masses."""
     shell, parts = system.fact(EnergyShell), system.fact(parts_of)
     n, c = system.n, shell.count
-    if not system.damping_terms:
-        sums, errors = shell.integrals(energy)
-    else:
-        target = TARGETS[min(n, 2) - 1] if c == 1 else TARGET
-        orders, combine = parts.along_rays(shell)
-        sums, errors = shell.integrals(energy, orders=orders, combine=combine, target=target)
+    target = TARGETS[min(n, 2) - 1] if c == 1 else TARGET
+    sums, errors = shell.integrals(energy, *system.fact(parts_along_rays), target)
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(beta(a + 1.0, 0.5 * c)) / gamma(0.5 * c)
     states = sums[:, :1]
@@ -123,24 +117,22 @@ def _along_rays(system: System, energy: Array) -> Array:
         rises = rises / energy[:, None] + 4.0 * EPS * np.array([-1.0, 1.0])[:, None, None]
         beyond = np.diff(np.sqrt(np.maximum(rises, 0.0)), axis=0)[0].sum(axis=1) / pi
         columns[:, 1, :2] += beyond[:, None] * flat / states
-    if system.damping_terms:
-        shifted, most = np.split(sums[:, 3:], 2, axis=1)
-        columns[:, 0, 3:] = (shifted - 2.0 * most) / states
-        # The errors of shifted (at most 3 of most), of 2 most and of T (g is at most most).
-        largest = np.maximum(errors[:, :1], errors[:, 3:].max(axis=1, keepdims=True))
-        columns[:, 1, 3:] = 6.0 * largest * most / states
+    shifted, most = np.split(sums[:, 3:], 2, axis=1)
+    columns[:, 0, 3:] = (shifted - 2.0 * most) / states
+    # The errors of shifted (at most 3 of most), of 2 most and of T (g is at most most).
+    largest = errors[:, [0, *range(3, errors.shape[1])]].max(axis=1, keepdims=True)
+    columns[:, 1, 3:] = 6.0 * largest * most / states
     return columns
 
 
 def _table(system: System) -> Callable[[Array], Array]:
-    """The columns over two contact masses by panels that are fitted on demand.
+    """The columns over two contact masses, smooth between contact energies.
 
-    One energy takes milliseconds, and a solver asks for thousands. Between contact energies the
-    columns are smooth: a panel is fitted once as many energies are asked for as a fit needs.
-    Powers are in units of their sizes.
+    One energy takes milliseconds, and a solver asks for thousands: a panel is fitted once as many
+    energies are asked for as a fit needs. Powers are in units of their sizes.
     """
     parts, breaks = system.fact(parts_of), system.fact(EnergyShell).contact_energies
-    unit = np.append(np.ones(3), np.where(parts.free_size > 0.0, parts.free_size, 1.0))
+    unit = np.append(np.ones(3), np.where(parts.scale > 0.0, parts.scale, 1.0))
     ends = np.array([*breaks, 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0])
     towards = ends[:-1, None] + np.diff(ends)[:, None] * GRADING ** np.arange(1.0, LAYERS + 1.0)
     # Above the highest contact energy each panel is twice as long as the one below it.
@@ -148,19 +140,15 @@ def _table(system: System) -> Callable[[Array], Array]:
     panels: dict[int, Piecewise] = {}
     single: dict[float, Array] = {}  # solvers begin by asking for the same energies
 
-    def evaluate(energy: Array) -> Array:
-        return np.asarray(_along_rays(system, energy) / unit)
-
     def fitted(ends: Array) -> Piecewise:
         """The fit between two edges, with a constant bound of the error on each of its panels."""
         values = fit(
-            evaluate,
+            lambda energy: np.asarray(_along_rays(system, energy) / unit),
             ends,
             FIT_TARGET,
             degree=POINTS - 1,
             cut=lambda left, right: left + GRADING * (right - left),
             estimate=lambda _, c: np.abs(c[:, -2:, 0]).max(axis=(1, 2)),
-            rounds=MOST_SPLITS,
         )
         assert values.error is not None
         # The fit goes through what was evaluated at the Gauss points.
@@ -179,11 +167,10 @@ def _table(system: System) -> Callable[[Array], Array]:
         for k in panels.keys() & set(used.tolist()):
             result[index == k] = panels[k](energy[index == k])
         others = ~np.isin(index, list(panels))
-        new = np.array([H for H in energy[others].tolist() if H not in single])
-        if new.size:
-            single.update(zip(new.tolist(), evaluate(new), strict=True))
-        remembered = [single[H] for H in energy[others].tolist()]
-        result[others] = np.reshape(remembered, (-1, 2, unit.size))
+        asked = energy[others].tolist()
+        if new := [H for H in asked if H not in single]:
+            single.update(zip(new, _along_rays(system, np.array(new)) / unit, strict=True))
+        result[others] = np.reshape([single[H] for H in asked], (-1, 2, unit.size))
         return np.asarray(result * unit)
 
     return columns

@@ -14,7 +14,7 @@ import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
 from averaging.conditional import conditionals
-from averaging.shell.rays import Stops, gauss_rules, ray_integrals
+from averaging.shell.rays import Stops, gauss_rule, ray_integrals
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.system import System, looks_the_same_mirrored
@@ -23,12 +23,9 @@ SAME = 1e-11
 """Relative distance below which two energies are one: mirror images differ by roundings, minima
 by what their search leaves; a mesh between them would have no room."""
 RULES = (14, 18, 24, 48, 96, 192)
-"""Gauss points per panel, in the order in which an integral is refined. Along a ray the first two
-are evaluated at once: 32 points fill four vectors, as fewer would."""
+"""Gauss points per panel, in the order in which an integral is refined."""
 RADIAL_RULE = 2
 """Index of the rule of 24 points, enough along a ray for any contact stiffness, not over angles."""
-MANY = 5
-"""Masses from which the first rule along a line would be refused, as v^a is narrow."""
 TARGET = 3e-12
 """Relative disagreement of two rules that ends the refinement and is reported as the error."""
 ROUND_OFF = 2e-15
@@ -46,9 +43,8 @@ class EnergyShell:
     """Shells of constant energy of one system, over the c masses that have a contact.
 
     Masses without contact are integrated out exactly, which leaves
-    V_red = ½ q_cᵀ K_red q_c + Σ U_i(q_i) with ``K_red`` the Schur complement of the stiffness
-    matrix. With q_c = L y and L Lᵀ = K_red⁻¹ the springs become ½|y|². Held by the system as
-    ``system.fact(EnergyShell)``.
+    V_red = ½ q_cᵀ K_red q_c + Σ U_i(q_i). With q_c = L y and L Lᵀ = K_red⁻¹ the springs become
+    ½|y|². Held by the system as ``system.fact(EnergyShell)``.
     """
 
     system: System
@@ -60,11 +56,8 @@ class EnergyShell:
 
     @cached_property
     def L(self) -> Array:
-        """L (c, c): each contact mass hangs on the one before it by springs in series.
-
-        y are the extensions of these springs, times the root of their stiffness: nothing cancels
-        at any ratio of the springs.
-        """
+        """L (c, c): y are the extensions of the springs in series between the contact masses, times
+        the root of their stiffness; nothing cancels at any ratio of the springs."""
         laws = conditionals(self.system, self.system.contact_masses)
         return np.asarray(np.tri(self.count) * [law.precision**-0.5 for law in laws])
 
@@ -130,65 +123,41 @@ class EnergyShell:
         return tuple(float(H) for before, H in both if H - before > SAME * H)
 
     def integrals(
-        self,
-        energy: Array,
-        *,
-        orders: Integers | None = None,
-        combine: Combine | None = None,
-        target: float = TARGET,
+        self, energy: Array, orders: Integers, combine: Combine, target: float
     ) -> tuple[Array, Array]:
         """Return integrals over the shells (energies, quantities) and their errors, of that shape.
 
-        One or two masses have contact. The quantities are the integrals along rays of
-        ``ray_integrals``, with ``orders``, or what ``combine`` makes of them, summed over all
-        directions. Errors are relative, that of H T', which may vanish, to T at the least. The
-        rules are refined until the errors of the first three are below ``TARGET``, all others below
-        ``target``.
+        One or two masses have contact. ``combine`` makes the quantities of the integrals along rays
+        of ``ray_integrals``; they are summed over all directions. Errors are relative, of H T' to T
+        at the least. The rules are refined until the errors of the first three are below
+        ``TARGET``, all others below ``target``.
         """
         n, mirror = self.system.n, self.system.fact(looks_the_same_mirrored)
-        orders = np.empty((0, 2), dtype=np.int64) if orders is None else orders
         laws = tuple(sorted({stop.law for stop in self.system.stops}))
         add_rays = ray_integrals(laws, 2 * n - self.count - 2 <= 0)
         cuts = self._cut_angles(energy) if self.count == 2 else np.empty((energy.size, 0))
 
-        def along(energy: Array, directions: Array, rules: tuple[int, ...]) -> Array:
-            """The quantities of each ray by each rule, (rules, rays, ·)."""
-            out = np.zeros((len(rules), energy.size, 3 + len(orders)))
-            add_rays(energy, directions, self.stops, n, orders, *gauss_rules(rules), out)
-            return out if combine is None else combine(directions, out)
+        def sums(i: Integers, rule: int) -> Array:
+            """The quantities at some energies by one of the ``RULES``, (energies, ·)."""
+            which, directions, weights = _rays(cuts[i], RULES[rule], mirror=mirror)
+            radial = gauss_rule(RULES[min(rule, RADIAL_RULE) if self.count == 2 else rule])
+            out = np.zeros((which.size, 3 + len(orders)))
+            add_rays(energy[i[which]], directions, self.stops, n, orders, radial, out)
+            parts = weights[:, None] * combine(directions, out)
+            return np.stack([np.bincount(which, x, minlength=i.size) for x in parts.T], axis=1)
 
-        def sums(i: Integers, first: int, count: int) -> Array:
-            """The quantities at some energies by ``count`` rules, (rules, energies, ·)."""
-            rules = RULES[first : first + count]
-            if self.count == 1:
-                right = np.ones((i.size, 1))
-                total = along(energy[i], right, rules)
-                return 2.0 * total if mirror else total + along(energy[i], -right, rules)
-            totals = []
-            for k, points in enumerate(rules, start=first):
-                which, directions, weights = _circle_rule(cuts[i], points, mirror=mirror)
-                radial = RULES[min(k, RADIAL_RULE)]
-                parts = along(energy[i[which]], directions, (radial,))[0]
-                totals.append([np.bincount(which, weights * x, minlength=i.size) for x in parts.T])
-            return np.swapaxes(totals, 1, 2)
-
-        floor = ROUND_OFF if n > 1 else ROOT_ROUND_OFF
-
-        def error_of(coarse: Array, fine: Array) -> Array:
-            size = np.abs(fine)
-            size[:, 2] = np.maximum(size[:, 2], fine[:, 0])
-            return np.abs(coarse - fine) / size + floor
-
-        first = 1 if self.count == 1 and n >= MANY else 0
-        coarse, fine = sums(np.arange(energy.size), first, 2)
-        error = error_of(coarse, fine)
+        fine = sums(np.arange(energy.size), 0)
+        error = np.full(fine.shape, np.inf)
         targets = np.array([TARGET] * 3 + [target] * (fine.shape[1] - 3))
-        for rule in range(first + 2, len(RULES)):
+        for rule in range(1, len(RULES)):
             i = np.flatnonzero(~np.all(error <= targets, axis=1))  # no number is refined, too
             if not i.size:
                 break
-            finer = sums(i, rule, 1)[0]
-            error[i], fine[i] = error_of(fine[i], finer), finer
+            finer = sums(i, rule)
+            size = np.abs(finer)
+            size[:, 2] = np.maximum(size[:, 2], finer[:, 0])
+            floor = ROUND_OFF if n > 1 else ROOT_ROUND_OFF
+            error[i], fine[i] = np.abs(fine[i] - finer) / size + floor, finer
         return fine, np.where(np.isnan(error), np.inf, error)
 
     def _cut_angles(self, energy: Array) -> Array:
@@ -199,7 +168,7 @@ class EnergyShell:
         stop, level = np.nonzero(self.potential(touch)[:, None] < energy)
         if stop.size:
             # On the line where a stop is just touched V is convex: H is met once on either side of
-            # the lowest point, no farther than where the springs alone reach it, round-off or not.
+            # the lowest point, no farther than where the springs alone reach it.
             (x0, y0), H = touch[stop].T, energy[level]
             dx, dy = np.array([-rows[stop, 1], rows[stop, 0]]) / np.linalg.norm(rows[stop], axis=1)
             end = np.array([[1.0], [-1.0]]) * (1.000000001 * np.sqrt(2.0 * H) + np.hypot(x0, y0))
@@ -217,13 +186,17 @@ class EnergyShell:
         return np.hstack([np.tile(fixed, (energy.size, 1)), crossings])
 
 
-def _circle_rule(cuts: Array, nodes: int, *, mirror: bool) -> tuple[Integers, Array, Array]:
-    """Gauss panels over the angle between ``cuts`` (energies, cuts): rays of two contact masses.
+def _rays(cuts: Array, nodes: int, *, mirror: bool) -> tuple[Integers, Array, Array]:
+    """Index of each ray's energy (rays,), the directions (rays, c), the weights (rays,).
 
-    Returns the index of each ray's energy (rays,), the directions (rays, 2), the weights (rays,).
-    The substitution sin² towards both ends of a panel turns the half-integer powers that Hertz
+    Without ``cuts`` (energies, cuts) one mass has contact; of two there are Gauss panels over the
+    angle between these: sin² towards both ends of a panel turns the half-integer powers that Hertz
     contact leaves there into smooth functions. ``mirror`` says that V is even.
     """
+    if not cuts.shape[1]:
+        sides = np.array([[1.0]] if mirror else [[1.0], [-1.0]])
+        which = np.repeat(np.arange(len(cuts)), len(sides))
+        return which, np.tile(sides, (len(cuts), 1)), np.full(which.size, 2.0 / len(sides))
     period = pi if mirror else 2.0 * pi
     cuts = np.sort(cuts % period, axis=1)
     cuts = np.concatenate([cuts, cuts[:, :1] + period], axis=1)

@@ -43,8 +43,8 @@ ENDS = (1.6, 16.0)
 LONG = 10.0
 """End of a line over β₀ beyond which the systems with one contact mass are taken off."""
 NATS = (0.4, 3.5)
-"""Loss of digits, in nats, at the least and the highest energy of a line. Just above n/β₀, where
-none are lost, the end of the line misses most."""
+"""Loss of digits, in nats, at the least and the highest energy of a line: where none are lost the
+end of the line misses most."""
 SHORTER = (0.6, 1.2, 1.8)
 """Nats by which shorter ends of the same line miss more: their answers estimate what it misses."""
 SAFETY = 1.5
@@ -68,9 +68,8 @@ class PartitionLines:
     """T, phase volume, T' and damping power of the shell, by lines of Z(β) on demand.
 
     A line serves energies above n/β₀, where up to ``NATS`` digits are lost. With few masses the
-    line would have to be long; there the systems with one contact mass alone are taken
-    off, whose ratios are integrated along rays: what is left of R falls much faster. Held by the
-    system as ``system.fact(PartitionLines)``.
+    line would have to be long; there the systems with one contact mass alone are taken off, whose
+    ratios are integrated along rays: what is left of R falls much faster.
     """
 
     def __init__(self, system: System) -> None:
@@ -83,17 +82,11 @@ class PartitionLines:
         loss = self.n * (shares - 1.0 - np.log(shares))
         self.first, last = np.interp(NATS, loss, shares).tolist()
         self.factor = last / self.first
-        parts = system.fact(parts_of)
-        degree, self.order = parts.groups.T
-        most = self.n + 0.5 * max(self.order, default=0)
+        self.parts = parts = system.fact(parts_of)
+        most = self.n + 0.5 * max(parts.orders, default=0)
         alias = self.n * shares - most * np.log1p(shares / self.first)
         self.step = 2.0 * np.pi / float(shares[np.argmax(alias > -log(MISSING))])
-        self.free, self.size = (
-            np.bincount(np.append(0, 1 + parts.group), [1.0, *x], 1 + self.order.size)
-            for x in (parts.mean, parts.spread)
-        )
-        rest = np.exp(gammaln(self.n) - gammaln(self.n + 0.5 * self.order))
-        self.of_degree = (degree == parts.degrees[:, None]) * rest
+        self.free, self.size = np.append(1.0, parts.mean), np.append(1.0, parts.spread)
         self.alone: list[System] = []
         if self._end(1.0) > LONG:
             touching = ([c for c in system.contacts if c.index == i] for i in self.masses)
@@ -108,7 +101,7 @@ class PartitionLines:
         """
         # Rows of the lines and their orders m: T/T_lin, the same of the phase volume and of T', the
         # power times T/T_lin; an inverse is relative to H^(n − 1 + m/2)/Γ(n + m/2).
-        rows = [(0, 0), (0, 2), (0, -2), *enumerate(self.order.tolist(), start=1)]
+        rows = [(0, 0), (0, 2), (0, -2), *enumerate(self.parts.orders.tolist(), start=1)]
         both = np.empty((energy.size, 2, len(rows)))  # values and errors
         index = np.floor(np.log(energy / self.unit) / np.log(self.factor)).astype(int)
         for k in np.unique(index).tolist():
@@ -131,9 +124,9 @@ class PartitionLines:
                 missing = np.abs(by_window[:, 1:] - by_window[:, :1]).max(axis=1)
                 both[here, 0, at] = known * self.free[row] + by_window[:, 0]
                 both[here, 1, at] = SAFETY * (missing + np.abs(terms) @ error[row])
-        both = np.concatenate([both[..., :3], both[..., 3:] @ self.of_degree.T], axis=-1)
+        both = np.concatenate([both[..., :3], both[..., 3:] @ self.parts.of_degree], axis=-1)
         values, errors = np.swapaxes(both, 0, 1)
-        free = np.array([1.0, 1.0, 1.0, *(self.of_degree @ self.free[1:])])
+        free = np.array([1.0, 1.0, 1.0, *(self.parts.mean @ self.parts.of_degree)])
         for own in self.alone:
             x, dx = np.swapaxes(alone(own, energy), 0, 1)
             states, relative = x[:, :1], dx[:, :1]
@@ -156,8 +149,8 @@ class PartitionLines:
     def _line(self, real: float) -> tuple[Complexes, Complexes, Array, float]:
         """The line Re β = ``real``: its points, the function inverted there, its error, ``known``.
 
-        The function and the error are (rows, points): row 0 is R, the others are the transforms of
-        damping power. ``known`` times the chain without contact has been taken off.
+        Function and error are (rows, points), of R and of the transforms of damping power, less
+        ``known`` times the chain without contact.
         """
         end = self._end(1.0)
         both = np.array([real, complex(real, real * end)])
@@ -210,16 +203,15 @@ class PartitionLines:
                 f[:, rows] = transfer(height, beta[0].real, step, part).swapaxes(1, 2)
             f *= np.sqrt(beta * stiffness / (2.0 * np.pi))[:, None, None]
         moments = f[:, 0] * beta[:, None] ** (0.5 * powers.sum(axis=1))
-        moments = moments[:, column.ravel()] * [1.0, *parts.coefficient]
-        rows = np.zeros((1 + self.order.size, beta.size), dtype=complex)
-        np.add.at(rows, np.append(0, 1 + parts.group), moments.T)
-        return rows
+        first, *others = moments.T[column.ravel()]
+        of_parts = np.reshape(others, (-1, beta.size)) * parts.coefficient[:, None]
+        return np.vstack([first[None], parts.of_group.T @ of_parts])
 
     def _grids(self, real: float, end: float) -> list[list[tuple[Array, Array]]]:
-        """Displacements and weights by both rules of each mass, for β from ``real`` to (1 + i end).
+        """Displacements and weights by both rules of each mass, for β to ``real`` (1 + i ``end``).
 
-        Next to a stop they are Gauss points of the root of the overlap, in which the contact energy
-        of a Hertz law is a polynomial.
+        Next to a stop they are Gauss points of the root of the overlap, a variable in which the
+        contact energy of a Hertz law is a polynomial.
         """
         turns = POINTS[1] * RADIANS / end
         longest = min(WIDTHS_PER_PANEL, turns / (2.0 * RISE) ** 0.5)
@@ -265,12 +257,11 @@ def by_lines(shell: EnergyShell) -> bool:
 
 @cached_njit()
 def transfer(height: Array, begin: float, step: float, g: Complexes) -> Complexes:
-    """Apply one integral operator of the chain at the points β_k = begin + i k step of a line.
+    """Return f_kmr = Σ_c exp(−β_k height_rc) g_kcm (points, m, rows) at β_k = begin + i k step.
 
-    Returns f_kmr = Σ_c exp(−β_k height_rc) g_kcm (points, m, rows) for ``height`` (rows, columns),
-    the energies of the spring, and ``g`` (points, columns, m). A library's product of matrices is
-    no faster for so few columns, and its threads wait for each other where another program runs
-    (``cases/commands/cli.py``).
+    One integral operator of the chain: ``height`` (rows, columns) are the energies of the spring.
+    A library's product of matrices is no faster for so few columns, and its threads wait for each
+    other where another program runs.
     """
     rows, columns = height.shape
     points, _, count = g.shape

@@ -2,9 +2,8 @@
 
 Along a ray y = r e of whitened coordinates V rises strictly, so the shell is 0 <= r <= R. Between
 stops lie panels. X is the distance from the beginning of one to the turning point that the engaged
-stops alone would leave. Up to the first stop y = √(X − x) removes the root there. From each stop on
-x = X sin²φ removes the half-integer powers of Hertz contact, too, and stays smooth when the next
-stop comes before.
+stops alone would leave. x = X sin²φ removes the root there and the half-integer powers of Hertz
+contact at the beginning, and stays smooth when the next stop comes before.
 """
 
 from collections.abc import Callable
@@ -38,14 +37,11 @@ class Stops(NamedTuple):
 
 
 @lru_cache
-def gauss_rules(rules: tuple[int, ...]) -> tuple[Array, Integers]:
-    """Return the points of some rules one after another, and where each begins (rules + 1,).
-
-    (4, points): Gauss points of [0, 1], their weights, sin φ and cos φ at φ = π/2 of the point.
-    """
-    t, w = (np.concatenate(part) for part in zip(*map(gauss_legendre, rules), strict=True))
+def gauss_rule(points: int) -> Array:
+    """Return Gauss points of [0, 1], their weights, and sin φ, cos φ at φ = π/2 of the point."""
+    t, w = gauss_legendre(points)
     phi = 0.25 * np.pi * (1.0 + t)
-    return np.array([0.5 * (1.0 + t), 0.5 * w, np.sin(phi), np.cos(phi)]), np.cumsum([0, *rules])
+    return np.array([0.5 * (1.0 + t), 0.5 * w, np.sin(phi), np.cos(phi)])
 
 
 @lru_cache
@@ -67,26 +63,23 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         n: int,
         orders: Integers,
         rule: Array,
-        ends: Integers,
         out: Array,
     ) -> int:
-        """Add the integrals along rays to ``out``, (rules, rays, 3 + orders).
+        """Add the integrals along rays to ``out``, (rays, 3 + orders).
 
-        ``energy`` (rays,) and unit vectors ``directions`` (rays, c). ``rule`` as ``gauss_rules``
-        returns it; points of rule k are those from ``ends[k]`` to ``ends[k + 1]``. With
-        v = 1 − V/H and lengths in units of √H the integrals are those of v^a r^(c−1) (1, v, w),
-        which belong to T, the phase volume and H T', then of v^(a+j) r^(c−1+k) for the rows (k, j)
-        of ``orders``. For a > 0, w = a/v is the derivative under the integral; otherwise that
-        diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²) comes from differentiating with V as
-        the variable. Returns the checksum of the sources.
+        ``energy`` (rays,) and unit vectors ``directions`` (rays, c). ``rule`` as ``gauss_rule``
+        returns it. With v = 1 − V/H and lengths in units of √H the integrals are those of
+        v^a r^(c−1) (1, v, w), which belong to T, the phase volume and H T', then of
+        v^(a+j) r^(c−1+k) for the rows (k, j) of ``orders``. For a > 0, w = a/v is the derivative
+        under the integral; otherwise that diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²)
+        comes from differentiating with V as the variable. Returns the checksum of the sources.
         """
         total, c = stops.reach.shape
         a = n - 0.5 * c - 1.0
         whole, half = int(np.ceil(a)), a % 1.0 > 0.0
         none, size = np.empty(total), rule.shape[1]
         ray = Stops(none, none.copy(), none.copy(), none.copy(), np.empty(total, dtype=np.int64))
-        x, left, dx, v = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-        states, change = np.empty(size), np.empty(size)
+        r, dx, v = np.empty(size), np.empty(size), np.empty(size)
         for i in range(energy.size):
             H, scale = energy[i], 1.0 / np.sqrt(energy[i])
             count = _along(np.sqrt(2.0 * H), directions[i], stops, ray)
@@ -101,34 +94,22 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                 if length <= 0.0:
                     continue
                 X = _turning_point(height, start, k, ray, U, g)
-                _points(H, start, X, min(length, X), k, ray, rule, x, left, dx, v, U, g)
-                for j in range(x.size):
-                    r = start + x[j]
-                    states[j] = dx[j] * v[j] ** whole
+                _points(H, start, X, min(length, X), k, ray, rule, r, dx, v, U, g)
+                for j in range(size):
+                    states = dx[j] * v[j] ** whole * scale
                     if half:
-                        states[j] /= np.sqrt(v[j])
+                        states /= np.sqrt(v[j])
                     if c == 2:
-                        states[j] *= r * scale
+                        states *= r[j] * scale
+                    change = a / v[j]
                     if singular:
-                        change[j] = states[j] * (a + 1.0 + _bent(r, k, c, ray, U, g, bend))
-                    else:
-                        change[j] = states[j] * a / v[j]
-                for m in range(out.shape[0]):
-                    first, last = ends[m], ends[m + 1]
-                    of_states, of_volume, of_change = 0.0, 0.0, 0.0
-                    for j in range(first, last):
-                        of_states += states[j]
-                        of_volume += states[j] * v[j]
-                        of_change += change[j]
-                    out[m, i, 0] += scale * of_states
-                    out[m, i, 1] += scale * of_volume
-                    out[m, i, 2] += scale * of_change
+                        change = a + 1.0 + _bent(r[j], k, c, ray, U, g, bend)
+                    out[i, 0] += states
+                    out[i, 1] += states * v[j]
+                    out[i, 2] += states * change
                     for o in range(orders.shape[0]):
-                        value = 0.0
-                        for j in range(first, last):
-                            r = (start + x[j]) * scale
-                            value += states[j] * r ** orders[o, 0] * v[j] ** orders[o, 1]
-                        out[m, i, 3 + o] += scale * value
+                        power = (r[j] * scale) ** orders[o, 0] * v[j] ** orders[o, 1]
+                        out[i, 3 + o] += states * power
         return sources
 
     return add_rays
@@ -218,42 +199,30 @@ def _points(
     k: int,
     ray: Stops,
     rule: Array,
-    x: Array,
-    left: Array,
+    r: Array,
     dx: Array,
     v: Array,
     U: Any,
     g: Any,
 ) -> None:
-    """Write x, the rest of X, dx and v = 1 − V/H at the points of a panel of length ``span``.
+    """Write r, dr and v = 1 − V/H at the points of a panel of length ``span``.
 
-    v is the fall of springs and stops between X and x.
+    v is the fall of springs and stops between X and x = r − ``start``.
     """
     share, weight, sine, cosine = rule[0], rule[1], rule[2], rule[3]
-    if k == 0:
-        top = np.sqrt(X)
-        width = span / (top + np.sqrt(X - span))
-        for j in range(x.size):
-            fall = width * share[j]  # of √(X − x) from its value at x = 0
-            x[j], left[j] = fall * (2.0 * top - fall), (top - fall) * (top - fall)
-            dx[j] = 2.0 * (top - fall) * width * weight[j]
-    else:
-        end = 0.5 * np.pi if span == X else np.arctan2(np.sqrt(span), np.sqrt(X - span))
-        for j in range(x.size):
-            s, c = sine[j], cosine[j]
-            if span < X:
-                s, c = np.sin(end * share[j]), np.cos(end * share[j])
-            x[j], left[j] = X * s * s, X * c * c
-            dx[j] = 2.0 * X * end * s * c * weight[j]
-    for j in range(x.size):
-        v[j] = left[j] * (start + 0.5 * (X + x[j]))
-    for i in range(k):
-        reach, begun = ray.reach[i], ray.reach[i] * (start - ray.touch[i])
-        last = _of_stop(U, ray, i, begun + reach * X)
-        for j in range(x.size):
-            v[j] += _gain(begun + reach * x[j], reach * left[j], last, ray, i, U, g)
-    for j in range(x.size):
-        v[j] *= 1.0 / H
+    end = 0.5 * np.pi if span == X else np.arctan2(np.sqrt(span), np.sqrt(X - span))
+    for j in range(r.size):
+        s, c = sine[j], cosine[j]
+        if span < X:
+            s, c = np.sin(end * share[j]), np.cos(end * share[j])
+        x, left = X * s * s, X * c * c
+        dx[j] = 2.0 * X * end * s * c * weight[j]
+        fall = left * (start + 0.5 * (X + x))
+        for i in range(k):
+            reach, begun = ray.reach[i], ray.reach[i] * (start - ray.touch[i])
+            last = _of_stop(U, ray, i, begun + reach * X)
+            fall += _gain(begun + reach * x, reach * left, last, ray, i, U, g)
+        r[j], v[j] = start + x, fall / H
 
 
 @inlined

@@ -16,12 +16,13 @@ from typing import Any, BinaryIO, TypeVar
 from zlib import crc32
 
 import numba
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import IndexDataCacheFile
 
 from fpk.numeric.machine import left_out
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+ROOT = Path(__file__).parents[2]
 FLAGS = {"contract", "nsz", "arcp", "afn"}
 """Liberties of arithmetic that are taken: none that assumes there is no NaN, and no reassociation,
 which would undo exact differences."""
@@ -30,13 +31,15 @@ COMPILER = "fpk compiler"
 """Name of the threads that compile."""
 
 _njit: Any = numba.njit
+_awaited: set[Future[Any]] = set()
+_abandoned: set[Future[Any]] = set()
 
 
 class CheckedFiles(IndexDataCacheFile):
-    """Index and data files of one function's disk cache, which are damaged or as written.
+    """Index and data files of one function's disk cache, each with a checksum at its end.
 
-    numba unpickles and executes whatever they hold. Here each ends with the SHA-256 of the bytes
-    before, which no reader unpickles, and data are stored with the key that they belong to: two
+    numba unpickles and executes whatever they hold. The SHA-256 of the bytes before it shows
+    damage, and no reader unpickles it. Data are stored with the key that they belong to: two
     processes may have given one name to two of them.
     """
 
@@ -46,7 +49,7 @@ class CheckedFiles(IndexDataCacheFile):
         return data if stored_key == key else None
 
     def save(self, key: Any, data: Any) -> None:
-        """Write the data of ``key``; where that is not possible the next process compiles anew."""
+        """Write the data of ``key``; where that fails the next process compiles anew."""
         try:
             super().save(key, (key, data))
         except OSError as error:
@@ -88,21 +91,16 @@ def _is_whole(path: Path) -> bool:
     return whole
 
 
-_awaited: set[Future[Any]] = set()
-_abandoned: set[Future[Any]] = set()
-
-
 def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return ``compile_for``, a function of a signature, that works in a thread of its own.
+    """Return ``compile_for``, a function of a signature, run in a thread named ``COMPILER``.
 
-    LLVM works for many seconds without a look at signals; one who waits for a thread receives them.
-    What is compiled on the way, for a function that calls it, is so in the same thread. Raises
-    ``KeyboardInterrupt`` where ``abandon`` is called meanwhile, and until what was abandoned is
+    LLVM ignores signals for many seconds; a thread that waits for another receives them. Raises
+    ``KeyboardInterrupt`` where ``abandon`` is called meanwhile, and until the abandoned function is
     compiled: numba compiles one function at a time.
     """
 
     def compiled(signature: Any) -> Any:
-        if threading.current_thread().name == COMPILER:
+        if threading.current_thread().name == COMPILER:  # for a function that calls this one
             return compile_for(signature)
         if _abandoned:
             raise KeyboardInterrupt
@@ -131,7 +129,7 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
 def abandon() -> None:
     """Raise ``KeyboardInterrupt`` in all threads that wait for a function to be compiled.
 
-    The compiling cannot be ended and goes on: a process ends after it, or by ``os._exit``.
+    Compiling itself cannot be ended: a process ends after it, or by ``os._exit``.
     """
     for result in tuple(_awaited):
         _abandoned.add(result)
@@ -147,27 +145,26 @@ def is_compiling() -> bool:
 
 
 def cached_njit() -> Callable[[Function], Function]:
-    """Return the decorator of a compiled function with a disk cache where one can be written.
+    """Return the decorator of a compiled function with a disk cache.
 
-    Where no folder can be written it is compiled again in every process. Ctrl-C does not wait until
-    it is compiled.
+    Where no folder can be written it is compiled again in every process. Ctrl-C does not wait.
     """
 
     def decorated(function: Function) -> Function:
         compiled = _njit(fastmath=FLAGS, error_model="numpy", nogil=True)(function)
         compiled.compile = interruptible_compile(compiled.compile)
         try:
-            cache = FunctionCache(compiled.py_func)
+            compiled.enable_caching()
         except RuntimeError as error:
             # numba's message where neither the source's cache folder nor the user's can be written
             if "no locator available" not in str(error):
                 raise
         else:
+            cache = compiled._cache
             files = cache._cache_file
             # A name of its own: files of numba's own format are not damaged, only of no use here.
             name = files._index_name.removesuffix(".nbi") + ".sha256"
             cache._cache_file = CheckedFiles(cache._cache_path, name, files._source_stamp)
-            compiled._cache = cache
         result: Function = compiled
         return result
 
@@ -175,23 +172,17 @@ def cached_njit() -> Callable[[Function], Function]:
 
 
 def inlined(function: Function) -> Function:
-    """Return the function compiled as a part of each compiled function that calls it.
-
-    It cannot be called from Python, as compiling the code for that takes long.
-    """
+    """Return the function compiled into each compiled function that calls it, not for Python."""
     options = {"fastmath": FLAGS, "error_model": "numpy", "forceinline": True}
     compiled: Function = _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
     return compiled
 
 
-ROOT = Path(__file__).parents[2]
-
-
 def checksum(files: Sequence[Path]) -> int:
-    """Return a checksum of source files; one that is missing raises ``FileNotFoundError``.
+    """Return a checksum of source files.
 
-    The disk cache of a compiled function reads the function's own file only. A function that closes
-    over the checksum of all that it is compiled from, and returns it, is compiled again when any of
-    it was edited.
+    The disk cache watches the file of the compiled function only. A function that closes over the
+    checksum of all files that it is compiled from, and returns it, is compiled again when one of
+    them was edited.
     """
     return crc32(b"".join(file.read_bytes() for file in files))

@@ -23,10 +23,7 @@ def usable_cores() -> int:
 
 
 def working_time() -> float:
-    """Return seconds of wall time since some moment, by which limits of time are kept.
-
-    Without the time of what was ``left_out`` in any thread.
-    """
+    """Return seconds of wall time since some moment, less what was ``left_out`` in any thread."""
     with _lock:
         now = perf_counter()
         return now - _left_out - (now - _begun if _within else 0.0)
@@ -34,7 +31,7 @@ def working_time() -> float:
 
 @contextmanager
 def left_out() -> Iterator[None]:
-    """Do not count the time of what is within as work: compiling, and loading what was compiled."""
+    """Do not count the time of what is within as work: compiling and loading of compiled code."""
     global _within, _begun, _left_out  # one clock for all threads
     with _lock:
         _begun = _begun if _within else perf_counter()
@@ -52,9 +49,8 @@ def locked(path: Path, *, needed: bool = True) -> Iterator[None]:
     """Hold the lock on the file ``path``, made where it is missing, in a context.
 
     The operating system lifts it when the process ends, killed or not; the empty file stays, as
-    another process could otherwise lock a file that is being removed. Raises ``Unavailable``, one
-    line, where another process or thread holds the lock, or, unless it is not ``needed``, where the
-    file system has no locks.
+    another process could lock a file that is being removed. Raises ``Unavailable`` where another
+    process or thread holds the lock, or the file system has no locks and one is ``needed``.
     """
     words = f"{path}: cannot be locked"
     try:

@@ -30,11 +30,9 @@ def canonical(value: Any, less: Container[str] = ()) -> Any:
     """Return ``value`` as JSON has it, with every digit and field that a result may depend on.
 
     A dataclass has all fields that it was made from, but for those in ``less``, "Class.field", at
-    any depth; its other fields follow from these. A function has its code, its defaults, what it
-    closes over and the numbers, texts and arrays among the global names in it; functions that it
-    calls count by their names. Equal values may differ: a list has an order, 1 is not 1.0.
-
-    Raises ``InvalidInput`` for an object of any other kind.
+    any depth. A function has its code, its defaults, what it closes over and the numbers, texts and
+    arrays among the global names in it; functions that it calls count by their names. Equal values
+    may differ: 1 is not 1.0. Raises ``InvalidInput`` for an object of any other kind.
     """
     return json.loads(json.dumps(value, default=partial(_parts, less)))
 

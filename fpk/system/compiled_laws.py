@@ -8,34 +8,33 @@ from typing import Any
 
 import numba
 from numba import types
-from numba.core.imputils import lower_constant
-from numba.extending import models, overload, register_model, typeof_impl
+from numba.extending import overload
 
 from fpk.numeric.compiling import FLAGS, ROOT
 from fpk.numeric.recognition import fingerprint
 from fpk.system.contact_law import LAWS
 
 
-@dataclass(frozen=True)
-class CompiledLaws:
+@dataclass(eq=False, repr=False)
+class CompiledLaws(types.Type):
     """One ``part`` of the laws ``names``, to be called by ``of_law`` in compiled code.
 
-    Plain data: a kernel that closes over it is found again in the disk cache, with the laws inside
-    it, and they need not be compiled or loaded again. ``stamps`` tell laws of one name apart.
+    The value is its own type and plain data: a kernel that closes over it is found again in the
+    disk cache, with the laws inside it, and they need not be compiled or loaded again. ``stamps``
+    tell laws of one name apart.
     """
 
     names: tuple[str, ...]
     part: str
     stamps: tuple[str, ...]
 
+    def __post_init__(self) -> None:
+        """Take the name of the type from its parts."""
+        super().__init__(name=f"CompiledLaws{self.names, self.part, self.stamps}")
 
-class LawsType(types.Type):
-    """The type of ``CompiledLaws`` in compiled code, one for every value."""
-
-    def __init__(self, laws: CompiledLaws) -> None:
-        """Take the name of the type from the value."""
-        self.laws = laws
-        super().__init__(name=repr(laws))
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return the same parts in every process: numba's own key is a number that it gave."""
+        return CompiledLaws, (self.names, self.part, self.stamps)
 
 
 def compiled_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
@@ -65,28 +64,15 @@ def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
     """Return the call that the type of ``function`` asks for; None, for no law, gives 0."""
     if isinstance(function, types.NoneType):
         return lambda function, law, overlap, exponent: 0.0
-    parts = [_compiled(getattr(LAWS[name], function.laws.part)) for name in function.laws.names]
-    if len(parts) == 1:
-        only = parts[0]
-        return lambda function, law, overlap, exponent: only(overlap, exponent)
-    last = parts[-1]
+    laws = function.instance_type
+    *others, choice = (_compiled(getattr(LAWS[name], laws.part)) for name in laws.names)
+    if not others:
+        return lambda function, law, overlap, exponent: choice(overlap, exponent)
+    last = choice
     choice = _compiled(lambda law, x, e: last(x, e))
-    for part in reversed(parts[:-1]):
+    for part in reversed(others):
         choice = _compiled(_chosen(part, choice))
     return lambda function, law, overlap, exponent: choice(law, overlap, exponent)
-
-
-register_model(LawsType)(models.OpaqueModel)
-
-
-@typeof_impl.register(CompiledLaws)
-def _typeof(value, context):  # type: ignore[no-untyped-def]
-    return LawsType(value)
-
-
-@lower_constant(LawsType)
-def _constant(context, builder, kind, value):  # type: ignore[no-untyped-def]
-    return context.get_dummy_value()
 
 
 def _compiled(function: Callable[..., Any]) -> Any:

@@ -75,7 +75,7 @@ class Contact:
 
     @property
     def index(self) -> int:
-        """The mass counted from 0, for arrays."""
+        """The mass counted from 0."""
         return self.mass - 1
 
     @property

@@ -1,6 +1,5 @@
 """Damping that depends on the state: monomials beside the matrix of Eq. (1), and their means."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from math import isfinite
@@ -79,7 +78,7 @@ class DampingTerm:
 
     def powers(self, key: str, n: int) -> tuple[int, ...]:
         """Return the powers of all n masses' q or v, 0 where one does not occur."""
-        power_of: Mapping[int, int] = dict(getattr(self, key))
+        power_of: dict[int, int] = dict(getattr(self, key))
         return tuple(power_of.get(mass, 0) for mass in range(1, n + 1))
 
     @property
@@ -89,10 +88,8 @@ class DampingTerm:
 
     def velocities(self, n: int) -> tuple[int, ...]:
         """Return the powers of all n velocities in the power c_ij v_i v_j."""
-        v = list(self.powers("v", n))
-        v[self.row] += 1
-        v[self.column] += 1
-        return tuple(v)
+        own = (self.row, self.column)
+        return tuple(power + own.count(k) for k, power in enumerate(self.powers("v", n)))
 
     def value(self, q: ArrayLike, v: ArrayLike, energy: ArrayLike) -> Array:
         """Return what c_ij gains at displacements and velocities (..., n) and energies (...)."""
@@ -107,26 +104,19 @@ class DampingTerm:
 def gaussian_moment(covariance: Array, powers: tuple[int, ...]) -> float:
     """Return E Π x_a^powers[a] of x ~ N(0, covariance), shape (n, n), by Isserlis' theorem.
 
-    Integration by parts, ``E x_a f = Σ_b cov_ab E ∂f/∂x_b``, leads from one monomial to others two
-    degrees lower. It is 0 where the total power is odd.
+    Integration by parts, ``E x_a f = Σ_b cov_ab E ∂f/∂x_b``, leads to monomials two degrees lower.
     """
 
-    def lowered(powers: tuple[int, ...], index: int) -> tuple[int, ...]:
-        return tuple(power - (i == index) for i, power in enumerate(powers))
-
     @cache
-    def moment(powers: tuple[int, ...]) -> float:
-        total = sum(powers)
-        if total % 2:
-            return 0.0
-        if total == 0:
+    def moment(at: tuple[int, ...]) -> float:
+        """E of the product of the x_a, a in ``at``, ascending."""
+        if not at:
             return 1.0
-        a = next(i for i, power in enumerate(powers) if power)
-        rest = lowered(powers, a)
-        return sum(
-            float(covariance[a, b]) * power * moment(lowered(rest, b))
-            for b, power in enumerate(rest)
-            if power
-        )
+        a, total = at[0], 0.0
+        for b in sorted(set(at[1:])):
+            k = at.index(b, 1)
+            total += float(covariance[a, b]) * at[1:].count(b) * moment(at[1:k] + at[k + 1 :])
+        return total
 
-    return moment(tuple(powers))
+    at = tuple(np.repeat(np.arange(len(powers)), powers).tolist())
+    return 0.0 if len(at) % 2 else moment(at)

@@ -8,20 +8,16 @@ from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotCertified
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
-NEAR, FAR = 1e-6, 1e4
-"""Energies, in units of the process's scale, at which the limits at both ends are read off."""
-BESIDE = 1.05
-"""Ratio of a second energy far out to the first, from which the order of the drift is read off: so
-near that many contact masses are mostly integrated along one line, which takes a second of 30."""
+NEAR, FAR, BESIDE = 1e-6, 1e4, 1.05
+"""Energies, in units of the process's scale, at which the limits at both ends are read off, and
+ratio of a second one, from which the order of the drift follows: many contact masses are mostly
+integrated along one line for both."""
 LINEAR = 1e-2
-"""Orders of the drift up to 1 + ``LINEAR``, beyond what its error makes of them, count as linear:
-damping by q² between stops of a power law of exponent e has the order 1 + 2/(1 + e)."""
-OTHERS = (0.0, 1.0, 10.0)
-"""Levels of the other energies, in units of their scales: of all alike, and of one alone."""
+"""Orders up to 1 + ``LINEAR`` of the drift, and within it of σ² at rest, count as linear: damping
+by q² between stops of a power law of exponent e has the order 1 + 2/(1 + e)."""
 FAR_OUT = np.logspace(4.0, 16.0, 13)
 """Energies, in units of the scale, at which a process has to come back. A term of the damping that
-outweighs one of a lower degree only beyond 1e16 is less than the round-off (2e-16) of it at the
-scale: up to there everything shows that is not round-off."""
+outweighs one of a lower degree only beyond 1e16 is less than its round-off (2e-16) at the scale."""
 MAX_ENERGY = 1e154
 """Largest energy whose square is a number in double precision."""
 OUT_OF_RANGE = "the coefficients leave the range of double precision: choose other units"
@@ -29,8 +25,8 @@ OUT_OF_RANGE = "the coefficients leave the range of double precision: choose oth
 LOG_RATIOS = np.log(10.0) * np.concatenate(
     [np.arange(-48.0, -3.0, 0.5), np.linspace(-3.0, 3.0, 49), np.arange(3.5, 48.5, 0.5)]
 )
-"""ln of the ratios of two energies at which they are judged far out: an energy that the other one,
-1e16 times its scale, damps is held by noise at 1e-16 of its own scale."""
+"""ln of the ratios of two energies far out: one that the other, 1e16 times its scale, damps is
+held by noise at 1e-16 of its own scale."""
 
 
 @dataclass(frozen=True)
@@ -48,15 +44,16 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     At H = 0 with b ~ β H the scale density behaves as H^(−κ) and the speed density as H^(κ−1),
     κ = 2 s(0)/β. At infinity the scale diverges where the drift points inwards, and the process
     comes back from there in finite time when ∫dH/|s| converges. Of several energies the others
-    stand still while H_i is small: the least favourable of their ``OTHERS`` decides.
+    stand still while H_i is small: all at 0, 1 or 10 times their scales, or one alone, and the
+    least favourable decides.
     """
-    name = "H" if process.dimension == 1 else f"H{axis + 1}"
     rest = process.dimension - 1
-    levels = [np.full(rest, level) for level in OTHERS[: None if rest else 1]]
-    levels += [level * row for level in OTHERS if level and rest > 1 for row in np.eye(rest)]
+    name = f"H{axis + 1}" if rest else "H"
+    levels = [np.full(rest, level) for level in ((0.0, 1.0, 10.0) if rest else (0.0,))]
+    levels += [level * row for level in (1.0, 10.0) if rest > 1 for row in np.eye(rest)]
 
     def along(share: float) -> tuple[Array, Array, Array, Coefficients]:
-        """H_i = ``share`` of its scale, s_i and b_ii there with the others at ``OTHERS``."""
+        """H_i = ``share`` of its scale, s_i and b_ii there at all levels of the others."""
         energy = np.insert(np.array(levels), axis, share, axis=1) * np.array(process.energy_scales)
         c = process.at(energy)
         return energy[:, axis], c.drift[:, axis], c.diffusion[:, axis, axis], c
@@ -66,7 +63,7 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     worst = float(order[np.argmax(np.abs(order - 1.0))])
     # The extrapolated κ is that of H = NEAR, whose distance from the limit is of order NEAR.
     kappa = float(np.min(2.0 * drift * energy / diffusion))
-    if abs(worst - 1.0) > 1e-2:
+    if abs(worst - 1.0) > LINEAR:
         lower = BoundaryClass(f"{name} = 0", "not classified", f"σ² ~ H^{worst:.3g}, not ~ H")
     else:
         kind, words = "exit", "the process ends there"
@@ -74,7 +71,7 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
             kind, words = "entrance", "the process leaves it and never comes back"
         elif kappa > 0.0:
             kind, words = "regular", "the process reaches it"
-        least = "" if process.dimension == 1 else " at the least"
+        least = " at the least" if rest else ""
         reason = f"σ² ~ H and 2 s H/σ² → {kappa:.4g}{least}: {words}"
         lower = BoundaryClass(f"{name} = 0", kind, reason)
     (_, drift, _, near), (_, farther, _, _) = along(FAR), along(BESIDE * FAR)
@@ -96,10 +93,9 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
 def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
     """Raise ``NotCertified`` where p H of one energy rises at the last, highest ``energy``.
 
-    ``c`` are the coefficients there and ``slope`` d ln p/dH = (2s − b')/b. The rate
-    d ln(p H)/d ln H = 1 + H slope has to be negative at the last energy beyond its error: p has no
-    finite integral else, whatever a mesh that ends earlier makes of it. A rise in between shows in
-    the mass beyond the mesh (``fpk.solvers.probe``).
+    ``slope`` is d ln p/dH. The rate d ln(p H)/d ln H = 1 + H slope has to be negative at the last
+    energy beyond its error: p has no finite integral else. A rise in between shows in the mass
+    beyond the mesh (``fpk.solvers.probe``).
     """
     if energy[-1] * slope[-1] < -1.0:
         return
@@ -119,10 +115,9 @@ def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
 def require_confined(process: Process) -> None:
     """Raise ``NotCertified`` where two energies leave for infinity together.
 
-    Far out noise moves them by less and less: dH_i = s_i dt. Their ratio approaches one at which
-    s_1/H_1 − s_2/H_2 falls through zero as it grows, quickly, while both change by the larger one's
-    s/H: where that is positive at the highest of ``FAR_OUT`` they come back from nowhere, and no
-    density that falls off is stationary, whatever a mesh that ends earlier makes of it.
+    Far out dH_i = s_i dt. The ratio of the two quickly approaches a value at which
+    s_1/H_1 − s_2/H_2 falls through zero as it grows, while both change by the larger one's s/H:
+    where that is positive at the highest of ``FAR_OUT`` no density that falls off is stationary.
     """
     scales = np.array(process.energy_scales)
     shares = np.exp(np.stack([np.minimum(LOG_RATIOS, 0.0), -np.maximum(LOG_RATIOS, 0.0)], axis=1))

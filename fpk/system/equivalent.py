@@ -1,20 +1,22 @@
-"""The state in which damping that depends on the state balances the noise, with stops or without.
+"""The power of damping terms given the contact displacements, and its balance with the noise.
 
-A scale for meshes, ranges and steps: no answer rests on it.
+The balance is a scale for meshes, ranges and steps: no answer rests on it.
 """
 
 from collections import defaultdict
+from collections.abc import Sequence
 from itertools import product
-from math import comb, exp, lgamma, prod, sqrt
+from math import comb, exp, lgamma, log, prod, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
-from fpk.numeric.arrays import ROUND_OFF, Array
+from fpk.numeric.arrays import ROUND_OFF, Array, Integers
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.damping import DampingTerm, gaussian_moment
+from fpk.system.linear import displacements_given
 from fpk.system.system import System
 
 SEARCHED = 2.0 ** np.arange(-2.0, 54.0)
@@ -22,10 +24,10 @@ SEARCHED = 2.0 ** np.arange(-2.0, 54.0)
 noise: up to 1e16 of it, as energies in ``fpk.system.ends.FAR_OUT``."""
 DEEP = 40.0
 """Energy of a contact mass, in kT, beyond which its Gibbs density is left out: 4e-18 of it."""
-POINTS = {1: 64, 2: 64, 3: 32, 4: 16}
-"""Gauss points for each of one to four contact masses, 65536 in all at the most: three digits."""
+GRID = 2**16
+"""Most Gauss points of all contact masses together, 16 to 64 of each: three digits."""
 KEPT = 2**11
-"""Points of five and more contact masses: moments to 2 % of up to thirty masses."""
+"""Points drawn for more contact masses, from five on: moments to 2 % of up to thirty masses."""
 QUADRATURE = 1e-9
 """A power below this share of the terms that cancel in it counts as zero: what quadrature leaves
 where terms of one contact mass cancel exactly is 1e-12."""
@@ -36,8 +38,8 @@ GROWS = "the damping does not balance the noise, so the energy grows for ever"
 class Balance(NamedTuple):
     """The last state at which damping and noise balance; with stops to some per cent.
 
-    ``temperature`` is that of a Gibbs state, in which the power of the damping has the ``slope``
-    dP/dθ there; ``energy`` that of a shell. 0 where there is none.
+    In the Gibbs state of ``temperature`` θ the power of the damping has the ``slope`` dP/dθ;
+    ``energy`` is that of a shell in balance. 0 where there is none.
     """
 
     temperature: float
@@ -59,6 +61,31 @@ def equivalent_temperature(system: System) -> float:
     if temperature <= 0.0:
         raise NotApplicable(GROWS)
     return temperature
+
+
+def power_given(system: System, terms: Sequence[DampingTerm]) -> tuple[Integers, Array]:
+    """Return E Σ c_ij v_i v_j of ``terms`` given the c contact displacements, as a polynomial.
+
+    A row of the first array (parts, 2 + c) is (degree, order, powers): with momenta and the other
+    displacements Gaussian at the temperature θ the part is H^energy · C · θ^j · Π q_c^powers,
+    order = Σ powers + 2 j, degree = order − 2 + 2 energy. The second (parts, 2) holds C, and the
+    sum of the absolute values that C is a sum of.
+    """
+    n, masses = system.n, system.contact_masses
+    weights, covariance = displacements_given(system, masses)
+    sums: dict[tuple[int, ...], Array] = defaultdict(lambda: np.zeros(2))
+    for term in terms:
+        q = term.powers("q", n)
+        C = term.coefficient * gaussian_moment(np.diag(1.0 / system.mass), term.velocities(n))
+        for own in product(*(range(power + 1) for power in q)):  # powers of the Gaussian parts
+            left = np.repeat(np.arange(n), np.subtract(q, own))
+            moment = C * gaussian_moment(covariance, own) * prod(map(comb, q, own))
+            for of_mass in product(*(np.flatnonzero(weights[i]).tolist() for i in left)):
+                value = moment * float(np.prod(weights[left, list(of_mass)]))
+                powers = map(of_mass.count, range(len(masses)))
+                sums[term.degree, term.factors, *powers] += value, abs(value)
+    keys = np.array(list(sums), dtype=np.int64).reshape(len(sums), 2 + len(masses))
+    return keys, np.array(list(sums.values())).reshape(-1, 2)
 
 
 def damping_balance(system: System) -> Balance:
@@ -85,61 +112,62 @@ def damping_balance(system: System) -> Balance:
     alike: dict[Any, list[DampingTerm]] = defaultdict(list)
     for term in system.damping_terms:
         alike[term.q, term.velocities(system.n), term.energy].append(term)
-
-    def gamma_ratio(a: Array, k: Array | float) -> Array:
-        """Γ(a + k)/Γ(a)."""
-        return np.asarray(np.exp(scipy.special.gammaln(a + k) - scipy.special.gammaln(a)))
-
-    for (_, _, degree), terms in alike.items():
-        means = [
-            sum(np.array(_mean_power(system, term, t, *s, system.compliance)) for term in terms)
-            for t, s in zip(theta.tolist(), states, strict=True)
-        ]
-        mean, absolute = np.array(means, dtype=float).T
+    log_gamma = scipy.special.gammaln
+    for (_, _, energy), terms in alike.items():
+        keys, values = power_given(system, terms)
+        half = 0.5 * (keys[:, 1] - keys[:, 2:].sum(axis=1))
+        means = np.zeros((theta.size, 2))  # of the power without H^energy, and of its size
+        for row, t, (q, weights) in zip(means, theta.tolist(), states, strict=True):
+            for powers, scaled in zip(keys[:, 2:], values * t ** half[:, None], strict=True):
+                part = prod(q[k] ** powers[k] for k in np.flatnonzero(powers)) * weights
+                row += scaled * [part.sum(), np.abs(part).sum()] / weights.sum()
+        mean, absolute = means.T
         acts = np.abs(mean) > QUADRATURE * absolute
         logs = np.log(np.where(acts, np.abs(mean), 1.0))
         power = np.where(acts, np.maximum(np.gradient(logs, log_theta), 0.0), 0.0)
-        factor = theta**degree * gamma_ratio(order + power, float(degree))
-        power = power + degree
+        level = order + power
+        factor = theta**energy * np.exp(log_gamma(level + energy) - log_gamma(level))
+        power = power + energy
         gibbs, size = gibbs + factor * mean, size + factor * np.where(acts, absolute, 0.0)
-        shell = shell + factor * mean * order**power / gamma_ratio(order, power)
+        on_shell = np.exp(power * np.log(order) + log_gamma(order) - log_gamma(order + power))
+        shell = shell + factor * mean * on_shell
     if not gibbs[-1] > max(noise, QUADRATURE * size[-1]):
         raise NotApplicable(GROWS)
-
-    def last_root(x: Array, share: Array) -> float:
-        """The last x at which ``share``, a power law between two of them, rises through one."""
-        below = np.flatnonzero(share <= 1.0)
-        if not below.size or below[-1] == x.size - 1:
-            return float(x[0] if not below.size else x[-1])
-        k = below[-1]
-        low, high = np.log(share[k : k + 2]) if share[k] > 0.0 else share[k : k + 2] - 1.0
-        return float(x[k] - (x[k + 1] - x[k]) * low / (high - low))
-
-    at = last_root(log_theta, gibbs / noise)
+    at = _last_root(log_theta, gibbs / noise)
     slope = float(np.interp(at, log_theta, np.gradient(gibbs, theta)))
-    return Balance(exp(at), slope, exp(last_root(np.log(order * theta), shell / noise)))
+    return Balance(exp(at), slope, exp(_last_root(np.log(order * theta), shell / noise)))
+
+
+def _last_root(x: Array, share: Array) -> float:
+    """The last x at which ``share``, a power law between two of them, rises through one."""
+    below = np.flatnonzero(share <= 1.0)
+    if not below.size or below[-1] == x.size - 1:
+        return float(x[0] if not below.size else x[-1])
+    k = below[-1]
+    low, high = np.log(share[k : k + 2]) if share[k] > 0.0 else share[k : k + 2] - 1.0
+    return float(x[k] - (x[k + 1] - x[k]) * low / (high - low))
 
 
 def _polynomial_balance(system: System, constant: float, noise: float) -> Balance:
     """``damping_balance`` without stops: of the coefficients of ascending powers of θ."""
-    n, none = system.n, (np.zeros((0, 1)), np.ones(1))
-    power = np.zeros(2 + max((term.degree // 2 for term in system.damping_terms), default=0))
+    n, power = system.n, np.zeros(2 + max((t.degree // 2 for t in system.damping_terms), default=0))
     power[1] = constant
     size = np.abs(power)
     # Not ``system.compliance``: it differs in the last bit, and so would the states from which a
     # simulation with damping terms starts, which stay bitwise the same from version to version.
     compliance: Array = np.asarray(np.linalg.inv(system.stiffness_matrix), dtype=float)
     for term in system.damping_terms:
+        moment = gaussian_moment(np.diag(1.0 / system.mass), term.velocities(n))
+        part = term.coefficient * moment * gaussian_moment(compliance, term.powers("q", n))
         # H is independent of the direction of (q, v): E H^(e + d/2) over E H^(d/2).
         half = n + 0.5 * term.factors
-        energies = exp(lgamma(half + term.energy) - lgamma(half))
-        part = _mean_power(system, term, 1.0, *none, compliance)[0] * energies
+        part *= exp(lgamma(half + term.energy) - lgamma(half))
         power[1 + term.degree // 2] += part
         size[1 + term.degree // 2] += abs(part)
     power[np.abs(power) <= ROUND_OFF * size] = 0.0
     power = np.trim_zeros(power, "b") if np.any(power) else power[:2]
 
-    def largest_root(coefficients: Any) -> float:
+    def largest_root(coefficients: Sequence[float] | Array) -> float:
         """The largest real root of Σ_k coefficients_k x^k = noise, 0 where there is none."""
         roots = np.roots([*coefficients[:0:-1], -noise])
         return float(max((z.real for z in roots if abs(z.imag) < 1e-9 * abs(z)), default=0.0))
@@ -152,31 +180,34 @@ def _polynomial_balance(system: System, constant: float, noise: float) -> Balanc
 
 def _temperature_of_sizes(system: System, constant: float, noise: float) -> float:
     """The θ at which constant θ + Σ √E X² is the noise, X the powers of the chain without stops."""
-    sizes = []
+    sizes, powers = [constant], [1.0]
     for term in system.damping_terms:
         q, v = term.powers("q", system.n), term.velocities(system.n)
         square = gaussian_moment(system.compliance, tuple(2 * a for a in q))
         square *= gaussian_moment(np.diag(1.0 / system.mass), tuple(2 * a for a in v))
-        sizes.append((abs(term.coefficient) * sqrt(square), 1.0 + 0.5 * term.degree))
+        sizes.append(abs(term.coefficient) * sqrt(square))
+        powers.append(1.0 + 0.5 * term.degree)
+    size, power = np.array(sizes)[np.array(sizes) > 0.0], np.array(powers)[np.array(sizes) > 0.0]
+    # Of the sum of m terms none is more than the noise, and the largest not less than a share 1/m.
+    high = np.min((log(noise) - np.log(size)) / power)
+    low = np.min((log(noise / size.size) - np.log(size)) / power)
 
     def excess(log_theta: float) -> float:
-        return sum(s * exp(k * log_theta) for s, k in [(constant, 1.0), *sizes]) - noise
+        return float(size @ np.exp(power * log_theta)) / noise - 1.0
 
-    end = 1.0
-    while excess(end) < 0.0 or excess(-end) > 0.0:
-        end *= 2.0
-    return exp(scipy.optimize.brentq(excess, -end, end))
+    return exp(scipy.optimize.brentq(excess, low - 1e-9, high + 1e-9))
 
 
 def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
     """Displacements (masses, points) of the contact masses, and weights (points,), at θ.
 
     A mass departs from the one before it by the flexibility in between, as far as its stops let it
-    go. Of many masses ``KEPT`` points are drawn again after each: the weights of all masses
-    together would leave one point in thousands.
+    go. Of many masses ``KEPT`` points are drawn again after each, as the weights of all together
+    would leave one point in thousands.
     """
     masses, reach = system.contact_masses, sqrt(2.0 * DEEP)
-    x, w = gauss_legendre(POINTS.get(len(masses), 16))
+    on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= GRID]
+    x, w = gauss_legendre([*on_grid, 16][0])
     flexibility = np.cumsum(1.0 / system.stiffness)[list(masses)]
     q, weights = np.zeros((0, 1)), np.ones(1)
     for mass, width in zip(masses, np.sqrt(theta * np.diff(flexibility, prepend=0.0)), strict=True):
@@ -194,42 +225,11 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
         density = np.exp(-0.5 * normal**2 - energy) / (sqrt(2.0 * np.pi) * width)
         weights = (weights[:, None] * half[:, None] * w * density).ravel()
         q = np.vstack([np.repeat(q, x.size, axis=1), own.reshape(1, -1)])
-        if len(masses) not in POINTS:
+        if not on_grid:
             # Fractions of the golden ratio: evenly spread beside the order of the mass before.
             k, total = np.arange(KEPT), np.cumsum(weights)
-            kept = np.searchsorted(
-                total, (k + k * 0.5 * (sqrt(5.0) - 1.0) % 1.0) / KEPT * total[-1]
-            )
+            share = (k + k * 0.5 * (sqrt(5.0) - 1.0) % 1.0) / KEPT
+            kept = np.searchsorted(total, share * total[-1])
             q = q[:, kept[np.argsort(q[-1, kept])]]
             weights = np.full(KEPT, total[-1] / KEPT)
     return q, weights
-
-
-def _mean_power(
-    system: System, term: DampingTerm, theta: float, contact: Array, weights: Array, C: Array
-) -> tuple[float, float]:
-    """E coefficient Π q Π v v_i v_j at θ without the power of H, and that of its absolute value.
-
-    ``contact`` and ``weights`` as of ``_contact_states``; C (n, n) is the compliance. A mass is at
-    its mean given the contact masses, and an independent Gaussian part off.
-    """
-    masses = list(system.contact_masses) if len(contact) else []
-    nodes = [0.0, *np.diag(C)[masses]]  # the mean is linear between them, constant beyond
-    each = [np.interp(np.diag(C), nodes, [0.0, *e]) for e in np.eye(len(masses))]
-    follow = np.reshape(each, (len(masses), system.n)).T
-    spread = theta * (C - follow @ C[masses])
-    spread[masses] = spread[:, masses] = 0.0
-    mean, powers = follow @ contact, term.powers("q", system.n)
-    total, absolute = np.zeros((2, weights.size))
-    # Without contact masses all displacements are Gaussian.
-    least = (0 if len(contact) else power for power in powers)
-    for own in product(*(range(a, b + 1) for a, b in zip(least, powers, strict=True))):
-        moment = gaussian_moment(spread, own)
-        if moment:
-            ways = prod(comb(power, k) for power, k in zip(powers, own, strict=True))
-            rest = [power - k for power, k in zip(powers, own, strict=True)]
-            part = ways * moment * prod(mean[i] ** r for i, r in enumerate(rest) if r)
-            total, absolute = total + part, absolute + np.abs(part)
-    v = term.velocities(system.n)
-    factor = term.coefficient * gaussian_moment(np.diag(theta / system.mass), v) / weights.sum()
-    return factor * float(weights @ total), abs(factor) * float(weights @ absolute)

@@ -15,11 +15,9 @@ from fpk.system.system import System
 LEVEL = 1e8
 """Energy of the starts, in units of the last one at which two rates of damping and vibration are of
 one size: powers of unlike degree differ by a factor of 1e4 for each degree there."""
-DRAWN = 4096
-"""States drawn at that energy: enough for some in a cone of one part in a thousand."""
-FOLLOWED = 64
-"""Motions followed at the most, 128 coordinates in all but 8 at least: each step of each takes the
-eigenvalues of a matrix."""
+DRAWN, FOLLOWED = 4096, 64
+"""States drawn at that energy, enough for some in a cone of one part in a thousand, and motions
+followed at the most, with 128 coordinates in all: each step takes the eigenvalues of a matrix."""
 STEPS = 3000
 """Steps at the most: of ``MOVED`` each, 260 powers of ten or 95 periods of a vibration."""
 CHANGE, MOVED = 0.1, 0.2
@@ -28,10 +26,8 @@ or of what grows by itself in the linearised motion."""
 SLOW = 0.05
 """Growth of a vibration, relative to its frequency, below which steps may damp it: whether it gains
 over whole cycles is for ``fpk.system.equivalent`` to judge."""
-FLOOR = 1e-3
-"""Displacements or velocities below this share of all of them may change by more."""
 ESCAPED = 100.0
-"""Energy, in units of that of the starts, above which a motion may have escaped."""
+"""Energy, in units of the starts, above which a motion may have escaped."""
 
 
 def require_held(system: System) -> None:
@@ -43,11 +39,10 @@ def require_held(system: System) -> None:
 def escape(system: System) -> str | None:
     """Return which damping term lets the motion escape and where, or None where it comes back.
 
-    That the power Σ c_ij v_i v_j of the damping terms is negative without bound does not decide it:
-    van der Pol's oscillator crosses |q| < 1 at any speed, what is sped up towards the centre slows
-    down behind it, and a potential of higher degree holds the motion. The motion without noise,
-    ``M dv = −(c v + K q + g(q)) dt``, decides it, from states far out in which terms feed energy
-    in. Noise reaches the states from which it escapes, so that no density is stationary.
+    That the power Σ c_ij v_i v_j is negative without bound does not decide it: van der Pol's
+    oscillator crosses |q| < 1 at any speed, and a potential of higher degree holds the motion. The
+    motion without noise, ``M dv = −(c v + K q + g(q)) dt``, decides it, from states far out in
+    which terms feed energy in. Noise reaches these states, so that no density is stationary.
     """
     if not system.damping_terms:
         return None
@@ -82,11 +77,22 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
 
     Implicit Euler steps with one correction damp what vibrates and does not grow; where the
     linearised motion of the masses with terms grows they are short. A motion is back that has lost
-    half of its energy. One has escaped that leaves the range of double precision, or still rises
-    at the end: a vibration or bursts that end by themselves do not. ``span`` as of ``_states``.
+    half of its energy. It has escaped where it leaves the range of double precision, or still rises
+    at the end: a vibration or bursts that end by themselves do not. ``energy/span`` is the least
+    one at which rates are alike.
     """
-    n, rates = system.n, _motion(system, unit)
-    z = _states(system, unit, energy, span)
+    n, rates, rng = system.n, _motion(system, unit), np.random.default_rng(0)
+    # Two thirds have half of the coordinates small, evenly so in their logarithms, down to a tenth
+    # of their size at ``energy/span``: others lead there.
+    small = rng.random((DRAWN, 2 * n)) < 0.5
+    small[::3] = False
+    share = np.where(small, (10.0 * np.sqrt(span)) ** -rng.random((DRAWN, 2 * n)), 1.0)
+    z = rng.normal(size=(DRAWN, 2 * n)) * share
+    z = np.asarray(z / np.linalg.norm(z, axis=1)[:, None] * np.sqrt(2.0 * energy) * unit)
+    q, momentum = z[:, :n], z[:, n:] * system.mass
+    with np.errstate(over="ignore"):
+        while (above := system.hamiltonian(q, momentum) > 2.0 * energy).any():
+            q[above] *= 0.9  # as far as springs and stops let it
     power = _powers(system, z)
     feeding = np.sum(power, axis=0) < -ROUND_OFF * np.sum(np.abs(power), axis=0)
     x = far = (z / unit)[feeding][: max(8, min(FOLLOWED, 128 // n))]
@@ -118,7 +124,8 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
             inverse = np.linalg.inv(np.eye(2 * n) - dt[:, None, None] * J)
             first = np.einsum("sij,sj->si", inverse, dt[:, None] * f)
             second = np.einsum("sij,sj->si", inverse, dt[:, None] * rates(x + first)[0] - first)
-            scale = np.abs(x) + np.abs(x + first) + FLOOR * np.sqrt(x**2 @ alike)
+            # Displacements or velocities below 1e-3 of all of them may change by more.
+            scale = np.abs(x) + np.abs(x + first) + 1e-3 * np.sqrt(x**2 @ alike)
             moved = np.linalg.norm(first, axis=1) / np.linalg.norm(x, axis=1)
             change = np.maximum(np.max(np.abs(second) / scale, axis=1), CHANGE / MOVED * moved)
             x = np.where((change <= CHANGE)[:, None], x + first + second, x)
@@ -131,7 +138,7 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
 
 
 def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array, Array]]:
-    """Return the function of states x = (q, v)/``unit``, (states, 2n): dx/dt, ∂(dx/dt)/∂x and H."""
+    """The function of states x = (q, v)/``unit``, (states, 2n), to dx/dt, ∂(dx/dt)/∂x and H."""
     n, terms, K = system.n, system.damping_terms, system.stiffness_matrix
     powers = np.array([[*t.powers("q", n), *t.powers("v", n)] for t in terms])
     powers[range(len(terms)), [n + t.column for t in terms]] += 1
@@ -166,32 +173,15 @@ def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array
     return rates
 
 
-def _states(system: System, unit: Array, energy: float, span: float) -> Array:
-    """Return states z = (q, v), (states, 2n), of about one ``energy``, drawn with a fixed seed."""
-    rng, n = np.random.default_rng(0), system.n
-    # Two thirds have half of the coordinates small, evenly so in their logarithms, down to a tenth
-    # of their size at ``energy/span``: others lead there.
-    small = rng.random((DRAWN, 2 * n)) < 0.5
-    small[::3] = False
-    share = np.where(small, (10.0 * np.sqrt(span)) ** -rng.random((DRAWN, 2 * n)), 1.0)
-    x = rng.normal(size=(DRAWN, 2 * n)) * share
-    z = np.asarray(x / np.linalg.norm(x, axis=1)[:, None] * np.sqrt(2.0 * energy) * unit)
-    q, momentum = z[:, :n], z[:, n:] * system.mass
-    with np.errstate(over="ignore"):
-        while (above := system.hamiltonian(q, momentum) > 2.0 * energy).any():
-            q[above] *= 0.9  # as far as springs and stops let it
-    return z
-
-
 def _powers(system: System, z: Array) -> Array:
-    """Return the power c_ij v_i v_j of each damping term in states z, (terms, states)."""
+    """The power c_ij v_i v_j (terms, states) of each damping term at z = (q, v) (states, 2n)."""
     q, v = z[:, : system.n], z[:, system.n :]
     H, terms = system.hamiltonian(q, v * system.mass), system.damping_terms
     return np.array([t.value(q, v, H) * v[:, t.row] * v[:, t.column] for t in terms])
 
 
 def _words(system: System, state: Array) -> str:
-    """Return the reason: the term that feeds most in at ``state``, and where it does so."""
+    """The reason: the term that feeds most in at ``state``, and where it does so."""
     term = system.damping_terms[int(np.argmin(_powers(system, state[None])[:, 0]))]
     names = [f"{key}{i + 1}" for key in "qv" for i in range(system.n)]
     powers = [*term.powers("q", system.n), *term.powers("v", system.n)]

@@ -1,6 +1,8 @@
 """The linear part of a system: springs, its natural modes (13), constant damping and noise."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import inf
 
 import numpy as np
@@ -27,10 +29,9 @@ def diffusion_matrix(system: System) -> Array:
 def natural_modes(system: System) -> tuple[Array, Array]:
     """Return the shapes T (n, n), one mode a column, and ω (n,) of K T = M T ω², ω ascending.
 
-    Shapes are normalised to Tᵀ M T = 1 and ω is in radians per time, so that with ``q = T Q`` and
-    ``P = Tᵀ p`` a mode has the energy ``H_m = ½ (P_m² + ω_m² Q_m²)``, and ``Q = Tᵀ M q``. The
-    H_m of a chain without contacts add up to H; what is stored in contacts is in none of them.
-    Their signs are arbitrary.
+    Shapes are normalised to Tᵀ M T = 1, of arbitrary signs, and ω is in radians per time: with
+    ``q = T Q`` and ``P = Tᵀ p`` a mode has the energy ``H_m = ½ (P_m² + ω_m² Q_m²)``, and
+    ``Q = Tᵀ M q``.
 
     With K = Gᵀ G, row i of G being √k_i (q_i − q_{i−1}), ω are the singular values of G M^(−1/2):
     none is lost where an eigenvalue of K would be, in the round-off of the largest one.
@@ -42,8 +43,33 @@ def natural_modes(system: System) -> tuple[Array, Array]:
     return np.ascontiguousarray(shapes), np.ascontiguousarray(omega[::-1])
 
 
+def displacements_given(system: System, masses: Sequence[int]) -> tuple[Array, Array]:
+    """Return w (n, c) and Σ (n, n) of q = w q_c + ξ, ξ ~ N(0, θ Σ): the law given those of masses.
+
+    Without contacts, at the temperature θ. ``masses`` ascend from 0. Between two of them the chain
+    is a bridge: with the flexibilities a from the lower one up to the nearer of two masses, b from
+    the farther one on and s in all the covariance is a b/s, and a where none is above. Nothing
+    cancels at any ratio of the springs.
+    """
+    n, flexibility = system.n, 1.0 / system.stiffness
+    weights, covariance = np.zeros((n, len(masses))), np.zeros((n, n))
+    for k, (below, above) in enumerate(pairwise([-1, *masses, n])):
+        a = np.cumsum(flexibility[below + 1 : above])
+        block, share = np.minimum.outer(a, a), np.ones(a.size)
+        if above < n:
+            s, *rest = (flexibility[i : above + 1].sum() for i in range(below + 1, above + 1))
+            b = np.array(rest)
+            block, share = block * (np.minimum.outer(b, b) / s), b / s
+            weights[below + 1 : above, k] = a / s
+            weights[above, k] = 1.0
+        if k:
+            weights[below + 1 : above, k - 1] = share
+        covariance[below + 1 : above, below + 1 : above] = block
+    return weights, covariance
+
+
 def modal_energies(system: System, q: Array, p: Array) -> Array:
-    """Return the energies H_m (..., n) of the natural modes in the states q, p (..., n)."""
+    """Return the energies H_m (..., n) of the modes at q, p (..., n), none of it in contacts."""
     shapes, omega = natural_modes(system)
     energies: Array = 0.5 * ((p @ shapes) ** 2 + (omega * ((q * system.mass) @ shapes)) ** 2)
     return energies
@@ -58,13 +84,13 @@ def decay_time(system: System) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LinearCovariance:
-    """Covariance of a system without contacts in (ω Q, P) of its modes, and how well it is known.
+    """Covariance of x = (ω Q, P) of the modes without contacts, and how well it is known.
 
-    ``shapes`` T (n, n) and ``omega`` (n,) as of ``natural_modes``; ``drift`` A (2n, 2n) is that of
-    dx = A x dt + … of x = (ω Q, P); ``covariance`` (2n, 2n) is V diag(``variance``) Vᵀ with
-    ``axes`` V, ascending. ``variance_error`` (2n,) estimates the error of each, ``relative_error``
-    that of the whole as a quadratic form; ``residual`` is the largest entry of the Lyapunov
-    equation relative to the terms that cancel in it.
+    ``shapes`` T (n, n) and ``omega`` (n,) as of ``natural_modes``; ``drift`` A (2n, 2n) of
+    dx = A x dt + …; ``covariance`` (2n, 2n) is V diag(``variance``) Vᵀ with ``axes`` V, ascending.
+    ``variance_error`` (2n,) is the error of each variance, ``relative_error`` of the whole
+    quadratic form; ``residual`` is the largest entry of the Lyapunov equation relative to the terms
+    that cancel in it.
     """
 
     shapes: Array
@@ -81,14 +107,12 @@ class LinearCovariance:
 def linear_covariance(system: System) -> LinearCovariance:
     """Return the covariance of the modes of the system without contacts, from A Σ + Σ Aᵀ + b = 0.
 
-    In (ω Q, P) every entry of A is a rate of its own mode, so that a slow one is not lost beside a
-    fast one, eight decades away. The solver's error is that of a damping of the round-off of the
-    fastest mode; its residual has none of it, and two corrections remove it. The error is estimated
-    by the last correction, by the effect of a residual of the size of its own round-off, and by
-    that of the round-off of ω, of alternate signs.
+    In (ω Q, P) every entry of A is a rate of its own mode: a slow one is not lost beside a fast
+    one. The solver's error, a damping of the round-off of the fastest mode, is removed by two
+    corrections. The error is estimated by the last correction, by the effect of a residual of the
+    size of its own round-off, and of the round-off of ω, of alternate signs.
 
-    Raises ``NotApplicable`` where a mode is not damped, so that no stationary state exists, and
-    where the damping depends on the state.
+    Raises ``NotApplicable`` where a mode is not damped or the damping depends on the state.
     """
     if system.damping_terms:
         raise NotApplicable("the damping depends on the state, so the system is not linear")
@@ -139,9 +163,9 @@ def linear_covariance(system: System) -> LinearCovariance:
 
 
 def stationary_covariance(system: System) -> Array:
-    """Return the covariance of (q, p) of the system without contacts, shape (2n, 2n).
+    """Return the covariance (2n, 2n) of (q, p) without contacts, for any damping and noise.
 
-    It is exact for any damping and noise. Raises ``NotApplicable`` as ``linear_covariance``.
+    Raises ``NotApplicable`` as ``linear_covariance``.
     """
     modal = system.fact(linear_covariance)
     nothing = np.zeros((system.n, system.n))

@@ -9,20 +9,16 @@ from scipy.special import hyp1f1
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
 
-RANGE = 1e-150, 1e150
-"""Least and largest factor but 0: the square is within double precision."""
 ROUND_OFF = 1e-13
-"""Relative error of ``Modulation.faded``: 1F1 of SciPy has 2e-15, the
-exponential of a decay by up to e^−700 8e-14; 2.9e-14 was the most of 600 random ones (mpmath)."""
+"""Relative error of ``Modulation.faded``: 1F1 of SciPy has 2e-15, a decay by up to e^−700 8e-14."""
 
 
 @dataclass(frozen=True, eq=False)
 class Modulation:
     """The factor e(t) on the noise: linear between ``times`` and constant after the last.
 
-    ``times`` ascend from 0; ``factor`` is 0 or in ``RANGE``. Where it ends with 0 the
-    motion decays freely from then on. What is stationary is that of the ``noise_intensity`` itself,
-    e = 1 at all times.
+    ``times`` ascend from 0; a ``factor`` is 0 or from 1e-150 to 1e150, so that its square is a
+    number. The stationary state is that of the ``noise_intensity`` itself, e = 1 at all times.
 
     Raises ``InvalidInput`` for anything else.
     """
@@ -32,6 +28,7 @@ class Modulation:
 
     def __post_init__(self) -> None:
         """Check both lists and keep them read-only."""
+        least, most = 1e-150, 1e150
         for key in ("times", "factor"):
             try:
                 array = np.array(getattr(self, key), dtype=float)
@@ -49,13 +46,12 @@ class Modulation:
             )
         if np.any(self.factor < 0.0):
             raise InvalidInput("factor", self.factor, "must not be negative")
-        least, most = RANGE
         if np.any((self.factor > most) | (self.factor > 0.0) & (self.factor < least)):
             words = f"must be 0 or from {least:g} to {most:g}, for its square"
             raise InvalidInput("factor", self.factor, words)
 
     def __call__(self, time: Array) -> Array:
-        """Return e at times >= 0 of any shape."""
+        """Return e at ``time`` >= 0 of any shape."""
         return np.asarray(np.interp(time, self.times, self.factor))
 
     @property
@@ -83,12 +79,9 @@ class Modulation:
     def energy(self, time: Array) -> Array:
         """Return ∫e² dt from 0 to ``time`` of any shape."""
         e, t = self.factor, self.times
-        # The mean of the square of a linear function.
-        parts = np.diff(t) * (e[1:] ** 2 + e[1:] * e[:-1] + e[:-1] ** 2) / 3.0
         k = np.searchsorted(t, time, side="right") - 1
-        now, left = self(time), e[k]
-        part = (time - t[k]) * (now**2 + now * left + left**2) / 3.0
-        return np.asarray(np.append(0.0, np.cumsum(parts))[k] + part)
+        whole = np.append(0.0, np.cumsum(np.diff(t) * _square(e[:-1], e[1:])))
+        return np.asarray(whole[k] + (time - t[k]) * _square(e[k], self(time)))
 
     def mean_square(self, begin: Array, step: float) -> Array:
         """Return the mean of e² over steps that begin at the times ``begin``, of any shape."""
@@ -96,14 +89,13 @@ class Modulation:
         inner = self.times[(self.times > np.min(first)) & (self.times < np.max(last))]
         nodes = np.concatenate([first, np.clip(inner, first, last), last], axis=-1)
         e = self(nodes)
-        squares = e[..., 1:] ** 2 + e[..., 1:] * e[..., :-1] + e[..., :-1] ** 2
-        return np.asarray(np.sum(np.diff(nodes) * squares, axis=-1) / (3.0 * step))
+        squares = _square(e[..., :-1], e[..., 1:])
+        return np.asarray(np.sum(np.diff(nodes) * squares, axis=-1) / step)
 
     def faded(self, begin: float, end: float, rate: Array) -> Array:
         """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, of the shape of rate.
 
-        It is what is left at ``end`` of the energy that the noise has fed in; a negative rate is
-        one of growth.
+        A negative rate is of growth.
         """
         inner = self.times[(self.times > begin) & (self.times < end)]
         nodes = np.concatenate([[begin], inner, [end]])
@@ -116,7 +108,12 @@ class Modulation:
         return np.asarray(np.sum(each * np.exp(-rate * (end - nodes[1:])), axis=-1))
 
 
+def _square(first: Array, last: Array) -> Array:
+    """The mean square of a function that is linear from ``first`` to ``last``."""
+    return np.asarray((last**2 + last * first + first**2) / 3.0)
+
+
 def require_constant_noise(modulation: Modulation | None) -> None:
-    """Raise ``NotApplicable`` where there is a modulation: for methods of constant noise."""
+    """Raise ``NotApplicable`` where there is a modulation."""
     if modulation is not None:
         raise NotApplicable("the noise is modulated, which this route does not take into account")

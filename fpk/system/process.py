@@ -9,8 +9,7 @@ import numpy as np
 from fpk.numeric.arrays import SMALLEST, Array, Flags
 
 REST = 1e-250
-"""Energy, over the last one of a mesh, that stands for H = 0 where coefficients are wanted: their
-integrals underflow below 1e-300."""
+"""Energy, over the last of a mesh, that stands for H = 0: integrals underflow below 1e-300."""
 UNKNOWN: Array = np.array(np.nan)
 """A coefficient that a process does not give: whatever is computed from it is not a number."""
 
@@ -55,25 +54,17 @@ class Process:
     state_damping: bool = False
 
     def at(self, energies: Array) -> Coefficients:
-        """Return s, b, Σ_j ∂b_ij/∂H_j and their error at (points, d) in the shapes of d energies.
-
-        Of one energy, too.
-        """
+        """Return s, b, Σ_j ∂b_ij/∂H_j and their error at (points, d), of one energy, too."""
         if self.dimension > 1:
             return self.coefficients(energies)
         c = self.coefficients(energies[:, 0])
-        return Coefficients(
-            c.drift[:, None],
-            c.diffusion[:, None, None],
-            c.divergence[:, None],
-            relative_error=c.relative_error,
-        )
+        s, b, divergence = c.drift[:, None], c.diffusion[:, None, None], c.divergence[:, None]
+        return Coefficients(s, b, divergence, relative_error=c.relative_error)
 
     def on_mesh(self, energy: Array, last: float) -> tuple[Array, Flags]:
-        """Return energies > 0 for ``energy`` of any shape, and where p is not exactly 0.
+        """Return ``energy`` clipped between a hair above 0 and ``last``, and where p is not 0.
 
-        The first are clipped between 0 and the ``last`` one of a mesh, a hair beyond 0 itself. p is
-        0 outside, and where all of several degrees of freedom are at rest.
+        p is 0 outside, and at H = 0 of several degrees of freedom.
         """
         least = max(REST * last, SMALLEST)
         above = energy >= 0.0 if self.degrees_of_freedom == 1 else energy > 0.0
@@ -86,7 +77,7 @@ class Process:
 
     @property
     def energy_scale(self) -> float:
-        """The scale of a process of one energy."""
+        """The scale of one energy."""
         (scale,) = self.energy_scales
         return scale
 

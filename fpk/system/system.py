@@ -60,23 +60,31 @@ class System:
 
     def __post_init__(self) -> None:
         """Check the fields, bring them to matrix form and derive f D fᵀ and K."""
-        mass = _vector("mass", self.mass)
+        for key, kind in (("contacts", Contact), ("damping_terms", DampingTerm)):
+            given = getattr(self, key)
+            if not isinstance(given, (tuple, list)) or not all(isinstance(x, kind) for x in given):
+                remedy = f"must be a tuple of {kind.__name__}, as (first, second)"
+                raise InvalidInput(key, given, remedy)
+        mass, stiffness = _finite("mass", self.mass), _finite("stiffness", self.stiffness)
+        for key, array in (("mass", mass), ("stiffness", stiffness)):
+            if array.ndim != 1 or array.size == 0:
+                raise InvalidInput(key, getattr(self, key), "must be a list of one number per mass")
+            if (array <= 0).any():
+                raise InvalidInput(key, getattr(self, key), "must hold positive numbers only")
         n = mass.size
-        stiffness = _vector("stiffness", self.stiffness)
         if stiffness.size != n:
             raise InvalidInput("stiffness", self.stiffness, f"must have {n} entries, one per mass")
         damping = _matrix("damping", self.damping)
         if damping.shape[0] != n:
             raise InvalidInput("damping", self.damping, f"must have {n} entries or be {n} x {n}")
-        contacts = _records("contacts", self.contacts, Contact)
+        masses = {f"contact[{k}].mass": c.mass for k, c in enumerate(self.contacts, start=1)}
         terms = []  # those that depend on the state
-        given_terms = _records("damping_terms", self.damping_terms, DampingTerm)
-        for k, term in enumerate(given_terms, start=1):
-            for place, at in term.masses.items():
-                if not 1 <= at <= n:
-                    raise InvalidInput(
-                        f"damping_term[{k}].{place}", at, f"is not a mass; use 1 to {n}"
-                    )
+        for k, term in enumerate(self.damping_terms, start=1):
+            masses |= {f"damping_term[{k}].{place}": at for place, at in term.masses.items()}
+        for key, at in masses.items():
+            if not 1 <= at <= n:
+                raise InvalidInput(key, at, f"is not a mass; use 1 to {n}")
+        for term in self.damping_terms:
             if term.degree == 0:
                 damping[term.row, term.column] += term.coefficient
             elif term.coefficient != 0.0:
@@ -101,10 +109,6 @@ class System:
             gain = _finite("noise_gain", self.noise_gain)
             if gain.shape != (n, noises):
                 raise InvalidInput("noise_gain", self.noise_gain, f"must be {n} x {noises}")
-        for k, contact in enumerate(contacts, start=1):
-            if not 1 <= contact.mass <= n:
-                key = f"contact[{k}].mass"
-                raise InvalidInput(key, contact.mass, f"is not a mass; use 1 to {n}")
         extension = np.eye(n) - np.eye(n, k=-1)  # of each spring, from the displacements
         arrays = {
             "mass": mass,
@@ -117,7 +121,7 @@ class System:
         }
         for value in arrays.values():
             value.setflags(write=False)
-        derived = {**arrays, "contacts": contacts, "damping_terms": tuple(terms)}
+        derived = {**arrays, "contacts": tuple(self.contacts), "damping_terms": tuple(terms)}
         for name, field_value in derived.items():
             object.__setattr__(self, name, field_value)
 
@@ -140,8 +144,7 @@ class System:
     def compliance(self) -> Array:
         """Inverse (n, n) of the stiffness matrix of the chain: Σ 1/k_l over l <= min(i, j).
 
-        Mass i and mass j share the springs from the wall to the nearer of the two; nothing cancels,
-        so that every entry has full relative accuracy for any ratio of the springs.
+        Nothing cancels: every entry has full relative accuracy for any ratio of the springs.
         """
         reach = np.cumsum(1.0 / self.stiffness)
         matrix: Array = np.minimum.outer(reach, reach)
@@ -157,10 +160,9 @@ class System:
         )
 
     def fact(self, compute: Callable[["System"], Fact]) -> Fact:
-        """Return ``compute(self)``: computed when first asked for, then held by the system.
+        """Return ``compute(self)``, computed when first asked for, then held by the system.
 
-        For what follows from the system alone and costs something; ``compute`` is a function of a
-        module, which serves as the key. An exception is not held: it is raised again.
+        ``compute``, a function of a module, serves as the key. An exception is not held.
         """
         if compute not in self._facts:
             self._facts[compute] = compute(self)
@@ -192,12 +194,6 @@ class System:
         return kinetic + self.potential(q)
 
 
-def _records(key: str, values: Any, kind: type[Fact]) -> tuple[Fact, ...]:
-    if isinstance(values, (tuple, list)) and all(isinstance(value, kind) for value in values):
-        return tuple(values)
-    raise InvalidInput(key, values, f"must be a tuple of {kind.__name__}, as (first, second)")
-
-
 def _finite(key: str, value: ArrayLike) -> Array:
     try:
         array = np.array(value, dtype=float)
@@ -207,15 +203,6 @@ def _finite(key: str, value: ArrayLike) -> Array:
         ) from None
     if not np.isfinite(array).all():
         raise InvalidInput(key, value, "must hold finite numbers only")
-    return array
-
-
-def _vector(key: str, value: ArrayLike) -> Array:
-    array = _finite(key, value)
-    if array.ndim != 1 or array.size == 0:
-        raise InvalidInput(key, value, "must be a list of one number per mass")
-    if (array <= 0).any():
-        raise InvalidInput(key, value, "must hold positive numbers only")
     return array
 
 
@@ -241,10 +228,10 @@ def _refuse_negative(key: str, matrix: Array, words: str) -> None:
 class Effects:
     """The effects of one system; hashable, and the key by which the stepper is compiled.
 
-    ``laws`` are the contact laws that act, sorted; ``contact_masses`` count from 0; ``stops`` is
-    the number of one-sided contacts; ``noise_rank`` the number of independent noises that reach
-    a mass; ``state_damping`` whether the damping depends on the state, ``energy_damping`` whether
-    on H among it; ``mirror`` whether the system looks the same under q → −q.
+    ``laws`` are sorted; ``contact_masses`` count from 0; ``stops`` is the number of one-sided
+    contacts, ``noise_rank`` of independent noises that reach a mass; ``state_damping`` says that
+    the damping depends on the state, ``energy_damping`` on H; ``mirror`` that q → −q changes
+    nothing.
     """
 
     masses: int
