@@ -198,7 +198,7 @@ def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
 
 def least_distance(a: Expansion, b: Expansion) -> float:
     """Return the least L1 distance that is believed of any density of two solutions."""
-    if not min(np.diag(moments(e).covariance).min() for e in (a, b)) > 0.0:
+    if not min(np.diag(moments(e)[1]).min() for e in (a, b)) > 0.0:
         raise np.linalg.LinAlgError("a variance found is not positive")
     single = [(Coordinate(kind, row),) for kind in ("q", "p") for row in range(a.basis.frame.n)]
     return COMMON * max(distance(a, b, o) for o in single)

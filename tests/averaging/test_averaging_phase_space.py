@@ -123,7 +123,7 @@ def test_moments_of_a_linear_system_are_those_of_the_lyapunov_equation():
     expansion = expanded(frame, gibbs_reference(frame), Degrees(8, 6, 8))
     order = [*frame.order, *(2 + i for i in frame.order)]
     exact = stationary_covariance(system)[np.ix_(order, order)]
-    assert moments(expansion).covariance == pytest.approx(exact, rel=1e-10, abs=1e-12)
+    assert moments(expansion)[1] == pytest.approx(exact, rel=1e-10, abs=1e-12)
 
 
 @pytest.mark.parametrize(

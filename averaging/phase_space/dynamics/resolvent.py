@@ -51,14 +51,14 @@ def resolvent(A: Chain, shift: complex, step: Step) -> Callable[[Array], Array]:
     The product of A with the function 1 vanishes, as mass is conserved, and A is singular at s = 0.
     Of b and of the solution, which have no mass, what round-off left of it is removed.
     """
-    factors, one = factored(A, shift=shift, step=step), A.basis.of_one
+    (solve, _), one = factored(A, shift=shift, step=step), A.basis.of_one
 
     def massless(u: Array) -> Array:
         u = u.copy()
         u[: one.size] -= np.multiply.outer(one, one @ u[: one.size])
         return u
 
-    return lambda b: -massless(factors.solve(massless(b)))
+    return lambda b: -massless(solve(massless(b)))
 
 
 def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
@@ -71,7 +71,7 @@ def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
     b, space = e.basis, e.space
     q = Coordinate("q", row)
     (offset, slope, direction), (at, unit) = form_of(e, q), b.frame.place(q)
-    offset -= unit * moments(e).mean[at]
+    offset -= unit * moments(e)[0][at]
     values, up = b.at_points[0], space.raising(direction)
     by_y = values.T @ ((b.weights * (offset + slope * b.points))[:, None] * values)
     density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])

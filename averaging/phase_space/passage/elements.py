@@ -1,58 +1,53 @@
 """Finite elements of −L u = f on a mesh of states, u = 0 where the limit is passed, and answers."""
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import pi
 from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import Legendre, legder, legval, legvander
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.sparse import coo_array, csc_array, csr_array, eye_array, kron
 from scipy.sparse.linalg import LinearOperator, eigs, splu
 
 from averaging.phase_space.krylov import EVERY, VECTORS, krylov
 from averaging.phase_space.passage.mesh import Mesh
-from fpk.numeric.arrays import Array
+from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import NotCertified
-from fpk.numeric.quadrature import gauss_legendre
+from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 MORE_POINTS = 12
 """Gauss points in each direction beyond the degree: over a panel of large velocities, and of a
 steep stop, the weight falls by up to e⁴⁰. With 4, K + Kᵀ had negative eigenvalues there."""
-PIVOTS = (1e-3, 1e-2, 1.0)
-"""Least diagonal pivots relative to their columns, tried in this order: lower ones keep more of the
-symmetric ordering, and entries may grow by their inverse in each step."""
-GROWN = 1e-10
-"""Residual of a solution, relative to the terms that cancel in it, by which entries have grown."""
-SHIFT = 4.0
-"""Shift of the Krylov space of the reliability in units of the frequency: 2 to 8 take equally many
-vectors."""
 KRYLOV = 0.05
-"""Fraction of the tolerance to which that space gives the reliability."""
-
-
-Indices = NDArray[np.integer]
+"""Share of the tolerance to which a Krylov space gives the reliability."""
 
 
 def factorised(matrix: csc_array) -> Any:
-    """Return the factors; raise ``NotCertified`` where the elimination breaks down."""
-    right = matrix @ np.ones(matrix.shape[0])
-    for pivot in PIVOTS:
-        try:
-            factors = splu(
-                matrix,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=pivot,
-                options={"SymmetricMode": True},
-            )
-        except RuntimeError as error:
-            raise NotCertified(f"the elimination breaks down: {error}") from None
-        x = factors.solve(right)
-        if np.max(np.abs(right - matrix @ x)) <= GROWN * np.max(abs(matrix) @ np.abs(x)):
+    """Return the factors; raise ``NotCertified`` where the elimination breaks down.
+
+    A diagonal pivot down to 0.001 of its column keeps the symmetric ordering.
+    """
+    options: dict[str, Any] = {"diag_pivot_thresh": 1e-3, "options": {"SymmetricMode": True}}
+    try:
+        return splu(matrix, permc_spec="MMD_AT_PLUS_A", **options)
+    except RuntimeError as error:
+        raise NotCertified(f"the elimination breaks down: {error}") from None
+
+
+def refined(matrix: csc_array, factors: Any, right: Array, trans: str = "N") -> Array:
+    """Return the solution with a matrix, or its transposed one where ``trans`` is "T".
+
+    Residuals, up to 1e-5 beyond steep stops, are refined; where K is nearly singular they stay.
+    """
+    x, A = factors.solve(right, trans), matrix if trans == "N" else matrix.T
+    for _ in range(2):
+        rest = right - A @ x
+        if np.linalg.norm(rest) <= 1e-10 * np.linalg.norm(right):
             break
-    return factors
+        x = x + factors.solve(rest, trans)
+    return np.asarray(x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +68,7 @@ class Elements:
     load: Array
     exit: Array
     one: Array
-    free: Indices
+    free: Integers
 
     def at(self, q: Array, v: Array, weights: Array) -> Array:
         """Return the coefficients of the functional Σ weights u(q, v) of states within."""
@@ -83,7 +78,7 @@ class Elements:
             k = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, nodes.size - 2)
             local = 2.0 * (t - nodes[k]) / (nodes[k + 1] - nodes[k]) - 1.0
             places.append(k[:, None] * (n if nodes is m.x else m.degree) + np.arange(n))
-            values.append(_shapes(m.degree, local)[0])
+            values.append(shapes(m.degree, local)[0])
         size = (m.s.size - 1) * m.degree + 1
         functional = np.zeros((m.x.size - 1) * n * size)
         place = places[0][:, :, None] * size + places[1][:, None, :]
@@ -97,16 +92,10 @@ class Elements:
         """The factors of K."""
         return factorised(self.K)
 
-    def solved(self, right: Array, trans: str = "N") -> Array:
-        """Return the solution with K, or with Kᵀ where ``trans`` is "T", refined once."""
-        K = self.K if trans == "N" else self.K.T
-        x = self.factors.solve(right, trans)
-        return np.asarray(x + self.factors.solve(right - K @ x, trans))
-
     @cached_property
     def mean(self) -> Array:
         """Coefficients of T up to a factor that is 1 but for round-off where failure is rare."""
-        return self.solved(self.load)
+        return refined(self.K, self.factors, self.load)
 
     def residual(self) -> float:
         """Return the largest residual of T relative to the largest of its terms."""
@@ -120,7 +109,7 @@ class Elements:
         time spent. Where failure is rare K is nearly singular, and y is right up to a factor, that
         this identity gives back. What it is off from 1 is the mass lost, relative to all.
         """
-        y = self.solved(start, "T")
+        y = refined(self.K, self.factors, start, "T")
         kept = float(y @ self.exit) / float(start @ self.one)
         y /= kept
         mean = float(y @ self.load)
@@ -129,6 +118,7 @@ class Elements:
 
     def rate(self) -> float:
         """Return the least eigenvalue of −L, by the flow out of its left eigenvector."""
+        # Not refined: where K is nearly singular the factor that is lost would differ each time.
         inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
         options: dict[str, Any] = {"v0": self.load, "ncv": min(12, self.load.size - 1)}
         _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
@@ -137,22 +127,30 @@ class Elements:
 
     @cached_property
     def sigma(self) -> float:
-        """A rate of the order of the frequency, less where damping outdoes it."""
+        """Four times the frequency, less where damping outdoes it.
+
+        Krylov spaces shifted by two to eight times the frequency take equally many vectors.
+        """
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
-        return SHIFT * frequency / (1.0 + o.damping / (o.mass * frequency))
+        return 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
 
     @cached_property
-    def shifted(self) -> Any:
+    def shifted(self) -> csc_array:
+        """K + σM."""
+        return csc_array(self.K + self.sigma * self.M)
+
+    @cached_property
+    def shifted_factors(self) -> Any:
         """The factors of K + σM."""
-        return factorised(csc_array(self.K + self.sigma * self.M))
+        return factorised(self.shifted)
 
     def mass_defect(self, start: Array) -> float:
         """Return what is wrong with the mass at a time of exponential distribution, the mean 1/σ.
 
         By its density σ (K + σM)⁻ᵀ start, what is within and what has left add up to ``start``.
         """
-        y = self.shifted.solve(start, "T")
+        y = refined(self.shifted, self.shifted_factors, start, "T")
         mass = y @ (self.sigma * (self.M @ self.one) + self.exit)
         return abs(float(mass - start @ self.one))
 
@@ -167,9 +165,9 @@ class Elements:
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)
         change = before = last
-        images, system = np.zeros((0, start.size)), np.zeros((VECTORS + 1, VECTORS + 1))
+        images = np.zeros((0, start.size))
         for V, _, closed in krylov(
-            lambda x: self.shifted.solve(self.M @ x),
+            lambda x: refined(self.shifted, self.shifted_factors, self.M @ x),
             self.one[:, None],
             VECTORS,
             metric=self.M.__matmul__,
@@ -195,21 +193,14 @@ class Elements:
         return last, np.maximum(change, KRYLOV * before)
 
 
-@lru_cache
-def _to_lagrange(degree: int) -> Array:
-    """Polynomials of the Gauss-Lobatto nodes of [−1, 1] by the coefficients of Legendre's."""
-    inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
-    nodes = np.concatenate([[-1.0], inner, [1.0]])
-    return np.linalg.inv(legvander(nodes, degree))
-
-
-def _shapes(degree: int, t: Array) -> tuple[Array, Array]:
-    """Values and slopes (points, degree + 1) of the polynomials of the Lobatto nodes.
+def shapes(degree: int, t: Array) -> tuple[Array, Array]:
+    """Return values and slopes (points, degree + 1) at t of the polynomials of the Lobatto nodes.
 
     Each belongs to a node: where the weight falls by e²⁰ over a panel, scaled hierarchical
     polynomials lose all digits of rare failure to round-off.
     """
-    inverse = _to_lagrange(degree)
+    inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
+    inverse = np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
     slopes = legval(t, legder(np.eye(degree + 1))).T
     return legvander(t, degree) @ inverse, slopes @ inverse
 
@@ -221,39 +212,33 @@ def elements(mesh: Mesh) -> Elements:
     −L u = −s w u_q − w' (1 − s²) u_s − exp(αmv²/2) (D/m²)/w² ∂_s exp(−αmv²/2) u_s, α = c/D, with
     w' = −V'/(m w); for w = 1 the second term is V'/m u_v.
     """
-    o, n = mesh.oscillator, mesh.degree + 1
+    o, n, panels, across = mesh.oscillator, mesh.degree + 1, mesh.x.size - 1, mesh.s.size - 1
     t, weight = gauss_legendre(mesh.degree + MORE_POINTS)
-    B, D = _shapes(mesh.degree, t)
+    B, D = shapes(mesh.degree, t)
     BB, BD, DD = (
         np.einsum("gi,gk->gik", a, b).reshape(t.size, -1) for a, b in ((B, B), (B, D), (D, D))
     )
-    hx, hs = 0.5 * np.diff(mesh.x), 0.5 * np.diff(mesh.s)
-    x = 0.5 * (mesh.x[1:] + mesh.x[:-1])[:, None] + hx[:, None] * t
-    s = 0.5 * (mesh.s[1:] + mesh.s[:-1])[:, None] + hs[:, None] * t
+    # Coefficients have the axes (panels of x, panels of s, points in x, points in s).
+    hx, hs = 0.5 * np.diff(mesh.x)[:, None, None, None], 0.5 * np.diff(mesh.s)[:, None, None]
+    x, s = (panel_rule(nodes, t.size)[0] for nodes in (mesh.x, mesh.s))
     q, slope = mesh.q(x)
-    w, force = mesh.w(q), o.force(q)
-    bend = np.ones_like(s) if mesh.energy is None else 1.0 - s * s
-    q, slope, w, force = (a[:, None, :, None] for a in (q, slope, w, force))
-    along, bend = s[None, :, None, :], bend[None, :, None, :]
-    widths = hx[:, None, None, None] * hs[None, :, None, None]
-    area = np.exp(-o.inverse_temperature * o.energy(q, along * w)) * weight[:, None] * weight
-    flow = area * hs[None, :, None, None] * (along * w * w)  # dq/dx cancels
-    turn = area * hx[:, None, None, None] * slope * force / o.mass * bend
-    spread = area * (hx[:, None] / hs)[:, :, None, None] * slope * o.diffusion / w
+    q, slope, w, force = (a[:, None, :, None] for a in (q, slope, mesh.w(q), o.force(q)))
+    v = s[:, None, :] * w
+    bend = 1.0 if mesh.energy is None else 1.0 - s[:, None, :] ** 2
+    area = np.exp(-o.inverse_temperature * o.energy(q, v)) * weight[:, None] * weight
+    turn = area * hx * slope * force / o.mass * bend
+    spread = area * hx / hs * slope * o.diffusion / w
+    flow = area * hs * v * w  # dq/dx cancels
     local = BB.T @ turn @ BD + BB.T @ spread @ DD - BD.T @ flow @ BB
-    mass = BB.T @ (area * widths * slope * w) @ BB
-    panels, across = mesh.x.size - 1, mesh.s.size - 1
+    mass = BB.T @ (area * hx * hs * slope * w) @ BB
+    # Functions of x, panel by panel, times functions of s, of which neighbours share one.
     size = across * mesh.degree + 1
     total = panels * n * size
-    # Functions of x, panel by panel, times functions of s, of which neighbours share one.
-    of_x = np.arange(panels * n, dtype=np.int32).reshape(panels, 1, n, 1, 1, 1) * size
-    of_s = np.add.outer(
-        np.arange(across, dtype=np.int32) * mesh.degree, np.arange(n, dtype=np.int32)
-    )
-    places = of_x + of_s[None, :, None, None, :, None], of_x + of_s[None, :, None, None, None]
-    shape = panels, across, n, n, n, n
-    row = np.broadcast_to(places[0], shape).ravel()
-    column = np.broadcast_to(places[1].swapaxes(2, 3), shape).ravel()
+    of_s = np.add.outer(mesh.degree * np.arange(across), np.arange(n)).astype(np.int32)
+    of_x = size * np.arange(panels * n, dtype=np.int32).reshape(panels, 1, n, 1)
+    place, shape = of_x + of_s[:, None, :], (panels, across, n, n, n, n)
+    row = np.broadcast_to(place[:, :, :, None, :, None], shape).ravel()
+    column = np.broadcast_to(place[:, :, None, :, None, :], shape).ravel()
     # Both matrices at once, M as the imaginary part: the sorting is half of the work.
     pair = coo_array(((local + 1j * mass).ravel(), (row, column)), shape=(total, total)).tocsc()
     # Traces at the left and right ends of panels, and ∫ |v| … of functions of s at all ends.
@@ -262,10 +247,10 @@ def elements(mesh: Mesh) -> Elements:
         for k in (0, n - 1)
     )
     ends, _ = mesh.q(mesh.x)
-    w = mesh.w(ends)[:, None, None]
-    density = np.exp(-o.inverse_temperature * o.energy(ends[:, None, None], s * w))
-    block = ((np.abs(s) * w * w * density * weight * hs[:, None]) @ BB).reshape(-1, across, n, n)
-    first = np.arange(panels + 1, dtype=np.int32)[:, None, None, None] * size
+    ends, w = ends[:, None, None], mesh.w(ends)[:, None, None]
+    density = np.exp(-o.inverse_temperature * o.energy(ends, s * w))
+    block = ((np.abs(s) * w * w * density * weight * hs[:, 0]) @ BB).reshape(-1, across, n, n)
+    first = size * np.arange(panels + 1, dtype=np.int32)[:, None, None, None]
     index = [
         np.broadcast_to(first + at, block.shape).ravel()
         for at in (of_s[:, :, None], of_s[:, None, :])

@@ -65,10 +65,6 @@ class Oscillator:
         left = np.maximum(energy - self.potential(q), 0.0)
         return np.asarray(np.sqrt(2.0 / self.mass * left))
 
-    def turning_points(self, energy: float) -> tuple[float, float]:
-        """Return where V = ``energy`` > 0, on the left and on the right."""
-        return self.turning_point(energy, -1.0), self.turning_point(energy, 1.0)
-
     def turning_point(self, energy: float, side: float) -> float:
         """Return where V = ``energy`` > 0, on the left (``side`` −1) or on the right (1)."""
 
@@ -203,7 +199,7 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
 
 def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
     """Return the mesh of ``level`` within H < ``energy``."""
-    left, right = o.turning_points(energy)
+    left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
     centre, radius = (0.0, right) if o.even else (0.5 * (left + right), 0.5 * (right - left))
     swift = sqrt(2.0 * energy / o.mass)
     step = PANEL * FINER**level * o.kick(radius)
