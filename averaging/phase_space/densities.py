@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import map_coordinates, maximum_filter
 
 from averaging.phase_space.equation.damping import Polynomial, by_y, product, reach, state
+from averaging.phase_space.equation.degrees import Matrix, space_to
 from averaging.phase_space.equation.elimination import Expansion
-from averaging.phase_space.equation.space import Matrix, space_to
-from averaging.phase_space.marginals import marginal, moments
+from averaging.phase_space.marginals import SPAN, marginal, moments
 from averaging.phase_space.refinement import ROUND_OFF, SAFETY, Ladder
 from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certified_density
@@ -19,10 +19,9 @@ from fpk.answer.observable import Coordinate, Observable, observable_name
 from fpk.numeric.arrays import Array
 
 GRID = {1: 721, 2: 181}
-"""Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
-WINDOW = {1: 41, 2: 11}
-"""Points over which its largest value is taken: a standard deviation, two half-waves of a Hermite
-function of degree 20, as the error does not vanish where the distance does."""
+"""Points of an axis at which the distance to the coarser solution is sampled, by the axes. Its
+largest value over a standard deviation counts, two half-waves of a Hermite function of degree 20:
+the error does not vanish where the distance does."""
 FEWER = 0.8
 """Share of the points at which the contact displacement is integrated out, to see their error."""
 
@@ -30,19 +29,19 @@ FEWER = 0.8
 def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     """Return the density of ``observable``; what ended the ladder fails beyond ``tol``.
 
-    The error is the distance to the coarser solution about a point, as much larger as all of the
-    L1 error is than all of that, and what fewer points of integration change.
+    The error at a point is the distance to the coarser solution about it, scaled as the L1 error
+    is, and what fewer points of integration change.
     """
     factor, error = ladder.factors[observable], ladder.errors[observable]
     panels, pdf = marginal(ladder.finest, observable)
     _, coarser = marginal(ladder.coarser, observable)
     _, fewer = marginal(ladder.finest, observable, share=FEWER)
-    count, window = GRID[len(panels)], WINDOW[len(panels)]
+    count = GRID[len(panels)]
     axes = [np.linspace(nodes[0], nodes[-1], count) for nodes in panels]
     mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
     values = np.asarray(pdf(*mesh))
     distance = np.abs(values - np.asarray(coarser(*mesh)))
-    local, floor = maximum_filter(distance, window, mode="nearest"), ROUND_OFF * values.max()
+    local, floor = maximum_filter(distance, count // SPAN, mode="nearest"), ROUND_OFF * values.max()
     # Mass beyond the panels: the density at their ends times the length of the last ones, over
     # which it falls by more than e at the end of the support.
     tail = 0.0
@@ -110,10 +109,9 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
 
 
 def force_means(e: Expansion) -> tuple[Array, Array, Array]:
-    """Return the means of the forces f of damping terms, in the order of the frame.
+    """Return E v_i f_i and E r_i f_i (n,) of the forces f of damping terms, in the frame's order.
 
-    E v_i f_i and E r_i f_i (n,), and the means (n, points) of f given y, times the density of y,
-    in the weights of the points. All are 0 without damping terms.
+    The third is the mean (n, points) of f given y, times the density of y, in the weights.
     """
     b = e.basis
     n, top = b.frame.n, 2 + reach(b.frame)

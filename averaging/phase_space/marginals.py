@@ -10,12 +10,11 @@ from fpk.answer.observable import Coordinate, Observable
 from fpk.numeric.arrays import Array
 from fpk.numeric.quadrature import GAUSS_POINTS
 
-REACH = 9.0
-"""Half-width of the support of a density in its standard deviations: 2e-19 of a Gaussian is out."""
+SPAN = 18
+"""Width of the support of a density in its standard deviations: 2e-19 of a Gaussian is out."""
 PANELS = {1: 16, 2: 10}
-"""Panels of an axis that no stop divides, by the number of axes."""
-STOP_PANELS = 8
-"""Panels between two stops and beyond one, in which the density is integrated."""
+"""Panels of an axis that no stop divides, by the number of axes; half of the first between two stops
+and beyond one."""
 POINTS_PER_WIDTH = 4.0
 """Gauss points for each standard deviation of what the contact displacement is integrated out of,
 beside one for each degree: a Gaussian on 34 of its widths is exact to round-off with 137."""
@@ -56,18 +55,18 @@ def marginal(
 ) -> tuple[tuple[Array, ...], Callable[..., Array]]:
     """Return panels and the density of one or two of (q, p), a function of one array per axis.
 
-    ``share`` is that of the points at which the contact displacement is integrated out, where it is
-    not observed: with fewer than all, the difference shows their error.
+    ``share`` is that of the points at which the contact displacement is integrated out: what fewer
+    change shows their error.
     """
     (mean, covariance), panels = moments(e), list[Array]()
     forms = [form_of(e, c) for c in observable]
     contact = [not np.any(direction) for _, _, direction in forms]
     for (_, slope, _), c, alone in zip(forms, observable, contact, strict=True):
         if alone:
-            panels.append(slope * e.basis.fine_nodes(STOP_PANELS))
+            panels.append(slope * e.basis.fine_nodes(PANELS[1] // 2))
             continue
         at, unit = e.basis.frame.place(c)
-        reach = REACH * np.sqrt(covariance[at, at])
+        reach = 0.5 * SPAN * np.sqrt(covariance[at, at])
         panels.append(unit * (mean[at] + np.linspace(-reach, reach, PANELS[len(forms)] + 1)))
     if contact[-1] and len(forms) == 2:
         pdf = _density(e, forms[::-1], share)

@@ -15,8 +15,7 @@ from averaging.phase_space.equation.elimination import LEAF, expanded, inverted
 from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference
 from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.reference import start
-from averaging.phase_space.refinement import least_distance
+from averaging.phase_space.refinement import least_distance, start
 from cases.comparison.compare import compared
 from fpk.answer.density import l1_distance
 from fpk.answer.observable import Coordinate, parse_observable

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import linear_sum_assignment
 
-from averaging.phase_space.densities import GRID, WINDOW
+from averaging.phase_space.densities import GRID
 from averaging.phase_space.dynamics.resolvent import (
     DISCS,
     Step,
@@ -20,7 +20,7 @@ from averaging.phase_space.dynamics.resolvent import (
 )
 from averaging.phase_space.equation.elimination import Expansion, cost
 from averaging.phase_space.equation.frame import Frame
-from averaging.phase_space.marginals import marginal, moments
+from averaging.phase_space.marginals import SPAN, marginal, moments
 from averaging.phase_space.refinement import ROUND_OFF, Ladder, Options, falling, kept, ladders
 from fpk.answer.observable import Coordinate, Observable
 from fpk.numeric.arrays import Array, Complexes
@@ -132,7 +132,7 @@ def crossings(frame: Frame, row: int, at: Array, options: Options, *, tol: float
             crossing_rates(e, row, np.append(grid, at)) for e in (fine, coarse)
         )
         distance = np.abs(up - before)
-        about = np.interp(at, grid, maximum_filter1d(distance[:count], WINDOW[2]))
+        about = np.interp(at, grid, maximum_filter1d(distance[:count], count // SPAN))
         size, velocity = deviations(fine, row)
         scale, errors = velocity / (2.0 * np.pi * size), np.maximum(about, distance[count:])
         return Answer(ladder, up[count:], errors, np.array(scale), added=np.abs(net[count:]))

@@ -12,10 +12,9 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from averaging.phase_space.equation.basis import Basis, basis
-from averaging.phase_space.equation.chain import Chain, chain_of, sizes
-from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.chain import Chain, chain_of, placed
+from averaging.phase_space.equation.degrees import Degrees, Space, space_to
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.equation.space import Space
 from averaging.phase_space.krylov import RESIDUAL
 from fpk.numeric.arrays import Array, Integers
 
@@ -38,10 +37,9 @@ TOP_LEVELS = 4
 """Highest levels whose size is that of what the levels above them would have."""
 LARGE, NEGLIGIBLE = 0.5, 0.2
 """Size of the highest degrees in the others, relative to that of the highest levels, from which the
-degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with eight
-other stops two degrees more in the others changed densities by 0.03 or less of what ten levels more
-changed them by at sizes below 0.2, by 0.25 or less below 0.5, and by 0.07 to 4.6 beyond. The
-size is small where a near stiff stop turns the contact mass round faster than the others move."""
+degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with other
+stops two degrees more changed densities by 0.03 or less of the change that ten levels more made at
+sizes below 0.2, by 0.25 or less below 0.5, and by 0.07 to 4.6 beyond."""
 
 
 Solve = Callable[[Array], Array]
@@ -89,12 +87,11 @@ class Expansion:
 def cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]:
     """Return the bytes and the operations, on real numbers, that a solution in a basis takes.
 
-    ``numbers`` are those of the elimination; a product of complex ones takes four of real ones. The
-    inverse of one block a level is kept, and while one is made there are some more matrices of its
-    size. In more than single precision and with damping terms pairs of levels are eliminated, too,
-    which takes as much again.
+    ``numbers`` are those of the elimination. Pairs of stages take as much again as the inverses.
     """
-    size = sizes(functions)
+    degrees, d = functions.degrees, 2 * functions.frame.n - 1
+    _, _, ends = placed(functions, space_to(degrees.total, degrees.others, d))
+    size = np.diff(ends, prepend=0).astype(float)
     blocks = float(np.sum(size**2) + WHILE_INVERTED * np.max(size) ** 2)
     number = np.dtype(numbers).itemsize
     paired = number > 4 or bool(functions.frame.system.damping_terms)
@@ -112,11 +109,10 @@ def expanded(
 ) -> Expansion:
     """Return the stationary expansion about ``reference``.
 
-    ``step`` is called with the share of the work that is done. The elimination is in single
-    precision, half the time and memory of double, and without pairs unless damping terms make them
-    large; its solution is refined by the residual of all equations in double precision. Where that
-    does not converge it is done again in double precision, with pairs, unless that takes more than
-    ``memory`` bytes.
+    The elimination is in single precision, half the time and memory of double, and without pairs
+    unless damping terms make them large. Where its refinement does not converge it is done again in
+    double precision, with pairs, unless that takes more than ``memory`` bytes. ``step`` is called
+    with the share of the work that is done.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(functions)
@@ -234,10 +230,9 @@ def factored(
 def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
 
-    Two thirds of the work are products, several times as fast as triangular solutions. What is in
-    front of a cut must not be singular by itself. The equations of one degree in the other masses
-    are not divided: velocities and displacements turn into each other, and these alone are not
-    damped.
+    Products are three times as fast as LAPACK's inverse in single precision. Cuts are between
+    degrees in the other masses: displacements without their velocities are not damped, and a
+    matrix that has only these in front is singular.
     """
     size = A.shape[0]
     inside = [cut for cut in cuts if 0 < cut < size]

@@ -20,34 +20,32 @@ from fpk.numeric.quadrature import gauss_legendre, panel_rule
 MORE_POINTS = 12
 """Gauss points in each direction beyond the degree: over a panel of large velocities, and of a
 steep stop, the weight falls by up to e⁴⁰. With 4, K + Kᵀ had negative eigenvalues there."""
+PIVOTS = (1e-3, 1e-2, 1.0)
+"""Least diagonal pivots relative to their columns, tried in this order: lower ones keep more of the
+symmetric ordering, and entries may grow by their inverse in each step."""
+GROWN = 1e-10
+"""Residual of a solution, relative to the terms that cancel in it, by which entries have grown."""
 KRYLOV = 0.05
 """Share of the tolerance to which a Krylov space gives the reliability."""
 
 
 def factorised(matrix: csc_array) -> Any:
-    """Return the factors; raise ``NotCertified`` where the elimination breaks down.
-
-    A diagonal pivot down to 0.001 of its column keeps the symmetric ordering.
-    """
-    options: dict[str, Any] = {"diag_pivot_thresh": 1e-3, "options": {"SymmetricMode": True}}
-    try:
-        return splu(matrix, permc_spec="MMD_AT_PLUS_A", **options)
-    except RuntimeError as error:
-        raise NotCertified(f"the elimination breaks down: {error}") from None
-
-
-def refined(matrix: csc_array, factors: Any, right: Array, trans: str = "N") -> Array:
-    """Return the solution with a matrix, or its transposed one where ``trans`` is "T".
-
-    Residuals, up to 1e-5 beyond steep stops, are refined; where K is nearly singular they stay.
-    """
-    x, A = factors.solve(right, trans), matrix if trans == "N" else matrix.T
-    for _ in range(2):
-        rest = right - A @ x
-        if np.linalg.norm(rest) <= 1e-10 * np.linalg.norm(right):
+    """Return the factors; raise ``NotCertified`` where the elimination breaks down."""
+    right = matrix @ np.ones(matrix.shape[0])
+    for pivot in PIVOTS:
+        try:
+            factors = splu(
+                matrix,
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=pivot,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise NotCertified(f"the elimination breaks down: {error}") from None
+        x = factors.solve(right)
+        if np.max(np.abs(right - matrix @ x)) <= GROWN * np.max(abs(matrix) @ np.abs(x)):
             break
-        x = x + factors.solve(rest, trans)
-    return np.asarray(x)
+    return factors
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +90,16 @@ class Elements:
         """The factors of K."""
         return factorised(self.K)
 
+    def solved(self, right: Array, trans: str = "N") -> Array:
+        """Return the solution with K, or with Kᵀ where ``trans`` is "T", refined once."""
+        K = self.K if trans == "N" else self.K.T
+        x = self.factors.solve(right, trans)
+        return np.asarray(x + self.factors.solve(right - K @ x, trans))
+
     @cached_property
     def mean(self) -> Array:
         """Coefficients of T up to a factor that is 1 but for round-off where failure is rare."""
-        return refined(self.K, self.factors, self.load)
+        return self.solved(self.load)
 
     def residual(self) -> float:
         """Return the largest residual of T relative to the largest of its terms."""
@@ -109,7 +113,7 @@ class Elements:
         time spent. Where failure is rare K is nearly singular, and y is right up to a factor, that
         this identity gives back. What it is off from 1 is the mass lost, relative to all.
         """
-        y = refined(self.K, self.factors, start, "T")
+        y = self.solved(start, "T")
         kept = float(y @ self.exit) / float(start @ self.one)
         y /= kept
         mean = float(y @ self.load)
@@ -118,7 +122,6 @@ class Elements:
 
     def rate(self) -> float:
         """Return the least eigenvalue of −L, by the flow out of its left eigenvector."""
-        # Not refined: where K is nearly singular the factor that is lost would differ each time.
         inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
         options: dict[str, Any] = {"v0": self.load, "ncv": min(12, self.load.size - 1)}
         _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
@@ -136,21 +139,16 @@ class Elements:
         return 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
 
     @cached_property
-    def shifted(self) -> csc_array:
-        """K + σM."""
-        return csc_array(self.K + self.sigma * self.M)
-
-    @cached_property
-    def shifted_factors(self) -> Any:
+    def shifted(self) -> Any:
         """The factors of K + σM."""
-        return factorised(self.shifted)
+        return factorised(csc_array(self.K + self.sigma * self.M))
 
     def mass_defect(self, start: Array) -> float:
         """Return what is wrong with the mass at a time of exponential distribution, the mean 1/σ.
 
         By its density σ (K + σM)⁻ᵀ start, what is within and what has left add up to ``start``.
         """
-        y = refined(self.shifted, self.shifted_factors, start, "T")
+        y = self.shifted.solve(start, "T")
         mass = y @ (self.sigma * (self.M @ self.one) + self.exit)
         return abs(float(mass - start @ self.one))
 
@@ -167,7 +165,7 @@ class Elements:
         change = before = last
         images = np.zeros((0, start.size))
         for V, _, closed in krylov(
-            lambda x: refined(self.shifted, self.shifted_factors, self.M @ x),
+            lambda x: self.shifted.solve(self.M @ x),
             self.one[:, None],
             VECTORS,
             metric=self.M.__matmul__,

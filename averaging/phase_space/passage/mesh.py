@@ -223,8 +223,7 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
     """Length over which a trajectory of the speed ``swift`` changes its velocity by ``step``.
 
-    Shorter beyond a stop whose force is a fractional power of the overlap, where the length is at
-    most the overlap that stops the speed ``step``.
+    Beyond a stop of a fractional power it is at most the overlap that stops the speed ``step``.
     """
     slope = np.maximum(np.abs(o.force(q)) / (o.mass * max(swift, step)), o.frequency)
     length = np.minimum(step / np.maximum(slope, SMALLEST), 0.5 * np.ptp(q))
@@ -241,7 +240,7 @@ def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int)
 def _nodes(given: list[float], h: Callable[[Array], Array], closest: dict[float, float]) -> Array:
     """Nodes about h(x) apart that hold those ``given``, with the least panel ``closest`` at some.
 
-    Samples of h are nearer to each other towards such a one, by equal ratios.
+    Samples of h are spaced by equal ratios towards such a node.
     """
     t, nodes = np.linspace(0.0, 1.0, SAMPLES), [np.array(given)]
     for a, b in pairwise(sorted(set(given))):
