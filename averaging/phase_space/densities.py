@@ -41,7 +41,10 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
     values = np.asarray(pdf(*mesh))
     distance = np.abs(values - np.asarray(coarser(*mesh)))
-    local, floor = maximum_filter(distance, count // SPAN, mode="nearest"), ROUND_OFF * values.max()
+    local, floor = (
+        maximum_filter(distance, count // SPAN + 1, mode="nearest"),
+        ROUND_OFF * values.max(),
+    )
     # Mass beyond the panels: the density at their ends times the length of the last ones, over
     # which it falls by more than e at the end of the support.
     tail = 0.0

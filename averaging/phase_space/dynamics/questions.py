@@ -132,7 +132,7 @@ def crossings(frame: Frame, row: int, at: Array, options: Options, *, tol: float
             crossing_rates(e, row, np.append(grid, at)) for e in (fine, coarse)
         )
         distance = np.abs(up - before)
-        about = np.interp(at, grid, maximum_filter1d(distance[:count], count // SPAN))
+        about = np.interp(at, grid, maximum_filter1d(distance[:count], count // SPAN + 1))
         size, velocity = deviations(fine, row)
         scale, errors = velocity / (2.0 * np.pi * size), np.maximum(about, distance[count:])
         return Answer(ladder, up[count:], errors, np.array(scale), added=np.abs(net[count:]))

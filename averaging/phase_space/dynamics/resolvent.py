@@ -95,7 +95,18 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
         group = groups.pop()
         away = np.asarray(1j * (at[group] - shift))
         solve = resolvent(A, 1j * shift if shift else 0.0, step)
-        found, residuals = _near(solve, c, b, away)
+        first = solve(b)
+        size = float(np.linalg.norm(first))
+        found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)
+        for V, H, closed in krylov(solve, first[:, None], VECTORS):
+            m = len(V)
+            if m % EVERY in (0, 1) or closed:
+                for k in np.flatnonzero(residuals > RESIDUAL):
+                    y = np.linalg.solve(np.eye(m) + away[k] * H[:m], size * np.eye(m)[0])
+                    residuals[k] = abs(away[k]) * np.linalg.norm(H[m:] @ y) / np.linalg.norm(y)
+                    found[k] = c @ (y @ V)
+                if np.all(residuals <= RESIDUAL):
+                    break
         if not np.all(np.isfinite(residuals)):
             raise np.linalg.LinAlgError(f"no resolvent at the frequency {shift:.3g}")
         solved = residuals <= RESIDUAL
@@ -107,25 +118,6 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
         if groups:
             shift = float(at[groups[-1][groups[-1].size // 2]])
     return values, worst
-
-
-def _near(
-    solve: Callable[[Array], Array], c: Array, b: Array, away: Complexes
-) -> tuple[Complexes, Array]:
-    """Return c·u of (1 + a B) u = B b, B = ``solve``, for all a of ``away``, and residuals."""
-    first = solve(b)
-    size = float(np.linalg.norm(first))
-    found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)
-    for V, H, closed in krylov(solve, first[:, None], VECTORS):
-        m = len(V)
-        if m % EVERY in (0, 1) or closed:
-            for k in np.flatnonzero(residuals > RESIDUAL):
-                y = np.linalg.solve(np.eye(m) + away[k] * H[:m], size * np.eye(m)[0])
-                residuals[k] = abs(away[k]) * np.linalg.norm(H[m:] @ y) / np.linalg.norm(y)
-                found[k] = c @ (y @ V)
-            if np.all(residuals <= RESIDUAL):
-                break
-    return found, residuals
 
 
 def decays(

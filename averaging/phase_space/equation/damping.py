@@ -29,9 +29,9 @@ def reach(frame: Frame) -> int:
 
 
 def levels_per_stage(frame: Frame) -> int:
-    """Return the levels of a stage: s >= r and 2 s >= r + 2, r = ``reach``, so that a stage meets
+    """Return how many levels a stage of the elimination has; level 0 is a stage of its own.
 
-    the two below it and the one above; level 0 is a stage of its own.
+    s >= r and 2 s >= r + 2, r = ``reach``: a stage meets the two below it and the one above.
     """
     return max(reach(frame), (reach(frame) + 3) // 2)
 

@@ -26,6 +26,9 @@ LEAST = 0.5
 contact mass alone, as it is the stop that makes these, over the most."""
 LEAST_MIXED = 0.3
 """Least number of them of any degrees, over the most."""
+FEWER = 1.2
+"""Polynomials beyond a stop that each degree in the other variables takes away."""
+
 Indices = NDArray[np.intp]
 Matrix = sparse.csr_array
 
@@ -63,7 +66,7 @@ class Degrees:
         derivatives of the functions of one are those of the next.
         """
         alone = max(self.outer - level // 2 * 2, int(LEAST * self.outer))
-        return max(alone - others, self.least)
+        return max(alone - int(FEWER * others), self.least)
 
     def between(self, width: float, *, beyond: bool) -> int:
         """Number of polynomials of a panel between stops, odd; one without end has ``outer`` + 1.

@@ -52,12 +52,11 @@ def factorised(matrix: csc_array) -> Any:
 class Elements:
     """Backward equation, L T = −1, L T₂ = −2 T, ∂u/∂t = L u, on a mesh.
 
-    Matrices K of −L and M of 1 in L²(exp(−c H/D)), and vectors (unknowns,) of the weak form.
-    Functions may jump between panels of x, where the side that motion goes to decides, and are
-    continuous in s. ``load`` tests the function 1, whose coefficients are ``one``. ``exit`` tests
-    −L 1, which is what is lost at the limit: as K ``one`` it would be lost to round-off where
-    failure is rare. Functions are divided by their norms, which therefore are ``one``. ``free`` are
-    the places of the unknowns among all functions.
+    K of −L and M of 1 in L²(exp(−c H/D)), and vectors (unknowns,) of the weak form. Functions may
+    jump between panels of x, where the side that motion goes to decides, and are continuous in s;
+    they are divided by their norms, which are the coefficients ``one`` of the function 1. ``load``
+    tests 1, ``exit`` tests −L 1, which is lost at the limit: as K ``one`` it would be lost to
+    round-off where failure is rare. ``free`` are the places of the unknowns among all functions.
     """
 
     mesh: Mesh
@@ -110,8 +109,8 @@ class Elements:
         """Return E T and E T² of the functional ``start``, and the mass that round-off lost.
 
         All that starts fails in the end: y'(−L 1) = start'1 with the density y = K⁻ᵀ start of the
-        time spent. Where failure is rare K is nearly singular, and y is right up to a factor, that
-        this identity gives back. What it is off from 1 is the mass lost, relative to all.
+        time spent. Where failure is rare K is nearly singular, and y is right up to a factor that
+        this identity gives back; how far it is off from 1 is the mass lost, relative to all.
         """
         y = self.solved(start, "T")
         kept = float(y @ self.exit) / float(start @ self.one)
@@ -155,10 +154,10 @@ class Elements:
     def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
         """Return P(T <= t) at ascending times > 0, and what the last vectors changed.
 
-        M F' = −K F + exit from F = 0, so that what is small keeps its digits. Galerkin's method on
-        the Krylov space of (K + σM)⁻¹M from the function 1, which F tends to, orthonormal in M: as
-        K + Kᵀ is not negative, neither is its projection, and nothing grows. At H = E, where there
-        are no unknowns, F is 1: what that adds within the last panels is constant.
+        M F' = −K F + exit from F = 0 keeps the digits of what is small. Galerkin's method on the
+        Krylov space of (K + σM)⁻¹M from the function 1, which F tends to, orthonormal in M: neither
+        K + Kᵀ nor its projection is negative, and nothing grows. At H = E, where there are no
+        unknowns, F is 1, which adds a constant within the last panels.
         """
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)

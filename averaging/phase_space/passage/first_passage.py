@@ -45,9 +45,9 @@ def first_passage(asked: PassageAsked) -> Passage:
     """Return the first passage that is asked for, with the reliability at its times.
 
     Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,
-    absolute in the reliability; the answer is that of the finer one. Raises as the module
-    ``fpk.answer.evolution`` says, ``NotApplicable`` for other limits and starts than the method
-    knows, and ``NotCertified`` for a limit that is beyond what double precision reaches.
+    absolute in the reliability. Raises as ``fpk.answer.evolution`` says, ``NotApplicable`` for
+    other limits and starts than the method knows, and ``NotCertified`` for a limit beyond the reach
+    of double precision.
     """
     times, o = checked_times(asked.times), oscillator_of(asked.system)
     limit, start = asked.limit, asked.start
@@ -113,8 +113,8 @@ def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> St
     """Return the states of an energy with |q| < ``within``, each as long as motion stays in it.
 
     By ``points`` of Gauss on each piece between turning points, stops and limit: dt = dq/|v|,
-    smooth in θ, q = centre + radius sin θ. Weights add up to less than 1 where part of the motion
-    is beyond the limit; None: no limit of displacements.
+    smooth in θ, q = centre + radius sin θ. Weights add up to the part that is within the limit;
+    None: there is none of displacements.
     """
     left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
     centre, radius = 0.5 * (left + right), 0.5 * (right - left)
