@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import map_coordinates, maximum_filter
 
 from averaging.phase_space.equation.damping import Polynomial, by_y, product, reach, state
+from averaging.phase_space.equation.degrees import Matrix, space_to
 from averaging.phase_space.equation.elimination import Expansion
-from averaging.phase_space.equation.space import Matrix, space_to
-from averaging.phase_space.marginals import marginal, moments
+from averaging.phase_space.marginals import SPAN, marginal, moments
 from averaging.phase_space.refinement import ROUND_OFF, SAFETY, Ladder
 from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certified_density
@@ -19,34 +19,32 @@ from fpk.answer.observable import Coordinate, Observable, observable_name
 from fpk.numeric.arrays import Array
 
 GRID = {1: 721, 2: 181}
-"""Points of an axis at which the distance to the coarser solution is sampled, by the axes."""
-WINDOW = {1: 41, 2: 11}
-"""Points over which its largest value is taken: a standard deviation, two half-waves of a Hermite
-function of degree 20, as the error does not vanish where the distance does."""
+"""Points of an axis at which the distance to the coarser solution is sampled, by the axes. Its
+largest value over a standard deviation counts, two half-waves of a Hermite function of degree 20:
+the error does not vanish where the distance does."""
 FEWER = 0.8
 """Share of the points at which the contact displacement is integrated out, to see their error."""
-
-MARGIN = 4.0
-"""Factor on the distance to the coarser solution, which may be small by chance: the L1 error of the
-densities, in units of the identity's own sides, is added."""
 
 
 def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     """Return the density of ``observable``; what ended the ladder fails beyond ``tol``.
 
-    The error is the distance to the coarser solution about a point, as much larger as all of the
-    L1 error is than all of that, and what fewer points of integration change.
+    The error at a point is the distance to the coarser solution about it, scaled as the L1 error
+    is, and what fewer points of integration change.
     """
     factor, error = ladder.factors[observable], ladder.errors[observable]
     panels, pdf = marginal(ladder.finest, observable)
     _, coarser = marginal(ladder.coarser, observable)
     _, fewer = marginal(ladder.finest, observable, share=FEWER)
-    count, window = GRID[len(panels)], WINDOW[len(panels)]
+    count = GRID[len(panels)]
     axes = [np.linspace(nodes[0], nodes[-1], count) for nodes in panels]
     mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
     values = np.asarray(pdf(*mesh))
     distance = np.abs(values - np.asarray(coarser(*mesh)))
-    local, floor = maximum_filter(distance, window, mode="nearest"), ROUND_OFF * values.max()
+    local, floor = (
+        maximum_filter(distance, count // SPAN + 1, mode="nearest"),
+        ROUND_OFF * values.max(),
+    )
     # Mass beyond the panels: the density at their ends times the length of the last ones, over
     # which it falls by more than e at the end of the support.
     tail = 0.0
@@ -89,7 +87,7 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
 def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
     """Return degrees, what ended the ladder, second moments and the power into each mass."""
     e = ladder.finest
-    frame, d, m = e.basis.frame, e.basis.degrees, moments(e)
+    frame, d, (mean, covariance) = e.basis.frame, e.basis.degrees, moments(e)
     settings: dict[str, str | float | int] = {
         "equation": "(6)",
         "highest degree": d.total,
@@ -98,26 +96,25 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
     }
     if ladder.limit:
         settings["ended by"] = ladder.limit
-    squares = np.diag(m.covariance) + m.mean**2
+    second = covariance + np.outer(mean, mean)
     for i in frame.order:
         for c in (Coordinate("q", i), Coordinate("p", i)):
             at, unit = frame.place(c)
-            settings[f"E {observable_name((c,))}²"] = float(squares[at] * unit**2)
+            settings[f"E {observable_name((c,))}²"] = float(second[at, at] * unit**2)
     # D_ii/m_i − Σ_j E c_ij v_i v_j: what the noise gives a mass less what its damping takes. The
     # springs carry it to the others, and the sum of all vanishes.
     n = frame.n
-    second = m.covariance[n:, n:] + np.outer(m.mean[n:], m.mean[n:])
-    heat = np.diag(frame.noise) - np.sum(frame.damping * second, axis=1) - force_means(e)[0]
+    heat = np.diag(frame.noise) - np.sum(frame.damping * second[n:, n:], axis=1)
+    heat -= force_means(e)[0]
     for i, power in zip(frame.order, heat, strict=True):
         settings[f"net power of damping and noise on mass {i + 1}"] = float(power)
     return settings
 
 
 def force_means(e: Expansion) -> tuple[Array, Array, Array]:
-    """Return the means of the forces f of damping terms, in the order of the frame.
+    """Return E v_i f_i and E r_i f_i (n,) of the forces f of damping terms, in the frame's order.
 
-    E v_i f_i and E r_i f_i (n,), and the means (n, points) of f given y, times the density of y,
-    in the weights of the points. All are 0 without damping terms.
+    The third is the mean (n, points) of f given y, times the density of y, in the weights.
     """
     b = e.basis
     n, top = b.frame.n, 2 + reach(b.frame)
@@ -159,30 +156,35 @@ def identities(ladder: Ladder) -> tuple[Identity, ...]:
     for (name, value, expected), (_, *before) in zip(finest, coarser, strict=True):
         distance = abs((value - expected) - (before[0] - before[1]))
         size = max(abs(value), abs(expected), scale)
-        error = MARGIN * SAFETY * distance + max(ladder.errors.values()) * size
+        error = SAFETY * distance + max(ladder.errors.values()) * size
         out.append(Identity(name, value, expected, error))
     return tuple(out)
 
 
 def _sides(e: Expansion) -> list[tuple[str, float, float]]:
     """Names of the identities, and both sides of each."""
-    m, b, frame = moments(e), e.basis, e.basis.frame
+    (mean, covariance), b, frame = moments(e), e.basis, e.basis.frame
     n, y, w = frame.n, b.points, b.weights
     K, c = frame.stiffness, frame.damping
-    second = m.covariance + np.outer(m.mean, m.mean)
+    second = covariance + np.outer(mean, mean)
     power, virial, force = force_means(e)
-    # Of the contact and of the damping terms on the contact mass, given y, in the weights.
-    contact = w * e.functions(0, y)[0] * frame.contact_force(y)
+    # Means given y, in the weights: of (y, r, v), of v₁² and of the contact force.
+    u0, u1, u2 = (w * e.functions(level, y) for level in range(3))
+    (one, two), (to, shift) = e.space.first_and_second, b.reference.to_state
+    given = to @ np.vstack([y * u0, e.factor @ one @ u1]) + shift[:, None] * u0
+    square = e.factor[0, 0] ** 2 * (u0[0] + two[0, 0] @ u2)
+    contact = u0[0] * frame.contact_force(y)
     left, right = float(np.sum(c * second[n:, n:]) + np.sum(power)), float(np.trace(frame.noise))
     sides = [("Σ c_ij E v_i v_j", left, right)]
     virial[0] += contact @ y
     for i in range(n):
         right = float(K[i] @ second[:n, i] + c[i] @ second[n:, i] + virial[i])
         sides.append((f"E p{frame.order[i] + 1}²/m", float(second[n + i, n + i]), right))
-    s, first = float(np.sqrt(m.covariance[0, 0])), frame.contact + 1
+    s, first = float(np.sqrt(covariance[0, 0])), frame.contact + 1
     sine, cosine = np.sin(y / s), np.cos(y / s) / s
-    mean_force = w * (K[0] @ m.given[:n] + c[0] @ m.given[n:]) + force[0] + contact
-    left, right = float(w @ (m.square * cosine)), float(sine @ mean_force)
-    sides.append((f"E v{first}² cos(q{first}/s)/s", left, right))
-    sides.append((f"E v{first} sin(q{first}/s)", float(w @ (m.given[n] * sine)), 0.0))
+    mean_force = K[0] @ given[:n] + c[0] @ given[n:] + force[0] + contact
+    sides.append(
+        (f"E v{first}² cos(q{first}/s)/s", float(square @ cosine), float(sine @ mean_force))
+    )
+    sides.append((f"E v{first} sin(q{first}/s)", float(given[n] @ sine), 0.0))
     return sides

@@ -1,7 +1,6 @@
 """Moments of an expansion, and its densities of one or two displacements and momenta."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
@@ -11,12 +10,11 @@ from fpk.answer.observable import Coordinate, Observable
 from fpk.numeric.arrays import Array
 from fpk.numeric.quadrature import GAUSS_POINTS
 
-REACH = 9.0
-"""Half-width of the support of a density in its standard deviations: 2e-19 of a Gaussian is out."""
+SPAN = 18
+"""Width of the support of a density in its standard deviations: 2e-19 of a Gaussian is out."""
 PANELS = {1: 16, 2: 10}
-"""Panels of an axis that no stop divides, by the number of axes."""
-STOP_PANELS = 8
-"""Panels between two stops and beyond one, in which the density is integrated."""
+"""Panels of an axis that no stop divides, by the number of axes; half of the first lie between
+stops and beyond them."""
 POINTS_PER_WIDTH = 4.0
 """Gauss points for each standard deviation of what the contact displacement is integrated out of,
 beside one for each degree: a Gaussian on 34 of its widths is exact to round-off with 137."""
@@ -25,39 +23,24 @@ MOST_POINTS = 4000
 as many; the certificate holds what fewer than needed leave."""
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Mean (2n,) and covariance (2n, 2n) of (y, r, v), displacements and velocities times √m.
+def moments(e: Expansion) -> tuple[Array, Array]:
+    """Return the mean (2n,) and covariance (2n, 2n) of (y, r, v), coordinates times √m.
 
-    They stand in the order of the frame: the contact mass first. ``given`` (2n, points) are the
-    means of (y, r, v) given y, times the density of y over w, at the points of the basis, and
-    ``square`` (points,) is that of v₁².
+    They follow from the three lowest levels, and stand in the order of the frame.
     """
-
-    mean: Array
-    covariance: Array
-    given: Array
-    square: Array
-
-
-def moments(e: Expansion) -> Moments:
-    """Return the moments of a solution, from its three lowest levels."""
     b, C = e.basis, e.factor
-    n, y, w = b.frame.n, b.points, b.weights
-    u0, u1, u2 = (e.functions(level, y) for level in range(3))
+    y, w = b.points, b.weights
+    u0, u1, u2 = (w * e.functions(level, y) for level in range(3))
     one, two = e.space.first_and_second
-    linear = C @ one @ u1
     # Means of (y, v, x) and of their products; then of (y, r, v).
-    mean = np.concatenate([[w @ (u0[0] * y)], linear @ w])
-    second = np.zeros((2 * n, 2 * n))
-    second[0, 0], second[0, 1:] = w @ (u0[0] * y**2), linear @ (w * y)
+    mean = np.concatenate([u0 @ y, C @ one @ u1.sum(axis=1)])
+    second = np.zeros(2 * mean.shape)
+    second[0, 0], second[0, 1:] = u0[0] @ y**2, C @ one @ (u1 @ y)
     second[1:, 0] = second[0, 1:]
-    second[1:, 1:] = C @ (np.eye(2 * n - 1) + two @ (u2 @ w)) @ C.T
+    second[1:, 1:] = C @ (np.eye(len(C)) + two @ u2.sum(axis=1)) @ C.T
     to, shift = b.reference.to_state
     covariance = to @ (second - np.outer(mean, mean)) @ to.T
-    given = to @ np.vstack([y * u0, linear]) + shift[:, None] * u0
-    square = C[0, 0] ** 2 * (u0[0] + two[0, 0] @ u2)
-    return Moments(to @ mean + shift, 0.5 * (covariance + covariance.T), given, square)
+    return to @ mean + shift, 0.5 * (covariance + covariance.T)
 
 
 def form_of(e: Expansion, c: Coordinate) -> tuple[float, float, Array]:
@@ -72,19 +55,19 @@ def marginal(
 ) -> tuple[tuple[Array, ...], Callable[..., Array]]:
     """Return panels and the density of one or two of (q, p), a function of one array per axis.
 
-    ``share`` is that of the points at which the contact displacement is integrated out, where it is
-    not observed: with fewer than all, the difference shows their error.
+    ``share`` is that of the points at which the contact displacement is integrated out: what fewer
+    change shows their error.
     """
-    m, panels = moments(e), []
+    (mean, covariance), panels = moments(e), list[Array]()
     forms = [form_of(e, c) for c in observable]
     contact = [not np.any(direction) for _, _, direction in forms]
     for (_, slope, _), c, alone in zip(forms, observable, contact, strict=True):
         if alone:
-            panels.append(slope * e.basis.fine_nodes(STOP_PANELS))
+            panels.append(slope * e.basis.fine_nodes(PANELS[1] // 2))
             continue
         at, unit = e.basis.frame.place(c)
-        reach = REACH * np.sqrt(m.covariance[at, at])
-        panels.append(unit * (m.mean[at] + np.linspace(-reach, reach, PANELS[len(forms)] + 1)))
+        reach = 0.5 * SPAN * np.sqrt(covariance[at, at])
+        panels.append(unit * (mean[at] + np.linspace(-reach, reach, PANELS[len(forms)] + 1)))
     if contact[-1] and len(forms) == 2:
         pdf = _density(e, forms[::-1], share)
         return tuple(panels), lambda a, b: pdf(b, a)

@@ -15,8 +15,7 @@ from averaging.phase_space.equation.elimination import LEAF, expanded, inverted
 from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference
 from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.reference import start
-from averaging.phase_space.refinement import least_distance
+from averaging.phase_space.refinement import least_distance, start
 from cases.comparison.compare import compared
 from fpk.answer.density import l1_distance
 from fpk.answer.observable import Coordinate, parse_observable
@@ -123,7 +122,7 @@ def test_moments_of_a_linear_system_are_those_of_the_lyapunov_equation():
     expansion = expanded(frame, gibbs_reference(frame), Degrees(8, 6, 8))
     order = [*frame.order, *(2 + i for i in frame.order)]
     exact = stationary_covariance(system)[np.ix_(order, order)]
-    assert moments(expansion).covariance == pytest.approx(exact, rel=1e-10, abs=1e-12)
+    assert moments(expansion)[1] == pytest.approx(exact, rel=1e-10, abs=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from averaging.phase_space.equation.chain import chain_of
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
-from averaging.phase_space.reference import start
+from averaging.phase_space.refinement import start
 
 DEGREES = Degrees(total=16, others=6, outer=18)
 
@@ -45,14 +45,14 @@ def test_pairs_left_out_of_the_elimination_are_in_the_solution(frame):
     one = chain.basis.of_one
     answers = []
     for paired in (True, False):
-        factors = elimination.factored(chain, paired=paired)
-        answers.append(elimination._refined(factors))
+        solve, scale = elimination.factored(chain, paired=paired)
+        answers.append(elimination._refined(chain, solve, scale, paired=paired))
     for u, residual in answers:
         assert residual < 1e-13
         assert u == pytest.approx(answers[0][0], abs=1e-9)
     # Without the Krylov space it would be that of other equations.
-    right = np.concatenate([factors.scale * one, np.zeros(chain.ends[-1] - one.size)])
-    assert np.abs(factors.solve(right) - answers[0][0]).max() > 1e-3
+    right = np.concatenate([scale * one, np.zeros(chain.ends[-1] - one.size)])
+    assert np.abs(solve(right) - answers[0][0]).max() > 1e-3
 
 
 def test_stages_of_a_chain_meet_only_the_one_above_and_two_below():
@@ -76,9 +76,9 @@ def test_stages_of_a_chain_meet_only_the_one_above_and_two_below():
 def test_where_refinement_fails_the_elimination_is_repeated_in_double(monkeypatch):
     kinds, refined = [], elimination._refined
 
-    def failing(factors):
-        kinds.append(factors.inverses[1].dtype)
-        u, residual = refined(factors)
+    def failing(chain, solve, scale, **options):
+        kinds.append(solve(np.zeros(chain.ends[-1])).dtype)
+        u, residual = refined(chain, solve, scale, **options)
         return u, residual if kinds[-1] == np.float64 else np.nan
 
     monkeypatch.setattr(elimination, "_refined", failing)

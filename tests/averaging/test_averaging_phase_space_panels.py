@@ -8,12 +8,11 @@ import pytest
 import fpk
 from averaging.phase_space.equation import degrees as degrees_module
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.degrees import Degrees, fitting
+from averaging.phase_space.equation.degrees import Degrees, fitting, space_to
 from averaging.phase_space.equation.elimination import expanded, inverted
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
-from averaging.phase_space.equation.space import space_to
 from averaging.phase_space.marginals import marginal
-from averaging.phase_space.reference import fitted, refitted, start
+from averaging.phase_space.refinement import fitted, refitted, start
 from fpk.answer.observable import parse_observable
 from fpk.numeric.quadrature import gauss_grid, integral
 

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TypeVar
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import linear_sum_assignment
 
-from averaging.phase_space.densities import GRID, WINDOW
+from averaging.phase_space.densities import GRID
 from averaging.phase_space.dynamics.resolvent import (
     DISCS,
     Step,
@@ -21,13 +20,14 @@ from averaging.phase_space.dynamics.resolvent import (
 )
 from averaging.phase_space.equation.elimination import Expansion, cost
 from averaging.phase_space.equation.frame import Frame
-from averaging.phase_space.marginals import marginal, moments
+from averaging.phase_space.marginals import SPAN, marginal, moments
 from averaging.phase_space.refinement import ROUND_OFF, Ladder, Options, falling, kept, ladders
 from fpk.answer.observable import Coordinate, Observable
 from fpk.numeric.arrays import Array, Complexes
 from fpk.numeric.quadrature import gauss_grid
 
 Value = TypeVar("Value")
+
 
 SPACE = 1e-3
 """Share of the tolerance at which the space that a correlation is taken from is large enough."""
@@ -37,11 +37,11 @@ SPACE = 1e-3
 class Answer:
     """Values by the last solution of a ladder, with the error of each.
 
-    Before they are judged (``adapted``) ``errors`` are the distances to the values of the coarser
-    solution. ``scale`` is what a tolerance is relative to. ``added`` is an error beside the one
-    that follows from the distance, ``residual`` that of equations beyond those of the densities;
-    ``missing`` says which values may not be those asked for, empty where all are, and ``limit``
-    why there is no finer answer, empty where the tolerance is met.
+    Before they are judged (``adapted``) ``errors`` are the distances to those of the coarser
+    solution. A tolerance is relative to ``scale``. ``added`` is an error beside the one that
+    follows from the distance, ``residual`` that of equations beyond those of the densities.
+    ``missing`` says which values may not be those asked for, ``limit`` why there is no finer
+    answer; both are empty where nothing is amiss.
     """
 
     ladder: Ladder
@@ -74,10 +74,9 @@ def adapted(
 
     ``measure`` is called once for each solution, ``compare`` with a ladder and the values of its
     finest and coarser one. ``numbers`` are those of the resolvent's elimination, real or complex,
-    ``what`` the words that progress is reported by.
-
-    The error follows from the largest relative distance as that of densities does, which meet the
-    tolerance, too, unless there is no finer solution.
+    ``what`` the words that progress is reported by. The error follows from the largest relative
+    distance as that of densities does, which meet the tolerance, too, unless there is no finer
+    solution. An earlier answer of a smaller error is kept if the later one agrees within it.
     """
 
     def measured(e: Expansion) -> Value:
@@ -85,41 +84,36 @@ def adapted(
 
     answer: Answer | None = None
     believed: float | None = None
-    values: list[Value] = []
+    fine: Value | None = None
     for ladder in ladders(frame, observables, options):
         limit = ladder.limit or options.refusal(*cost(ladder.finest.basis, numbers=numbers))
         if answer is not None and limit:
             # A ladder with a limit is yielded again, as there is no finer one.
             return replace(answer, limit="" if answer.relative <= tol else limit)
-        coarse = values.pop() if values else measured(ladder.coarser)
-        values.append(measured(ladder.finest))
-        later = compare(ladder, values[0], coarse)
+        coarse = measured(ladder.coarser) if fine is None else fine
+        fine = measured(ladder.finest)
+        later = compare(ladder, fine, coarse)
         own = later.relative
         believed, error = falling(own, believed, kept(frame))
         errors = (error / own if own > 0.0 else 0.0) * later.errors + later.added
         errors = np.broadcast_to(errors + ROUND_OFF * later.scale, later.errors.shape)
         later = replace(later, errors=errors)
-        answer = later if answer is None else better(answer, later)
+        if not (
+            answer is not None
+            and (bool(answer.missing), answer.relative) <= (bool(later.missing), later.relative)
+            and answer.values.shape == later.values.shape
+            and np.all(np.abs(answer.values - later.values) <= answer.errors)
+        ):
+            answer = later
         if max(answer.relative, *ladder.errors.values()) <= tol:
             break
     assert answer is not None
     return answer
 
 
-def better(earlier: Answer, later: Answer) -> Answer:
-    """Return the earlier answer if its error is the smaller one and the later one agrees with it.
-
-    The values of the later answer, of a finer solution, are then within the errors of the earlier.
-    """
-    a, b = ((bool(x.missing), x.relative) for x in (earlier, later))
-    u, v = earlier.values, later.values
-    agreed = u.shape == v.shape and bool(np.all(np.abs(u - v) <= earlier.errors))
-    return earlier if a <= b and agreed else later
-
-
 def deviations(e: Expansion, row: int) -> Array:
     """Return the standard deviations of q and of the velocity of mass ``row``."""
-    frame, variances = e.basis.frame, np.diag(moments(e).covariance)
+    frame, variances = e.basis.frame, np.diag(moments(e)[1])
     place = frame.order.index(row)
     return np.asarray(np.sqrt(variances[[place, frame.n + place]] / frame.system.mass[row]))
 
@@ -130,27 +124,23 @@ def crossings(frame: Frame, row: int, at: Array, options: Options, *, tol: float
     The distance is the largest one about a level. What flows past the level is added to the error.
     """
     q, p = (Coordinate("q", row),), (Coordinate("p", row),)
-    Rates = Callable[[Array], tuple[Array, Array]]
 
-    def measure(e: Expansion, step: Step) -> Rates:
-        return partial(crossing_rates, e, row)
-
-    def compare(ladder: Ladder, fine: Rates, coarse: Rates) -> Answer:
-        ((ends,), _), count = marginal(ladder.finest, q), GRID[2]
+    def compare(ladder: Ladder, fine: Expansion, coarse: Expansion) -> Answer:
+        ((ends,), _), count = marginal(fine, q), GRID[2]
         grid = np.linspace(ends[0], ends[-1], count)
-        (up, net), (before, _) = (rates(np.append(grid, at)) for rates in (fine, coarse))
-        distance = np.abs(up - before)
-        about = np.interp(at, grid, maximum_filter1d(distance[:count], WINDOW[2]))
-        size, velocity = deviations(ladder.finest, row)
-        return Answer(
-            ladder,
-            up[count:],
-            np.maximum(about, distance[count:]),
-            np.array(velocity / (2.0 * np.pi * size)),
-            added=np.abs(net[count:]),
+        (up, net), (before, _) = (
+            crossing_rates(e, row, np.append(grid, at)) for e in (fine, coarse)
         )
+        distance = np.abs(up - before)
+        about = np.interp(at, grid, maximum_filter1d(distance[:count], count // SPAN + 1))
+        size, velocity = deviations(fine, row)
+        scale, errors = velocity / (2.0 * np.pi * size), np.maximum(about, distance[count:])
+        return Answer(ladder, up[count:], errors, np.array(scale), added=np.abs(net[count:]))
 
-    return adapted(frame, [q, p], measure, compare, options, tol=tol, what="crossings")
+    def solution(e: Expansion, step: Step) -> Expansion:
+        return e
+
+    return adapted(frame, [q, p], solution, compare, options, tol=tol, what="crossings")
 
 
 def crossing_rates(e: Expansion, row: int, at: Array) -> tuple[Array, Array]:
@@ -181,18 +171,16 @@ def spectrum(frame: Frame, row: int, at: Array, options: Options, *, tol: float)
     q, p = (Coordinate("q", row),), (Coordinate("p", row),)
     w, place = np.unique(np.abs(at), return_inverse=True)
 
-    def measure(e: Expansion, step: Step) -> tuple[Complexes, float, Complexes]:
+    Transform = tuple[Complexes, float, Complexes]
+
+    def measure(e: Expansion, step: Step) -> Transform:
         A = generator(e, odd=e.basis.mirrored)
         G, residual = transforms(A, *displaced(e, row, A), w, step)
         size, velocity = deviations(e, row)
         rate = velocity / size
         return G, residual, size**2 * (1j * w + rate) / ((1j * w) ** 2 + 1j * w * rate + rate**2)
 
-    def compare(
-        ladder: Ladder,
-        fine: tuple[Complexes, float, Complexes],
-        coarse: tuple[Complexes, float, Complexes],
-    ) -> Answer:
+    def compare(ladder: Ladder, fine: Transform, coarse: Transform) -> Answer:
         change = fine[0] - coarse[0]
         distance = np.maximum(np.abs(change - (fine[2] - coarse[2])), np.abs(change.real)) / np.pi
         size, velocity = deviations(ladder.finest, row)
@@ -236,19 +224,19 @@ def relaxation(frame: Frame, count: int, options: Options, *, tol: float) -> Ans
     solution that it is paired with: all pairs are the nearest.
     """
 
-    def measure(e: Expansion, step: Step) -> tuple[Complexes, str]:
+    Found = tuple[Complexes, str]
+
+    def measure(e: Expansion, step: Step) -> Found:
         parities = (True, False) if e.basis.mirrored else (False,)
         parts = [generator(e, odd=odd, closed=True) for odd in parities]
         work = len(parts) * cost(e.basis, numbers=complex)[1]
         # The largest natural frequency of the linear system with the covariances of the solution.
-        q, v = np.split(moments(e).covariance, 2)
+        q, v = np.split(moments(e)[1], 2)
         squares = np.linalg.eigvals(np.linalg.solve(q[:, : frame.n], v[:, frame.n :]))
         fastest, most = float(np.sqrt(squares.real.max())), min(DISCS, int(options.work / work))
         return slowest_rates(parts, count, fastest, most=most, step=step)
 
-    def compare(
-        ladder: Ladder, fine: tuple[Complexes, str], coarse: tuple[Complexes, str]
-    ) -> Answer:
+    def compare(ladder: Ladder, fine: Found, coarse: Found) -> Answer:
         slowest = fine[0][:count]
         apart, distance = np.abs(slowest[:, None] - coarse[0]), np.abs(slowest)
         rows, columns = linear_sum_assignment(apart)

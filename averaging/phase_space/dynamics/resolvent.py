@@ -37,10 +37,7 @@ Step = Callable[[float], None]
 
 
 def generator(e: Expansion, *, odd: bool, closed: bool = False) -> Chain:
-    """Return A on the functions of one parity (``odd`` or not; all where there is no mirror).
-
-    It has the degrees and the reference of ``e``. ``closed`` as of ``chain_of``: for eigenvalues.
-    """
+    """Return A on the functions of one parity; ``closed`` as of ``chain_of``, for eigenvalues."""
     b = e.basis
     return chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
 
@@ -48,17 +45,17 @@ def generator(e: Expansion, *, odd: bool, closed: bool = False) -> Chain:
 def resolvent(A: Chain, shift: complex, step: Step) -> Callable[[Array], Array]:
     """Return the function b → (s − A)⁻¹ b for s = ``shift``, b a vector or columns of them.
 
-    The product of A with the function 1 vanishes, as mass is conserved, and A is singular at s = 0.
-    Of b and of the solution, which have no mass, what round-off left of it is removed.
+    A is singular at s = 0, as mass is conserved: mass that round-off left is taken from b and from
+    the solution, which have none.
     """
-    factors, one = factored(A, shift=shift, step=step), A.basis.of_one
+    (solve, _), one = factored(A, shift=shift, step=step), A.basis.of_one
 
     def massless(u: Array) -> Array:
         u = u.copy()
         u[: one.size] -= np.multiply.outer(one, one @ u[: one.size])
         return u
 
-    return lambda b: -massless(factors.solve(massless(b)))
+    return lambda b: -massless(solve(massless(b)))
 
 
 def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
@@ -71,7 +68,7 @@ def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
     b, space = e.basis, e.space
     q = Coordinate("q", row)
     (offset, slope, direction), (at, unit) = form_of(e, q), b.frame.place(q)
-    offset -= unit * moments(e).mean[at]
+    offset -= unit * moments(e)[0][at]
     values, up = b.at_points[0], space.raising(direction)
     by_y = values.T @ ((b.weights * (offset + slope * b.points))[:, None] * values)
     density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])
@@ -89,10 +86,8 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
 
     One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the solution
     of (1 + (iω − s) B) u = B b is taken from the Krylov space of B and B b, one for all ω, by
-    Galerkin's method (Arnoldi). The first shift is 0, in real numbers; the next ones are in the
-    middle of what is left, where one vector is enough. The residual is that of this equation,
-    relative to its solution. The backward equation, with c on its right side, which has two levels
-    only, would cost as much: its answer is needed on all levels of b.
+    Galerkin's method. The first shift is 0, in real numbers; the next ones are in the middle of
+    the frequencies left. The residual is relative to the solution.
     """
     values, worst = np.zeros(at.size, dtype=complex), 0.0
     groups, shift = [np.arange(at.size)], 0.0
@@ -100,7 +95,18 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
         group = groups.pop()
         away = np.asarray(1j * (at[group] - shift))
         solve = resolvent(A, 1j * shift if shift else 0.0, step)
-        found, residuals = _near(solve, c, b, away)
+        first = solve(b)
+        size = float(np.linalg.norm(first))
+        found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)
+        for V, H, closed in krylov(solve, first[:, None], VECTORS):
+            m = len(V)
+            if m % EVERY in (0, 1) or closed:
+                for k in np.flatnonzero(residuals > RESIDUAL):
+                    y = np.linalg.solve(np.eye(m) + away[k] * H[:m], size * np.eye(m)[0])
+                    residuals[k] = abs(away[k]) * np.linalg.norm(H[m:] @ y) / np.linalg.norm(y)
+                    found[k] = c @ (y @ V)
+                if np.all(residuals <= RESIDUAL):
+                    break
         if not np.all(np.isfinite(residuals)):
             raise np.linalg.LinAlgError(f"no resolvent at the frequency {shift:.3g}")
         solved = residuals <= RESIDUAL
@@ -114,35 +120,15 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
     return values, worst
 
 
-def _near(
-    solve: Callable[[Array], Array], c: Array, b: Array, away: Complexes
-) -> tuple[Complexes, Array]:
-    """Return c·u of (1 + a B) u = B b, B = ``solve``, for all a of ``away``, and residuals."""
-    first = solve(b)
-    size = float(np.linalg.norm(first))
-    found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)
-    for V, H, closed in krylov(solve, first[:, None], VECTORS):
-        m = len(V)
-        if m % EVERY in (0, 1) or closed:
-            for k in np.flatnonzero(residuals > RESIDUAL):
-                y = np.linalg.solve(np.eye(m) + away[k] * H[:m], size * np.eye(m)[0])
-                residuals[k] = abs(away[k]) * np.linalg.norm(H[m:] @ y) / np.linalg.norm(y)
-                found[k] = c @ (y @ V)
-            if np.all(residuals <= RESIDUAL):
-                break
-    return found, residuals
-
-
 def decays(
     A: Chain, c: Array, b: Array, at: Array, rate: float, step: Step, *, tol: float
 ) -> tuple[Array, float]:
     """Return C(t) = c·e^(At) b and its derivative over ``rate`` at the lags ``at``, (2, lags).
 
-    Beside them the error of C that is left of its calculation. One elimination in real numbers, at
-    s = ``rate``, which is to be that of a motion, serves all lags: e^(At) b is taken from the
-    Krylov space of b and (s − A)⁻¹, in which A is s − H⁻¹. The space grows until ``EVERY`` more
-    vectors change nothing by more than ``tol`` C(0), or it has ``VECTORS``; the error is the
-    larger one of the last two changes. Raises ``LinAlgError`` where it grows without bound.
+    The second is the error of C by its calculation: the larger one of the last two changes by
+    ``EVERY`` vectors more. e^(At) b is taken from the Krylov space of b and (s − A)⁻¹, s =
+    ``rate``, in which A is s − H⁻¹; the space grows until changes are within ``tol`` C(0). Raises
+    ``LinAlgError`` where C grows without bound.
     """
     values, changes = np.zeros((2, at.size)), [np.inf, np.inf]
     for V, H, closed in krylov(resolvent(A, rate, step), b[:, None], VECTORS):
@@ -192,10 +178,9 @@ def slowest_rates(
     """Return eigenvalues λ of −A of all ``parts``, Im λ >= 0, in ascending order of Re λ.
 
     The ``count`` slowest of all are the first ones, unless the words behind say what is missing.
-    Eigenvalues are sought in discs that follow each other along the imaginary axis, at most
-    ``most`` of them, up to the largest natural frequency ``fastest`` and until no rate as slow can
-    lie above: rates of a linear system are sums of rates of its modes, so that Im λ/Re λ of none is
-    more than that of a mode.
+    Discs follow each other up the imaginary axis, at most ``most`` of them, to the largest natural
+    frequency ``fastest`` and until no rate as slow can lie above: rates of a linear system are sums
+    of rates of its modes, so that Im λ/Re λ of none is more than that of a mode.
     """
     rates, discs, at = np.zeros(0, dtype=complex), list[tuple[float, float]](), 0.0
     while True:

@@ -30,11 +30,8 @@ class Panel:
 
     Between stops (``direction`` 0) t is y. Beyond a stop at ``anchor``, on the right (1) or left
     (−1), t² = |y − anchor|/``length`` + 2 w₃ (U(y) − U(anchor)), where 2 w₃ U is 1 one ``length``
-    beyond: so a polynomial in the energy is one of the same degree in t as in a velocity, and the
-    contact force, which starts as (y − anchor)^e, is smooth in t for half-integer e. ``last`` says
-    that no other stop follows.
-    ``recurrence`` (degree + 1, degree) makes the polynomials: t P_j = Σ_i recurrence[i, j] P_i,
-    and P_0 is ``first``.
+    beyond. ``last``: no other stop follows. The polynomials follow from P_0 = ``first`` by
+    t P_j = Σ_i recurrence[i, j] P_i, ``recurrence`` (degree + 1, degree).
     """
 
     low: float
@@ -70,20 +67,14 @@ class Panel:
 class Basis:
     """Orthonormal functions of y in L²(w): continuous ones and their derivatives.
 
-    ``points`` (q,) and ``weights`` (q,) integrate f(y) w(y) dy, ∫ w = 1; ``log_norm`` is the ln of
-    what divides e^(ln w). ``nodes`` are the ends of the panels.
-
-    ``continuous`` and ``broken`` (functions of all panels, functions) hold two sets by their
-    coefficients. Those of the first are continuous, and have no term in t itself beyond a stop,
-    whose slope in y has no bound; those of the second may jump at the stops and have the degrees of
-    the derivatives of the first. The derivative of the first is then as good as any function of the
-    second, and none of either is lost on the other. Levels of even degree have continuous
-    functions, those of odd degree broken ones, as ∂/∂y connects a level with its neighbours only.
-    ``counts[s][c]`` is how many functions of set s, in front, have c polynomials beyond a stop, 0
-    for fewer than any degree has.
-
-    Where state and mirror image are equally likely (``mirrored``) the first are even and the
-    second are odd, or the other way round.
+    ``points`` and ``weights`` (q,) integrate f(y) w(y) dy, ∫ w = 1, w being divided by
+    e^``log_norm``. ``nodes`` are the ends of the panels. The functions are columns (functions of
+    all panels, functions). Levels of even degree have the ``continuous`` ones, without a term in t
+    itself beyond a stop, whose slope in y has no bound. Levels of odd degree have the ``broken``
+    ones, which may jump at the stops and have the degrees of the derivatives of the first: none of
+    either set is lost on the other. ``counts[s][c]`` is how many functions of set s, in front, have
+    c polynomials beyond a stop, 0 for fewer than any degree has. Where state and mirror image are
+    equally likely (``mirrored``) one set is even and the other odd.
     """
 
     frame: Frame
@@ -149,8 +140,8 @@ class Basis:
 def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = False) -> Basis:
     """Return the functions of y of an expansion. Panels end at the stops.
 
-    ``odd``: those of what changes its sign with the mirror image, odd ones for even ones and even
-    ones for odd ones.
+    ``odd``: odd functions for even ones, and even for odd, of all that changes its sign with the
+    mirror image.
     """
     panels, points, weights = [], [], []
     for panel in _panels(frame, reference):
@@ -223,9 +214,8 @@ def _nested(
 ) -> tuple[Array, tuple[int, ...]]:
     """Return orthonormal functions on which ``rows`` vanish, and how many come with each count.
 
-    The first of them are those of few polynomials, so that sets of fewer are the front of the whole
-    one. ``fewer`` is how often the derivative in y is taken: in t it lowers the degree by one
-    between stops and, as t² is linear in y there, by two beyond one.
+    Sets of fewer polynomials are the front of the whole. ``fewer`` is how often the derivative in y
+    is taken: in t it lowers the degree by one between stops, by two beyond a stop.
     """
     degree = np.concatenate([np.arange(p.degree) for p in panels])
     every = np.array([row for row in rows if row.any()]).reshape(-1, degree.size)

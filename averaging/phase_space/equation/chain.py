@@ -10,7 +10,7 @@ into
 F' = C⁻¹ F C, G' = C⁻¹ G C⁻ᵀ, h' = C⁻¹ h, z₁ = l·C⁻¹ z, ∂* the adjoint of ∂/∂y in L²(w). The first
 row of C has one entry, so that z₁ has one term. A level is all k of one sum: it meets itself, the
 two below and the one above. Where S is not that of the linear part alone the second term is not
-zero. The Hermite polynomials of the others come in other combinations (``space``).
+zero. The Hermite polynomials of the others come in other combinations (``degrees``).
 
 Levels of even degree have continuous functions of y, those of odd degree broken ones (``Basis``).
 ∂* connects the two only; for a broken f and a continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
@@ -28,20 +28,20 @@ from scipy import sparse
 
 from averaging.phase_space.equation.basis import Basis
 from averaging.phase_space.equation.damping import damped, levels_per_stage
+from averaging.phase_space.equation.degrees import Matrix, Space, combined, space_to
 from averaging.phase_space.equation.frame import linear_part
-from averaging.phase_space.equation.space import Matrix, Space, combined, space_to
 from fpk.numeric.arrays import Array, Integers
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The equations between stages: of each one what it meets in itself and in the others.
+    """The equations between stages.
 
-    ``factor`` is C. Of each degree of ``space`` (degrees,) there are ``functions`` of y, 0 where it
-    is left out, the first of them at ``start`` in a vector of all unknowns; stage n ends at
-    ``ends[n]`` there, its highest level in front. ``matrix`` is that of all equations and all
-    unknowns: stage n meets itself, stages n + 1, n − 1 and n − 2. The highest level of each degree
-    in the others meets itself by l₁ (∂* ∂)^½, too, which stands for the levels above it.
+    ``factor`` is C. Each degree of ``space`` (degrees,) has ``functions`` of y, 0 where it is left
+    out, the first of them at ``start`` in a vector of all unknowns; stage n ends at ``ends[n]``
+    there, its highest level in front. By ``matrix`` stage n meets itself and the stages n + 1,
+    n − 1 and n − 2. The highest level of each degree in the others meets itself by l₁ (∂* ∂)^½,
+    too, which stands for the levels above it.
     """
 
     basis: Basis
@@ -69,11 +69,7 @@ class Chain:
         return np.asarray(starts[(starts > span.start) & (starts < span.stop)] - span.start)
 
     def within(self, n: int, *, shift: complex = 0.0, kind: type = np.float64) -> Array:
-        """Return the equations of stage n in itself, less ``shift`` times its unknowns.
-
-        ``kind`` is that of the numbers. A shift that is not real makes them and all that follows
-        from them complex.
-        """
+        """Return the equations of stage n in itself, in numbers of ``kind``, less ``shift``."""
         A = self.matrix[self.span(n), self.span(n)].toarray()
         A = A.astype(np.result_type(kind, shift), copy=False)
         if shift:
@@ -85,10 +81,7 @@ class Chain:
         return np.split(u, self.ends[:-1])
 
     def blocks(self, matrix: sparse.csr_array, away: int) -> list[sparse.csr_array]:
-        """Return the blocks of a matrix of all unknowns by which stages meet those ``away`` above.
-
-        They are lowest first, of the stages that have such a one.
-        """
+        """Return the blocks by which stages meet those ``away`` above, lowest first."""
         stages = range(max(-away, 0), self.top + 1 - max(away, 0))
         return [matrix[self.span(n), self.span(n + away)] for n in stages]
 
@@ -132,13 +125,6 @@ def placed(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers
     start[order] = np.cumsum(count[order]) - count[order]
     sizes = np.bincount(stage[space.level <= degrees.total], count[space.level <= degrees.total])
     return count, start, np.cumsum(sizes).astype(np.int64)
-
-
-def sizes(functions: Basis) -> Array:
-    """Return how many unknowns each stage of the equations in a basis has."""
-    degrees, d = functions.degrees, 2 * functions.frame.n - 1
-    _, _, ends = placed(functions, space_to(degrees.total, degrees.others, d))
-    return np.diff(ends, prepend=0).astype(float)
 
 
 Entries = tuple[Integers, Integers, Array]

@@ -12,8 +12,8 @@ import numpy as np
 from scipy import sparse
 
 from averaging.phase_space.equation.basis import Basis
+from averaging.phase_space.equation.degrees import Matrix, Space, combined, space_to
 from averaging.phase_space.equation.frame import Frame
-from averaging.phase_space.equation.space import Matrix, Space, combined, space_to
 from fpk.numeric.arrays import Array
 
 Polynomial = dict[tuple[int, int], Matrix]
@@ -31,8 +31,7 @@ def reach(frame: Frame) -> int:
 def levels_per_stage(frame: Frame) -> int:
     """Return how many levels a stage of the elimination has; level 0 is a stage of its own.
 
-    A stage of s levels is to meet the two below it and the one above: s >= r and 2 s >= r + 2,
-    r = ``reach``. Without damping terms it is one.
+    s >= r and 2 s >= r + 2, r = ``reach``: a stage meets the two below it and the one above.
     """
     return max(reach(frame), (reach(frame) + 3) // 2)
 

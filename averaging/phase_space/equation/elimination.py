@@ -12,10 +12,9 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from averaging.phase_space.equation.basis import Basis, basis
-from averaging.phase_space.equation.chain import Chain, chain_of, sizes
-from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.chain import Chain, chain_of, placed
+from averaging.phase_space.equation.degrees import Degrees, Space, space_to
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.equation.space import Matrix, Space
 from averaging.phase_space.krylov import RESIDUAL
 from fpk.numeric.arrays import Array, Integers
 
@@ -38,10 +37,13 @@ TOP_LEVELS = 4
 """Highest levels whose size is that of what the levels above them would have."""
 LARGE, NEGLIGIBLE = 0.5, 0.2
 """Size of the highest degrees in the others, relative to that of the highest levels, from which the
-degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with eight
-other stops two degrees more in the others changed densities by 0.03 or less of what ten levels more
-changed them by at sizes below 0.2, by 0.25 or less below 0.5, and by 0.07 to 4.6 beyond. The
-size is small where a near stiff stop turns the contact mass round faster than the others move."""
+degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with other
+stops two degrees more changed densities by 0.03 or less of the change that ten levels more made at
+sizes below 0.2, by 0.25 or less below 0.5, and by 0.07 to 4.6 beyond."""
+
+
+Solve = Callable[[Array], Array]
+"""Returns u of A u = right, vectors of all unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +87,11 @@ class Expansion:
 def cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]:
     """Return the bytes and the operations, on real numbers, that a solution in a basis takes.
 
-    ``numbers`` are those of the elimination; a product of complex ones takes four of real ones. The
-    inverse of one block a level is kept, and while one is made there are some more matrices of its
-    size. In more than single precision and with damping terms pairs of levels are eliminated, too,
-    which takes as much again.
+    ``numbers`` are those of the elimination. Pairs of stages take as much again as the inverses.
     """
-    size = sizes(functions)
+    degrees, d = functions.degrees, 2 * functions.frame.n - 1
+    _, _, ends = placed(functions, space_to(degrees.total, degrees.others, d))
+    size = np.diff(ends, prepend=0).astype(float)
     blocks = float(np.sum(size**2) + WHILE_INVERTED * np.max(size) ** 2)
     number = np.dtype(numbers).itemsize
     paired = number > 4 or bool(functions.frame.system.damping_terms)
@@ -108,68 +109,31 @@ def expanded(
 ) -> Expansion:
     """Return the stationary expansion about ``reference``.
 
-    ``step`` is called with the share of the work that is done. The elimination is in single
-    precision, half the time and memory of double, and without pairs unless damping terms make them
-    large; its solution is refined by the residual of all equations in double precision. Where that
-    does not converge it is done again in double precision, with pairs, unless that takes more than
-    ``memory`` bytes.
+    The elimination is in single precision, half the time and memory of double, and without pairs
+    unless damping terms make them large. Where its refinement does not converge it is done again in
+    double precision, with pairs, unless that takes more than ``memory`` bytes. ``step`` is called
+    with the share of the work that is done.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(functions)
     small = float(np.sum(np.diff(chain.ends, prepend=0).astype(float) ** 3)) < SMALL
     for kind in (np.float64,) if small else (ELIMINATED_IN, np.float64):
         paired = kind is np.float64 or bool(frame.system.damping_terms)
-        u, residual = _refined(factored(chain, kind=kind, paired=paired, step=step))
+        solve, scale = factored(chain, kind=kind, paired=paired, step=step)
+        u, residual = _refined(chain, solve, scale, paired=paired)
         if residual < CONVERGED or cost(functions, numbers=float)[0] > memory:
             break
     return Expansion(functions, chain.factor, chain.space, tuple(chain.shaped(u)), residual)
 
 
-@dataclass(frozen=True, eq=False)
-class Factors:
-    """Equations of a chain, eliminated: solves them for any right side.
-
-    ``inverses[n]`` is that of what stage n meets in itself after the stages above it. By
-    ``above[n]`` it meets the one above, by ``forced[n - 1]`` the one below, and by
-    ``paired[n - 2]`` that two below; without these the solution is that of other equations.
-    ``scale`` stands before the mass in the equation of the function 1; it is 0 with a shift.
-    """
-
-    chain: Chain
-    inverses: Sequence[Array]
-    above: Sequence[Matrix]
-    forced: Sequence[Matrix]
-    paired: Sequence[Matrix]
-    scale: float
-
-    def solve(self, right: Array) -> Array:
-        """Return u of A u = right, vectors of all unknowns."""
-        inverses, above, top = self.inverses, self.above, self.chain.top
-        parts = self.chain.split(right.astype(inverses[0].dtype, copy=False))
-        # From the top down what each stage makes without those below it, and back up.
-        alone = [inverses[top] @ parts[top]]
-        for n in range(top - 1, -1, -1):
-            alone.insert(0, inverses[n] @ (parts[n] - above[n] @ alone[0]))
-        u = [alone[0]]
-        for n in range(1, top + 1):
-            below = self.forced[n - 1] @ u[n - 1]
-            if self.paired and n > 1:
-                below += self.paired[n - 2] @ u[n - 2]
-            if self.paired and n < top:
-                # What u_(n−1) makes of stage n + 1 without u_n comes back to stage n.
-                below -= above[n] @ (inverses[n + 1] @ (self.paired[n - 1] @ u[n - 1]))
-            u.append(alone[n] - inverses[n] @ below)
-        return np.concatenate(u)
-
-
-def _refined(factors: Factors) -> tuple[Array, float]:
+def _refined(chain: Chain, solve: Solve, scale: float, *, paired: bool) -> tuple[Array, float]:
     """Return the stationary solution and its residual, relative to the terms that cancel in it.
 
-    The equation of the mass, as ``factors`` have it, is added to those of the chain.
+    ``solve``, ``scale`` and ``paired`` are as of ``factored``. The equation of the mass, as it has
+    it, is added to those of the chain.
     """
-    chain, matrix = factors.chain, factors.chain.matrix
-    one = chain.basis.of_one
-    given = factors.scale * one
+    matrix, one = chain.matrix, chain.basis.of_one
+    given = scale * one
 
     def times(u: Array) -> Array:
         product = matrix @ u
@@ -178,13 +142,13 @@ def _refined(factors: Factors) -> tuple[Array, float]:
 
     right = np.zeros(chain.ends[-1])
     right[: one.size] = given
-    A, M = (LinearOperator(2 * right.shape, f, dtype=float) for f in (times, factors.solve))
+    A, M = (LinearOperator(2 * right.shape, f, dtype=float) for f in (times, solve))
     u, rest, before, magnitude = np.zeros(right.size), right, np.inf, abs(matrix)
     while True:
         # Where single precision is too coarse the corrections grow out of its range.
         with np.errstate(over="ignore", invalid="ignore"):
-            if factors.paired:
-                change = factors.solve(rest)
+            if paired:
+                change = solve(rest)
             else:
                 change, _ = gmres(A, rest, M=M, rtol=CORRECTED, restart=VECTORS, maxiter=1)
             u = u + change
@@ -206,14 +170,15 @@ def factored(
     kind: type = np.float64,
     paired: bool = True,
     step: Callable[[float], None] = lambda share: None,
-) -> Factors:
+) -> tuple[Solve, float]:
     """Eliminate the stages of the equations less ``shift`` times the unknowns, from the top down.
 
-    Without a shift the equation of the function 1, 0 = 0, is replaced by that of the mass, ``one``
-    times the unknowns of level 0, and of the size of the terms of 1, which is nearly the solution:
-    were it the largest entry, their round-off would be a thousand times as large as they.
-    ``paired`` says whether what a stage meets two below it counts. ``step`` is called with the
-    share of the work done.
+    Returned are the function that solves them, and the factor before the mass in the equation of
+    the function 1: 0 with a shift. Without one that equation, 0 = 0, is replaced by that of the
+    mass, ``one`` times the unknowns of level 0, of the size of the terms of 1: were it the largest
+    entry, their round-off would be a thousand times as large. Without ``paired`` pairs of stages
+    are left out, and the solution is that of other equations. ``step`` is called with the share of
+    the work done.
     """
     top = chain.top
     work = np.cumsum(np.diff(chain.ends, prepend=0)[::-1].astype(float) ** 3)
@@ -241,16 +206,33 @@ def factored(
         scale = float(np.max(np.abs(A) @ np.abs(one)))
         A = A + scale * np.outer(one, one)
     inverses.insert(0, np.asarray(np.linalg.inv(A), dtype=A.dtype))
-    return Factors(chain, inverses, above, forced, pairs, scale)
+
+    def solve(right: Array) -> Array:
+        parts = chain.split(right.astype(A.dtype, copy=False))
+        # From the top down what each stage makes without those below it, and back up.
+        alone = [inverses[top] @ parts[top]]
+        for n in range(top - 1, -1, -1):
+            alone.insert(0, inverses[n] @ (parts[n] - above[n] @ alone[0]))
+        u = [alone[0]]
+        for n in range(1, top + 1):
+            below = forced[n - 1] @ u[n - 1]
+            if paired and n > 1:
+                below += pairs[n - 2] @ u[n - 2]
+            if paired and n < top:
+                # What u_(n−1) makes of stage n + 1 without u_n comes back to stage n.
+                below -= above[n] @ (inverses[n + 1] @ (pairs[n - 1] @ u[n - 1]))
+            u.append(alone[n] - inverses[n] @ below)
+        return np.concatenate(u)
+
+    return solve, scale
 
 
 def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
 
-    Two thirds of the work are products, several times as fast as triangular solutions. What is in
-    front of a cut must not be singular by itself. The equations of one degree in the other masses
-    are not divided: velocities and displacements turn into each other, and these alone are not
-    damped.
+    Products are three times as fast as LAPACK's inverse in single precision. Cuts are between
+    degrees in the other masses: displacements without their velocities are not damped, and a
+    matrix that has only these in front is singular.
     """
     size = A.shape[0]
     inside = [cut for cut in cuts if 0 < cut < size]

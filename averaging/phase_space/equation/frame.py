@@ -15,11 +15,10 @@ from fpk.system.system import System, looks_the_same_mirrored
 class Frame:
     """Eq. (6) in displacements and velocities times √m, with the contact mass set apart.
 
-    ``contact`` is the mass that meets the stops, counted from 0 (the last where there are none);
-    ``order`` lists it first, then the others. ``stiffness``, ``damping`` and ``noise`` (n, n) are
-    M^(−½) X M^(−½) in this order: with y the displacement √m q of the contact mass, ``r`` those of
-    the others and ``v`` all velocities √m q' = p/√m, it is ``dv = −(K (y, r) + c v + g(y) e₁) dt``
-    plus noise of covariance 2 ``noise`` dt.
+    ``contact`` counts from 0 (the last mass where there are no stops); ``order`` lists it first.
+    ``stiffness``, ``damping`` and ``noise`` (n, n) are M^(−½) X M^(−½) in this order. With y the
+    displacement √m q of the contact mass, ``r`` those of the others and ``v`` all velocities:
+    ``dv = −(K (y, r) + c v + g(y) e₁) dt`` plus noise of covariance 2 ``noise`` dt.
     """
 
     system: System
@@ -93,12 +92,10 @@ def contact_frame(system: System) -> Frame:
 class Reference:
     """The state that a solution is expanded about: Gaussian in z = (v, x), given y.
 
-    ``slope`` a and ``offset`` x₀ (n − 1,) make x = r − a y − x₀ of the other displacements;
-    ``covariance`` S (2n − 1, 2n − 1) is that of z. ln w of the weight of y is
-    −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``, the potential of the force on the
-    contact mass over S₁₁: with another temperature than that of the velocity the contact force
-    would not cancel in the equations, and answers of high degree would be wrong. The nearer to the
-    moments of the solution, the fewer degrees it needs.
+    ``slope`` a and ``offset`` x₀ (n − 1,) make x = r − a y − x₀; ``covariance`` S (2n − 1, 2n − 1)
+    is that of z. ln w(y) is −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``, the potential
+    of the force on the contact mass over S₁₁: with another temperature the contact force would not
+    cancel in the equations, and answers of high degree would be wrong.
     """
 
     slope: Array
@@ -142,7 +139,6 @@ def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
 def gibbs_reference(frame: Frame) -> Reference:
     """Return the Gibbs state of the temperature tr D/tr c, of mass-normalised D and c.
 
-    It is the stationary state where damping and noise are in one proportion; elsewhere a start.
     With damping terms T is the one at which they balance the noise. Raises ``NotApplicable`` where
     nothing is damped or no noise acts.
     """

@@ -1,22 +1,21 @@
 """Finite elements of −L u = f on a mesh of states, u = 0 where the limit is passed, and answers."""
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import pi
 from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import Legendre, legder, legval, legvander
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.sparse import coo_array, csc_array, csr_array, eye_array, kron
 from scipy.sparse.linalg import LinearOperator, eigs, splu
 
 from averaging.phase_space.krylov import EVERY, VECTORS, krylov
 from averaging.phase_space.passage.mesh import Mesh
-from fpk.numeric.arrays import Array
+from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import NotCertified
-from fpk.numeric.quadrature import gauss_legendre
+from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 MORE_POINTS = 12
 """Gauss points in each direction beyond the degree: over a panel of large velocities, and of a
@@ -26,14 +25,8 @@ PIVOTS = (1e-3, 1e-2, 1.0)
 symmetric ordering, and entries may grow by their inverse in each step."""
 GROWN = 1e-10
 """Residual of a solution, relative to the terms that cancel in it, by which entries have grown."""
-SHIFT = 4.0
-"""Shift of the Krylov space of the reliability in units of the frequency: 2 to 8 take equally many
-vectors."""
 KRYLOV = 0.05
-"""Fraction of the tolerance to which that space gives the reliability."""
-
-
-Indices = NDArray[np.integer]
+"""Share of the tolerance to which a Krylov space gives the reliability."""
 
 
 def factorised(matrix: csc_array) -> Any:
@@ -59,12 +52,11 @@ def factorised(matrix: csc_array) -> Any:
 class Elements:
     """Backward equation, L T = −1, L T₂ = −2 T, ∂u/∂t = L u, on a mesh.
 
-    Matrices K of −L and M of 1 in L²(exp(−c H/D)), and vectors (unknowns,) of the weak form.
-    Functions may jump between panels of x, where the side that motion goes to decides, and are
-    continuous in s. ``load`` tests the function 1, whose coefficients are ``one``. ``exit`` tests
-    −L 1, which is what is lost at the limit: as K ``one`` it would be lost to round-off where
-    failure is rare. Functions are divided by their norms, which therefore are ``one``. ``free`` are
-    the places of the unknowns among all functions.
+    K of −L and M of 1 in L²(exp(−c H/D)), and vectors (unknowns,) of the weak form. Functions may
+    jump between panels of x, where the side that motion goes to decides, and are continuous in s;
+    they are divided by their norms, which are the coefficients ``one`` of the function 1. ``load``
+    tests 1, ``exit`` tests −L 1, which is lost at the limit: as K ``one`` it would be lost to
+    round-off where failure is rare. ``free`` are the places of the unknowns among all functions.
     """
 
     mesh: Mesh
@@ -73,7 +65,7 @@ class Elements:
     load: Array
     exit: Array
     one: Array
-    free: Indices
+    free: Integers
 
     def at(self, q: Array, v: Array, weights: Array) -> Array:
         """Return the coefficients of the functional Σ weights u(q, v) of states within."""
@@ -83,7 +75,7 @@ class Elements:
             k = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, nodes.size - 2)
             local = 2.0 * (t - nodes[k]) / (nodes[k + 1] - nodes[k]) - 1.0
             places.append(k[:, None] * (n if nodes is m.x else m.degree) + np.arange(n))
-            values.append(_shapes(m.degree, local)[0])
+            values.append(shapes(m.degree, local)[0])
         size = (m.s.size - 1) * m.degree + 1
         functional = np.zeros((m.x.size - 1) * n * size)
         place = places[0][:, :, None] * size + places[1][:, None, :]
@@ -117,8 +109,8 @@ class Elements:
         """Return E T and E T² of the functional ``start``, and the mass that round-off lost.
 
         All that starts fails in the end: y'(−L 1) = start'1 with the density y = K⁻ᵀ start of the
-        time spent. Where failure is rare K is nearly singular, and y is right up to a factor, that
-        this identity gives back. What it is off from 1 is the mass lost, relative to all.
+        time spent. Where failure is rare K is nearly singular, and y is right up to a factor that
+        this identity gives back; how far it is off from 1 is the mass lost, relative to all.
         """
         y = self.solved(start, "T")
         kept = float(y @ self.exit) / float(start @ self.one)
@@ -137,10 +129,13 @@ class Elements:
 
     @cached_property
     def sigma(self) -> float:
-        """A rate of the order of the frequency, less where damping outdoes it."""
+        """Four times the frequency, less where damping outdoes it.
+
+        Krylov spaces shifted by two to eight times the frequency take equally many vectors.
+        """
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
-        return SHIFT * frequency / (1.0 + o.damping / (o.mass * frequency))
+        return 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
 
     @cached_property
     def shifted(self) -> Any:
@@ -159,15 +154,15 @@ class Elements:
     def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
         """Return P(T <= t) at ascending times > 0, and what the last vectors changed.
 
-        M F' = −K F + exit from F = 0, so that what is small keeps its digits. Galerkin's method on
-        the Krylov space of (K + σM)⁻¹M from the function 1, which F tends to, orthonormal in M: as
-        K + Kᵀ is not negative, neither is its projection, and nothing grows. At H = E, where there
-        are no unknowns, F is 1: what that adds within the last panels is constant.
+        M F' = −K F + exit from F = 0 keeps the digits of what is small. Galerkin's method on the
+        Krylov space of (K + σM)⁻¹M from the function 1, which F tends to, orthonormal in M: neither
+        K + Kᵀ nor its projection is negative, and nothing grows. At H = E, where there are no
+        unknowns, F is 1, which adds a constant within the last panels.
         """
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)
         change = before = last
-        images, system = np.zeros((0, start.size)), np.zeros((VECTORS + 1, VECTORS + 1))
+        images = np.zeros((0, start.size))
         for V, _, closed in krylov(
             lambda x: self.shifted.solve(self.M @ x),
             self.one[:, None],
@@ -195,21 +190,14 @@ class Elements:
         return last, np.maximum(change, KRYLOV * before)
 
 
-@lru_cache
-def _to_lagrange(degree: int) -> Array:
-    """Polynomials of the Gauss-Lobatto nodes of [−1, 1] by the coefficients of Legendre's."""
-    inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
-    nodes = np.concatenate([[-1.0], inner, [1.0]])
-    return np.linalg.inv(legvander(nodes, degree))
-
-
-def _shapes(degree: int, t: Array) -> tuple[Array, Array]:
-    """Values and slopes (points, degree + 1) of the polynomials of the Lobatto nodes.
+def shapes(degree: int, t: Array) -> tuple[Array, Array]:
+    """Return values and slopes (points, degree + 1) at t of the polynomials of the Lobatto nodes.
 
     Each belongs to a node: where the weight falls by e²⁰ over a panel, scaled hierarchical
     polynomials lose all digits of rare failure to round-off.
     """
-    inverse = _to_lagrange(degree)
+    inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
+    inverse = np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
     slopes = legval(t, legder(np.eye(degree + 1))).T
     return legvander(t, degree) @ inverse, slopes @ inverse
 
@@ -221,39 +209,33 @@ def elements(mesh: Mesh) -> Elements:
     −L u = −s w u_q − w' (1 − s²) u_s − exp(αmv²/2) (D/m²)/w² ∂_s exp(−αmv²/2) u_s, α = c/D, with
     w' = −V'/(m w); for w = 1 the second term is V'/m u_v.
     """
-    o, n = mesh.oscillator, mesh.degree + 1
+    o, n, panels, across = mesh.oscillator, mesh.degree + 1, mesh.x.size - 1, mesh.s.size - 1
     t, weight = gauss_legendre(mesh.degree + MORE_POINTS)
-    B, D = _shapes(mesh.degree, t)
+    B, D = shapes(mesh.degree, t)
     BB, BD, DD = (
         np.einsum("gi,gk->gik", a, b).reshape(t.size, -1) for a, b in ((B, B), (B, D), (D, D))
     )
-    hx, hs = 0.5 * np.diff(mesh.x), 0.5 * np.diff(mesh.s)
-    x = 0.5 * (mesh.x[1:] + mesh.x[:-1])[:, None] + hx[:, None] * t
-    s = 0.5 * (mesh.s[1:] + mesh.s[:-1])[:, None] + hs[:, None] * t
+    # Coefficients have the axes (panels of x, panels of s, points in x, points in s).
+    hx, hs = 0.5 * np.diff(mesh.x)[:, None, None, None], 0.5 * np.diff(mesh.s)[:, None, None]
+    x, s = (panel_rule(nodes, t.size)[0] for nodes in (mesh.x, mesh.s))
     q, slope = mesh.q(x)
-    w, force = mesh.w(q), o.force(q)
-    bend = np.ones_like(s) if mesh.energy is None else 1.0 - s * s
-    q, slope, w, force = (a[:, None, :, None] for a in (q, slope, w, force))
-    along, bend = s[None, :, None, :], bend[None, :, None, :]
-    widths = hx[:, None, None, None] * hs[None, :, None, None]
-    area = np.exp(-o.inverse_temperature * o.energy(q, along * w)) * weight[:, None] * weight
-    flow = area * hs[None, :, None, None] * (along * w * w)  # dq/dx cancels
-    turn = area * hx[:, None, None, None] * slope * force / o.mass * bend
-    spread = area * (hx[:, None] / hs)[:, :, None, None] * slope * o.diffusion / w
+    q, slope, w, force = (a[:, None, :, None] for a in (q, slope, mesh.w(q), o.force(q)))
+    v = s[:, None, :] * w
+    bend = 1.0 if mesh.energy is None else 1.0 - s[:, None, :] ** 2
+    area = np.exp(-o.inverse_temperature * o.energy(q, v)) * weight[:, None] * weight
+    turn = area * hx * slope * force / o.mass * bend
+    spread = area * hx / hs * slope * o.diffusion / w
+    flow = area * hs * v * w  # dq/dx cancels
     local = BB.T @ turn @ BD + BB.T @ spread @ DD - BD.T @ flow @ BB
-    mass = BB.T @ (area * widths * slope * w) @ BB
-    panels, across = mesh.x.size - 1, mesh.s.size - 1
+    mass = BB.T @ (area * hx * hs * slope * w) @ BB
+    # Functions of x, panel by panel, times functions of s, of which neighbours share one.
     size = across * mesh.degree + 1
     total = panels * n * size
-    # Functions of x, panel by panel, times functions of s, of which neighbours share one.
-    of_x = np.arange(panels * n, dtype=np.int32).reshape(panels, 1, n, 1, 1, 1) * size
-    of_s = np.add.outer(
-        np.arange(across, dtype=np.int32) * mesh.degree, np.arange(n, dtype=np.int32)
-    )
-    places = of_x + of_s[None, :, None, None, :, None], of_x + of_s[None, :, None, None, None]
-    shape = panels, across, n, n, n, n
-    row = np.broadcast_to(places[0], shape).ravel()
-    column = np.broadcast_to(places[1].swapaxes(2, 3), shape).ravel()
+    of_s = np.add.outer(mesh.degree * np.arange(across), np.arange(n)).astype(np.int32)
+    of_x = size * np.arange(panels * n, dtype=np.int32).reshape(panels, 1, n, 1)
+    place, shape = of_x + of_s[:, None, :], (panels, across, n, n, n, n)
+    row = np.broadcast_to(place[:, :, :, None, :, None], shape).ravel()
+    column = np.broadcast_to(place[:, :, None, :, None, :], shape).ravel()
     # Both matrices at once, M as the imaginary part: the sorting is half of the work.
     pair = coo_array(((local + 1j * mass).ravel(), (row, column)), shape=(total, total)).tocsc()
     # Traces at the left and right ends of panels, and ∫ |v| … of functions of s at all ends.
@@ -262,10 +244,10 @@ def elements(mesh: Mesh) -> Elements:
         for k in (0, n - 1)
     )
     ends, _ = mesh.q(mesh.x)
-    w = mesh.w(ends)[:, None, None]
-    density = np.exp(-o.inverse_temperature * o.energy(ends[:, None, None], s * w))
-    block = ((np.abs(s) * w * w * density * weight * hs[:, None]) @ BB).reshape(-1, across, n, n)
-    first = np.arange(panels + 1, dtype=np.int32)[:, None, None, None] * size
+    ends, w = ends[:, None, None], mesh.w(ends)[:, None, None]
+    density = np.exp(-o.inverse_temperature * o.energy(ends, s * w))
+    block = ((np.abs(s) * w * w * density * weight * hs[:, 0]) @ BB).reshape(-1, across, n, n)
+    first = size * np.arange(panels + 1, dtype=np.int32)[:, None, None, None]
     index = [
         np.broadcast_to(first + at, block.shape).ravel()
         for at in (of_s[:, :, None], of_s[:, None, :])

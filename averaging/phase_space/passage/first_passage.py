@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from averaging.phase_space.passage.mesh import (
 from fpk.answer.certificate import tolerance
 from fpk.answer.evolution import Passage, PassageAsked, certified_passage, checked_times
 from fpk.answer.quantities import Number
-from fpk.numeric.arrays import EPS, Array
+from fpk.numeric.arrays import EPS, ROUND_OFF, ROUNDINGS, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
 
@@ -34,65 +34,40 @@ SAFETY = 3.0
 is a fifteenth of it or less, so that there is much to spare where they do not yet."""
 SHARE = 0.5
 """Share of the largest relative distance that is in each error: levels agree by chance, too."""
-POINTS = 24
-"""Gauss points of a piece of a start of given energy on the first level; 8 more on each later."""
-ROUNDING = 16.0 * EPS
-"""Relative round-off that is always stated."""
-AT_LIMIT = 1.0 - 1e-12
-"""Share of an energy limit at which a start counts as beyond it, as in the simulation."""
-MODAL = "the energy of a mode is that of one mass without stops; ask for H"
-
 States = tuple[Array, Array, Array]
 """Displacements, velocities and weights of states."""
-
-
-class Level(NamedTuple):
-    """Mean, E T² and rate, the mean from other states over it, and P(T <= t), of one mesh.
-
-    ``rounding`` is the relative round-off of the numbers, ``lost`` the share of mass that round-off
-    took from the density of the time spent, before it was given back; ``defect`` what is wrong
-    with the mass at a time of the order of a period.
-    """
-
-    numbers: Array
-    probes: Array
-    failure: Array
-    krylov: Array
-    rounding: float
-    lost: float
-    defect: float
-    residual: float
-    unknowns: int
-    degree: int
+Level = tuple[Array, Array, Array, Array, float, dict[str, Any]]
+"""Of one mesh: mean, E T² and rate; the mean from other states over it; P(T <= t), and what its
+space leaves; relative round-off of the numbers; what the answer states beside all that."""
 
 
 def first_passage(asked: PassageAsked) -> Passage:
     """Return the first passage that is asked for, with the reliability at its times.
 
     Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,
-    absolute in the reliability; the answer is that of the finer one. Raises as the module
-    ``fpk.answer.evolution`` says, ``NotApplicable`` for other limits and starts than the method
-    knows, and ``NotCertified`` for a limit that is beyond what double precision reaches.
+    absolute in the reliability. Raises as ``fpk.answer.evolution`` says, ``NotApplicable`` for
+    other limits and starts than the method knows, and ``NotCertified`` for a limit beyond the reach
+    of double precision.
     """
     times, o = checked_times(asked.times), oscillator_of(asked.system)
-    limit, start, contacts = asked.limit, asked.start, asked.system.contacts
-    if limit.kind == "modal" and contacts:
-        raise NotApplicable(f"limit {limit}: {MODAL}")
+    limit, start = asked.limit, asked.start
+    for what, given in (("limit", limit), ("start", start)):
+        if given.kind == "modal" and asked.system.contacts:
+            words = "the energy of a mode is that of one mass without stops; ask for H"
+            raise NotApplicable(f"{what} {given}: {words}")
     if start.kind == "noise" and start.values["noise"] > 0.0:
         raise NotApplicable("a stationary start is not solved for in phase space; use montecarlo")
-    if start.kind == "modal" and contacts:
-        raise NotApplicable(f"start {start}: {MODAL}")
     most, of_energy = limit.value, limit.kind != "q"
     states: Callable[[int], States]
+    within = (1.0 - ROUND_OFF) * most
     if start.kind in ("energy", "modal") and not start.rest:
         (energy,) = start.values.values()
-        beyond = of_energy and not energy < AT_LIMIT * most
+        beyond = of_energy and not energy < within
         states = partial(orbit, o, energy, None if of_energy else most)
     else:
-        q, p = (x[:1] for x in start.state(1)) if start.kind == "state" else np.zeros((2, 1))
-        energy = float(o.energy(q, p / o.mass)[0])
-        beyond = not (energy < AT_LIMIT * most if of_energy else abs(float(q[0])) < most)
-        state = np.asarray(q, dtype=float), np.asarray(p / o.mass, dtype=float), np.ones(1)
+        q, p = start.state(1)
+        energy, state = float(o.energy(q, p / o.mass)[0]), (q, p / o.mass, np.ones(1))
+        beyond = not (energy < within if of_energy else abs(float(q[0])) < most)
 
         def states(points: int) -> States:
             return state
@@ -106,7 +81,7 @@ def first_passage(asked: PassageAsked) -> Passage:
             words = f"up to it the density falls by exp(−{fall:.0f})"
             raise NotCertified(f"the {what} is hardly ever passed: {words}; take a lower one")
     # States halfway to the limit, in eight directions.
-    left, right = o.turning_points(0.25 * top)
+    left, right = (o.turning_point(0.25 * top, side) for side in (-1.0, 1.0))
     angle = 0.25 * np.pi * np.arange(8)
     q = np.where(np.cos(angle) > 0.0, right, -left) * np.cos(angle)
     probes = q, np.sqrt(0.5 * top / o.mass) * np.sin(angle)
@@ -121,12 +96,12 @@ def first_passage(asked: PassageAsked) -> Passage:
         across = (mesh.s.size - 1) * mesh.degree
         if (mesh.x.size - 1) * (mesh.degree + 1) * across > MOST_UNKNOWNS:
             break
-        solved = _solved(elements(mesh), states(POINTS + 8 * level), probes, times, tol)
+        solved = _solved(elements(mesh), states(4 * (mesh.degree + 1)), probes, times, tol)
         if previous is not None:
             later = _compared(previous, solved, times, tol)
-            answer = later if answer is None else _better(answer, later)
             if later.certificate.certified:
                 return later
+            answer = later if answer is None else _better(answer, later)
         previous = solved
         asked.progress(level + 1, LEVELS, "first passage")
     if answer is None:
@@ -138,10 +113,10 @@ def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> St
     """Return the states of an energy with |q| < ``within``, each as long as motion stays in it.
 
     By ``points`` of Gauss on each piece between turning points, stops and limit: dt = dq/|v|,
-    smooth in θ, q = centre + radius sin θ. Weights add up to less than 1 where part of the motion
-    is beyond the limit; None: no limit of displacements.
+    smooth in θ, q = centre + radius sin θ. Weights add up to the part that is within the limit;
+    None: there is none of displacements.
     """
-    left, right = o.turning_points(energy)
+    left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
     centre, radius = 0.5 * (left + right), 0.5 * (right - left)
     cuts = [*(q for q, _ in o.stops), 0.0, *((-within, within) if within else ())]
     angles = np.arcsin([(q - centre) / radius for q in cuts if left < q < right])
@@ -160,26 +135,43 @@ def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> St
 def _solved(
     e: Elements, states: States, probes: tuple[Array, Array], times: Array, tol: float
 ) -> Level:
-    start = e.at(*states)
+    start, later = e.at(*states), times > 0.0
     mean, second, lost = e.moments(start)
     own = float(start @ e.mean)
     failure, krylov = np.full(times.size, 1.0 - float(states[2].sum())), np.zeros(times.size)
-    if np.any(later := times > 0.0):
+    if np.any(later):
         failure[later], krylov[later] = e.failure(start, times[later], tol=tol)
-    one = np.ones(1)
-    others = [e.at(q[None], v[None], one) @ e.mean for q, v in zip(*probes, strict=True)]
-    return Level(
-        np.array([mean, second, e.rate()]),
-        np.array(others) / own,
-        failure,
-        krylov,
-        rounding=ROUNDING + (own / mean - 1.0) ** 2,
-        lost=lost,
-        defect=e.mass_defect(start),
-        residual=e.residual(),
-        unknowns=e.load.size,
-        degree=e.mesh.degree,
-    )
+    others = [e.at(q[None], v[None], np.ones(1)) @ e.mean for q, v in zip(*probes, strict=True)]
+    settings = {
+        "equation": "(6)",
+        "solver": "fem",
+        "solved_by": "finite elements of the backward equation",
+        "unknowns": e.load.size,
+        "degree": e.mesh.degree,
+        "mass that round-off took": lost,
+    }
+    stated = {"mass_defect": e.mass_defect(start), "residual": e.residual(), "settings": settings}
+    rounding = ROUNDINGS * EPS + (own / mean - 1.0) ** 2
+    numbers, ratios = np.array([mean, second, e.rate()]), np.array(others) / own
+    return numbers, ratios, failure, krylov, rounding, stated
+
+
+def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
+    """Return the finer answer, with its distance to the coarser one as the error."""
+    numbers, probes, failure, krylov, rounding, stated = fine
+    before, probes_before, failure_before, krylov_before, *_ = coarse
+    mean, second, rate = numbers
+    values = np.array([mean, second - mean**2, rate])
+    off = np.abs(numbers - before)
+    share = max(np.max(off / np.abs(numbers)), np.max(np.abs(probes / probes_before - 1.0)))
+    off[1] = abs(values[1] - (before[1] - before[0] ** 2))
+    scale = np.array([mean, second + mean**2, rate])
+    errors = SAFETY * np.maximum(off, SHARE * share * np.abs(values)) + rounding * scale
+    apart = np.abs(failure - failure_before)
+    lost = SAFETY * np.maximum(apart, SHARE * np.max(apart, initial=0.0))
+    lost += krylov + krylov_before + ROUNDINGS * EPS * (times > 0.0)
+    mean, variance, rate = (Number(float(x), float(e)) for x, e in zip(values, errors, strict=True))
+    return certified_passage((mean, variance, rate), times, failure, lost, tol=tol, **stated)
 
 
 def _better(earlier: Passage, later: Passage) -> Passage:
@@ -189,37 +181,3 @@ def _better(earlier: Passage, later: Passage) -> Passage:
     agreed = all(abs(x.value - y.value) <= x.error for x, y in numbers)
     apart = np.abs(earlier.survival - later.survival)
     return earlier if a <= b and agreed and np.all(apart <= earlier.survival_error) else later
-
-
-def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
-    """The finer answer, with its distance to the coarser one as the error."""
-    (mean, second, rate), (before, second_before, _) = fine.numbers, coarse.numbers
-    variance = second - mean**2
-    values = np.array([mean, variance, rate])
-    off = np.abs(fine.numbers - coarse.numbers)
-    probes = np.abs(fine.probes / coarse.probes - 1.0)
-    worst = max(float(np.max(off / np.abs(fine.numbers))), float(np.max(probes)))
-    off[1] = abs(variance - (second_before - before**2))
-    scale = np.array([mean, second + mean**2, rate])
-    errors = SAFETY * np.maximum(off, SHARE * worst * np.abs(values)) + fine.rounding * scale
-    apart = np.abs(fine.failure - coarse.failure)
-    lost = SAFETY * np.maximum(apart, SHARE * np.max(apart, initial=0.0))
-    lost += fine.krylov + coarse.krylov + ROUNDING * (times > 0.0)
-    numbers = [Number(float(x), float(e)) for x, e in zip(values, errors, strict=True)]
-    return certified_passage(
-        (numbers[0], numbers[1], numbers[2]),
-        times,
-        fine.failure,
-        lost,
-        tol=tol,
-        mass_defect=fine.defect,
-        residual=float(np.max([fine.residual, coarse.residual])),
-        settings={
-            "equation": "(6)",
-            "solver": "fem",
-            "solved_by": "finite elements of the backward equation",
-            "unknowns": fine.unknowns,
-            "degree": fine.degree,
-            "mass that round-off took": fine.lost,
-        },
-    )

@@ -32,9 +32,9 @@ SAMPLES = 401
 class Oscillator:
     """dq = v dt, m dv = −(c v + V'(q)) dt + √(2D) dB: Eq. (6) of one mass, v = p/m.
 
-    ``potential`` V has its only minimum, 0, at q = 0; ``force`` is V'. ``stops`` are where V' is
-    not smooth, as (q, side on which it is a fractional power; 0: on neither). ``even``: V(−q) =
-    V(q). ``frequency`` is that of small motion between the stops.
+    ``potential`` V has its only minimum, 0, at q = 0; ``force`` is V'; ``even``: V(−q) = V(q).
+    ``stops`` are where V' is not smooth, as (q, side on which it is a fractional power; 0: on
+    neither). ``frequency`` is that of small motion between the stops.
     """
 
     mass: float
@@ -65,10 +65,6 @@ class Oscillator:
         left = np.maximum(energy - self.potential(q), 0.0)
         return np.asarray(np.sqrt(2.0 / self.mass * left))
 
-    def turning_points(self, energy: float) -> tuple[float, float]:
-        """Return where V = ``energy`` > 0, on the left and on the right."""
-        return self.turning_point(energy, -1.0), self.turning_point(energy, 1.0)
-
     def turning_point(self, energy: float, side: float) -> float:
         """Return where V = ``energy`` > 0, on the left (``side`` −1) or on the right (1)."""
 
@@ -81,10 +77,7 @@ class Oscillator:
         return float(brentq(excess, 0.0, far, xtol=SMALLEST))
 
     def travel(self, length: float) -> float:
-        """Return the time that motion takes over ``length``.
-
-        It is half a period, or the time in which noise alone gets so far, whichever is less.
-        """
+        """Return the time that noise alone takes over ``length``, half a period at most."""
         cycle = pi / self.frequency if self.frequency else inf
         return min(cycle, float((6.0 * length**2 / self.diffusion) ** (1.0 / 3.0)))
 
@@ -123,12 +116,11 @@ def oscillator_of(system: System) -> Oscillator:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Panels of x and s, with q = q(x) and v = s w(q).
+    """Panels of x and s, with q = q(x) and v = s w(q), of polynomials of ``degree`` in both.
 
     Within |q| < b: q = x and w = 1; s ends where velocities are cut off. Within H < E: q(x) is
-    ``centre`` + ``radius`` sin x and w = √(2 (E − V)/m), so that s is from −1 to 1 and the limit is
-    s = ±1. ``folded``: x >= 0 only, and the state at (−q, −v) is that at (q, v). ``degree`` is that
-    of polynomials in x and in s on each panel.
+    ``centre`` + ``radius`` sin x and w = √(2 (E − V)/m), so that the limit is s = ±1. ``folded``:
+    x >= 0 only, and the state at (−q, −v) is that at (q, v).
     """
 
     oscillator: Oscillator
@@ -168,9 +160,8 @@ class Mesh:
 def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Mesh:
     """Return the mesh of ``level`` within |q| < ``b``, with starts up to the energy of ``fastest``.
 
-    It is graded to (±b, 0), where T rises as the root of v and the sixth root of b − |q|. Where
-    the energy of the largest velocity of the mesh does not reach b on one side, as beyond a stiff
-    stop, the mesh ends at the turning point of that energy on this side.
+    It is graded to (±b, 0), where T rises as the root of v and the sixth root of b − |q|. On a side
+    that the energy of its largest velocity does not reach it ends at the turning point.
     """
     kick, step = o.kick(b), PANEL * FINER**level * o.kick(b)
     ends = np.array([-b, b])
@@ -203,7 +194,7 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
 
 def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
     """Return the mesh of ``level`` within H < ``energy``."""
-    left, right = o.turning_points(energy)
+    left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
     centre, radius = (0.0, right) if o.even else (0.5 * (left + right), 0.5 * (right - left))
     swift = sqrt(2.0 * energy / o.mass)
     step = PANEL * FINER**level * o.kick(radius)
@@ -227,8 +218,7 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
     """Length over which a trajectory of the speed ``swift`` changes its velocity by ``step``.
 
-    Shorter beyond a stop whose force is a fractional power of the overlap, where the length is at
-    most the overlap that stops the speed ``step``.
+    Beyond a stop of a fractional power it is at most the overlap that stops the speed ``step``.
     """
     slope = np.maximum(np.abs(o.force(q)) / (o.mass * max(swift, step)), o.frequency)
     length = np.minimum(step / np.maximum(slope, SMALLEST), 0.5 * np.ptp(q))
@@ -245,7 +235,7 @@ def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int)
 def _nodes(given: list[float], h: Callable[[Array], Array], closest: dict[float, float]) -> Array:
     """Nodes about h(x) apart that hold those ``given``, with the least panel ``closest`` at some.
 
-    Samples of h are nearer to each other towards such a one, by equal ratios.
+    Samples of h are spaced by equal ratios towards such a node.
     """
     t, nodes = np.linspace(0.0, 1.0, SAMPLES), [np.array(given)]
     for a, b in pairwise(sorted(set(given))):
