@@ -1,7 +1,7 @@
 """Stochastic averaging of quasi-non-integrable Hamiltonian systems as a method, section 4."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from averaging.back_transformation import back_transformed, crossing_rates
@@ -9,21 +9,14 @@ from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import energy_process
 from averaging.theory import Theory, energy_only_refusal
 from averaging.time import energy
-from averaging.time.start import DensityQuestion, energy_start
+from averaging.time.start import settled_energies
 from averaging.weyl import StateDensity, tabulated
 from averaging.zero_flux import solved_energies
-from fpk.answer.certificate import tolerance
-from fpk.answer.dynamics import CrossingsMethod, Curve, Question, Rates
-from fpk.answer.evolution import (
-    Passage,
-    PassageAsked,
-    Passages,
-    Transient,
-    TransientAsked,
-    Transients,
-)
-from fpk.answer.method import Plan, Progress, Result, silent
+from fpk.answer.dynamics import Curve, Rates
+from fpk.answer.evolution import Passage, Transient
+from fpk.answer.method import Plan, Progress, Result
 from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.question import Asked, answer
 from fpk.numeric.errors import NotApplicable
 from fpk.solvers.line.stationary import StationarySolution
 from fpk.solvers.plane.solution import PlaneSolution
@@ -39,7 +32,7 @@ MODULATED_TOL = 1e-6
 
 
 @dataclass(frozen=True)
-class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
+class NonIntegrable(Theory):
     """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements, "scikit-fem" by
@@ -84,14 +77,16 @@ class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
 
         return Plan(partial(energy_only_refusal, system, exponential=exponential), solve)
 
-    def _crossings(self, asked: Question) -> Curve:
+    @answer
+    def crossings(self, asked: Asked) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula."""
         source, _ = self._state_density(asked.system, energy_process(asked.system))
         return crossing_rates(
             source, asked.row, asked.at, tol=asked.tol or self.wanted(asked.system)
         )
 
-    def _transient(self, asked: TransientAsked) -> Transient:
+    @answer
+    def transient(self, asked: Asked) -> Transient:
         """Return the densities of the energy, or of one or two of (q, p), at ``times``.
 
         ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
@@ -99,35 +94,28 @@ class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
         """
         system, observable = asked.system, asked.observable
         require_held(system)
-        wanted = tolerance(asked.tol, self._tol_in_time(system))
         energy_process(system)  # it refuses what has no stationary density
-        begins = energy_start(system, asked.start)
+        settled = settled_energies(asked, asked.tol or self._tol_in_time(system))
         if observable != (Coordinate("H"),) and (reason := energy_only_refusal(system, observable)):
             raise NotApplicable(reason)
-        question = DensityQuestion(observable, begins, asked.times, asked.at, wanted)
-        return energy.transient(system, self.solver, question)
+        return energy.transient(self.solver, settled)
 
-    def _passage(self, asked: PassageAsked) -> Passage:
+    @answer
+    def passage(self, asked: Asked) -> Passage:
         """Return the first passage of the energy through a limit; ``tol`` as of ``transient``."""
-        system, limit = asked.system, asked.limit
-        energy_process(system)  # it refuses what has no stationary density
-        if limit.kind != "H":
-            raise NotApplicable(
-                f"{limit}: this theory knows the total energy only; give a limit H=.."
-            )
-        begins, tol = energy_start(system, asked.start), self._tol_in_time(system)
-        begins.require_below(limit)
-        wanted = tolerance(asked.tol, tol)
-        asked_for = begins, limit.value, asked.times
-        return energy.passage(system, self.solver, *asked_for, tol=wanted)
+        energy_process(asked.system)  # it refuses what has no stationary density
+        if asked.limit.kind != "H":
+            words = "this theory knows the total energy only; give a limit H=.."
+            raise NotApplicable(f"{asked.limit}: {words}")
+        tol = asked.tol or self._tol_in_time(asked.system)
+        return energy.passage(self.solver, settled_energies(asked, tol))
 
-    def relaxation(
-        self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
-    ) -> Rates:
+    @answer
+    def relaxation(self, asked: Asked) -> Rates:
         """Return the slowest rates at which the energy forgets its past."""
-        require_held(system)
-        wanted = tolerance(tol, self.wanted(system))
-        return energy.relaxation(system, self.solver, count, tol=wanted)
+        require_held(asked.system)
+        wanted = asked.tol or self.wanted(asked.system)
+        return energy.relaxation(self.solver, replace(asked, tol=wanted))
 
     def _tol_in_time(self, system: System) -> float:
         modulated = system.modulation is not None and self.solver == "fem"

@@ -12,12 +12,12 @@ from scipy.linalg import block_diag
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.gaussian_state import state_rows
 from averaging.modal.time.closed_form import orbit_transient
-from averaging.time.start import FROM_NOISE, DensityQuestion, EnergyStart
+from averaging.time.start import FROM_NOISE, EnergyStart, limited_modes
 from averaging.time.states import state_transient
 from fpk.answer.dynamics import Rates
 from fpk.answer.evolution import Passage, Transient, checked_times
 from fpk.answer.observable import Coordinate
-from fpk.numeric.arrays import Array
+from fpk.answer.question import Asked
 from fpk.numeric.errors import NotApplicable
 from fpk.solvers.line.time.modulated import Modulated, modulated_transient, modulated_transition
 from fpk.solvers.line.time.passage import fem_passage, modulated_passage
@@ -29,12 +29,14 @@ from fpk.system.process import Process
 from fpk.system.system import System
 
 
-def transient(system: System, solver: str, asked: DensityQuestion) -> Transient:
+def transient(solver: str, asked: Asked) -> Transient:
     """Return the densities of the energy, or of one or two of (q, p).
 
-    Raises ``InvalidInput`` at the time 0 of an energy.
+    ``asked`` is settled by ``settled_energies``. Raises ``InvalidInput`` at the time 0 of an
+    energy.
     """
-    start, times, tol, modulation = asked.start, asked.times, asked.tol, system.modulation
+    system, start, times, tol = asked.system, asked.start, asked.times, asked.tol
+    modulation = system.modulation
     of_energy = asked.observable == (Coordinate("H"),)
     checked_times(times, positive=start.noise is None or (solver == "fem" and not of_energy))
     energy = float(start.energies[0])
@@ -61,35 +63,34 @@ def transient(system: System, solver: str, asked: DensityQuestion) -> Transient:
         motion = Modulated(partial(_process, system), modulation, source)
         solved = modulated_transition(motion, times, tol=tol)
     if not of_energy:
-        return state_transient(system, solved, asked)
+        return state_transient(solved, asked)
     numbers = solved.density(asked.at[0])
     return Transient(times, *numbers, "numerical", solved.certificate, solved.settings)
 
 
-def passage(
-    system: System, solver: str, start: EnergyStart, limit: float, times: Array, *, tol: float
-) -> Passage:
-    """Return the first passage of ``limit`` from a start below it."""
-    checked_times(times)
-    source, modulation = _source(system, start), system.modulation
+def passage(solver: str, asked: Asked) -> Passage:
+    """Return the first passage of a limit of the energy from a start below it."""
+    system, tol, times = asked.system, asked.tol, checked_times(asked.times)
+    limited_modes(asked.limit, asked.start)
+    limit, source, modulation = asked.limit.value, _source(system, asked.start), system.modulation
     if solver == "fem" and modulation is not None:
         motion = Modulated(partial(_process, system), modulation, source)
         return modulated_passage(motion, limit, times, tol=tol)
     if solver == "fem":
         return fem_passage(energy_process(system), limit, source, times, tol=tol)
     closed = square_root(system, solver)
-    if start.noise is not None:
+    if asked.start.noise is not None:
         raise NotApplicable(FROM_NOISE)
     return closed.passage(limit, source.energy, times, tol=tol)
 
 
-def relaxation(system: System, solver: str, count: int, *, tol: float) -> Rates:
+def relaxation(solver: str, asked: Asked) -> Rates:
     """Return the ``count`` least rates."""
-    process = energy_process(system)
-    require_constant_noise(system.modulation)
+    process = energy_process(asked.system)
+    require_constant_noise(asked.system.modulation)
     if solver == "fem":
-        return spectrum(process, count, tol=tol)
-    return square_root(system, solver).rates(count, tol=tol)
+        return spectrum(process, asked.count, tol=asked.tol)
+    return square_root(asked.system, solver).rates(asked.count, tol=asked.tol)
 
 
 def square_root(system: System, solver: str) -> SquareRoot:

@@ -6,7 +6,8 @@ from math import ceil, inf, pi
 import numpy as np
 import scipy  # its parts are loaded at their first use
 
-from fpk.answer.dynamics import Curve, Question
+from fpk.answer.dynamics import Curve
+from fpk.answer.question import Asked
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
 from sim.questions.limits import CHUNK, longest_step, motion_step, needs_steps
@@ -25,7 +26,7 @@ BEYOND = 6
 """Samples beyond the longest lag: the spline is worst at its end."""
 
 
-def correlation(method: Settings, asked: Question) -> Curve:
+def correlation(method: Settings, asked: Asked) -> Curve:
     """Return the autocovariance of q of mass ``row`` at the lags ``at``.
 
     Products q(s) q(s + t) about the mean of all, at samples s in ``RELAXATIONS`` relaxation times
@@ -145,7 +146,7 @@ MOST_SAMPLES = 1 << 22
 """Samples of a window beyond which a frequency is refused: 8192 windows take minutes and more."""
 
 
-def spectrum(method: Settings, asked: Question) -> Curve:
+def spectrum(method: Settings, asked: Asked) -> Curve:
     """Return the power spectral density of q of mass ``row`` at the angular frequencies ``at``.
 
     By Welch's method at just these frequencies: |Σ w q e^(−iωt)|² of one Hann window w on each
@@ -241,7 +242,7 @@ def _welch(
     return corrected.mean(axis=0), error_of(corrected), leakage.mean(axis=0)
 
 
-def crossings(method: Settings, asked: Question) -> Curve:
+def crossings(method: Settings, asked: Asked) -> Curve:
     """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row``, counted.
 
     Crossings that the noise makes within a step are not seen: a share of all that falls as the

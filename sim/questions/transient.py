@@ -9,9 +9,10 @@ import numpy as np
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Measured, certify, outside, tolerance, worst
-from fpk.answer.evolution import Transient, TransientAsked
+from fpk.answer.evolution import Transient
 from fpk.answer.method import Progress
 from fpk.answer.observable import Observable
+from fpk.answer.question import Asked
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import InvalidInput
@@ -31,7 +32,7 @@ CHUNK = 512
 """Steps at most from one sample to the next, so that Ctrl-C comes through."""
 
 
-def transient(method: Settings, asked: TransientAsked) -> Transient:
+def transient(method: Settings, asked: Asked) -> Transient:
     """Return the densities that are asked for with one standard error.
 
     In the error is, in quadrature, what changes at the step dt instead of dt/2, by the same random
