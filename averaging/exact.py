@@ -15,12 +15,9 @@ from fpk.answer.dynamics import Curve
 from fpk.answer.method import Plan, Progress, Result
 from fpk.answer.observable import Observable
 from fpk.answer.question import Asked, answer
-from fpk.numeric.arrays import SMALLEST, Array
+from fpk.numeric.arrays import ROUND_OFF, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.system.system import System
-
-PROPORTION_SLACK = 1e-12
-"""Relative departure from 2 c = h b that counts as round-off of the input."""
 
 
 def compatibility(system: System) -> Array:
@@ -45,7 +42,7 @@ def compatibility(system: System) -> Array:
     left = np.max(np.abs(matrices - h[:, None, None] * D), axis=(1, 2)) / sizes
     worst = float(left.max())
     h = np.asarray(np.trim_zeros(h, "b"), dtype=float)
-    if not h.size or h[-1] <= 0 or worst > PROPORTION_SLACK:
+    if not h.size or h[-1] <= 0 or worst > ROUND_OFF:
         best = ", ".join(f"{part:.4g}" for part in h) or "0"
         raise NotApplicable(
             "the compatibility condition (8), c_ij = h (f D fᵀ)_ij for all i, j, is not met: "

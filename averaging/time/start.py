@@ -13,7 +13,6 @@ from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.system import System
 
-FROM_NOISE = "from a stationary state first passage has no closed form; use fem"
 TOL = 1e-8
 """Error of answers in time of modal energies where none is named."""
 
@@ -27,6 +26,13 @@ class EnergyStart:
 
     energies: Array
     noise: float | None = None
+
+    def known(self) -> Array:
+        """Return the energies; raise ``NotApplicable`` where the start is a stationary state."""
+        if self.noise is not None:
+            words = "from a stationary state first passage has no closed form; use fem"
+            raise NotApplicable(words)
+        return self.energies
 
 
 def settled_energies(asked: Asked, tol: float, modes: ModalAnalysis | None = None) -> Asked:

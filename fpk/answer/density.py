@@ -58,10 +58,6 @@ class Density(Quantities):
     table: PiecewiseTensor | None = None
     table_error: float = 0.0
 
-    def axes(self) -> tuple[Array, ...]:
-        """Return ``panels``."""
-        return self.panels
-
     def __repr__(self) -> str:
         """Return what the density is of, its error and its support in one line."""
         return self.described(f"L1 error {self.l1_error:.2g}")

@@ -6,17 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fpk.answer.certificate import Certificate, Measured, certify, with_values, worst
-from fpk.answer.density import AnyDensity, Density
+from fpk.answer.density import FEWER, SAFETY, AnyDensity, Density
 from fpk.answer.quantities import ErrorKind
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import SMALLEST, Array, Complexes
-from fpk.numeric.quadrature import gauss_grid
-
-POINTS = (12, 16, 20)
-"""Gauss points on each panel of momenta; the answer is that of the last rule. One of the others may
-agree with it by chance, both hardly."""
-SAFETY = 3.0
-"""Error of quadrature over the sum of the distances of the answer to the other rules."""
+from fpk.numeric.quadrature import GAUSS_POINTS, gauss_grid
 
 
 @dataclass(frozen=True)
@@ -118,12 +112,11 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
     if isinstance(joint, SampledDensity):
         return joint.flux(lambda p: p / mass, nodes, at)
     rates = []
-    for points in POINTS:
+    for points in (FEWER[1], GAUSS_POINTS[1]):
         _, [(p, w)] = gauss_grid([nodes], points=points)
         density, error = joint.at(at[:, None], p)
         rates.append((density @ (w * p / mass), error @ (w * p / mass)))
-    *coarse, (value, own) = rates
-    missed = sum(np.abs(value - other) for other, _ in coarse)
+    (coarse, _), (value, own) = rates
     last = nodes[-2:]
     density, error = joint.at(at[:, None], last)
     (before, end), known = np.abs(density).T, error[:, 1]
@@ -131,4 +124,4 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
         falls = (last[1] - last[0]) / np.log(before / end)
     length = np.where(before > end, falls, np.where(end <= known, last[1], np.inf))
     beyond = (end + known) * length * (last[1] + length)
-    return value, own + SAFETY * missed + beyond / mass
+    return value, own + SAFETY * np.abs(value - coarse) + beyond / mass

@@ -78,10 +78,6 @@ class SampledDensity(Quantities):
 
     panels = edges
 
-    def axes(self) -> tuple[Array, ...]:
-        """Return ``edges``."""
-        return self.edges
-
     @cached_property
     def areas(self) -> Array:
         """Length or area of each bin."""
@@ -158,7 +154,7 @@ class SampledDensity(Quantities):
         """
         if not self.samples > 0.0:
             return 1.0
-        few = self.joined(min(self.values.shape) // CELLS)
+        few = self.joined(min(self.values.shape) // 100)
         batches = len(few.batch_values)
         held = (few.batch_values * few.areas).reshape(batches, -1) * (self.samples / batches)
         visited = np.count_nonzero(held, axis=0)

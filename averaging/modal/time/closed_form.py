@@ -19,7 +19,7 @@ from scipy.special import hyp0f1, j0
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import FourierSeries
-from averaging.time.start import FROM_NOISE, limited_modes, observed_modes
+from averaging.time.start import limited_modes, observed_modes
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.answer.evolution import Passage, Transient, certified_passage, checked_times
@@ -99,16 +99,14 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
 def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
     """Return the first passage of one modal energy, of any of several, or of their sum."""
     start, times, tol = asked.start, checked_times(asked.times), asked.tol
-    limits = limited_modes(asked.limit, start)
-    if start.noise is not None:
-        raise NotApplicable(FROM_NOISE)
+    limits, energies = limited_modes(asked.limit, start), start.known()
     if not limits:
         if (alike := _alike(modes)) is None:
             raise NotApplicable(
                 "of modes of unequal decay or temperature H has no closed form in time; use fem"
             )
-        return alike.passage(asked.limit.value, float(start.energies.sum()), times, tol=tol)
-    parts = [(_mode(modes, m), a, float(start.energies[m])) for m, a in limits.items()]
+        return alike.passage(asked.limit.value, float(energies.sum()), times, tol=tol)
+    parts = [(_mode(modes, m), a, float(energies[m])) for m, a in limits.items()]
     if len(parts) == 1:
         ((mode, a, H),) = parts
         return mode.passage(a, H, times, tol=tol)
