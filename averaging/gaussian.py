@@ -14,7 +14,7 @@ from fpk.answer.density import Density
 from fpk.answer.dynamics import Curve, Rates, certified_curve, certified_rates
 from fpk.answer.method import Plan, Progress, Result
 from fpk.answer.observable import Coordinate, Observable
-from fpk.answer.question import Asked, answer
+from fpk.answer.question import QUESTIONS, Asked, answer
 from fpk.numeric.arrays import EPS
 from fpk.numeric.errors import NotApplicable
 from fpk.system.linear import linear_covariance, stationary_covariance
@@ -78,7 +78,7 @@ class Linear(Theory):
         """Return Rice's rates σ_v/(2πσ_q) exp(−a²/2σ_q²) of a Gaussian at the levels a."""
         density, q, v = self._state(asked)
         relative = asked.system.fact(linear_covariance).relative_error + 4.0 * EPS
-        scale, square = v / (2.0 * np.pi * q), (asked.at / q) ** 2
+        scale, square = QUESTIONS["crossings"].scale(q, v), (asked.at / q) ** 2
         values = scale * np.exp(-0.5 * square)
         errors = values * relative * (1.0 + 0.5 * square)
         tol = asked.tol or self.wanted(asked.system)
@@ -101,7 +101,8 @@ class Linear(Theory):
         values = np.einsum("wi,ij,wj->w", own, D, own.conj()).real / np.pi
         errors = np.einsum("wi,ij,wj->w", changed + EPS * size[:, row], np.abs(D), size[:, row])
         tol = asked.tol or self.wanted(system)
-        return certified_curve(values, 2.0 * errors / np.pi, scale=q**3 / v, of=density, tol=tol)
+        scale = QUESTIONS["spectrum"].scale(q, v)
+        return certified_curve(values, 2.0 * errors / np.pi, scale=scale, of=density, tol=tol)
 
     @answer
     def correlation(self, asked: Asked) -> Curve:
@@ -111,7 +112,7 @@ class Linear(Theory):
         round-off of A changes e^(At) by no more than t times itself and |e^(At/2)|. An error of Σ,
         relative to it as a quadratic form, is felt by q and its forecast.
         """
-        density, q, _ = self._state(asked)
+        density, q, v = self._state(asked)
         modes = asked.system.fact(linear_covariance)
         A, Sigma, n = modes.drift, modes.covariance, asked.system.n
         w = np.append(modes.shapes[asked.row] / modes.omega, np.zeros(n))
@@ -126,10 +127,9 @@ class Linear(Theory):
             felt = np.sqrt(own * max(float(forecast @ Sigma @ forecast), 0.0))
             errors[k] = rounding * float(np.linalg.norm(w) * np.linalg.norm(Sigma @ w))
             errors[k] += modes.relative_error * felt
-        return certified_curve(
-            values, errors, scale=q**2, of=density, tol=asked.tol or self.wanted(asked.system),
-            positive=q**2 - np.abs(values),
-        )  # fmt: skip
+        scale, tol = QUESTIONS["correlation"].scale(q, v), asked.tol or self.wanted(asked.system)
+        left = scale - np.abs(values)
+        return certified_curve(values, errors, scale=scale, of=density, tol=tol, positive=left)
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:

@@ -80,11 +80,10 @@ def certified_curve(
 ) -> Curve:
     """Return a curve that rests on the stationary density ``of``, with its certificate.
 
-    ``tol`` is the error wanted in units of ``scale``, a natural size of the quantity that is not
-    zero where its values are. Mass, tails and failures are those of the density, but that it misses
-    a tolerance of its own; so is the residual, unless that of the curve's own equation is larger.
-    What is ``positive``, the values themselves where it is None, fails if it is negative by more
-    than the error.
+    ``tol`` is in units of ``scale``, see ``Question``. Mass, tails and failures are those of the
+    density, but that it misses a tolerance of its own; so is the residual, unless that of the
+    curve's own equation is larger. What is ``positive``, the values themselves where it is None,
+    fails if it is negative by more than the error.
     """
     relative = float(np.max(errors)) / scale
     measured = Measured(

@@ -78,10 +78,10 @@ class Question:
 
     ``name`` is that of the method's function and of the command; ``words`` say what a method gives
     that answers; ``takes`` are the fields of ``Asked`` in the order in which they are given;
-    ``key`` is the name of the values in records. Of a curve about a displacement, one that takes
-    "observable" and "at" alone, ``help`` is the command's; ``axis`` says what ``at`` is, empty for
-    levels; ``powers`` are the units of ``at`` and of the values; ``scale(σ_q, σ_v)`` is a natural
-    size of the values; and ``check`` raises ``InvalidInput`` for ``at`` that has no answer.
+    ``key`` is the name of the values in records. Where it takes ``OF_DISPLACEMENT`` the command
+    follows: ``help`` is its text; ``axis`` says what ``at`` is, empty for levels; ``powers`` are
+    the units of ``at`` and of the values; ``scale(σ_q, σ_v)`` is a natural size of the values; and
+    ``check`` raises ``InvalidInput`` for ``at`` that has no answer.
     """
 
     name: str
