@@ -21,6 +21,7 @@ from averaging.zero_flux import density_of_energies
 from fpk.answer.density import Density, certified_density
 from fpk.answer.dynamics import Curve, certified_curve
 from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.question import QUESTIONS
 from fpk.numeric.arrays import Array
 from fpk.solvers.line.mesh import DEEP_LAYERS, with_layers
 from fpk.system.system import System
@@ -209,5 +210,5 @@ def crossing_rates(source: StateDensity, row: int, at: Array, *, tol: float) -> 
     q = back_transformed(source, observable, tol=tol)
     p = back_transformed(source, (Coordinate("p", row),), tol=tol)
     flux, error, _ = marginal_of(source, observable, flux_of=mass)
-    scale = p.std().value / mass / (2.0 * pi * q.std().value)
+    scale = QUESTIONS["crossings"].scale(q.std().value, p.std().value / mass)
     return certified_curve(flux(at), error(at), scale=scale, of=q, tol=tol)

@@ -11,15 +11,13 @@ from averaging.closed_form import state_closed_form
 from averaging.energy_process import damping_by_energy, energy_process
 from averaging.theory import Theory, energy_only_refusal
 from averaging.weyl import StateDensity
-from fpk.answer.dynamics import CrossingsMethod, Curve, Question
+from fpk.answer.dynamics import Curve
 from fpk.answer.method import Plan, Progress, Result
 from fpk.answer.observable import Observable
-from fpk.numeric.arrays import SMALLEST, Array
+from fpk.answer.question import Asked, answer
+from fpk.numeric.arrays import ROUND_OFF, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.system.system import System
-
-PROPORTION_SLACK = 1e-12
-"""Relative departure from 2 c = h b that counts as round-off of the input."""
 
 
 def compatibility(system: System) -> Array:
@@ -44,7 +42,7 @@ def compatibility(system: System) -> Array:
     left = np.max(np.abs(matrices - h[:, None, None] * D), axis=(1, 2)) / sizes
     worst = float(left.max())
     h = np.asarray(np.trim_zeros(h, "b"), dtype=float)
-    if not h.size or h[-1] <= 0 or worst > PROPORTION_SLACK:
+    if not h.size or h[-1] <= 0 or worst > ROUND_OFF:
         best = ", ".join(f"{part:.4g}" for part in h) or "0"
         raise NotApplicable(
             "the compatibility condition (8), c_ij = h (f D fᵀ)_ij for all i, j, is not met: "
@@ -54,7 +52,7 @@ def compatibility(system: System) -> Array:
 
 
 @dataclass(frozen=True)
-class Exact(CrossingsMethod, Theory):
+class Exact(Theory):
     """Exact stationary density C exp(−∫h dH) of the full system, Eqs. (7), (22), (23).
 
     It exists where (8) holds; with constant damping h is a constant, and the normalisation the
@@ -89,7 +87,8 @@ class Exact(CrossingsMethod, Theory):
 
         return Plan(partial(energy_only_refusal, system, exponential=h.size == 1), solve)
 
-    def _crossings(self, asked: Question) -> Curve:
+    @answer
+    def crossings(self, asked: Asked) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula."""
         source = _source(asked.system, compatibility(asked.system))
         return crossing_rates(

@@ -10,11 +10,11 @@ from scipy.linalg import block_diag, eig, expm
 
 from averaging.gaussian_state import Gaussian
 from averaging.theory import Theory, energy_only_refusal
-from fpk.answer.certificate import Measured, certify, tolerance
 from fpk.answer.density import Density
-from fpk.answer.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
-from fpk.answer.method import Plan, Progress, Result, silent
+from fpk.answer.dynamics import Curve, Rates, certified_curve, certified_rates
+from fpk.answer.method import Plan, Progress, Result
 from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.question import QUESTIONS, Asked, answer
 from fpk.numeric.arrays import EPS
 from fpk.numeric.errors import NotApplicable
 from fpk.system.linear import linear_covariance, stationary_covariance
@@ -26,7 +26,7 @@ EXPM = 160.0
 
 
 @dataclass(frozen=True)
-class Linear(StationaryMotionMethod, Theory):
+class Linear(Theory):
     """Gaussian density with the covariance of the Lyapunov equation, for a scene without contact.
 
     It is the exact stationary density of the full linear system, Eq. (6); averaging does not
@@ -73,17 +73,19 @@ class Linear(StationaryMotionMethod, Theory):
 
         return Plan(lambda o: energy_only_refusal(system, o) or gaussian.refusal(o), solve)
 
-    def _crossings(self, asked: Question) -> Curve:
+    @answer
+    def crossings(self, asked: Asked) -> Curve:
         """Return Rice's rates σ_v/(2πσ_q) exp(−a²/2σ_q²) of a Gaussian at the levels a."""
         density, q, v = self._state(asked)
         relative = asked.system.fact(linear_covariance).relative_error + 4.0 * EPS
-        scale, square = v / (2.0 * np.pi * q), (asked.at / q) ** 2
+        scale, square = QUESTIONS["crossings"].scale(q, v), (asked.at / q) ** 2
         values = scale * np.exp(-0.5 * square)
         errors = values * relative * (1.0 + 0.5 * square)
         tol = asked.tol or self.wanted(asked.system)
         return certified_curve(values, errors, scale=scale, of=density, tol=tol)
 
-    def _spectrum(self, asked: Question) -> Curve:
+    @answer
+    def spectrum(self, asked: Asked) -> Curve:
         """Return (1/π) [h f D fᵀ h*]_ii of q, h(ω) = (K − ω² M + iω c)⁻¹ the transfer functions.
 
         White noise of E[W W'] = 2 D δ has the two-sided spectral density D/π. The error is that of
@@ -99,16 +101,18 @@ class Linear(StationaryMotionMethod, Theory):
         values = np.einsum("wi,ij,wj->w", own, D, own.conj()).real / np.pi
         errors = np.einsum("wi,ij,wj->w", changed + EPS * size[:, row], np.abs(D), size[:, row])
         tol = asked.tol or self.wanted(system)
-        return certified_curve(values, 2.0 * errors / np.pi, scale=q**3 / v, of=density, tol=tol)
+        scale = QUESTIONS["spectrum"].scale(q, v)
+        return certified_curve(values, 2.0 * errors / np.pi, scale=scale, of=density, tol=tol)
 
-    def _correlation(self, asked: Question) -> Curve:
+    @answer
+    def correlation(self, asked: Asked) -> Curve:
         """Return the autocovariance (e^(At) Σ)_ii of q, with Σ of the Lyapunov equation.
 
         It solves dC/dt = A C. In (ω Q, P) of the modes, where nothing grows, |e^(At)| <= 1:
         round-off of A changes e^(At) by no more than t times itself and |e^(At/2)|. An error of Σ,
         relative to it as a quadratic form, is felt by q and its forecast.
         """
-        density, q, _ = self._state(asked)
+        density, q, v = self._state(asked)
         modes = asked.system.fact(linear_covariance)
         A, Sigma, n = modes.drift, modes.covariance, asked.system.n
         w = np.append(modes.shapes[asked.row] / modes.omega, np.zeros(n))
@@ -123,14 +127,12 @@ class Linear(StationaryMotionMethod, Theory):
             felt = np.sqrt(own * max(float(forecast @ Sigma @ forecast), 0.0))
             errors[k] = rounding * float(np.linalg.norm(w) * np.linalg.norm(Sigma @ w))
             errors[k] += modes.relative_error * felt
-        return certified_curve(
-            values, errors, scale=q**2, of=density, tol=asked.tol or self.wanted(asked.system),
-            positive=q**2 - np.abs(values),
-        )  # fmt: skip
+        scale, tol = QUESTIONS["correlation"].scale(q, v), asked.tol or self.wanted(asked.system)
+        left = scale - np.abs(values)
+        return certified_curve(values, errors, scale=scale, of=density, tol=tol, positive=left)
 
-    def relaxation(
-        self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
-    ) -> Rates:
+    @answer
+    def relaxation(self, asked: Asked) -> Rates:
         """Return sums of eigenvalues of the drift matrix: those of −L are no others.
 
         They are Σ n_j μ_j, n_j = 0, 1, …, with μ those of minus the drift matrix: the products of j
@@ -139,6 +141,7 @@ class Linear(StationaryMotionMethod, Theory):
         its round-off, by the condition of each eigenvalue; of one that is double it is the square
         root.
         """
+        system = asked.system
         self.planned(system, ())
         covariance = system.fact(linear_covariance)
         decomposed: Any = eig(-covariance.drift, left=True, right=True)
@@ -156,7 +159,7 @@ class Linear(StationaryMotionMethod, Theory):
         # its last.
         heap: list[tuple[float, list[int]]] = [(x, [j]) for j, x in enumerate(mu.real.tolist())]
         sums: list[list[int]] = []
-        while len(sums) < count:
+        while len(sums) < asked.count:
             real, terms = heapq.heappop(heap)
             value = mu[terms].sum()
             is_real = abs(value.imag) <= np.sqrt(EPS) * abs(value)
@@ -166,14 +169,10 @@ class Linear(StationaryMotionMethod, Theory):
                 heapq.heappush(heap, (real + float(mu[j].real), [*terms, j]))
         values = np.array([mu[terms].sum() for terms in sums])
         errors = np.array([error[terms].sum() for terms in sums])
-        relative = float(np.max(errors / np.abs(values)))
-        certificate = certify(
-            Measured(relative, None, None, covariance.residual, None),
-            tol=tolerance(tol, self.wanted(system)),
-        )
-        return Rates(values, errors, certificate)
+        tol = asked.tol or self.wanted(system)
+        return certified_rates(values, errors, tol=tol, residual=covariance.residual)
 
-    def _state(self, asked: Question) -> tuple[Density, float, float]:
+    def _state(self, asked: Asked) -> tuple[Density, float, float]:
         """Density of q, and the standard deviations of q and of the velocity; both not 0."""
         system, row = asked.system, asked.row
         (density,) = self.solve(system, [(Coordinate("q", row),)]).densities

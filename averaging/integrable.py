@@ -1,7 +1,8 @@
 """Stochastic averaging of quasi-integrable Hamiltonian systems as a method, sections 5 and 6.3."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -10,36 +11,24 @@ from averaging.modal.observables import gaussian_modes, modal_densities, unsolve
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
-from averaging.time.start import TOL, DensityQuestion, energy_start
-from fpk.answer.certificate import tolerance
+from averaging.time.start import TOL, settled_energies
 from fpk.answer.contacts import CLEARANCE_RULE
 from fpk.answer.density import Density
-from fpk.answer.dynamics import (
-    CrossingsMethod,
-    Curve,
-    Question,
-    Rates,
-    certified_curve,
-    upcrossings,
-)
-from fpk.answer.evolution import (
-    Passage,
-    PassageAsked,
-    Passages,
-    Transient,
-    TransientAsked,
-    Transients,
-)
-from fpk.answer.method import Plan, Progress, Result, silent
+from fpk.answer.dynamics import Curve, Rates, certified_curve, upcrossings
+from fpk.answer.evolution import Passage, Transient
+from fpk.answer.method import Plan, Progress, Result
 from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.question import QUESTIONS, Asked, answer
 from fpk.numeric.errors import NotApplicable
 from fpk.system.escape import require_held
 from fpk.system.modulation import require_constant_noise
 from fpk.system.system import System
 
+Answer = TypeVar("Answer", Transient, Passage, Rates)
+
 
 @dataclass(frozen=True)
-class Integrable(CrossingsMethod, Transients, Passages, Theory):
+class Integrable(Theory):
     """Averaged modal energies, Eqs. (17), (33), their stationary density, Eqs. (34)-(36).
 
     Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3
@@ -99,7 +88,8 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
 
         return Plan(lambda observable: self._refusal(observable, modes), solve)
 
-    def _crossings(self, asked: Question) -> Curve:
+    @answer
+    def crossings(self, asked: Asked) -> Curve:
         """Return the upcrossings per unit time of q from its joint density with p."""
         system, row = asked.system, asked.row
         q, p = Coordinate("q", row), Coordinate("p", row)
@@ -108,45 +98,42 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         mass = float(system.mass[row])
         values, errors = upcrossings(of_both, mass, asked.at)
         velocity = float(np.sqrt(of_both.moment(0, 2).value)) / mass
-        scale = velocity / (2.0 * np.pi * of_q.rms().value)
+        scale = QUESTIONS["crossings"].scale(of_q.rms().value, velocity)
         return certified_curve(
             values, errors, scale=scale, of=of_q, tol=asked.tol or self.wanted(system)
         )
 
-    def _transient(self, asked: TransientAsked) -> Transient:
-        """Return the densities of modal energies at times, as ``fpk.answer.evolution`` says."""
-        system, wanted = asked.system, tolerance(asked.tol, TOL)
-        require_held(system)
-        modes = self._in_time(system)
-        begins = energy_start(system, asked.start, modes)
-        of_modes = DensityQuestion(asked.observable, begins, asked.times, asked.at, wanted)
+    @answer
+    def transient(self, asked: Asked) -> Transient:
+        """Return the densities of modal energies, or of one or two of (q, p), at times."""
+        require_held(asked.system)
+        modes = self._in_time(asked.system)
+        settled = settled_energies(asked, asked.tol or TOL, modes)
         if self.solver == "closed-form":
-            answer = closed_form.transient(modes, of_modes, system.modulation)
+            answer = closed_form.transient(modes, settled)
         else:
-            require_constant_noise(system.modulation)
-            answer = elements.transient(modes, of_modes)
-        return replace(answer, settings=_time_settings(answer.settings, system, modes))
+            require_constant_noise(asked.system.modulation)
+            answer = elements.transient(modes, settled)
+        return _with_contacts(answer, asked.system, modes)
 
-    def _passage(self, asked: PassageAsked) -> Passage:
+    @answer
+    def passage(self, asked: Asked) -> Passage:
         """Return the first passage of modal energies or of their sum."""
-        system = asked.system
-        require_constant_noise(system.modulation)
-        modes = self._in_time(system)
-        begins = energy_start(system, asked.start, modes)
+        require_constant_noise(asked.system.modulation)
+        modes = self._in_time(asked.system)
+        settled = settled_energies(asked, asked.tol or TOL, modes)
         solved = closed_form.passage if self.solver == "closed-form" else elements.passage
-        answer = solved(modes, asked.limit, begins, asked.times, tol=tolerance(asked.tol, TOL))
-        return replace(answer, settings=_time_settings(answer.settings, system, modes))
+        return _with_contacts(solved(modes, settled), asked.system, modes)
 
-    def relaxation(
-        self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
-    ) -> Rates:
+    @answer
+    def relaxation(self, asked: Asked) -> Rates:
         """Return the slowest relaxation rates of the modal energies."""
-        require_held(system)
-        require_constant_noise(system.modulation)
-        modes = self._in_time(system)
+        require_held(asked.system)
+        require_constant_noise(asked.system.modulation)
+        modes = self._in_time(asked.system)
         solved = closed_form.relaxation if self.solver == "closed-form" else elements.relaxation
-        answer = solved(modes, count, tol=tolerance(tol, TOL))
-        return replace(answer, settings=_time_settings(answer.settings, system, modes))
+        answer = solved(modes, asked.count, tol=asked.tol or TOL)
+        return _with_contacts(answer, asked.system, modes)
 
     def _in_time(self, system: System) -> ModalAnalysis:
         """The modes; raises ``NotApplicable`` where the theory or the solver does not hold."""
@@ -170,11 +157,11 @@ class Integrable(CrossingsMethod, Transients, Passages, Theory):
         return None
 
 
-def _time_settings(
-    settings: Mapping[str, str | float | int], system: System, modes: ModalAnalysis
-) -> Mapping[str, str | float | int]:
+def _with_contacts(answer: Answer, system: System, modes: ModalAnalysis) -> Answer:
+    """The answer with the contacts that are left out among its settings."""
     neglected = _contacts_left_out(system, modes)
-    return {**settings, "contacts left out": neglected} if neglected else settings
+    left_out = {"contacts left out": neglected} if neglected else {}
+    return replace(answer, settings={**answer.settings, **left_out})
 
 
 def _contacts_left_out(system: System, modes: ModalAnalysis) -> str:

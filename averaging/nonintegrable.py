@@ -1,33 +1,37 @@
 """Stochastic averaging of quasi-non-integrable Hamiltonian systems as a method, section 4."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+
+import numpy as np
+from scipy.linalg import block_diag
 
 from averaging.back_transformation import back_transformed, crossing_rates
 from averaging.closed_form import averaged_rate, state_closed_form
-from averaging.energy_process import energy_process
+from averaging.energy_process import damping_and_noise, energy_process
+from averaging.gaussian_state import state_rows
+from averaging.modal.time.closed_form import orbit_transient
 from averaging.theory import Theory, energy_only_refusal
-from averaging.time import energy
-from averaging.time.start import DensityQuestion, energy_start
+from averaging.time.start import limited_modes, settled_energies
+from averaging.time.states import state_transient
 from averaging.weyl import StateDensity, tabulated
 from averaging.zero_flux import solved_energies
-from fpk.answer.certificate import tolerance
-from fpk.answer.dynamics import CrossingsMethod, Curve, Question, Rates
-from fpk.answer.evolution import (
-    Passage,
-    PassageAsked,
-    Passages,
-    Transient,
-    TransientAsked,
-    Transients,
-)
-from fpk.answer.method import Plan, Progress, Result, silent
+from fpk.answer.dynamics import Curve, Rates
+from fpk.answer.evolution import Passage, Transient, checked_times
+from fpk.answer.method import Plan, Progress, Result
 from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.question import Asked, answer
 from fpk.numeric.errors import NotApplicable
 from fpk.solvers.line.stationary import StationarySolution
+from fpk.solvers.line.time.modulated import modulated_transient, modulated_transition
+from fpk.solvers.line.time.passage import fem_passage, modulated_passage
+from fpk.solvers.line.time.spectrum import spectrum
+from fpk.solvers.line.time.transition import Source, transition
 from fpk.solvers.plane.solution import PlaneSolution
+from fpk.solvers.square_root import SquareRoot
 from fpk.system.escape import require_held
+from fpk.system.modulation import ROUND_OFF, Modulation, require_constant_noise
 from fpk.system.process import Process
 from fpk.system.system import System
 
@@ -39,7 +43,7 @@ MODULATED_TOL = 1e-6
 
 
 @dataclass(frozen=True)
-class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
+class NonIntegrable(Theory):
     """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements, "scikit-fem" by
@@ -84,54 +88,86 @@ class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
 
         return Plan(partial(energy_only_refusal, system, exponential=exponential), solve)
 
-    def _crossings(self, asked: Question) -> Curve:
+    @answer
+    def crossings(self, asked: Asked) -> Curve:
         """Return the upcrossings per unit time of q, by Rice's formula."""
         source, _ = self._state_density(asked.system, energy_process(asked.system))
         return crossing_rates(
             source, asked.row, asked.at, tol=asked.tol or self.wanted(asked.system)
         )
 
-    def _transient(self, asked: TransientAsked) -> Transient:
+    @answer
+    def transient(self, asked: Asked) -> Transient:
         """Return the densities of the energy, or of one or two of (q, p), at ``times``.
 
         ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
-        under modulated noise.
+        under modulated noise. Raises ``InvalidInput`` at the time 0 of an energy.
         """
-        system, observable = asked.system, asked.observable
+        system, observable, modulation = asked.system, asked.observable, asked.system.modulation
         require_held(system)
-        wanted = tolerance(asked.tol, self._tol_in_time(system))
-        energy_process(system)  # it refuses what has no stationary density
-        begins = energy_start(system, asked.start)
-        if observable != (Coordinate("H"),) and (reason := energy_only_refusal(system, observable)):
+        process = energy_process(system)
+        asked = self._settled(asked)
+        start, times, at, tol = asked.start, asked.times, asked.at, asked.tol
+        of_energy = observable == (Coordinate("H"),)
+        if not of_energy and (reason := energy_only_refusal(system, observable)):
             raise NotApplicable(reason)
-        question = DensityQuestion(observable, begins, asked.times, asked.at, wanted)
-        return energy.transient(system, self.solver, question)
-
-    def _passage(self, asked: PassageAsked) -> Passage:
-        """Return the first passage of the energy through a limit; ``tol`` as of ``transient``."""
-        system, limit = asked.system, asked.limit
-        energy_process(system)  # it refuses what has no stationary density
-        if limit.kind != "H":
+        by_elements = self.solver == "fem"
+        checked_times(times, positive=start.noise is None or (by_elements and not of_energy))
+        if not by_elements:
+            closed, energy = square_root(system, self.solver), float(start.energies[0])
+            if of_energy:
+                return closed.transient(energy, start.noise, times, at[0], tol=tol)
+            rows = state_rows(observable, system.n)
+            # At temperature 1; K and M are not coupled.
+            shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]
+            return orbit_transient([(closed, energy, shape)], asked)
+        if modulation is None:
+            solved = transition(process, _source(asked), times, tol=tol)
+        elif of_energy:
+            return modulated_transient(*_modulated(asked), times, at[0], tol=tol)
+        elif not modulation.last and times[-1] > modulation.times[-1]:
             raise NotApplicable(
-                f"{limit}: this theory knows the total energy only; give a limit H=.."
+                "after the end of the noise fem gives densities of the energy only, not of q, p"
             )
-        begins, tol = energy_start(system, asked.start), self._tol_in_time(system)
-        begins.require_below(limit)
-        wanted = tolerance(asked.tol, tol)
-        asked_for = begins, limit.value, asked.times
-        return energy.passage(system, self.solver, *asked_for, tol=wanted)
+        else:
+            solved = modulated_transition(*_modulated(asked), times, tol=tol)
+        if not of_energy:
+            return state_transient(solved, asked)
+        numbers = solved.density(at[0])
+        return Transient(times, *numbers, "numerical", solved.certificate, solved.settings)
 
-    def relaxation(
-        self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
-    ) -> Rates:
+    @answer
+    def passage(self, asked: Asked) -> Passage:
+        """Return the first passage of the energy through a limit; ``tol`` as of ``transient``."""
+        system, process = asked.system, energy_process(asked.system)
+        if asked.limit.kind != "H":
+            words = "this theory knows the total energy only; give a limit H=.."
+            raise NotApplicable(f"{asked.limit}: {words}")
+        asked = self._settled(asked)
+        limited_modes(asked.limit, asked.start)
+        limit, times = asked.limit.value, checked_times(asked.times)
+        if self.solver != "fem":
+            closed, energies = square_root(system, self.solver), asked.start.known()
+            return closed.passage(limit, float(energies[0]), times, tol=asked.tol)
+        if system.modulation is not None:
+            return modulated_passage(*_modulated(asked), limit, times, tol=asked.tol)
+        return fem_passage(process, limit, _source(asked), times, tol=asked.tol)
+
+    @answer
+    def relaxation(self, asked: Asked) -> Rates:
         """Return the slowest rates at which the energy forgets its past."""
+        system, tol = asked.system, asked.tol or self.wanted(asked.system)
         require_held(system)
-        wanted = tolerance(tol, self.wanted(system))
-        return energy.relaxation(system, self.solver, count, tol=wanted)
+        process = energy_process(system)
+        require_constant_noise(system.modulation)
+        if self.solver == "fem":
+            return spectrum(process, asked.count, tol=tol)
+        return square_root(system, self.solver).rates(asked.count, tol=tol)
 
-    def _tol_in_time(self, system: System) -> float:
-        modulated = system.modulation is not None and self.solver == "fem"
-        return max(self.wanted(system), MODULATED_TOL if modulated else 0.0)
+    def _settled(self, asked: Asked) -> Asked:
+        modulated = asked.system.modulation is not None and self.solver == "fem"
+        default = max(self.wanted(asked.system), MODULATED_TOL if modulated else 0.0)
+        return settled_energies(asked, asked.tol or default)
 
     def _state_density(self, system: System, process: Process) -> tuple[StateDensity, Settings]:
         if self.solver == "closed-form":
@@ -148,6 +184,42 @@ class NonIntegrable(CrossingsMethod, Transients, Passages, Theory):
             }
         settings |= {"last energy": float(solution.nodes[-1]), "tol": self.wanted(system)}
         return tabulated(system, solution), settings
+
+
+def square_root(system: System, solver: str) -> SquareRoot:
+    """Return the total energy without contact, where τ = H/n.
+
+    dH = (n d − c H) dt + √(2 d H) dB with c = Σ (c_ii/m_i)/n and d = Σ (D_ii/m_i)/n. Raises
+    ``NotApplicable`` where it is no such process, or the ``solver`` is none for questions of time.
+    """
+    if solver != "closed-form":
+        raise NotApplicable(
+            "quadrature gives stationary densities only; in time, use fem or closed-form"
+        )
+    if system.contacts or system.damping_terms:
+        what = "contacts" if system.contacts else "damping terms"
+        raise NotApplicable(f"the system has {what}: in time there is no closed form; use fem")
+    (damping, noise), n = damping_and_noise(system), system.n
+    error = ROUND_OFF if system.modulation else 0.0
+    return SquareRoot(n, damping / n, noise / n, error, system.modulation)
+
+
+def _process(system: System, factor: float) -> Process:
+    """The averaged energy under ``factor`` times the noise intensity."""
+    return energy_process(replace(system, noise_intensity=factor * system.noise_intensity))
+
+
+def _source(asked: Asked) -> Source:
+    """Where the density of the energy begins."""
+    if asked.start.noise is None:
+        return Source(float(asked.start.energies[0]))
+    return Source(process=_process(asked.system, asked.start.noise))
+
+
+def _modulated(asked: Asked) -> tuple[Callable[[float], Process], Modulation, Source]:
+    """The energy under a factor of the noise intensity, the factor in time, and the start."""
+    assert asked.system.modulation is not None
+    return partial(_process, asked.system), asked.system.modulation, _source(asked)
 
 
 NonIntegrable.register()

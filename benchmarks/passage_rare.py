@@ -12,7 +12,7 @@ from averaged_splitting import rare_failure_of_process
 from scipy.optimize import brentq
 
 from averaging.energy_process import energy_process
-from averaging.time.energy import square_root
+from averaging.nonintegrable import square_root
 from fpk.system.system import System
 from sim.questions.splitting import Splitting
 

@@ -6,23 +6,17 @@ The questions are imported by those who ask: they compile code, and need what co
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from fpk.answer.dynamics import Curve, Question, StationaryMotionMethod
-from fpk.answer.evolution import (
-    Passage,
-    PassageAsked,
-    Passages,
-    Transient,
-    TransientAsked,
-    Transients,
-)
-from fpk.answer.method import ROUTES, Plan, Progress, Result, Route, register
+from fpk.answer.dynamics import Curve
+from fpk.answer.evolution import Passage, Transient
+from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register
 from fpk.answer.observable import Observable
+from fpk.answer.question import Asked, answer
 from fpk.system.system import System
 from sim.sample.settings import Settings, require_stationary
 
 
 @dataclass(frozen=True)
-class MonteCarlo(Settings, StationaryMotionMethod, Transients, Passages):
+class MonteCarlo(Settings, Method):
     """Simulation of Eq. (6) with sampling errors from independent batches.
 
     Times are in the unit of time of the system, but for ``seconds`` and ``longest`` (wall time).
@@ -74,27 +68,37 @@ class MonteCarlo(Settings, StationaryMotionMethod, Transients, Passages):
 
         return Plan(lambda _: None, lambda observables, p: solve(observables, (), p), solve)
 
-    def _passage(self, asked: PassageAsked) -> Passage:
+    @answer
+    def passage(self, asked: Asked) -> Passage:
+        """Return first passage: Brownian bridges or cubics between steps; see ``sim.questions``."""
         from sim.questions.passage import passage
 
         return passage(self, asked)
 
-    def _transient(self, asked: TransientAsked) -> Transient:
+    @answer
+    def transient(self, asked: Asked) -> Transient:
+        """Return densities at ``times`` from histograms of an ensemble; see ``sim.questions``."""
         from sim.questions.transient import transient
 
         return transient(self, asked)
 
-    def _crossings(self, asked: Question) -> Curve:
+    @answer
+    def crossings(self, asked: Asked) -> Curve:
+        """Return upcrossing rates, counted between steps too; see ``sim.questions``."""
         from sim.questions.curves import crossings
 
         return crossings(self, asked)
 
-    def _spectrum(self, asked: Question) -> Curve:
+    @answer
+    def spectrum(self, asked: Asked) -> Curve:
+        """Return power spectral densities by Welch's method; see ``sim.questions``."""
         from sim.questions.curves import spectrum
 
         return spectrum(self, asked)
 
-    def _correlation(self, asked: Question) -> Curve:
+    @answer
+    def correlation(self, asked: Asked) -> Curve:
+        """Return autocovariances from products at a distance in time; see ``sim.questions``."""
         from sim.questions.curves import correlation
 
         return correlation(self, asked)

@@ -32,11 +32,12 @@ from averaging.phase_space.refinement import (
     ladders,
 )
 from averaging.theory import Theory
-from fpk.answer.certificate import Measured, certify, tolerance
-from fpk.answer.dynamics import Curve, Question, Rates, StationaryMotionMethod, certified_curve
-from fpk.answer.evolution import Passage, PassageAsked, Passages
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.dynamics import Curve, Rates, certified_curve
+from fpk.answer.evolution import Passage
 from fpk.answer.method import Plan, Progress, Result, silent
 from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.question import Asked, answer
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.escape import require_held
 from fpk.system.system import System
@@ -57,7 +58,7 @@ densities, and take more eliminations, those of spectra in complex numbers."""
 
 
 @dataclass(frozen=True)
-class PhaseSpace(StationaryMotionMethod, Passages, Theory):
+class PhaseSpace(Theory):
     """Densities of displacements and momenta from the stationary FPK equation of Eq. (6) itself.
 
     An expansion in Hermite functions of all velocities and displacements but that of the mass that
@@ -149,26 +150,28 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
 
         return Plan(_refusal, lambda observables, p: solve(observables, (), p), solve)
 
-    def _crossings(self, asked: Question) -> Curve:
+    @answer
+    def crossings(self, asked: Asked) -> Curve:
         """Return the upcrossings per unit time of q from the joint density of (q, p)."""
         return self._curve(crossings, asked, CROSSINGS_TOL)
 
-    def _spectrum(self, asked: Question) -> Curve:
+    @answer
+    def spectrum(self, asked: Asked) -> Curve:
         """Return the power spectral density of q from the resolvent of the FPK operator."""
         return self._curve(spectrum, asked, SPECTRUM_TOL)
 
-    def _correlation(self, asked: Question) -> Curve:
+    @answer
+    def correlation(self, asked: Asked) -> Curve:
         """Return the autocovariance of q from the exponential of the FPK operator."""
         return self._curve(correlation, asked, CORRELATION_TOL, signed=True)
 
-    def relaxation(
-        self, system: System, count: int, *, tol: float | None = None, progress: Progress = silent
-    ) -> Rates:
+    @answer
+    def relaxation(self, asked: Asked) -> Rates:
         """Return the slowest eigenvalues of the expansion's FPK operator."""
-        require_held(system)
-        frame, wanted = self._frame(system), tolerance(tol, RELAXATION_TOL)
+        require_held(asked.system)
+        frame, wanted = self._frame(asked.system), asked.tol or RELAXATION_TOL
         with _breakdowns():
-            answer = relaxation(frame, count, self._options(progress), tol=wanted)
+            answer = relaxation(frame, asked.count, self._options(asked.progress), tol=wanted)
         values = np.asarray(answer.values, dtype=complex)
         momentum = (Coordinate("p", frame.contact),)
         stationary = density_of(answer.ladder, momentum, wanted).certificate
@@ -186,7 +189,7 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
     def _curve(
         self,
         route: Callable[..., Answer],
-        asked: Question,
+        asked: Asked,
         default: float,
         *,
         signed: bool = False,
@@ -212,7 +215,8 @@ class PhaseSpace(StationaryMotionMethod, Passages, Theory):
             positive=scale - np.abs(values) if signed else None,
         )
 
-    def _passage(self, asked: PassageAsked) -> Passage:
+    @answer
+    def passage(self, asked: Asked) -> Passage:
         """Return the first passage of one mass, by finite elements of the backward equation."""
         return first_passage(asked)
 

@@ -1,5 +1,5 @@
 """Energies, displacements and momenta after a start, by the averaged equations.
 
-``start`` has where energies begin, ``energy`` the total energy in time, ``states`` displacements
-and momenta from its density by finite elements.
+``start`` has where energies begin, ``states`` displacements and momenta from the density of the
+total energy by finite elements.
 """

@@ -1,18 +1,18 @@
 """Where energies begin in time, and the observables and limits of modal energies."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
 from fpk.answer.limit import Limit
 from fpk.answer.observable import Observable, number_text, observable_name
+from fpk.answer.question import Asked
 from fpk.answer.start import Start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.system import System
 
-FROM_NOISE = "from a stationary state first passage has no closed form; use fem"
 TOL = 1e-8
 """Error of answers in time of modal energies where none is named."""
 
@@ -27,35 +27,27 @@ class EnergyStart:
     energies: Array
     noise: float | None = None
 
-    def require_below(self, limit: Limit) -> None:
-        """Raise ``InvalidInput`` where an energy, or the sum of all, is at or beyond its limit."""
-        reached = {f"H{m + 1}": float(H) for m, H in enumerate(self.energies)}
-        reached["H"] = sum(reached.values())
-        if any(reached[name] >= value for name, value in limit.values.items()):
-            given = ",".join(map(number_text, self.energies.tolist()))
-            raise InvalidInput("start", given, f"must be below the limit {limit}")
+    def known(self) -> Array:
+        """Return the energies; raise ``NotApplicable`` where the start is a stationary state."""
+        if self.noise is not None:
+            words = "from a stationary state first passage has no closed form; use fem"
+            raise NotApplicable(words)
+        return self.energies
 
 
-@dataclass(frozen=True, eq=False)
-class DensityQuestion:
-    """Densities of ``observable`` after ``start``, asked for at ``times`` to the tolerance ``tol``.
+def settled_energies(asked: Asked, tol: float, modes: ModalAnalysis | None = None) -> Asked:
+    """Return the question from the total energy, or from the energies of the ``modes``, to ``tol``.
 
-    They are given at the points ``at``, one array (points,) for each coordinate.
+    Its ``start`` is an ``EnergyStart``. Raises ``NotApplicable`` for energies of the modes where
+    the total energy is asked for, and for a total energy that several modes share in an unknown
+    way.
     """
-
-    observable: Observable
-    start: EnergyStart
-    times: Array
-    at: tuple[Array, ...]
-    tol: float
+    start = energy_start(asked.system, asked.start, modes)
+    return replace(asked, start=start, tol=tol)
 
 
-def energy_start(system: System, start: Start, modes: ModalAnalysis | None = None) -> EnergyStart:
-    """Return where the total energy begins, or the energies of the ``modes``.
-
-    Raises ``NotApplicable`` for energies of the modes where the total energy is asked for, and for
-    a total energy that several modes share in an unknown way.
-    """
+def energy_start(system: System, start: Start, modes: ModalAnalysis | None) -> EnergyStart:
+    """Return where the total energy begins, or the energies of the ``modes``."""
     values, n = start.values, 1 if modes is None else modes.n
     if start.rest or start.kind == "noise":
         return EnergyStart(np.zeros(n), values.get("noise") or None)
@@ -92,12 +84,16 @@ def observed_modes(observable: Observable) -> list[int]:
 
 
 def limited_modes(limit: Limit, start: EnergyStart) -> dict[int, float]:
-    """Return the limits of modes, none for that of the sum of all.
+    """Return the limits of modes, none for a limit of the sum of all.
 
-    Raises ``NotApplicable`` for limits of displacements, ``InvalidInput`` for a start at or beyond.
+    Raises ``NotApplicable`` for limits of displacements, ``InvalidInput`` where an energy, or the
+    sum of all, is at or beyond its limit at the start.
     """
     if limit.kind == "q":
         raise NotApplicable(f"{limit}: averaged modal energies know no displacement; use H, H1, …")
-    limits = {int(name[1:]) - 1: a for name, a in limit.values.items() if name != "H"}
-    start.require_below(limit)
-    return limits
+    reached = {f"H{m + 1}": float(H) for m, H in enumerate(start.energies)}
+    reached["H"] = sum(reached.values())
+    if any(reached[name] >= value for name, value in limit.values.items()):
+        given = ",".join(map(number_text, start.energies.tolist()))
+        raise InvalidInput("start", given, f"must be below the limit {limit}")
+    return {int(name[1:]) - 1: a for name, a in limit.values.items() if name != "H"}

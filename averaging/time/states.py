@@ -14,11 +14,11 @@ import numpy as np
 
 from averaging.back_transformation import observed_energy, reduced
 from averaging.conditional import Conditional
-from averaging.time.start import DensityQuestion
 from averaging.weyl import weyl_integral
 from fpk.answer.certificate import certify
 from fpk.answer.evolution import Transient
 from fpk.answer.observable import observable_name
+from fpk.answer.question import Asked
 from fpk.numeric.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.piecewise import Piecewise, interpolated
@@ -26,7 +26,6 @@ from fpk.numeric.quadrature import gauss_legendre, panel_rule
 from fpk.solvers.line.mesh import with_layers
 from fpk.solvers.line.time.elements import SAFETY
 from fpk.solvers.line.time.transition import Transition
-from fpk.system.system import System
 
 RULES = (10, 14)
 """Gauss points a panel over a hidden contact mass; the distance of the two is the error."""
@@ -124,14 +123,14 @@ class WeylInTime:
         return np.asarray(distance + ROUNDINGS * EPS * np.abs(fine).max(axis=1))
 
 
-def state_transient(system: System, solved: Transition, asked: DensityQuestion) -> Transient:
+def state_transient(solved: Transition, asked: Asked) -> Transient:
     """Return the densities of one or two of (q, p).
 
     Momenta and masses without contact are integrated out exactly, one contact mass that is not
     observed by quadrature. The L1 error is that of the energy, as integrating out increases none,
     and what tables and quadrature add. Raises ``NotApplicable`` for more hidden contact masses.
     """
-    observable, at = asked.observable, asked.at
+    system, observable, at = asked.system, asked.observable, asked.at
     seen = [c.row for c in observable if c.kind == "q"]
     hidden = [i for i in system.contact_masses if i not in seen]
     if len(hidden) > 1:

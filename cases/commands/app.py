@@ -15,13 +15,30 @@ import click
 from cases.commands import authoring, completed, dynamics, parts, studies
 from cases.commands.examples import EXAMPLES
 from cases.scene.errors import BadInput, misspelt, one_line
+from fpk.answer.question import QUESTIONS
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
 WIDEST = 10_000
 """Columns of a help text at most: it is as wide as the terminal."""
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST})
+class Commands(click.Group):
+    """The commands, with those of questions that were registered since."""
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return the command of a name, None where there is none."""
+        return super().get_command(ctx, cmd_name) or dynamics.command_of(cmd_name)
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of all commands."""
+        own = [name for name in QUESTIONS if dynamics.command_of(name)]
+        return sorted({*super().list_commands(ctx), *own})
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WIDEST},
+)
 @click.version_option(package_name="vibro-fpk", prog_name="fpk", message="%(prog)s %(version)s")
 def app() -> None:
     """Stationary densities of randomly excited vibro-impact systems.

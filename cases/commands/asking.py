@@ -15,6 +15,7 @@ import click
 
 from cases.commands import completed, parts
 from cases.scene.errors import BadInput
+from fpk.answer.question import Question
 from fpk.numeric.errors import InvalidInput, NotApplicable
 
 if TYPE_CHECKING:
@@ -66,39 +67,34 @@ class Asked:
 
     def reply(
         self,
-        kind: type,
-        words: str,
+        question: Question,
         about: str,
         given: "Record",
         work: Callable[..., Any],
         text: Callable[["Record"], str],
-        *,
-        key: str = "",
         **settings: Any,
     ) -> None:
         """Print the answer ``work(method, tol=, progress=)``; status 1 where it is not certified.
 
-        ``kind`` is the protocol that the method must have and ``words`` name what such methods give
-        ("first passage"); ``about`` names this answer in problems. ``given`` are the entries of the
-        record that repeat the question, ``key`` as of ``answer_record``, ``text`` the record in
-        words. Of the solvers of the method the first that answers is taken, unless one was asked
-        for; ``settings`` are further ones of the method.
+        ``about`` names this answer in problems. ``given`` are the entries of the record that repeat
+        the ``question``, ``text`` the record in words. Of the solvers of the method the first that
+        answers is taken, unless one was asked for; ``settings`` are further ones of the method.
 
-        Raises ``BadInput`` for a method without the protocol or without one of the settings, or
-        with the first reason why it does not apply.
+        Raises ``BadInput`` for a method that does not answer the question or lacks one of the
+        settings, or with the first reason why it does not apply.
         """
         from cases.output.records import answer_record
         from cases.output.words import named
 
-        method, answer, seconds = self._answer(kind, words, work, {**self.settings, **settings})
-        record = answer_record(self.scene, method, given, answer, seconds, key=key)
+        method, answer, seconds = self._answer(question, work, {**self.settings, **settings})
+        record = answer_record(self.scene, method, given, answer, seconds, key=question.key)
         failures = record["certificate"]["failures"]
         problems = [f"{about} is not certified: {failure}" for failure in failures]
         notes = [f"# {named(note)}" for note in record["averaging_notes"]]
         parts.end(record, lambda: "\n".join([text(record), *notes]), problems=problems)
 
     def _answer(
-        self, kind: type, words: str, work: Callable[..., Any], settings: dict[str, Any]
+        self, question: Question, work: Callable[..., Any], settings: dict[str, Any]
     ) -> tuple[Any, Any, float]:
         """The method that answers, its answer and the seconds that it took."""
         from cases.comparison.routes import listed_routes, methods_of, settings_of
@@ -107,7 +103,7 @@ class Asked:
         start, name, reasons = perf_counter(), self.method, []
         try:
             offered = methods_of(name, self.solver, **settings)
-            methods = [method for method in offered if isinstance(method, kind)]
+            methods = [method for method in offered if question.answered_by(method)]
             for setting, value in sorted(settings.items()) if methods else ():
                 known = {*settings_of(methods[0]), "partial", "tol"}
                 if value not in (None, False) and setting not in known:
@@ -125,8 +121,8 @@ class Asked:
             raise BadInput(f"--{option} {error.value}: {error.remedy}") from None
         if reasons:
             raise BadInput(f"{self.scene.name}: {name} does not apply: {reasons[0]}")
-        able = dict.fromkeys(r.method for r in listed_routes() if isinstance(r.make(), kind))
-        raise BadInput(f"{name} gives no {words}; use one of {', '.join(able)}")
+        able = dict.fromkeys(r.method for r in listed_routes() if question.answered_by(r.make()))
+        raise BadInput(f"{name} gives no {question.words}; use one of {', '.join(able)}")
 
 
 def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:

@@ -1,4 +1,7 @@
-"""The commands about the stationary state, and about motion after a start."""
+"""The commands about the stationary state, and about motion after a start.
+
+Those about the motion of a displacement follow from their records in ``fpk.answer.question``.
+"""
 
 from typing import Any
 
@@ -7,6 +10,7 @@ import click
 from cases.commands import parts
 from cases.commands.asking import AT, LIST, MEMORY, SIMULATED, TOL, Asked, asking, observed
 from cases.scene.errors import BadInput
+from fpk.answer.question import OF_DISPLACEMENT, QUESTIONS, Question
 
 DISPLACEMENT = (
     observed("A displacement: q1, q2, ..."),
@@ -43,38 +47,9 @@ def density(asked: Asked, of: str, at: str) -> None:
         return Curve(*p.at(*points), p.certificate, result.settings, p.error_kind)
 
     given = {"observable": observable_name(observable), "points": listed(points)}
+    solving = Question("solve", "density", ("observables",), "density")  # all methods do
     own: Any = {"tol": asked.tol, "partial": True}
-    asked.reply(Method, "density", of, given, work, columns_text, key="density", **own)
-
-
-@asking(*DISPLACEMENT)
-def crossings(asked: Asked, of: str, at: str) -> None:
-    """Give the upcrossings of levels per unit time in the stationary state.
-
-    By linear, exact, phase-space or the averaged theories (nonintegrable, integrable), or counted
-    in a simulation by montecarlo.
-    """
-    _curve(asked, "crossings", of, at)
-
-
-@asking(*DISPLACEMENT)
-def spectrum(asked: Asked, of: str, at: str) -> None:
-    """Give the power spectral density at angular frequencies.
-
-    It is two-sided: its integral over all frequencies, negative ones too, is the variance. By
-    linear or phase-space, or estimated from a simulation by montecarlo.
-    """
-    _curve(asked, "spectrum", of, at)
-
-
-@asking(*DISPLACEMENT)
-def correlation(asked: Asked, of: str, at: str) -> None:
-    """Give the autocovariance E q(0) q(t) − (E q)² at lags t >= 0.
-
-    It begins with the variance. By linear or phase-space, or estimated from a simulation by
-    montecarlo.
-    """
-    _curve(asked, "correlation", of, at)
+    asked.reply(solving, of, given, work, columns_text, **own)
 
 
 @asking(
@@ -89,11 +64,9 @@ def relaxation(asked: Asked, rates: int) -> None:
     conjugate pair one is listed.
     """
     from cases.output.records import rates_text
-    from fpk.answer.dynamics import Relaxation
 
     asked.reply(
-        Relaxation,
-        "relaxation rates",
+        QUESTIONS["relaxation"],
         "relaxation",
         {},
         lambda method, **how: method.relaxation(asked.scene.system, rates, **how),
@@ -101,32 +74,34 @@ def relaxation(asked: Asked, rates: int) -> None:
     )
 
 
-def _curve(asked: Asked, question: str, of: str, at: str) -> None:
-    """Ask the ``question``, a method of ``fpk.answer.dynamics``, about one displacement."""
-    observable, system = parts.observable_of(of, asked.scene), asked.scene.system
-    from cases.output.records import columns_text
-    from cases.scene.points import parse_points
-    from fpk.answer.dynamics import CrossingsMethod, StationaryMotionMethod
-    from fpk.system.modulation import require_constant_noise
+def command_of(name: str) -> click.Command | None:
+    """Return the command of a question about a displacement, None where there is none."""
+    question = QUESTIONS.get(name)
+    if question is None or question.takes != OF_DISPLACEMENT:
+        return None
 
-    if len(observable) != 1 or observable[0].kind != "q":
-        raise BadInput(f'--of "{of}": use a displacement, q1..q{system.n}')
-    (points,) = parse_points(at, 1)
+    def curve(asked: Asked, of: str, at: str) -> None:
+        observable, system = parts.observable_of(of, asked.scene), asked.scene.system
+        from cases.output.records import columns_text
+        from cases.scene.points import parse_points
+        from fpk.system.modulation import require_constant_noise
 
-    def work(method: Any, **how: Any) -> Any:
-        require_constant_noise(system.modulation)
-        return getattr(method, question)(system, observable, points, **how)
+        if len(observable) != 1 or observable[0].kind != "q":
+            raise BadInput(f'--of "{of}": use a displacement, q1..q{system.n}')
+        (points,) = parse_points(at, 1)
 
-    asked.reply(
-        CrossingsMethod if question == "crossings" else StationaryMotionMethod,
-        question,
-        f"{question} of {of}",
-        {"observable": str(observable[0]), "points": points},
-        work,
-        columns_text,
-        key="rate" if question == "crossings" else question,
-    )
+        def work(method: Any, **how: Any) -> Any:
+            require_constant_noise(system.modulation)
+            return getattr(method, name)(system, observable, points, **how)
 
+        given = {"observable": str(observable[0]), "points": points}
+        asked.reply(question, f"{name} of {of}", given, work, columns_text)
+
+    curve.__name__, curve.__doc__ = name, question.help
+    return asking(*DISPLACEMENT)(curve)
+
+
+crossings, spectrum, correlation = map(command_of, ("crossings", "spectrum", "correlation"))
 
 START = click.option(
     "--start", metavar="START", default="rest",
@@ -145,7 +120,6 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
     system, observable = asked.scene.system, parts.observable_of(of, asked.scene)
     from cases.output.records import columns_text, listed
     from cases.scene.points import parse_points
-    from fpk.answer.evolution import Transients
     from fpk.answer.observable import observable_name
     from fpk.answer.start import parse_start
 
@@ -153,13 +127,11 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
     points, later = parse_points(at, len(observable)), _times(times)
     name = observable_name(observable)
     asked.reply(
-        Transients,
-        "densities in time",
+        QUESTIONS["transient"],
         f"the density of {of}",
         {"observable": name, "start": str(begin), "points": listed(points)},
         lambda method, **how: method.transient(system, observable, begin, later, points, **how),
         columns_text,
-        key="density",
     )
 
 
@@ -178,7 +150,6 @@ def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
     from cases.comparison.rare import passage_answer
     from cases.output.records import passage_text
     from cases.scene.questions import PassageQuestion, require_below
-    from fpk.answer.evolution import Passages
     from fpk.answer.limit import parse_limit
     from fpk.answer.start import parse_start
 
@@ -188,8 +159,7 @@ def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
     parts.read("start", start, lambda: require_below(system, end, begin))
     question = PassageQuestion(end, begin, tuple(_times(times).tolist()))
     asked.reply(
-        Passages,
-        "first passage",
+        QUESTIONS["passage"],
         "first passage",
         {"limit": str(end), "start": str(begin)},
         lambda method, **how: passage_answer(method, system, question, **how),

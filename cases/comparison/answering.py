@@ -13,8 +13,9 @@ from cases.comparison.attempts import Attempts, Budget
 from cases.comparison.in_time import Given, Replies, failure_of
 from cases.comparison.rare import SPLITTING, split_passage, splitting_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
-from fpk.answer.evolution import Passage, Passages, Transients
+from fpk.answer.evolution import Passage
 from fpk.answer.method import Method, Progress, silent
+from fpk.answer.question import QUESTIONS
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.system import System
@@ -62,8 +63,8 @@ def replies_of(
     would see few failures, by an answer that came before, or is not certified.
     """
     attempts, names, budget = Attempts(partial, relax), (question.name,), budget or Budget()
-    kind: Any = Passages if isinstance(question, PassageQuestion) else Transients
-    able: list[Any] = [method for method in methods if isinstance(method, kind)]
+    kind = QUESTIONS["passage" if isinstance(question, PassageQuestion) else "transient"]
+    able: list[Any] = [method for method in methods if kind.answered_by(method)]
     # Splitting, or the choice of the window, may come beside them.
     budget.begin(1 + sum(method.route.sampled for method in able))
     given: list[Given] = []

@@ -13,17 +13,11 @@ from typing import Any, Self
 import numpy as np
 
 from cases.scene.expect import Theory
-from fpk.answer.evolution import (
-    Passage,
-    PassageAsked,
-    Passages,
-    Transient,
-    TransientAsked,
-    Transients,
-)
+from fpk.answer.evolution import Passage, Transient
 from fpk.answer.limit import Limit
 from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register
 from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.question import Asked, answer
 from fpk.answer.start import Start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
@@ -50,7 +44,7 @@ sets the paths for a wanted relative error; and most paths."""
 
 
 @dataclass(frozen=True)
-class AveragedSimulation(Transients, Passages, Method):
+class AveragedSimulation(Method):
     """Averaged energies (17) or energy (9) of a theory by simulation: its ``solver`` "simulation".
 
     Times come from the process: an energy relaxes in about the time in which noise fills its scale,
@@ -97,7 +91,8 @@ class AveragedSimulation(Transients, Passages, Method):
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
         return Plan(self._unknown, partial(self._sampled, self._process(system)))
 
-    def _passage(self, asked: PassageAsked) -> Passage:
+    @answer
+    def passage(self, asked: Asked) -> Passage:
         """Return the first passage of an energy by simulation in steps of ``step`` and of half it.
 
         ``tol``, the relative error wanted of the mean, makes more of the ``paths`` where needed.
@@ -123,7 +118,8 @@ class AveragedSimulation(Transients, Passages, Method):
             tol=wanted,
         )
 
-    def _transient(self, asked: TransientAsked) -> Transient:
+    @answer
+    def transient(self, asked: Asked) -> Transient:
         """Return the densities of energies at ``times``, in steps of ``step`` and of half it.
 
         ``tol``, the expected L1 error wanted at every time, makes more paths. Starts as of

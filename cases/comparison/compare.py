@@ -173,7 +173,7 @@ def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]
 
 def _with_error(density: AnyDensity) -> WithError:
     if isinstance(density, Density):
-        error = density.l1_error + density.table_error + ROUND_OFF
+        error = density.l1_error + ROUND_OFF
         return density, error, error
     few = joined(density)
     return few, *chance_l1(few)

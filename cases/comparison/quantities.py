@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -20,10 +21,11 @@ from cases.comparison.quantity import (
     shown_of,
 )
 from fpk.answer.density import AnyDensity, Density
-from fpk.answer.dynamics import CrossingsMethod, upcrossings
+from fpk.answer.dynamics import upcrossings
 from fpk.answer.method import Result, Route, silent
 from fpk.answer.observable import Coordinate, Level, observable_name
 from fpk.answer.quantities import ErrorKind, Number
+from fpk.answer.question import QUESTIONS
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System
@@ -155,14 +157,15 @@ def _rates(
     system: System, result: Result, q: Coordinate, p: Coordinate, count: int
 ) -> Iterator[Quantity]:
     """The upcrossing rates of all stops of the mass of ``q``, among ``count`` quantities of it."""
-    method = result.method
+    method: Any = result.method
+    route = method.route
     definitions = [d for d in shown_of(system, (q,)) if d.kind == UPCROSSING]
     at = np.array([level for d in definitions for level in d.levels(system)])
     known = {d.observable: d for d in (*result.densities, *result.beside)}
     joint = known.get((q, p))
     if joint is not None:
         values, errors = upcrossings(joint, float(system.mass[q.row]), at)
-    elif isinstance(method, CrossingsMethod) and method.route.quick and not method.route.sampled:
+    elif QUESTIONS["crossings"].answered_by(method) and route.quick and not route.sampled:
         try:
             curve = method.crossings(system, (q,), at, tol=None, progress=silent)
         except (NotApplicable, NotCertified):

@@ -191,6 +191,6 @@ def _reach(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
     else:
         cells = COARSE[len(density.panels)]
         edges = [np.linspace(nodes[0], nodes[-1], cells + 1) for nodes in density.panels]
-        values = density.tabulated(*np.ix_(*(0.5 * (e[1:] + e[:-1]) for e in edges)))
+        values = density(*np.ix_(*(0.5 * (e[1:] + e[:-1]) for e in edges)))
     above = np.nonzero(values > cut * values.max())
     return [(e[i.min()], e[i.max() + 1]) for e, i in zip(edges, above, strict=True)]

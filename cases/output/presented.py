@@ -78,7 +78,7 @@ def plot_density(density: AnyDensity, *, log: bool) -> Any:
         figure = import_module("matplotlib.pyplot").figure(layout="constrained")
         if len(observable) == 2:
             grid = common_grid([density], cut=LOWEST if log else SHOWN)
-            values = density.tabulated(*np.meshgrid(*grid, indexing="ij"))
+            values = density(*np.meshgrid(*grid, indexing="ij"))
             panels = {density.name: values}
             return contour_panels(panels, grid, observable, words, decades=log, figure=figure)
         (x,) = common_grid([density], cut=TAIL if log else SHOWN, count=POINTS)

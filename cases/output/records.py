@@ -16,6 +16,7 @@ from fpk.answer.certificate import Certificate
 from fpk.answer.dynamics import Curve, Rates
 from fpk.answer.evolution import Passage, Transient
 from fpk.answer.method import Method
+from fpk.answer.question import OF_DISPLACEMENT, QUESTIONS, Question
 from fpk.numeric.arrays import Array
 
 Record = dict[str, Any]
@@ -81,12 +82,9 @@ def answer_record(
     return plain({**head, **given, **own, **tail, "averaging_notes": notes})
 
 
-CURVE_POWERS = {
-    "rate": ((1, 0, 0), (0, 0, -1)),
-    "spectrum": ((0, 0, -1), (2, 0, 1)),
-    "correlation": ((0, 0, 1), (2, 0, 0)),
-}
-"""Powers of length, mass and time of the points and values of a curve about a displacement."""
+def curves_by_key() -> dict[str, Question]:
+    """Return the questions about the motion of a displacement by the keys of their values."""
+    return {q.key: q for q in QUESTIONS.values() if q.takes == OF_DISPLACEMENT}
 
 
 def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[str]]:
@@ -98,8 +96,8 @@ def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[
         return {"limit": limit, "mean": units.time, "variance": variance, "rate": rate, **times}
     if not key:
         return {"rates": rate, "frequencies": rate}
-    if key in CURVE_POWERS:
-        points, values = map(units.of, CURVE_POWERS[key])
+    if key in (curves := curves_by_key()):
+        points, values = map(units.of, curves[key].powers)
         return {"points": points, key: values}
     powers = [DIMENSIONS[name[0]] for name in given["observable"].split(",")]
     own = [units.of(power) for power in powers]
@@ -133,10 +131,10 @@ def answer_tail(
 
 def columns_text(record: Record) -> str:
     """Return the points, after the times if there are any, the values and errors in columns."""
-    (key,) = record.keys() & {"density", *CURVE_POWERS}
+    (key,) = record.keys() & {"density", *(curves := curves_by_key())}
     names, units = record["observable"].split(","), (record.get("units") or {})
-    if key in ("spectrum", "correlation"):
-        names = ["angular frequency" if key == "spectrum" else "lag"]
+    if key in curves:
+        names = [curves[key].axis or record["observable"]]
     own = units.get("points", [""] * len(names))
     points = zip(names, [own] if isinstance(own, str) else own, strict=True)
     head = "   ".join(name + bracketed(unit) for name, unit in points)

@@ -16,9 +16,10 @@ import numpy as np
 from cases.comparison.routes import listed_routes
 from cases.scene.questions import PassageQuestion
 from cases.studies.levels import Level, timed_first, timing
-from fpk.answer.evolution import Passage, Passages
+from fpk.answer.evolution import Passage
 from fpk.answer.method import Progress, silent
 from fpk.answer.quantities import Number
+from fpk.answer.question import QUESTIONS
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.system import System
@@ -158,14 +159,14 @@ def passage_routes(
     answers = []
     for route in listed_routes():
         method: Any = route.make()
-        if not isinstance(method, Passages) or (route.sampled and not simulate):
+        if not QUESTIONS["passage"].answered_by(method) or (route.sampled and not simulate):
             continue
         whose = "full system (6)" if route.solves == "full" else f"{route.method} theory"
         equation = f"first passage of {question.name}, {whose}"
         try:
             if route.sampled:
                 few = {"paths": PATHS, "seed": seed, "threads": 1}
-                method = replace(method, **few)  # type: ignore[type-var]
+                method = replace(method, **few)
             ask = partial(_rate, method, system, question, progress)
             measured = _sampled(ask) if route.sampled else _solved(ask)
         except (NotApplicable, NotCertified, InvalidInput) as reason:

@@ -14,16 +14,14 @@ from fpk.answer.observable import Observable
 from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond, with_points
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array
-from fpk.numeric.piecewise import PiecewiseTensor, interpolated_tensor
 from fpk.numeric.quadrature import GAUSS_POINTS, gauss_grid, integral
 
 FEWER = {1: 16, 2: 9}
 """Gauss points per panel and axis, by the number of axes, of a coarser rule: its distance from the
 rule of ``GAUSS_POINTS`` is part of the error of an expectation and of a distance."""
-CHECKED, SAFETY = 7, 3.0
-"""Gauss points per panel and axis at which the table of a joint density is compared with it, none
-of them one of its own; and the multiple of the distance there, or of two rules, that is stated as
-an error: a few points see no more than its size."""
+SAFETY = 3.0
+"""Error that is stated of an integral over the distance of two rules, which sees no more than its
+size."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +32,7 @@ class Density(Quantities):
     first and last are its support. ``pdf`` takes one array per axis (broadcast together) and
     returns the density; ``pointwise`` likewise the estimate of its error there. ``l1_error``
     estimates ∫|p − p_exact| including the mass outside the support. ``source(observable)`` computes
-    the density again: where there is one, the density can be pickled without its functions. A joint
-    density has a ``table`` for all that takes many points; its L1 error ``table_error`` adds to
-    ``l1_error`` there, and is no larger. ::
+    the density again: where there is one, the density can be pickled without its functions. ::
 
         p = fpk.solve(fpk.load("fig6a").system, ["q2"], methods=["nonintegrable/fem"])["q2"]
         value, error = p.at(np.linspace(-1.5, 1.5, 31))
@@ -55,12 +51,6 @@ class Density(Quantities):
     provenance: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "numerical"
     source: Callable[[Observable], "AnyDensity"] | None = None
-    table: PiecewiseTensor | None = None
-    table_error: float = 0.0
-
-    def axes(self) -> tuple[Array, ...]:
-        """Return ``panels``."""
-        return self.panels
 
     def __repr__(self) -> str:
         """Return what the density is of, its error and its support in one line."""
@@ -93,14 +83,10 @@ class Density(Quantities):
         """Return the density and its error at ``points``, one array per axis."""
         return self.pdf(*points), self.pointwise(*points)
 
-    def tabulated(self, *points: Array) -> Array:
-        """Return the density at ``points`` by its table; by itself where there is none."""
-        return self.pdf(*points) if self.table is None else self.table(*points)
-
     def cell_averages(self, *edges: Array) -> Array:
         """Return the mean of the density over each cell of the grid of ``edges``."""
         mesh, grids = gauss_grid(list(map(with_points, edges, self.panels)))
-        values = self.tabulated(*mesh)
+        values = self.pdf(*mesh)
         for axis, (e, (x, w)) in enumerate(zip(edges, grids, strict=True)):
             cell = np.searchsorted(e, x, side="right") - 1
             starts = np.searchsorted(cell, np.arange(e.size - 1))
@@ -234,21 +220,11 @@ def certified_density(
         absolute_error=known,
     )
     certificate = certify(checked, tol=tol)
-    table, table_error = None, 0.0
-    if len(panels) == 2 and frame is None:
-        table = interpolated_tensor((panels[0], panels[1]), values, GAUSS_POINTS[2])
-        mesh, grids = gauss_grid(panels, points=CHECKED)
-        table_error = SAFETY * integral(np.abs(table(*mesh) - np.asarray(pdf(*mesh))), grids)
-        if not table_error <= checked.l1_error:
-            table, table_error = None, 0.0
 
     def pointwise_error(*x: Array) -> Array:
         return np.asarray(pointwise(*x)) + SMALLEST
 
-    return Density(
-        observable, panels, pdf, pointwise_error, checked.l1_error, certificate, table=table,
-        table_error=table_error,
-    )  # fmt: skip
+    return Density(observable, panels, pdf, pointwise_error, checked.l1_error, certificate)
 
 
 AnyDensity = Density | SampledDensity
@@ -281,13 +257,13 @@ def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
     panels = list(map(np.union1d, a.panels, b.panels))
 
     def difference(*x: Any) -> Any:
-        return a.tabulated(*x) - b.tabulated(*x)
+        return a(*x) - b(*x)
 
     if len(panels) == 1:
         (x,), _ = gauss_grid(panels)
         d = difference(x)
         size = np.maximum(np.abs(d[1:]), np.abs(d[:-1]))
-        known = size > ROUND_OFF * np.max(np.abs(a.tabulated(x)))
+        known = size > ROUND_OFF * np.max(np.abs(a(x)))
         crossed = np.flatnonzero((d[1:] * d[:-1] < 0.0) & known)
         at = [brentq(lambda q: difference(np.array([q]))[0], *x[k : k + 2]) for k in crossed]
         panels = [np.union1d(panels[0], at)]

@@ -1,28 +1,14 @@
-"""Questions of a motion that begins at a given time: transient densities and first passage.
+"""Answers about a motion that begins at a given time: transient densities and first passage."""
 
-A ``Method`` answers them if it has the method ``transient`` or ``passage``, as the protocols
-``Transients`` and ``Passages`` say; one that derives from these defines ``_transient`` or
-``_passage`` in their place. ``tol`` is the largest error wanted, None for the default of the
-method; ``progress`` as of ``Method.solve``. Both raise ``NotApplicable`` where the method does not
-answer for this system, observable, limit or start, and ``InvalidInput`` for a start at or beyond
-the limit or times that do not ascend from 0 or later.
-"""
-
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fpk.answer.certificate import Certificate, Measured, certify, with_values
-from fpk.answer.limit import Limit
-from fpk.answer.method import Progress, silent
-from fpk.answer.observable import Observable
 from fpk.answer.quantities import ErrorKind, Number
-from fpk.answer.start import Start
 from fpk.numeric.arrays import EPS, Array
 from fpk.numeric.errors import InvalidInput
-from fpk.system.system import System
 
 STARTS = 101
 """Starts at which moments are given as a curve, from rest to the limit."""
@@ -169,78 +155,3 @@ def certified_passage(
         failure,
         failure_error,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class AfterStart:
-    """A question about the motion of ``system`` at ``times`` (times,) after ``start``.
-
-    ``tol`` is the largest error wanted, None for the default of the method.
-    """
-
-    system: System
-    start: Start
-    times: Array
-    tol: float | None
-    progress: Progress
-
-
-@dataclass(frozen=True, eq=False)
-class TransientAsked(AfterStart):
-    """Densities of ``observable`` at the points ``at``, an array (points,) a coordinate."""
-
-    observable: Observable
-    at: tuple[Array, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class PassageAsked(AfterStart):
-    """First passage of ``limit``, with the reliability at the times."""
-
-    limit: Limit
-
-
-class Transients(ABC):
-    """Base class of methods that give densities at times after a start, by ``_transient``."""
-
-    def transient(
-        self,
-        system: System,
-        observable: Observable,
-        start: Start,
-        times: Array,
-        at: tuple[Array, ...],
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Transient:
-        """Return the densities of ``observable`` at ``times`` at the points ``at``.
-
-        ``at`` is one array (points,) for each coordinate of the observable.
-        """
-        return self._transient(TransientAsked(system, start, times, tol, progress, observable, at))
-
-    @abstractmethod
-    def _transient(self, asked: TransientAsked) -> Transient:
-        """Return the densities that are asked for."""
-
-
-class Passages(ABC):
-    """Base class of methods that give the first passage of a limit, by ``_passage``."""
-
-    def passage(
-        self,
-        system: System,
-        limit: Limit,
-        start: Start,
-        times: Array,
-        *,
-        tol: float | None = None,
-        progress: Progress = silent,
-    ) -> Passage:
-        """Return the first passage of ``limit`` from ``start``, the reliability at ``times``."""
-        return self._passage(PassageAsked(system, start, times, tol, progress, limit))
-
-    @abstractmethod
-    def _passage(self, asked: PassageAsked) -> Passage:
-        """Return the first passage that is asked for."""

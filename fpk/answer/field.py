@@ -32,7 +32,7 @@ def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
     box = [panels[[0, -1]] for panels in density.panels]
     for _ in range(2):  # in the support, and again in the box that it gives
         grid = [np.linspace(a, b, 401 if len(box) == 1 else 101) for a, b in box]
-        values = density.tabulated(*np.ix_(*grid))
+        values = density(*np.ix_(*grid))
         inside = np.nonzero(values >= CUT * values.max())
         box = [
             x[np.clip([i.min() - 1, i.max() + 1], 0, x.size - 1)]

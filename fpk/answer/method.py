@@ -9,17 +9,13 @@ from typing import Literal, Self
 
 from fpk.answer.density import AnyDensity, Density
 from fpk.answer.observable import Observable, require_observables
+from fpk.answer.question import Progress as Progress
+from fpk.answer.question import silent as silent
 from fpk.numeric.errors import NotApplicable
 from fpk.system.escape import require_held
 from fpk.system.system import System
 
 Solves = Literal["full", "averaged"]
-Progress = Callable[[int, int, str], None]
-"""Called as ``progress(done, total, what)`` while a method works."""
-
-
-def silent(done: int, total: int, what: str) -> None:
-    """Report no progress."""
 
 
 @dataclass(frozen=True)

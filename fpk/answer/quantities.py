@@ -42,6 +42,7 @@ class Number:
 class Quantities(ABC):
     """Moments, probabilities, quantiles: of a coordinate X, or of a pair (X, Y), from its density.
 
+    ``panels`` are the ascending nodes of every axis; the first and last are the support.
     All but ``expectation``, ``moment`` and ``plot`` raise ``InvalidInput`` for a joint density,
     ``covariance`` and ``correlation`` for any other. ::
 
@@ -52,6 +53,7 @@ class Quantities(ABC):
     """
 
     observable: Observable
+    panels: tuple[Array, ...]
     certificate: Certificate
 
     @property
@@ -59,13 +61,9 @@ class Quantities(ABC):
         """The observable's name, such as ``q2,p2``."""
         return observable_name(self.observable)
 
-    @abstractmethod
-    def axes(self) -> tuple[Array, ...]:
-        """Return the ascending nodes of every axis; the first and last are the support."""
-
     def described(self, error: str) -> str:
         """Return what the density is of, its support, whether it is certified and its error."""
-        support = " x ".join(f"[{x[0]:.3g}, {x[-1]:.3g}]" for x in self.axes())
+        support = " x ".join(f"[{x[0]:.3g}, {x[-1]:.3g}]" for x in self.panels)
         certified = "certified" if self.certificate.certified else "not certified"
         return f"{type(self).__name__}({self.name} on {support}; {certified}, {error})"
 
@@ -96,7 +94,7 @@ class Quantities(ABC):
         """
         given: tuple[Any, ...] = powers
         whole = all(isinstance(power, Integral) and int(power) >= 0 for power in given)
-        if len(given) != len(self.axes()) or not whole:
+        if len(given) != len(self.panels) or not whole:
             raise InvalidInput("power", powers, "takes one integer >= 0 for each coordinate")
         return self.expectation(_monomial(powers, [about] * len(powers)))
 
@@ -217,13 +215,13 @@ class Quantities(ABC):
 
     def _axis(self, points: Sequence[float] = ()) -> Array:
         """The nodes of the one coordinate, and those of ``points`` that lie between them."""
-        if len(self.axes()) != 1:
+        if len(self.panels) != 1:
             raise InvalidInput("density", "joint", "of two coordinates: ask for that of one")
-        return with_points(self.axes()[0], np.asarray(points))
+        return with_points(self.panels[0], np.asarray(points))
 
     def _middle(self) -> tuple[float, float]:
         """E X and E Y of a joint density."""
-        if len(self.axes()) != 2:
+        if len(self.panels) != 2:
             raise InvalidInput("density", "single", "of one coordinate: ask for that of a pair")
         return self.moment(1, 0).value, self.moment(0, 1).value
 

@@ -24,8 +24,6 @@ cover all bins."""
 
 NEAR = 1e-9
 """Distance from a kink, as a share of the axis, in which a continuous density hardly changes."""
-CELLS = 100
-"""Joined bins of an axis from which the correlation of rare samples is taken."""
 
 
 def standard_error(batches: Array) -> Array:
@@ -62,14 +60,12 @@ class SampledDensity(Quantities):
     made: Fits | None = None
 
     def __repr__(self) -> str:
-        """Return what the density is of, its samples and its bins in one line."""
+        """Return what the density is of, its bins and its batches in one line."""
         return self.described(f"{self.values.size} bins, {self.batch_values.shape[0]} batches")
 
     def __call__(self, *points: ArrayLike) -> Array:
         """Return the density at ``points``, one number or array per axis, as ``at`` does."""
         return self.at(*(np.asarray(x, dtype=float) for x in points))[0]
-
-    tabulated = __call__
 
     @property
     def edges(self) -> tuple[Array, ...]:
@@ -77,10 +73,6 @@ class SampledDensity(Quantities):
         return tuple(axis.edges for axis in self.bins)
 
     panels = edges
-
-    def axes(self) -> tuple[Array, ...]:
-        """Return ``edges``."""
-        return self.edges
 
     @cached_property
     def areas(self) -> Array:
@@ -158,7 +150,7 @@ class SampledDensity(Quantities):
         """
         if not self.samples > 0.0:
             return 1.0
-        few = self.joined(min(self.values.shape) // CELLS)
+        few = self.joined(min(self.values.shape) // 100)
         batches = len(few.batch_values)
         held = (few.batch_values * few.areas).reshape(batches, -1) * (self.samples / batches)
         visited = np.count_nonzero(held, axis=0)

@@ -8,7 +8,8 @@ import numpy as np
 import scipy  # its parts are loaded at their first use
 
 from fpk.answer.certificate import tolerance
-from fpk.answer.dynamics import Curve, Question
+from fpk.answer.dynamics import Curve
+from fpk.answer.question import Asked
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
 from sim.questions.limits import longest_step, motion_step, needs_steps
@@ -30,7 +31,7 @@ Products = tuple[Array, Array, Array]
 """Sums of a round, as of ``_products``."""
 
 
-def correlation(method: Settings, asked: Question) -> Curve:
+def correlation(method: Settings, asked: Asked) -> Curve:
     """Return the autocovariance of q of mass ``row`` at the lags ``at``.
 
     Products q(s) q(s + t) about the mean of all, at samples s in ``RELAXATIONS`` relaxation times
@@ -145,7 +146,7 @@ MOST_FREQUENCIES = 1024
 """Frequencies beyond which they are refused: 8192 windows of 3000 samples then take minutes."""
 
 
-def spectrum(method: Settings, asked: Question) -> Curve:
+def spectrum(method: Settings, asked: Asked) -> Curve:
     """Return the power spectral density of q of mass ``row`` at the angular frequencies ``at``.
 
     By Welch's method at just these frequencies: |Σ w q e^(−iωt)|² of one Hann window w on each
@@ -239,7 +240,7 @@ def _welch(
     return corrected.mean(axis=0), error_of(corrected), leakage.mean(axis=0)
 
 
-def crossings(method: Settings, asked: Question) -> Curve:
+def crossings(method: Settings, asked: Asked) -> Curve:
     """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row``, counted.
 
     Crossings that the noise makes within a step are not seen: a share of all that falls as the

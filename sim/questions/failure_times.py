@@ -8,8 +8,9 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.evolution import Passage, PassageAsked
+from fpk.answer.evolution import Passage
 from fpk.answer.quantities import Number
+from fpk.answer.question import Asked
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
 from fpk.system.modulation import Modulation
@@ -87,7 +88,7 @@ def tail_begin(time: Array, until: Array, memory: float) -> float:
 
 def passage_of(
     sampled: Array,
-    asked: PassageAsked,
+    asked: Asked,
     tol: float | None,
     step: float,
     memory: float,

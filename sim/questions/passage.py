@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from fpk.answer.certificate import tolerance
-from fpk.answer.evolution import Passage, PassageAsked
-from fpk.answer.method import Progress
+from fpk.answer.evolution import Passage
+from fpk.answer.question import Asked, Progress
 from fpk.numeric.arrays import Array, Flags
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.machine import left_out
@@ -38,7 +38,7 @@ which that begins, and which failure times it writes: 0 of the finer simulation,
 """
 
 
-def passage(method: Settings, asked: PassageAsked) -> Passage:
+def passage(method: Settings, asked: Asked) -> Passage:
     """Return the first passage that is asked for by simulation at dt/2 and at dt.
 
     ``paths`` trajectories are followed until all have failed, or for ``time``, or the cost of
@@ -99,7 +99,7 @@ def followed_for(most: float, last: float, modulation: Modulation | None) -> flo
 
 
 def passage_in_rounds(
-    asked: PassageAsked,
+    asked: Asked,
     watch: Watch,
     rounds: tuple[int, float],
     begun: Callable[[int], tuple[list[Run], Flags, Array]],

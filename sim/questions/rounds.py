@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from fpk.answer.certificate import Measured, certify, tolerance
-from fpk.answer.dynamics import Curve, Question
+from fpk.answer.dynamics import Curve
+from fpk.answer.question import Asked
 from fpk.answer.start import Start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
@@ -113,7 +114,7 @@ samples, whether it is ``halved``, from which step to the next states are read, 
 
 def in_rounds(
     method: Settings,
-    asked: Question,
+    asked: Asked,
     simulations: Sequence[Simulation],
     samples: int,
     numbers: tuple[int, ...],

@@ -9,8 +9,9 @@ import numpy as np
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Measured, certify, outside, tolerance, worst
-from fpk.answer.evolution import Transient, TransientAsked
+from fpk.answer.evolution import Transient
 from fpk.answer.observable import Observable
+from fpk.answer.question import Asked
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import InvalidInput
@@ -28,7 +29,7 @@ States = Iterable[tuple[Array, Array | None]]
 """States (paths, …) at each time, at half the step and at the step, None where it has no error."""
 
 
-def transient(method: Settings, asked: TransientAsked) -> Transient:
+def transient(method: Settings, asked: Asked) -> Transient:
     """Return the densities that are asked for with one standard error.
 
     In the error is, in quadrature, what changes at the step dt instead of dt/2, by the same random
@@ -109,7 +110,7 @@ def motions(
 
 
 def counted_in_rounds(
-    asked: TransientAsked,
+    asked: Asked,
     watch: Watch,
     states: Callable[[int], States],
     columns: Callable[[Array], Sequence[Array]],

@@ -15,9 +15,10 @@ from averaging.phase_space.passage.mesh import (
     oscillator_of,
 )
 from fpk import Contact, System
-from fpk.answer.evolution import Passage, Passages
+from fpk.answer.evolution import Passage
 from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
+from fpk.answer.question import QUESTIONS
 from fpk.answer.start import parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.solvers.square_root import SquareRoot
@@ -204,7 +205,7 @@ def test_units_and_gain():
     ],
 )  # fmt: skip
 def test_refusals_are_one_line(system, limit, start, error, words):
-    assert isinstance(PhaseSpace(), Passages)
+    assert QUESTIONS["passage"].answered_by(PhaseSpace())
     with pytest.raises(error, match=words) as raised:
         ask(system, limit, start)
     assert "\n" not in str(raised.value)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from averaging.nonintegrable import NonIntegrable
-from fpk.answer.evolution import Passages, Transients
 from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
 from fpk.answer.observable import parse_observable
+from fpk.answer.question import QUESTIONS
 from fpk.answer.start import parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.contact import Contact
@@ -23,14 +23,14 @@ SETTINGS = {"tol": None, "progress": silent}
 
 def transient(system, start, times, at, solver="fem", observable="H", **settings):
     method = NonIntegrable(solver=solver)
-    assert isinstance(method, Transients)
+    assert QUESTIONS["transient"].answered_by(method)
     named = parse_observable(observable, system.n), parse_start(start, system)
     return method.transient(system, *named, np.array(times), (np.array(at),), **SETTINGS | settings)
 
 
 def passage(system, limit, start="rest", times=(), solver="fem"):
     method = NonIntegrable(solver=solver)
-    assert isinstance(method, Passages)
+    assert QUESTIONS["passage"].answered_by(method)
     named = parse_limit(limit, system.n), parse_start(start, system)
     return method.passage(system, *named, np.array(times), **SETTINGS)
 

@@ -1,11 +1,17 @@
-"""A method and a contact law of one file each are shown, run, compared, drawn and exported."""
+"""A method, a contact law and a question in time of one file each are used as all others.
+
+The method and the law are shown, run, compared, drawn and exported; the question is asked through
+the library and the command line.
+"""
 
 import csv
 import json
 
+import numpy as np
 import pytest
 import xarray as xr
 
+from averaging import Linear
 from cases.comparison.routes import all_methods, method_for
 from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of
@@ -13,6 +19,9 @@ from cases.output.fields import write_netcdf
 from cases.output.report import write_report
 from cases.scene.scene import load_scene
 from fpk.answer.method import ROUTES
+from fpk.answer.observable import parse_observable
+from fpk.answer.question import QUESTIONS
+from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.contact_law import LAWS
 
 TOY = ("equipartition", "closed-form")
@@ -81,3 +90,54 @@ def test_they_are_exported(scene_path, fpk, tmp_path, monkeypatch):
         assert any(row["route"] == TOY[0] for row in csv.DictReader(stream))
     assert fpk("export", scene_path, "--of", "p1", "--out", tmp_path / "a.vtu")[0] == 0
     assert f'Name="{TOY[0]}"' in (tmp_path / "a.vtu").read_text(errors="replace")
+
+
+@pytest.fixture(scope="module")
+def question():
+    """The question, forgotten afterwards with its answer."""
+    import toy_question  # noqa: PLC0415
+
+    yield toy_question.INCREMENT
+    del QUESTIONS["increment"], Linear.increment
+
+
+@pytest.fixture
+def free_path(scene_text, tmp_path):
+    """A scene without contact, in units."""
+    path = tmp_path / "free.toml"
+    units = '[units]\nlength = "mm"\nmass = "kg"\ntime = "s"\n\n'
+    path.write_text(
+        scene_text[: scene_text.index("[[contact]]")].replace("[system]", units + "[system]")
+    )
+    return path
+
+
+def test_a_question_is_asked_through_the_library(question, free_path):
+    system = load_scene(str(free_path)).system
+    q2, lags = parse_observable("q2", 2), np.array([0.0, 1.0, 400.0])
+    asked = Linear().increment(system, q2, lags, tol=1e-8)
+    variance = Linear().correlation(system, q2, np.zeros(1)).values[0]
+    C = Linear().correlation(system, q2, lags).values
+    assert asked.values == pytest.approx(2.0 * (variance - C), abs=1e-10) and asked.values[1] > 0.0
+    assert asked.certificate.certified and question.answered_by(Linear())
+    assert not question.answered_by(method_for("exact"))
+    for at, tol, observable in ((-lags, None, q2), (lags, -1.0, q2), (lags, None, q2 * 2)):
+        with pytest.raises(InvalidInput):
+            Linear().increment(system, observable, at, tol=tol)
+    with pytest.raises(NotApplicable, match="contact"):
+        Linear().increment(load_scene("fig6a").system, q2, lags)
+
+
+def test_a_question_is_asked_on_the_command_line(question, free_path, fpk):
+    assert "increment" in fpk("--help")[1] and question.help in fpk("increment", "--help")[1]
+    asked = "increment", free_path, "--method", "linear", "--of", "q2", "--at", "0,400"
+    status, out, _ = fpk(*asked, "--json")
+    record = json.loads(out)
+    assert status == 0 and record["certificate"]["certified"]
+    assert record["variance"][0] == 0.0 and record["units"] == {"points": "s", "variance": "mm²"}
+    columns = fpk(*asked)[1]
+    assert columns.startswith("# lag [s]   variance [mm²]") and len(columns.splitlines()) == 3
+    status, _, err = fpk("increment", free_path, "--method", "exact", *asked[4:])
+    assert status == 2 and "exact gives no variance of an increment; use one of linear" in err
+    status, _, err = fpk("increment", free_path, *asked[2:-1], "-1")
+    assert status == 2 and "a lag is a time" in err

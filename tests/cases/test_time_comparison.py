@@ -22,10 +22,11 @@ from cases.output.text import rendered
 from cases.output.vtk import write_time_pvd
 from cases.scene.scene import load_scene
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.evolution import Passage, Passages, Transient
+from fpk.answer.evolution import Passage, Transient
 from fpk.answer.limit import parse_limit
 from fpk.answer.method import ROUTES, Method, silent
 from fpk.answer.quantities import Number
+from fpk.answer.question import answer
 from fpk.answer.start import REST
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from sim.sample.diagnostics import FALSE_ALARMS
@@ -176,7 +177,7 @@ def test_densities_that_nobody_compares_are_a_problem():
 
 
 @dataclass(frozen=True)
-class Stub(Passages, Method):
+class Stub(Method):
     """A method that answers as it is told."""
 
     name_of: tuple[str, str]
@@ -194,7 +195,8 @@ class Stub(Passages, Method):
     def refined(self):
         return self
 
-    def _passage(self, asked):
+    @answer
+    def passage(self, asked):
         if isinstance(self.says, BaseException):
             raise self.says
         return self.says
@@ -235,7 +237,8 @@ def test_an_answer_that_fails_is_a_problem_and_one_that_does_not_apply_is_not():
 class Inexact(Stub):
     """A method with a default tolerance of 1e-5 and an error of 3e-5."""
 
-    def _passage(self, asked):
+    @answer
+    def passage(self, asked):
         measured = Measured(3e-5, 0.0, 0.0, 0.0, 0.0)
         return replace(self.says, certificate=certify(measured, tol=asked.tol or 1e-5))
 

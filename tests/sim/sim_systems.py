@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from fpk.answer.evolution import Passage, PassageAsked
+from fpk.answer.evolution import Passage
 from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
+from fpk.answer.question import Asked
 from fpk.answer.start import parse_start
 from fpk.system.contact import Contact
 from fpk.system.system import System
@@ -70,10 +71,14 @@ def estimated(
 ) -> Passage:  # fmt: skip
     """First passage from failure times at half the step and at the step, some cut short."""
     system = linear(1)
-    asked = PassageAsked(
-        system, parse_start("rest", system), np.array(times, dtype=float), tol, silent,
-        parse_limit(limit, 1),
-    )  # fmt: skip
+    asked = Asked(
+        system,
+        tol,
+        silent,
+        start=parse_start("rest", system),
+        limit=parse_limit(limit, 1),
+        times=np.array(times, dtype=float),
+    )
     return passage_of(np.stack([fine, coarse, until]), asked, tol, step, memory, {})
 
 

@@ -19,18 +19,12 @@ from scipy.special import hyp0f1, j0
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import fourier_sum
-from averaging.time.start import (
-    FROM_NOISE,
-    DensityQuestion,
-    EnergyStart,
-    limited_modes,
-    observed_modes,
-)
+from averaging.time.start import limited_modes, observed_modes
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.answer.evolution import Passage, Transient, certified_passage, checked_times
-from fpk.answer.limit import Limit
 from fpk.answer.quantities import Number
+from fpk.answer.question import Asked
 from fpk.numeric.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
@@ -57,15 +51,14 @@ begins, and the covariance C (count, count) of its share of the coordinates in t
 of temperature 1."""
 
 
-def transient(
-    modes: ModalAnalysis, asked: DensityQuestion, modulation: Modulation | None
-) -> Transient:
+def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     """Return products of the densities of modal energies, or the convolution of two of them.
 
     Of displacements and momenta, what follows from them with independent uniform phases, (35).
-    ``modulation`` is of the noise.
+    ``asked`` is settled by ``settled_energies``.
     """
     observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
+    modulation = asked.system.modulation
     if {c.kind for c in observable} <= {"q", "p"}:
         # The shares of the modes in displacements and momenta: (q, p) = S (ω Q, P).
         shapes = modes.state_shapes[state_rows(observable, modes.n)]
@@ -102,21 +95,17 @@ def transient(
     return Transient(times, values, errors + SMALLEST, "numerical", certificate)
 
 
-def passage(
-    modes: ModalAnalysis, limit: Limit, start: EnergyStart, times: Array, *, tol: float
-) -> Passage:
+def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
     """Return the first passage of one modal energy, of any of several, or of their sum."""
-    checked_times(times)
-    limits = limited_modes(limit, start)
-    if start.noise is not None:
-        raise NotApplicable(FROM_NOISE)
+    start, times, tol = asked.start, checked_times(asked.times), asked.tol
+    limits, energies = limited_modes(asked.limit, start), start.known()
     if not limits:
         if (alike := _alike(modes)) is None:
             raise NotApplicable(
                 "of modes of unequal decay or temperature H has no closed form in time; use fem"
             )
-        return alike.passage(limit.value, float(start.energies.sum()), times, tol=tol)
-    parts = [(_mode(modes, m), a, float(start.energies[m])) for m, a in limits.items()]
+        return alike.passage(asked.limit.value, float(energies.sum()), times, tol=tol)
+    parts = [(_mode(modes, m), a, float(energies[m])) for m, a in limits.items()]
     if len(parts) == 1:
         ((mode, a, H),) = parts
         return mode.passage(a, H, times, tol=tol)
@@ -211,7 +200,7 @@ def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number
     return Number(float(mean), float(error)), variance
 
 
-def orbit_transient(parts: Sequence[Orbit], asked: DensityQuestion) -> Transient:
+def orbit_transient(parts: Sequence[Orbit], asked: Asked) -> Transient:
     """Return the densities at times > 0 of one or two coordinates, the sum of ``parts``.
 
     From the start of each part, or the stationary state under the noise of the start. Raises

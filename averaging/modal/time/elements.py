@@ -12,13 +12,13 @@ import numpy as np
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
 from averaging.modal.observables import unsolved
-from averaging.time.start import DensityQuestion, EnergyStart, limited_modes, observed_modes
+from averaging.time.start import EnergyStart, limited_modes, observed_modes
 from fpk.answer.certificate import Measured, outside
 from fpk.answer.density import Density, certified_density
 from fpk.answer.dynamics import Rates
 from fpk.answer.evolution import LARGEST_ERROR, Passage, Transient, checked_times
-from fpk.answer.limit import Limit
 from fpk.answer.observable import Coordinate
+from fpk.answer.question import Asked
 from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.solvers.plane.solution import PlaneSolution
@@ -28,7 +28,7 @@ from fpk.solvers.plane.time.passage import PlaneLimit, first_passage, relaxation
 from fpk.solvers.plane.time.transient import Level, Seen, seen_on, transient_densities
 
 
-def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
+def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     """Return the densities of one or two modal energies, of the sum of two, or of (q, p)."""
     observable, start, times = asked.observable, asked.start, asked.times
     at, tol = asked.at, asked.tol
@@ -50,16 +50,14 @@ def transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
     return answer
 
 
-def passage(
-    modes: ModalAnalysis, limit: Limit, start: EnergyStart, times: Array, *, tol: float
-) -> Passage:
+def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
     """Return the first passage of one or two modal energies, or of the sum of two."""
-    checked_times(times)
-    limits = limited_modes(limit, start)
+    limit, times, tol = asked.limit, checked_times(asked.times), asked.tol
+    limits = limited_modes(limit, asked.start)
     pair = _pair(modes, list(limits) or range(modes.n))
     first, second = (limits.get(m) for m in pair)
     plane = PlaneLimit(first, second, None if limits else limit.value)
-    posed, error = _posed(modes, pair, start, tol), modes.relative_error
+    posed, error = _posed(modes, pair, asked.start, tol), modes.relative_error
     return first_passage(*posed, plane, times, tol=tol, coefficients_error=error)
 
 
@@ -119,7 +117,7 @@ def _stationary(modes: ModalAnalysis, pair: list[int], tol: float) -> PlaneSolut
     return solve_plane(modes.process(pair), tol=max(1e-2 * tol, 1e-11))
 
 
-def _state_transient(modes: ModalAnalysis, asked: DensityQuestion) -> Transient:
+def _state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     """Return the densities of one or two of (q, p) of two modes.
 
     The phases are independent and uniform, whatever the energies, which are solved for to half of

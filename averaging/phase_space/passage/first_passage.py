@@ -14,8 +14,9 @@ from averaging.phase_space.passage.mesh import (
     oscillator_of,
 )
 from fpk.answer.certificate import tolerance
-from fpk.answer.evolution import Passage, PassageAsked, certified_passage, checked_times
+from fpk.answer.evolution import Passage, certified_passage, checked_times
 from fpk.answer.quantities import Number
+from fpk.answer.question import Asked
 from fpk.numeric.arrays import EPS, ROUND_OFF, ROUNDINGS, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
@@ -41,7 +42,7 @@ Level = tuple[Array, Array, Array, Array, float, dict[str, Any]]
 space leaves; relative round-off of the numbers; what the answer states beside all that."""
 
 
-def first_passage(asked: PassageAsked) -> Passage:
+def first_passage(asked: Asked) -> Passage:
     """Return the first passage that is asked for, with the reliability at its times.
 
     Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,

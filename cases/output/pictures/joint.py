@@ -72,7 +72,7 @@ def joint_figure(
     grid = common_grid(drawn.values(), cut=LOWEST if decades else SHOWN)
     mesh = np.meshgrid(*grid, indexing="ij")
     return contour_panels(
-        {route.name: density.tabulated(*mesh) for route, density in drawn.items()},
+        {route.name: density(*mesh) for route, density in drawn.items()},
         grid,
         observable,
         density_words(observable),
@@ -97,7 +97,7 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
     drawn: dict[Route, AnyDensity] = dict([*theories[:1], *full])
     x, y = np.meshgrid(*common_grid(drawn.values(), cut=SHOWN, count=SHEET), indexing="ij")
     sheets = {
-        route.name: (joined(d, SHEET) if isinstance(d, SampledDensity) else d).tabulated(x, y)
+        route.name: (joined(d, SHEET) if isinstance(d, SampledDensity) else d)(x, y)
         for route, d in drawn.items()
     }
     top = max(float(values.max()) for values in sheets.values())

@@ -25,12 +25,13 @@ from cases.scene.questions import PassageQuestion
 from cases.studies.simulation import best_answer, deterministic
 from cases.studies.sweep.result import SweepPoint, Value
 from fpk.answer.density import AnyDensity
-from fpk.answer.dynamics import CrossingsMethod, Curve, Rates, Relaxation
-from fpk.answer.evolution import Passage, Passages
+from fpk.answer.dynamics import Curve, Rates
+from fpk.answer.evolution import Passage
 from fpk.answer.limit import parse_limit
 from fpk.answer.method import Method, silent
 from fpk.answer.observable import Observable, observable_name
 from fpk.answer.quantities import Number
+from fpk.answer.question import QUESTIONS
 from fpk.answer.start import REST
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System
@@ -115,26 +116,26 @@ def _values(
         """From rest; the limit by its name, as a limit itself has no hash."""
         question = PassageQuestion(parse_limit(limit, system.n), REST)
         ask = partial(passage_answer, system=system, question=question)
-        return _first(methods, Passages, "first passage", ask)
+        return _first(methods, "passage", "first passage", ask)
 
     @cache
     def crossings(observable: Observable) -> Curve | Exception:
         """Upcrossings of all ``levels`` that are asked for, at once."""
 
-        def ask(method: CrossingsMethod, **how: Any) -> Curve:
+        def ask(method: Any, **how: Any) -> Any:
             return method.crossings(system, observable, np.array(levels[observable]), **how)
 
-        return _first(methods, CrossingsMethod, "upcrossing rate", ask)
+        return _first(methods, "crossings", "upcrossing rate", ask)
 
     @cache
     def relaxation() -> Rates | Exception:
         """The slowest rates, as many as are asked for."""
         most = int(max(q.at or 0.0 for q in quantities if q.kind == RELAXATION))
 
-        def ask(method: Relaxation, **how: Any) -> Rates:
+        def ask(method: Any, **how: Any) -> Any:
             return method.relaxation(system, most, **how)
 
-        return _first(methods, Relaxation, "relaxation rate", ask)
+        return _first(methods, "relaxation", "relaxation rate", ask)
 
     def found(quantity: Definition) -> Found:
         if quantity.limit is not None:
@@ -205,17 +206,17 @@ def _densities(
 
 
 def _first(
-    methods: Sequence[Method], gives: type, what: str, ask: Callable[..., Answer]
+    methods: Sequence[Method], question: str, what: str, ask: Callable[..., Answer]
 ) -> Answer | Exception:
     """The answer of the first of ``methods`` that certifies it, else that of any.
 
-    ``ask`` is a function of a method that ``gives`` such answers; ``what`` they are in words. Where
-    none answers the reason of the first, an exception.
+    ``ask`` is a function of a method that answers the ``question``; ``what`` such answers are in
+    words. Where none answers the reason of the first, an exception.
     """
     refused: list[Exception] = []
     answers: list[Answer] = []
     for method in methods:
-        if isinstance(method, gives):
+        if QUESTIONS[question].answered_by(method):
             try:
                 answer = ask(method, tol=None, progress=silent)
             except REFUSALS as error:

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from fpk.answer.bins import BinAxis
-from fpk.answer.evolution import Passage, PassageAsked, Transient, TransientAsked
+from fpk.answer.evolution import Passage, Transient
 from fpk.answer.method import Progress, silent
 from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.question import Asked
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags, Integers
 from fpk.numeric.errors import InvalidInput
@@ -205,7 +206,7 @@ def energy_passage(
     form: SquareRootForm,
     limits: tuple[Array, Array],
     starts: Starts,
-    asked: PassageAsked,
+    asked: Asked,
     *,
     dt: float,
     memory: float,
@@ -268,7 +269,7 @@ def energy_passage(
 def energy_transient(
     form: SquareRootForm,
     starts: Starts,
-    asked: TransientAsked,
+    asked: Asked,
     *,
     dt: float,
     paths: int,

@@ -1,0 +1,205 @@
+"""Questions about motion in time: one record for each, from which methods and commands follow.
+
+A ``Question`` has the name of the function by which a method answers it, and what that takes. A
+class answers it with a function of the method and of what is ``Asked``::
+
+    class Linear(Method):
+        @answer
+        def spectrum(self, asked: Asked) -> Curve: ...
+
+    Linear().spectrum(system, parse_observable("q1", 1), np.linspace(0.0, 2.0, 5), tol=1e-8)
+
+A class that exists is given an answer likewise: ``Linear.spectrum = answer(spectrum)``.
+Whatever is the same for all methods is checked here. ``tol`` is the largest error wanted: of curves
+in units of ``scale``, of rates relative to each; None for the default of the method. ``progress``
+is called as ``progress(done, total, what)``.
+
+Raised are ``InvalidInput`` for a tolerance that is not > 0, what is no displacement, a lag that is
+no time, a start at or beyond the limit, or times that do not ascend from 0 or later; and
+``NotApplicable`` where the method does not answer for this system, observable, limit or start.
+This file imports no numerical library: the command line reads it for its help.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from inspect import Parameter, Signature
+from math import inf, pi
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from fpk.answer.observable import Observable, displacement_row
+from fpk.numeric.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from fpk.system.system import System
+
+Answer = TypeVar("Answer")
+OF_DISPLACEMENT = ("observable", "at")
+"""What a curve about the stationary motion of a displacement takes."""
+Progress = Callable[[int, int, str], None]
+"""Called as ``progress(done, total, what)`` while a method works."""
+Powers = tuple[int, int, int]
+"""Powers of length, mass and time in a unit."""
+
+
+def silent(done: int, total: int, what: str) -> None:
+    """Report no progress."""
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A question to a method about ``system``; of the rest what the question takes is given.
+
+    ``observable`` as ``parse_observable`` gives it. ``at`` are levels, angular frequencies or lags
+    (points,), or of densities points, one array (points,) for each coordinate. ``start`` is a
+    ``fpk.answer.start.Start``, ``limit`` a ``fpk.answer.limit.Limit``; ``times`` (times,) are after
+    the start; ``count`` is how many rates; ``tol`` None is the method's default.
+    """
+
+    system: "System"
+    tol: Any
+    progress: Progress
+    observable: Observable = ()
+    at: Any = None
+    start: Any = None
+    limit: Any = None
+    times: Any = None
+    count: int = 0
+
+    @property
+    def row(self) -> int:
+        """The mass whose displacement is observed, counted from 0."""
+        return displacement_row(self.observable)
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """A question about motion in time.
+
+    ``name`` is that of the method's function and of the command; ``words`` say what a method gives
+    that answers; ``takes`` are the fields of ``Asked`` in the order in which they are given;
+    ``key`` is the name of the values in records. Where it takes ``OF_DISPLACEMENT`` the command
+    follows: ``help`` is its text; ``axis`` says what ``at`` is, empty for levels; ``powers`` are
+    the units of ``at`` and of the values; ``scale(σ_q, σ_v)`` is a natural size of the values; and
+    ``check`` raises ``InvalidInput`` for ``at`` that has no answer.
+    """
+
+    name: str
+    words: str
+    takes: tuple[str, ...]
+    key: str = ""
+    help: str = ""
+    axis: str = ""
+    powers: tuple[Powers, Powers] = ((0, 0, 0), (0, 0, 0))
+    scale: Callable[[float, float], float] = lambda q, v: 1.0
+    check: Callable[[Any], object] = id
+
+    def answered_by(self, method: object) -> bool:
+        """Return whether a method, or a class of methods, answers the question."""
+        return hasattr(method, self.name)
+
+
+def require_lags(at: Any) -> None:
+    """Raise ``InvalidInput`` unless all lags are times, finite and >= 0."""
+    wrong = at[~((at >= 0.0) & (at < inf))]
+    if wrong.size:
+        raise InvalidInput("at", float(wrong[0]), "a lag is a time, finite and 0 or later")
+
+
+QUESTIONS: dict[str, Question] = {}
+"""Every question by its name, in the order of registration."""
+
+
+def register(question: Question) -> Question:
+    """Add a question to the registry and return it; a name is taken once."""
+    if question.name in QUESTIONS:
+        raise ValueError(f"the question {question.name} is registered already")
+    QUESTIONS[question.name] = question
+    return question
+
+
+def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
+    """Return ``function(method, asked)`` as a method's answer to the question of its name.
+
+    It is called with the system and what the question takes, then ``tol`` and ``progress``.
+    """
+    question = QUESTIONS[function.__name__]
+    given = [
+        Parameter(name, Parameter.POSITIONAL_OR_KEYWORD)
+        for name in ("self", "system", *question.takes)
+    ]
+    how = {"tol": None, "progress": silent}
+    named = [Parameter(k, Parameter.KEYWORD_ONLY, default=value) for k, value in how.items()]
+    signature = Signature([*given, *named])
+
+    @wraps(function)
+    def ask(*given: Any, **named: Any) -> Answer:
+        from fpk.answer.certificate import tolerance  # noqa: PLC0415  (see above)
+
+        bound = signature.bind(*given, **named)
+        bound.apply_defaults()
+        method, asked = bound.arguments.pop("self"), Asked(**bound.arguments)
+        tolerance(asked.tol, None)
+        if question.takes == OF_DISPLACEMENT:
+            displacement_row(asked.observable)
+            question.check(asked.at)
+            method.planned(asked.system, [asked.observable])
+        return function(method, asked)
+
+    ask.__signature__ = signature  # type: ignore[attr-defined]
+    return ask
+
+
+register(
+    Question(
+        name="crossings",
+        words="crossings",
+        takes=OF_DISPLACEMENT,
+        key="rate",
+        help="""Give the upcrossings of levels per unit time in the stationary state.
+
+        By linear, exact, phase-space or the averaged theories (nonintegrable, integrable), or
+        counted in a simulation by montecarlo.
+        """,
+        powers=((1, 0, 0), (0, 0, -1)),
+        scale=lambda q, v: v / (2.0 * pi * q),
+    )
+)
+register(  # S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt with C the autocovariance
+    Question(
+        name="spectrum",
+        words="spectrum",
+        takes=OF_DISPLACEMENT,
+        key="spectrum",
+        help="""Give the power spectral density at angular frequencies.
+
+        It is two-sided: its integral over all frequencies, negative ones too, is the variance. By
+        linear or phase-space, or estimated from a simulation by montecarlo.
+        """,
+        axis="angular frequency",
+        powers=((0, 0, -1), (2, 0, 1)),
+        scale=lambda q, v: q**3 / v,
+    )
+)
+register(
+    Question(
+        name="correlation",
+        words="correlation",
+        takes=OF_DISPLACEMENT,
+        key="correlation",
+        help="""Give the autocovariance E q(0) q(t) − (E q)² at lags t >= 0.
+
+        It begins with the variance. By linear or phase-space, or estimated from a simulation by
+        montecarlo.
+        """,
+        axis="lag",
+        powers=((0, 0, 1), (2, 0, 0)),
+        scale=lambda q, v: q**2,
+        check=require_lags,
+    )
+)
+register(Question("relaxation", "relaxation rates", ("count",)))
+register(
+    Question("transient", "densities in time", ("observable", "start", "times", "at"), "density")
+)
+register(Question("passage", "first passage", ("limit", "start", "times")))
