@@ -30,7 +30,8 @@ TIED = 0.2
 """Width of a displacement given another one, relative to its own, below which the joint density is
 a ridge that panels of one thermal displacement do not resolve."""
 SAME = 1e-10
-"""Distance of two nodes, relative to the support, below which they are one."""
+"""Distance from another node, relative to the support, below which a node where a tied mass begins
+to touch is left out. Layers beyond stops are thinner where stops are stiff, and are all kept."""
 
 
 def back_transformed(source: StateDensity, observable: Observable, *, tol: float) -> Density:
@@ -183,7 +184,7 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
     thermal = float(np.sqrt(own * temperature))
     levels = contact_levels(temperature, end)
     nodes = stop_panels(system, mass, width=thermal, end=end, levels=levels)
-    low, high, parts = -nodes[0], nodes[-1], [nodes]
+    low, high, parts = -nodes[0], nodes[-1], [np.empty(0)]
     for stop in system.stops:
         if stop.index == mass:
             continue
@@ -195,9 +196,10 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
         if width < thermal:
             steps = width * 2.0 ** np.arange(-1.0, ceil(np.log2(2.0 * (high + low) / width)))
             parts.append(touch + np.concatenate([-steps, [0.0], steps]))
-    nodes = np.unique(np.concatenate(parts))
-    nodes = nodes[(nodes >= -low) & (nodes <= high)]
-    return np.asarray(nodes[np.append(True, np.diff(nodes) > SAME * (high + low))])
+    more, same = np.unique(np.concatenate(parts)), SAME * (high + low)
+    more = more[(more > -low) & (more < high) & (np.diff(more, append=np.inf) > same)]
+    apart = np.abs(more[:, None] - nodes).min(axis=1) > same
+    return np.union1d(nodes, more[apart])
 
 
 def crossing_rates(source: StateDensity, row: int, at: Array, *, tol: float) -> Curve:

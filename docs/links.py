@@ -59,15 +59,11 @@ def defined(obj: object) -> str:
 def theory_of(name: str, obj: object) -> dict[str, str]:
     """Return the sections that define ``obj``, documented as ``name``: titles by label.
 
-    Of an inherited member they are the sections on the method of its name with an underscore, by
-    which the class answers, or else those of the class that defines it; other members have those at
-    their class already.
+    Of an inherited member they are the sections of the class that defines it; other members have
+    those at their class already.
     """
-    place, (*_, owner, member) = defined(obj), name.split(".")
+    place, (*_, owner, _) = defined(obj), name.split(".")
     of = place.rpartition(".")[0]
-    for own, sections in mentions().items():
-        if own.endswith(f"::{owner}._{member}"):
-            return sections
     return mentions().get(place) or ({} if of.endswith(f"::{owner}") else mentions().get(of, {}))
 
 

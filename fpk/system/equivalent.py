@@ -123,6 +123,7 @@ def damping_balance(system: System) -> Balance:
                 row += scaled * [part.sum(), np.abs(part).sum()] / weights.sum()
         mean, absolute = means.T
         acts = np.abs(mean) > QUADRATURE * absolute
+        mean = np.where(acts, mean, 0.0)
         logs = np.log(np.where(acts, np.abs(mean), 1.0))
         power = np.where(acts, np.maximum(np.gradient(logs, log_theta), 0.0), 0.0)
         level = order + power

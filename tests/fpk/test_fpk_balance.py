@@ -158,6 +158,14 @@ def test_a_term_far_along_the_chain_is_judged_with_all_stops(
             MonteCarlo().prepare(system)
 
 
+def test_a_power_that_vanishes_by_symmetry_is_none() -> None:
+    """c11 = 0.1 + 0.1 H q1² q2 between equal stops: the mean of the term is 0 at every θ."""
+    term = DampingTerm(1, 1, 0.1, q=((1, 2), (2, 1)), energy=1)
+    ones, stops = np.ones(2), (Contact(1, "both", 10.0, 0.3),)
+    system = System(ones, ones, 0.1 * ones, 0.1 * ones, contacts=stops, damping_terms=(term,))
+    assert damping_balance(system).temperature == pytest.approx(1.0, rel=1e-12)
+
+
 @pytest.mark.parametrize("count", [5, pytest.param(30, marks=pytest.mark.slow)])
 def test_many_stops_are_part_of_the_balance(count: int) -> None:
     """Between its stops the first mass stays where it is damped; without them the energy grows."""

@@ -8,9 +8,12 @@ from fpk.numeric.arrays import Array
 from fpk.solvers.probe import Probe, probed
 from fpk.system.process import Process
 
-NATS = 3.5
-"""Fall of ln(p/T) over one element. Over n nats a polynomial of degree p misses e^(−x) by
-n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev): 1e-8 in degree 10."""
+NATS = 3.0
+"""Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
+SMOOTH_NATS = 4.0
+"""Fall of ln(p/T) over one element where ln(p/T) is linear in H: over n nats a polynomial of degree
+p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the
+degree of a tolerance (four more than its digits) 1e-1 to 1e-2 of the tolerance."""
 SPREAD = 20.0
 """Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
@@ -45,16 +48,17 @@ def initial_nodes(
     end: float,
     nonsmooth: tuple[float, ...],
     *,
+    nats: float = NATS,
     layers: int = GRADED_LAYERS,
 ) -> Array:
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
 
-    Geometric ``layers`` lie above every nonsmooth
+    ``nats`` is the fall of ln(p/T) over one element. Geometric ``layers`` lie above every nonsmooth
     energy (below it, the density is smooth up to it). Where that is tiny beside its element, T
     still changes with H/H_c: elements grow from there.
     """
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
-    nodes: Array = _placed(probe.energy, probe.roughness / NATS, ends)
+    nodes: Array = _placed(probe.energy, probe.roughness / nats, ends)
     for H in ends[1:-1]:
         if nodes[np.searchsorted(nodes, H) + 1] > SPREAD * H:
             steps = np.arange(1.0, math.log(end / H) / math.log(SPREAD))
@@ -128,7 +132,7 @@ def time_nodes(
     shorter. ``more`` are nodes that are added, but for those that nearly are others.
     """
     n = process.degrees_of_freedom
-    nodes = initial_nodes(probed(process), end, process.nonsmooth)
+    nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)
     added = [nodes, more, end * np.array([0.25, 0.5, 0.75])]  # four elements at least
     beside_zero = [length for energy, length in fine if energy == 0.0]
     if n > 2:
@@ -136,7 +140,7 @@ def time_nodes(
         scale = min([process.energy_scale, end, *(n * length / FAST for length in beside_zero)])
         first = 10.0 ** (-16.0 / (first_degree(degree - 1, n) + 2)) * scale
         # ln T ~ (n − 1) ln H.
-        ratio = min(math.exp(NATS / (n - 1)), GROWTH if beside_zero else np.inf)
+        ratio = min(math.exp(SMOOTH_NATS / (n - 1)), GROWTH if beside_zero else np.inf)
         if first < 0.5 * nodes[1]:
             steps = int(math.log(end / first) / math.log(ratio))
             added.append(first * ratio ** np.arange(steps + 1.0))

@@ -16,10 +16,11 @@ from scipy.ndimage import maximum_filter1d
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify, outside
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.numeric.piecewise import Piecewise
-from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.elements import MORE_POINTS, Elements, NullVectors, joined, solve_elements
+from fpk.solvers.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
 from fpk.solvers.line.mesh import (
     GRADED_LAYERS,
+    NATS,
+    SMOOTH_NATS,
     initial_nodes,
     split_points,
     with_layers,
@@ -134,8 +135,9 @@ class StationarySolution:
         log_scale = np.array([self.answer.log_scale, self.enriched.log_scale])
         distance = np.abs(u - np.exp(log_scale[1] - log_scale[0])[:, None] * better)
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * 0.5 * (1.0 + t)
-        first = float(panel_rule(self.nodes[:2], self.degree + MORE_POINTS)[0][0, 0])
-        log_root = 0.5 * (self.process.degrees_of_freedom - 1) * np.log(np.maximum(x, first))
+        n = self.process.degrees_of_freedom
+        first = self.nodes[1] * element_rule(self.degree, n).share[0]
+        log_root = 0.5 * (n - 1) * np.log(np.maximum(x, first))
         weighted = np.log(np.maximum(distance, SMALLEST)) + log_root
         around = maximum_filter1d(weighted, 4 * HALF_WAVE + 1, axis=1, mode="nearest")
         return np.asarray(around - log_root + log_scale[0][:, None])
@@ -149,8 +151,9 @@ class StationarySolution:
         the answer and the enriched solution have them alike. At a node where p is much less it
         spoils the scale of all elements on the side of less mass.
         """
-        x = panel_rule(self.nodes, self.degree + MORE_POINTS)[0]
-        x = np.hstack([self.nodes[:-1, None], x, self.nodes[1:, None]])
+        share = element_rule(self.degree, self.process.degrees_of_freedom).share
+        share = np.concatenate([[0.0], share, [1.0]])
+        x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * share
         x[0, 0] = x[0, 1]  # towards H = 0 p/T has no bound
         log_T = self._log_states(x)
         p = np.abs(self.answer(x, log_factor=log_T))
@@ -179,8 +182,8 @@ def solve_stationary(
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
     probe = probed(process)
     end = probe.extent(1e-2 * tol)
-    layers = 0 if smooth else GRADED_LAYERS
-    nodes = initial_nodes(probe, end, process.nonsmooth, layers=layers)
+    nats, layers = (SMOOTH_NATS, 0) if smooth else (NATS, GRADED_LAYERS)
+    nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
     special = np.array([0.0, *process.nonsmooth])
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
