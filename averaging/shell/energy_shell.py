@@ -14,7 +14,7 @@ import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
 from averaging.conditional import conditionals
-from averaging.shell.rays import Stops, gauss_rule, ray_integrals
+from averaging.shell.rays import Stops, gauss_rules, ray_integrals
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.system import System, looks_the_same_mirrored
@@ -137,27 +137,33 @@ class EnergyShell:
         add_rays = ray_integrals(laws, 2 * n - self.count - 2 <= 0)
         cuts = self._cut_angles(energy) if self.count == 2 else np.empty((energy.size, 0))
 
-        def sums(i: Integers, rule: int) -> Array:
-            """The quantities at some energies by one of the ``RULES``, (energies, ·)."""
-            which, directions, weights = _rays(cuts[i], RULES[rule], mirror=mirror)
-            radial = gauss_rule(RULES[min(rule, RADIAL_RULE) if self.count == 2 else rule])
-            out = np.zeros((which.size, 3 + len(orders)))
-            add_rays(energy[i[which]], directions, self.stops, n, orders, radial, out)
+        def sums(i: Integers, rules: range) -> Array:
+            """The quantities at some energies by some of the ``RULES``, (rules, energies, ·)."""
+            which, directions, weights = _rays(cuts[i], RULES[rules[0]], mirror=mirror)
+            last = len(RULES) if self.count == 1 else RADIAL_RULE
+            radial = gauss_rules(tuple(RULES[min(k, last)] for k in rules))
+            out = np.zeros((len(rules), which.size, 3 + len(orders)))
+            add_rays(energy[i[which]], directions, self.stops, n, orders, *radial, out)
             parts = weights[:, None] * combine(directions, out)
-            return np.stack([np.bincount(which, x, minlength=i.size) for x in parts.T], axis=1)
+            total = [[np.bincount(which, x, minlength=i.size) for x in rule.T] for rule in parts]
+            return np.swapaxes(total, 1, 2)
 
-        fine = sums(np.arange(energy.size), 0)
-        error = np.full(fine.shape, np.inf)
+        def error_of(coarse: Array, fine: Array) -> Array:
+            size = np.abs(fine)
+            size[:, 2] = np.maximum(size[:, 2], fine[:, 0])
+            return np.abs(coarse - fine) / size + (ROUND_OFF if n > 1 else ROOT_ROUND_OFF)
+
+        # Rays of one contact mass serve both rules; of two each rule has its own.
+        first = [range(2)] if self.count == 1 else [range(1), range(1, 2)]
+        coarse, fine = np.concatenate([sums(np.arange(energy.size), rules) for rules in first])
+        error = error_of(coarse, fine)
         targets = np.array([TARGET] * 3 + [target] * (fine.shape[1] - 3))
-        for rule in range(1, len(RULES)):
+        for rule in range(2, len(RULES)):
             i = np.flatnonzero(~np.all(error <= targets, axis=1))  # no number is refined, too
             if not i.size:
                 break
-            finer = sums(i, rule)
-            size = np.abs(finer)
-            size[:, 2] = np.maximum(size[:, 2], finer[:, 0])
-            floor = ROUND_OFF if n > 1 else ROOT_ROUND_OFF
-            error[i], fine[i] = np.abs(fine[i] - finer) / size + floor, finer
+            (finer,) = sums(i, range(rule, rule + 1))
+            error[i], fine[i] = error_of(fine[i], finer), finer
         return fine, np.where(np.isnan(error), np.inf, error)
 
     def _cut_angles(self, energy: Array) -> Array:

@@ -39,6 +39,10 @@ class Parts(NamedTuple):
 
 def parts_of(system: System) -> Parts:
     """Return the parts of all damping terms."""
+    if not system.damping_terms:
+        no, none, square = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0))
+        powers = np.zeros((0, len(system.contact_masses)), dtype=np.int64)
+        return Parts(powers, none, none, no, square, none, none, no, square, none, none)
     keys, values = power_given(system, system.damping_terms)
     groups, group = np.unique(keys[:, :2], axis=0, return_inverse=True)
     of_group = np.eye(len(groups))[group.ravel()]

@@ -2,8 +2,8 @@
 
 Along a ray y = r e of whitened coordinates V rises strictly, so the shell is 0 <= r <= R. Between
 stops lie panels. X is the distance from the beginning of one to the turning point that the engaged
-stops alone would leave. x = X sin²φ removes the root there and the half-integer powers of Hertz
-contact at the beginning, and stays smooth when the next stop comes before.
+stops alone would leave. Beyond the first stop x = X sin²φ removes the root there and the half-
+integer powers of Hertz contact at the beginning, and stays smooth when the next stop comes before.
 """
 
 from collections.abc import Callable
@@ -37,11 +37,15 @@ class Stops(NamedTuple):
 
 
 @lru_cache
-def gauss_rule(points: int) -> Array:
-    """Return Gauss points of [0, 1], their weights, and sin φ, cos φ at φ = π/2 of the point."""
-    t, w = gauss_legendre(points)
+def gauss_rules(counts: tuple[int, ...]) -> tuple[Array, Integers]:
+    """Return rules of so many Gauss points of [0, 1], one after the other, and where each begins.
+
+    Rows are the points, their weights, and sin φ, cos φ at φ = π/2 of the point.
+    """
+    t, w = np.hstack([gauss_legendre(count) for count in counts])
     phi = 0.25 * np.pi * (1.0 + t)
-    return np.array([0.5 * (1.0 + t), 0.5 * w, np.sin(phi), np.cos(phi)])
+    rule = np.array([0.5 * (1.0 + t), 0.5 * w, np.sin(phi), np.cos(phi)])
+    return rule, np.cumsum([0, *counts])
 
 
 @lru_cache
@@ -63,13 +67,14 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         n: int,
         orders: Integers,
         rule: Array,
+        ends: Integers,
         out: Array,
     ) -> int:
-        """Add the integrals along rays to ``out``, (rays, 3 + orders).
+        """Add the integrals along rays by each rule to ``out``, (rules, rays, 3 + orders).
 
-        ``energy`` (rays,) and unit vectors ``directions`` (rays, c). ``rule`` as ``gauss_rule``
-        returns it. With v = 1 − V/H and lengths in units of √H the integrals are those of
-        v^a r^(c−1) (1, v, w), which belong to T, the phase volume and H T', then of
+        ``energy`` (rays,) and unit vectors ``directions`` (rays, c). ``rule`` and ``ends`` as
+        ``gauss_rules`` returns them. With v = 1 − V/H and lengths in units of √H the integrals are
+        those of v^a r^(c−1) (1, v, w), which belong to T, the phase volume and H T', then of
         v^(a+j) r^(c−1+k) for the rows (k, j) of ``orders``. For a > 0, w = a/v is the derivative
         under the integral; otherwise that diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²)
         comes from differentiating with V as the variable. Returns the checksum of the sources.
@@ -95,21 +100,22 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                     continue
                 X = _turning_point(height, start, k, ray, U, g)
                 _points(H, start, X, min(length, X), k, ray, rule, r, dx, v, U, g)
-                for j in range(size):
-                    states = dx[j] * v[j] ** whole * scale
-                    if half:
-                        states /= np.sqrt(v[j])
-                    if c == 2:
-                        states *= r[j] * scale
-                    change = a / v[j]
-                    if singular:
-                        change = a + 1.0 + _bent(r[j], k, c, ray, U, g, bend)
-                    out[i, 0] += states
-                    out[i, 1] += states * v[j]
-                    out[i, 2] += states * change
-                    for o in range(orders.shape[0]):
-                        power = (r[j] * scale) ** orders[o, 0] * v[j] ** orders[o, 1]
-                        out[i, 3 + o] += states * power
+                for m in range(out.shape[0]):
+                    for j in range(ends[m], ends[m + 1]):
+                        states = dx[j] * v[j] ** whole * scale
+                        if half:
+                            states /= np.sqrt(v[j])
+                        if c == 2:
+                            states *= r[j] * scale
+                        change = a / v[j]
+                        if singular:
+                            change = a + 1.0 + _bent(r[j], k, c, ray, U, g, bend)
+                        out[m, i, 0] += states
+                        out[m, i, 1] += states * v[j]
+                        out[m, i, 2] += states * change
+                        for o in range(orders.shape[0]):
+                            power = (r[j] * scale) ** orders[o, 0] * v[j] ** orders[o, 1]
+                            out[m, i, 3 + o] += states * power
         return sources
 
     return add_rays
@@ -207,16 +213,24 @@ def _points(
 ) -> None:
     """Write r, dr and v = 1 − V/H at the points of a panel of length ``span``.
 
-    v is the fall of springs and stops between X and x = r − ``start``.
+    v is the fall of springs and stops between X and x = r − ``start``. Before the first stop only
+    the root at X is removed, by √(X − x) as the variable: that takes no sine at each point.
     """
     share, weight, sine, cosine = rule[0], rule[1], rule[2], rule[3]
+    top = np.sqrt(X)
+    width = span / (top + np.sqrt(X - span))
     end = 0.5 * np.pi if span == X else np.arctan2(np.sqrt(span), np.sqrt(X - span))
     for j in range(r.size):
-        s, c = sine[j], cosine[j]
-        if span < X:
-            s, c = np.sin(end * share[j]), np.cos(end * share[j])
-        x, left = X * s * s, X * c * c
-        dx[j] = 2.0 * X * end * s * c * weight[j]
+        if k == 0:
+            root = top - width * share[j]
+            x, left = width * share[j] * (top + root), root * root
+            dx[j] = 2.0 * root * width * weight[j]
+        else:
+            s, c = sine[j], cosine[j]
+            if span < X:
+                s, c = np.sin(end * share[j]), np.cos(end * share[j])
+            x, left = X * s * s, X * c * c
+            dx[j] = 2.0 * X * end * s * c * weight[j]
         fall = left * (start + 0.5 * (X + x))
         for i in range(k):
             reach, begun = ray.reach[i], ray.reach[i] * (start - ray.touch[i])

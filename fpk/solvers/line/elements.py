@@ -44,7 +44,7 @@ class Rule(NamedTuple):
 
     In elements that begin where contact does both masses have points of their own, at
     ``contact_share`` with ``contact_weight`` and values ``contact_P``: those of the answer first,
-    as many as above, then those of the enriched solution. They are Gauss points in (H − H_c)^⅓: in
+    then those of the enriched solution. They are Gauss points in (H − H_c)^⅓: in
     √(H − H_c) T is smooth, but stiff contact leaves a layer just above H_c. Without clearance, or
     with very little beside a stiff stop, T has other roots and both rules converge algebraically:
     twice as many points keep less than half of the error for any power of H − H_c from ½ on.
@@ -62,22 +62,17 @@ class Rule(NamedTuple):
 
 @lru_cache
 def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
-    """Return the points of elements of ``degree`` where T ~ H^(n−1), n = ``degrees_of_freedom``.
-
-    All arrays have as many points as an element with contact: the last one stands for those that
-    an element without has fewer, with the weight 0.
-    """
+    """Return the points of elements of ``degree`` where T ~ H^(n−1), n = ``degrees_of_freedom``."""
     points = degree + (2 if degrees_of_freedom > 2 else 1) * MORE_POINTS
     count, highest = degree + CONTACT_POINTS, degree + ENRICHMENT
     x, w = gauss_legendre(points)
     rules = gauss_legendre(count), gauss_legendre(2 * count - 2)
     t, contact_w = (0.5 * np.concatenate(both) for both in zip(*rules, strict=True))
     t += 0.5
-    interpolation, used = np.zeros(count), np.arange(points) != points // 2
+    interpolation, used = np.zeros(points), np.arange(points) != points // 2
     # All points but the middle one, exact for as many degrees as are left.
     every = legvander(x[used], points - 2)
-    interpolation[:points][used] = np.linalg.solve(every.T, np.eye(points - 1)[0])
-    x, w = np.append(x, np.full(count - points, x[-1])), np.append(w, np.zeros(count - points))
+    interpolation[used] = np.linalg.solve(every.T, np.eye(points - 1)[0])
     value = np.asarray(legvander(x, highest), dtype=float)
     slope = 2.0 * value[:, :-1] @ legder(np.eye(highest + 1))
     tests = value[:, :-1, None]
@@ -86,7 +81,7 @@ def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
         weight=0.5 * w,
         enriched_weight=interpolation,
         P=value.T,
-        tested=np.concatenate([(tests * f[:, None]).reshape(count, -1) for f in (value, slope)]),
+        tested=np.concatenate([(tests * f[:, None]).reshape(points, -1) for f in (value, slope)]),
         contact_share=t**3,
         contact_weight=3.0 * t**2 * contact_w,
         contact_P=np.asarray(legvander(2.0 * t**3 - 1.0, highest).T, dtype=float),
@@ -156,21 +151,25 @@ def solve_elements(
         u, enriched = (_null_vectors(A, m) for m in degrees)
     else:
         nodes = np.append(left, right[-1])
-        own_points = int(np.count_nonzero(rule.weight))
-        (u, own), (enriched, _) = (null_vectors(process, nodes, m, own_points) for m in degrees)
+        (u, own), (enriched, _) = (null_vectors(process, nodes, m, points) for m in degrees)
     residual, net_flux, one_way = _residuals(A, u)
     values, better = (T * (f @ rule.P[: f.shape[1]]) for f in (u, enriched))
     weights, better_mass = np.tile(rule.weight, (left.size, 1)), better @ rule.enriched_weight
-    if contact.size:
+    if len(process.nonsmooth):
         of_T, of_error = (a[x.size :].reshape(inner.shape) for a in flat[-2:])
-        error[contact] = np.maximum(error[contact], of_error.max(axis=1))
+        error[contact] = np.maximum(error[contact], of_error.max(axis=1, initial=0.0))
         inner_T = np.exp(of_T - log_factor[contact, None])
         own_values, finer = (
             inner_T * (f[contact] @ rule.contact_P[: f.shape[1]]) for f in (u, enriched)
         )
-        x[contact], weights[contact] = inner[:, :points], rule.contact_weight[:points]
-        values[contact], better[contact] = own_values[:, :points], finer[:, :points]
-        better_mass[contact] = finer[:, points:] @ rule.contact_weight[points:]
+        # Elements without contact have fewer points: the last stands for the rest, of no weight.
+        count = degree + CONTACT_POINTS
+        places = np.minimum(np.arange(count), points - 1)
+        x, values, better = (f[:, places] for f in (x, values, better))
+        weights = np.where(np.arange(count) < points, weights[:, places], 0.0)
+        x[contact], weights[contact] = inner[:, :count], rule.contact_weight[:count]
+        values[contact], better[contact] = own_values[:, :count], finer[:, :count]
+        better_mass[contact] = finer[:, count:] @ rule.contact_weight[count:]
     mass = (weights * values).sum(axis=1)
     # The first equation, of the test function 1, is the mean of J. h² may be less than any number.
     scale = np.abs(largest[:, 0, 0] / h[:, 0] / mass / h[:, 0])

@@ -14,6 +14,9 @@ SMOOTH_NATS = 4.0
 """Fall of ln(p/T) over one element where ln(p/T) is linear in H: over n nats a polynomial of degree
 p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the
 degree of a tolerance (four more than its digits) 1e-1 to 1e-2 of the tolerance."""
+LOG_GROWTH = math.log(1.75)
+"""ln of how many times ``SMOOTH_NATS`` an element may have where little of the mass is left: over 7
+nats p still exceeds its error at the far end (of degree 6 and more), so that it stays positive."""
 SPREAD = 20.0
 """Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
@@ -48,7 +51,7 @@ def initial_nodes(
     end: float,
     nonsmooth: tuple[float, ...],
     *,
-    nats: float = NATS,
+    nats: Array | float = NATS,
     layers: int = GRADED_LAYERS,
 ) -> Array:
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.

@@ -19,6 +19,7 @@ from fpk.numeric.piecewise import Piecewise
 from fpk.solvers.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
 from fpk.solvers.line.mesh import (
     GRADED_LAYERS,
+    LOG_GROWTH,
     NATS,
     SMOOTH_NATS,
     initial_nodes,
@@ -182,7 +183,12 @@ def solve_stationary(
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
     probe = probed(process)
     end = probe.extent(1e-2 * tol)
-    nats, layers = (SMOOTH_NATS, 0) if smooth else (NATS, GRADED_LAYERS)
+    nats: Array | float = NATS
+    if smooth:
+        # The error of an element counts by its mass, and rises with the nats to this power.
+        fall = probe.log_mass.max() - probe.log_mass
+        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), LOG_GROWTH))
+    layers = 0 if smooth else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
     special = np.array([0.0, *process.nonsmooth])
