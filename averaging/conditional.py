@@ -6,7 +6,6 @@ series: nothing in its law ½ a (q − μ)² + U(q) cancels at any ratio of the 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from math import ceil, exp, log2
 
 import numpy as np
@@ -181,8 +180,13 @@ def gibbs_integral(
             free = [stop.sign * min(stop.clearance, most) for stop in law.stops]
             means = [np.linspace(-most, most, 33), np.linspace(min(free), max(free), 9)]
             weight = float(over([law], np.concatenate(means)[None]).max())
-            f = partial(lambda law, beyond, unit, x: over([law], x[None], beyond) / unit, law)
-            beyond = fit(partial(f, beyond, top), np.linspace(-most, most, 9), FIT_TOLERANCE)
+
+            def in_units(
+                x: Array, law: Conditional = law, rest: Piecewise | None = beyond, top: float = top
+            ) -> Array:
+                return np.asarray(over([law], x[None], rest) / top)
+
+            beyond = fit(in_units, np.linspace(-most, most, 9), FIT_TOLERANCE)
             assert beyond.error is not None
             error, scale = error * weight / top + float(beyond.error.max()), scale * top
         given = x[None] if observed else np.zeros((0, x.size))

@@ -138,7 +138,11 @@ class NonIntegrable(Theory):
 
     @answer
     def passage(self, asked: Asked) -> Passage:
-        """Return the first passage of the energy through a limit; ``tol`` as of ``transient``."""
+        """Return the first passage of the energy through a limit.
+
+        ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
+        under modulated noise.
+        """
         system, process = asked.system, energy_process(asked.system)
         if asked.limit.kind != "H":
             words = "this theory knows the total energy only; give a limit H=.."
@@ -206,6 +210,8 @@ def square_root(system: System, solver: str) -> SquareRoot:
 
 def _process(system: System, factor: float) -> Process:
     """The averaged energy under ``factor`` times the noise intensity."""
+    if factor == 1.0:  # the system keeps what follows from it
+        return energy_process(system)
     return energy_process(replace(system, noise_intensity=factor * system.noise_intensity))
 
 

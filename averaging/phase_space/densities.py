@@ -1,7 +1,7 @@
 """Densities of q and p from an expansion in Hermite functions, and identities, with their errors.
 
-The identities are moment equations that hold exactly in any stationary state: how far an expansion
-misses them judges it where no exact density is known.
+The identities are moment equations that hold exactly in any stationary state. An expansion has most
+of them to round-off at any degree: a miss shows wrong equations, not too low a degree.
 """
 
 import numpy as np
@@ -41,10 +41,8 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
     values = np.asarray(pdf(*mesh))
     distance = np.abs(values - np.asarray(coarser(*mesh)))
-    local, floor = (
-        maximum_filter(distance, count // SPAN + 1, mode="nearest"),
-        ROUND_OFF * values.max(),
-    )
+    local = maximum_filter(distance, count // SPAN + 1, mode="nearest")
+    floor = ROUND_OFF * values.max()
     # Mass beyond the panels: the density at their ends times the length of the last ones, over
     # which it falls by more than e at the end of the support.
     tail = 0.0

@@ -167,7 +167,10 @@ def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measure
 
 
 def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]:
-    """Return ∫|p_a − p_b|, its mean were both right, and what it exceeds in ``FALSE_ALARMS``."""
+    """Return ∫|p_a − p_b|, its mean were both right, and what it exceeds in ``FALSE_ALARMS``.
+
+    The error of the integral is part of the second.
+    """
     return _distance(_with_error(a), _with_error(b))
 
 

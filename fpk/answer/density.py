@@ -16,12 +16,13 @@ from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array
 from fpk.numeric.quadrature import GAUSS_POINTS, gauss_grid, integral
 
-FEWER = {1: 16, 2: 9}
-"""Gauss points per panel and axis, by the number of axes, of a coarser rule: its distance from the
-rule of ``GAUSS_POINTS`` is part of the error of an expectation and of a distance."""
+RULES = {1: (12, 16, GAUSS_POINTS[1]), 2: (7, 9, GAUSS_POINTS[2])}
+"""Gauss points per panel and axis, by the number of axes; the last rule is the answer. At a kink
+within a panel one coarser rule may agree with it by chance, two hardly."""
 SAFETY = 3.0
-"""Error that is stated of an integral over the distance of two rules, which sees no more than its
-size."""
+"""Stated error of an integral over the sum of the distances of its rule to the coarser ones. With
+kinks (1 − H)^k, k = 1.5 and 2.5, at 2,000 places in panels of three lengths it held at 97 % or
+more, and the error was 2.2 times it at the most; with one coarser rule at 85 %, and 1200 times."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class Density(Quantities):
         panels = (self._axis(kinks),) if kinks else self.panels
         known = not kinks and len(panels) == 1
         coarse_p, p, e = self._at_nodes if known else self._at_nodes_of(panels)
-        mesh, grids = gauss_grid(panels, points=FEWER[len(panels)])
+        mesh, grids = gauss_grid(panels, points=RULES[len(panels)][1])
         coarse = integral(function(*mesh) * coarse_p, grids)
         mesh, grids = gauss_grid(panels)
         f = np.asarray(function(*mesh))
@@ -166,7 +167,7 @@ class Density(Quantities):
 
     def _at_nodes_of(self, panels: Sequence[Array]) -> tuple[Array, Array, Array]:
         """The density at the Gauss points of the coarser and finer rule, and its error at these."""
-        coarse, mesh = gauss_grid(panels, points=FEWER[len(panels)])[0], gauss_grid(panels)[0]
+        coarse, mesh = gauss_grid(panels, points=RULES[len(panels)][1])[0], gauss_grid(panels)[0]
         return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
 
 
@@ -262,20 +263,20 @@ def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
     if len(panels) == 1:
         (x,), _ = gauss_grid(panels)
         d = difference(x)
-        size = np.maximum(np.abs(d[1:]), np.abs(d[:-1]))
+        size = np.minimum(np.abs(d[1:]), np.abs(d[:-1]))
         known = size > ROUND_OFF * np.max(np.abs(a(x)))
         crossed = np.flatnonzero((d[1:] * d[:-1] < 0.0) & known)
         at = [brentq(lambda q: difference(np.array([q]))[0], *x[k : k + 2]) for k in crossed]
         panels = [np.union1d(panels[0], at)]
     of_panels = []  # differences of the rules cancel between panels, so that each counts alone
-    for points in (FEWER[len(panels)], GAUSS_POINTS[len(panels)]):
+    for points in RULES[len(panels)]:
         mesh, grids = gauss_grid(panels, points=points)
         shares = np.abs(difference(*mesh)) * reduce(np.multiply.outer, [w for _, w in grids])
         for axis in range(len(panels)):
             shares = np.add.reduceat(shares, range(0, shares.shape[axis], points), axis=axis)
         of_panels.append(shares)
-    coarse, fine = of_panels
-    return float(fine.sum()), SAFETY * float(np.abs(fine - coarse).sum())
+    *coarser, fine = of_panels
+    return float(fine.sum()), SAFETY * sum(float(np.abs(fine - c).sum()) for c in coarser)
 
 
 def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:

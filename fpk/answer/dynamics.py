@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fpk.answer.certificate import Certificate, Measured, certify, with_values, worst
-from fpk.answer.density import FEWER, SAFETY, AnyDensity, Density
+from fpk.answer.density import RULES, SAFETY, AnyDensity, Density
 from fpk.answer.quantities import ErrorKind
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import SMALLEST, Array, Complexes
-from fpk.numeric.quadrature import GAUSS_POINTS, gauss_grid
+from fpk.numeric.quadrature import gauss_grid
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,11 @@ def certified_curve(
 ) -> Curve:
     """Return a curve that rests on the stationary density ``of``, with its certificate.
 
-    ``tol`` is in units of ``scale``, see ``Question``. Mass, tails and failures are those of the
-    density, but that it misses a tolerance of its own; so is the residual, unless that of the
-    curve's own equation is larger. What is ``positive``, the values themselves where it is None,
-    fails if it is negative by more than the error.
+    ``tol`` is the largest error allowed, in units of ``scale``, a natural size of the values that
+    is not 0: σ_v/(2πσ_q) of crossings, σ_q³/σ_v of spectra, σ_q² of autocovariances. Mass, tails
+    and failures are those of the density, but that it misses a tolerance of its own; so is the
+    residual, unless that of the curve's own equation is larger. What is ``positive``, the values
+    themselves where it is None, fails if it is negative by more than the error.
     """
     relative = float(np.max(errors)) / scale
     measured = Measured(
@@ -111,11 +112,12 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
     if isinstance(joint, SampledDensity):
         return joint.flux(lambda p: p / mass, nodes, at)
     rates = []
-    for points in (FEWER[1], GAUSS_POINTS[1]):
+    for points in RULES[1]:
         _, [(p, w)] = gauss_grid([nodes], points=points)
         density, error = joint.at(at[:, None], p)
         rates.append((density @ (w * p / mass), error @ (w * p / mass)))
-    (coarse, _), (value, own) = rates
+    *coarser, (value, own) = rates
+    missed = sum(np.abs(value - other) for other, _ in coarser)
     last = nodes[-2:]
     density, error = joint.at(at[:, None], last)
     (before, end), known = np.abs(density).T, error[:, 1]
@@ -123,4 +125,4 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
         falls = (last[1] - last[0]) / np.log(before / end)
     length = np.where(before > end, falls, np.where(end <= known, last[1], np.inf))
     beyond = (end + known) * length * (last[1] + length)
-    return value, own + SAFETY * np.abs(value - coarse) + beyond / mass
+    return value, own + SAFETY * missed + beyond / mass

@@ -10,9 +10,13 @@ class answers it with a function of the method and of what is ``Asked``::
     Linear().spectrum(system, parse_observable("q1", 1), np.linspace(0.0, 2.0, 5), tol=1e-8)
 
 A class that exists is given an answer likewise: ``Linear.spectrum = answer(spectrum)``.
-Whatever is the same for all methods is checked here. ``tol`` is the largest error wanted: of curves
-in units of ``scale``, of rates relative to each; None for the default of the method. ``progress``
-is called as ``progress(done, total, what)``.
+Tolerance, displacement, lags, and that the method gives the density are checked here; times, limits
+and starts by the methods. ``tol`` is the largest error wanted: of curves in units of ``scale``, of
+rates relative to each; None for the default of the method. ``progress`` is called as
+``progress(done, total, what)``.
+
+Spectra are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, so that ∫ S dω over
+all real ω is the variance. C(t) = E q(0) q(t) − (E q)², t >= 0, is the variance at t = 0.
 
 Raised are ``InvalidInput`` for a tolerance that is not > 0, what is no displacement, a lag that is
 no time, a start at or beyond the limit, or times that do not ascend from 0 or later; and
@@ -35,7 +39,9 @@ if TYPE_CHECKING:
 
 Answer = TypeVar("Answer")
 OF_DISPLACEMENT = ("observable", "at")
-"""What a curve about the stationary motion of a displacement takes."""
+"""``Question.takes`` of a question about one displacement in the stationary state: the
+displacement, and levels, frequencies or lags. Its command, its units and its checks follow from
+that."""
 Progress = Callable[[int, int, str], None]
 """Called as ``progress(done, total, what)`` while a method works."""
 Powers = tuple[int, int, int]
@@ -48,7 +54,10 @@ def silent(done: int, total: int, what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A question to a method about ``system``; of the rest what the question takes is given.
+    """One question with its arguments, as a method receives it.
+
+    These are ``system``, ``tol``, ``progress`` and the fields that ``Question.takes`` names; the
+    others keep their defaults.
 
     ``observable`` as ``parse_observable`` gives it. ``at`` are levels, angular frequencies or lags
     (points,), or of densities points, one array (points,) for each coordinate. ``start`` is a
@@ -68,7 +77,10 @@ class Asked:
 
     @property
     def row(self) -> int:
-        """The mass whose displacement is observed, counted from 0."""
+        """The index of the mass whose displacement is observed, from 0.
+
+        Raises ``InvalidInput`` where no displacement is.
+        """
         return displacement_row(self.observable)
 
 
@@ -76,12 +88,12 @@ class Asked:
 class Question:
     """A question about motion in time.
 
-    ``name`` is that of the method's function and of the command; ``words`` say what a method gives
-    that answers; ``takes`` are the fields of ``Asked`` in the order in which they are given;
-    ``key`` is the name of the values in records. Where it takes ``OF_DISPLACEMENT`` the command
-    follows: ``help`` is its text; ``axis`` says what ``at`` is, empty for levels; ``powers`` are
-    the units of ``at`` and of the values; ``scale(σ_q, σ_v)`` is a natural size of the values; and
-    ``check`` raises ``InvalidInput`` for ``at`` that has no answer.
+    ``name`` is that of the method's function and of the command; ``words`` name the answer, as in
+    "exact gives no spectrum"; ``takes`` are the fields of ``Asked`` in the order in which they are
+    given; ``key`` is the name of the values in records. Where it takes ``OF_DISPLACEMENT`` the
+    command follows: ``help`` is its text; ``axis`` says what ``at`` is, empty for levels;
+    ``powers`` are the units of ``at`` and of the values; ``scale(σ_q, σ_v)`` is a natural size of
+    the values; and ``check`` raises ``InvalidInput`` for ``at`` that has no answer.
     """
 
     name: str
@@ -92,7 +104,7 @@ class Question:
     axis: str = ""
     powers: tuple[Powers, Powers] = ((0, 0, 0), (0, 0, 0))
     scale: Callable[[float, float], float] = lambda q, v: 1.0
-    check: Callable[[Any], object] = id
+    check: Callable[[Any], None] = lambda at: None
 
     def answered_by(self, method: object) -> bool:
         """Return whether a method, or a class of methods, answers the question."""
@@ -165,7 +177,7 @@ register(
         scale=lambda q, v: v / (2.0 * pi * q),
     )
 )
-register(  # S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt with C the autocovariance
+register(
     Question(
         name="spectrum",
         words="spectrum",

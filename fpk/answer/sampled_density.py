@@ -150,7 +150,7 @@ class SampledDensity(Quantities):
         """
         if not self.samples > 0.0:
             return 1.0
-        few = self.joined(min(self.values.shape) // 100)
+        few = self.joined(min(self.values.shape) // 100)  # cells of a hundredth of the axis
         batches = len(few.batch_values)
         held = (few.batch_values * few.areas).reshape(batches, -1) * (self.samples / batches)
         visited = np.count_nonzero(held, axis=0)

@@ -48,6 +48,7 @@ class Piecewise:
 
     def antiderivative(self) -> "Piecewise":
         """Return ∫f from the first node, continuous, of f without a ``log_scale``."""
+        assert self.log_scale is None, "no panel has a scale of its own"
         within = np.asarray(legendre.legint(self.coefficients, axis=1, lbnd=-1), float)
         within *= 0.5 * np.diff(self.nodes).reshape(-1, *(1,) * (within.ndim - 1))
         within[1:, 0] += np.cumsum(within.sum(axis=1), axis=0)[:-1]

@@ -9,9 +9,9 @@ from fpk.numeric.errors import NotCertified
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 NEAR, FAR, BESIDE = 1e-6, 1e4, 1.05
-"""Energies, in units of the process's scale, at which the limits at both ends are read off, and
-ratio of a second one, from which the order of the drift follows: many contact masses are mostly
-integrated along one line for both."""
+"""Energies, in units of the scale, at which the limits at both ends are read off, and the ratio of
+a second energy far out to ``FAR``: both give the order of the drift. It is so near to 1 that many
+contact masses are mostly integrated along one line for both."""
 LINEAR = 1e-2
 """Orders up to 1 + ``LINEAR`` of the drift, and within it of σ² at rest, count as linear: damping
 by q² between stops of a power law of exponent e has the order 1 + 2/(1 + e)."""

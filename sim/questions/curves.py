@@ -156,8 +156,8 @@ def spectrum(method: Settings, asked: Asked) -> Curve:
     of trajectories, all of that third, and a bound of what sampling folds back. Steps are half
     those of a density, of whose bias a sixteenth is left.
 
-    Raises ``InvalidInput`` for too many frequencies, or one so high that the samples of a window
-    take half of the memory of a round, and minutes and more.
+    Raises ``InvalidInput`` for too many frequencies, or one so high that a window has more samples
+    than are taken in minutes.
     """
     system, row, at = asked.system, asked.row, asked.at
     wanted = tolerance(asked.tol, method.tol)
@@ -281,10 +281,12 @@ def crossings(method: Settings, asked: Asked) -> Curve:
     if made < whole and not method.seconds:
         failures.insert(0, "it was ended before all chunks were done")
     failures += too_long
-    if len(counts) < 2:
+    # The mean of a chunk that was cut short is too noisy to show a drift.
+    full = [k for k, time in enumerate(times) if time >= (whole // CHUNKS - 0.5) * dt]
+    if len(full) < 2:
         failures.append("it ended in its first chunk, where no drift shows; give it more time")
     else:
-        means = np.array(counts)[:, 0].T / times  # (levels, blocks, chunks)
+        means = np.array(counts)[full, 0].T / np.array(times)[full]  # (levels, blocks, chunks)
         z, limit = np.abs(drifts(means)), drift_limit(means.shape[1], 2 * means.shape[0])
         if np.max(z) > limit:
             words = f"by {np.max(z):.1f} standard errors (chance explains {limit:.1f})"

@@ -95,11 +95,8 @@ def first_passage(c: Cubic, limit: float) -> float:
     return 2.0
 
 
-SOURCES = tuple(
-    f"sim/{name}.py"
-    for name in ("step/arrays", "step/lanes", "questions/passing", "questions/splitting/kernel")
-)
-"""Files that readers, and paths of splitting beside those of a kernel, are compiled from."""
+SOURCES = ("sim/step/arrays.py", "sim/step/lanes.py", "sim/questions/passing.py")
+"""Files that readers are compiled from."""
 
 NATS = 40.0
 """−ln of a probability that counts as none: 4e-18."""
@@ -262,7 +259,8 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
     """Return how the noise moves the energies of ``limit``, in the order of ``energies_of``.
 
     Of H: F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹, N = f D fᵀ; of a mode with the shape T_m: the
-    same of its own momentum. An energy without noise has nearly no β: its limit is too far.
+    same of its own momentum. No noise reaches an energy of β = 0: its limit is then beyond
+    all numbers.
     """
     N = system.noise_matrix
     if limit.kind == "H":

@@ -80,15 +80,16 @@ class Checkpoint:
         part = self.path.with_name(f"{self.path.name}.{token_hex(4)}.part")
         arrays: dict[str, Any] = {**state, **self.notes}
         try:
-            with part.open("xb") as stream:
-                np.savez(stream, about=[self.identity, *arrays], **arrays)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(part, self.path)
+            try:
+                with part.open("xb") as stream:
+                    np.savez(stream, about=[self.identity, *arrays], **arrays)
+                    stream.flush()
+                    os.fsync(stream.fileno())
+                os.replace(part, self.path)
+            finally:
+                part.unlink(missing_ok=True)
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be written: {reason_of(error)}") from None
-        finally:
-            part.unlink(missing_ok=True)
         self._saved = working_time()
 
     def load(self) -> dict[str, NDArray[Any]]:

@@ -26,7 +26,8 @@ INCREMENT = register(
 def increment(method: Linear, asked: Asked) -> Curve:
     """Return 2 (C(0) − C(t)) from the autocovariance C."""
     lags = np.append(0.0, asked.at)
-    C = method.correlation(asked.system, asked.observable, lags, tol=asked.tol)
+    half = None if asked.tol is None else 0.5 * asked.tol  # two errors of C in one of the answer
+    C = method.correlation(asked.system, asked.observable, lags, tol=half)
     values, errors = 2.0 * (C.values[0] - C.values[1:]), 2.0 * (C.errors[0] + C.errors[1:])
     return replace(C, values=values, errors=errors)
 

@@ -14,6 +14,7 @@ from sim_systems import fig6, linear, mixed, ranged
 from fpk.answer.observable import parse_observable
 from fpk.numeric.compiling import ROOT
 from sim.questions.passing import SOURCES
+from sim.questions.splitting.kernel import FILES
 from sim.sample.checkpoint import program_checksum
 from sim.sample.diagnostics import moment_products
 from sim.sample.ensemble import Ensemble
@@ -109,7 +110,7 @@ def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> 
 
 
 def test_whatever_is_compiled_is_in_the_checksum() -> None:
-    files = {ROOT / name for name in (*KERNEL, *SOURCES)}
+    files = {ROOT / name for name in (*KERNEL, *SOURCES, *FILES)}
     sources = {p: p.read_text("utf-8") for p in (ROOT / "sim").rglob("*.py")}
     decorated = re.compile(r"@(njit\(|inlined|cached_njit\()")
     compiled = {p for p, text in sources.items() if decorated.search(text)}

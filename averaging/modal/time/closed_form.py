@@ -165,7 +165,7 @@ def product_of(factors: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
     """Return the product of numbers with errors, and its error."""
     value, error = np.ones(1), np.zeros(1)
     for x, e in factors:
-        value, error = value * x, error * np.abs(x) + np.abs(value) * e
+        value, error = value * x, error * (np.abs(x) + e) + np.abs(value) * e
     return value, error
 
 

@@ -38,8 +38,10 @@ SHARE = 0.5
 States = tuple[Array, Array, Array]
 """Displacements, velocities and weights of states."""
 Level = tuple[Array, Array, Array, Array, float, dict[str, Any]]
-"""Of one mesh: mean, E T² and rate; the mean from other states over it; P(T <= t), and what its
-space leaves; relative round-off of the numbers; what the answer states beside all that."""
+"""Results on one mesh: (E T, E T², rate of failure); E T from the probe states over E T from the
+start; P(T <= t) at the times asked for; change of these by the last vectors of the Krylov space;
+relative round-off of the first three; and mass defect, residual and settings by name, as
+``certified_passage`` takes them."""
 
 
 def first_passage(asked: Asked) -> Passage:
@@ -136,6 +138,7 @@ def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> St
 def _solved(
     e: Elements, states: States, probes: tuple[Array, Array], times: Array, tol: float
 ) -> Level:
+    """Return the results on one mesh from ``states``; ``probes`` are (q, v) of other states."""
     start, later = e.at(*states), times > 0.0
     mean, second, lost = e.moments(start)
     own = float(start @ e.mean)
@@ -160,7 +163,9 @@ def _solved(
 def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
     """Return the finer answer, with its distance to the coarser one as the error."""
     numbers, probes, failure, krylov, rounding, stated = fine
-    before, probes_before, failure_before, krylov_before, *_ = coarse
+    before, probes_before, failure_before, krylov_before, _, stated_before = coarse
+    residual = float(np.max([stated["residual"], stated_before["residual"]]))
+    stated = {**stated, "residual": residual}
     mean, second, rate = numbers
     values = np.array([mean, second - mean**2, rate])
     off = np.abs(numbers - before)

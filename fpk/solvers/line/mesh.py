@@ -36,10 +36,11 @@ LAYER = 0.5
 """Length of the elements at a start or a limit, in units of the width of the density there at the
 first time."""
 THINNEST = 1e-12
-"""Least length of the elements at a limit, relative to it: in shorter ones energies are not told
-apart. Whoever starts farther from it has not failed at times for which these are too long."""
+"""Least length of the elements at a limit, relative to the limit: shorter elements do not tell
+energies apart. A start farther from the limit has not failed at times for which they are too
+long."""
 FAST = 20.0
-"""Laplace variables on a contour times t, as far as they count."""
+"""Largest |z| t of the Laplace variables z of a contour that contribute at the time t."""
 LARGEST_VALUE = 100.0
 """Largest value at H = 0, relative to the norm in π ~ H^(n−1), of a polynomial that is taken: it
 multiplies round-off."""

@@ -139,6 +139,8 @@ class StationarySolution:
         n = self.process.degrees_of_freedom
         first = self.nodes[1] * element_rule(self.degree, n).share[0]
         log_root = 0.5 * (n - 1) * np.log(np.maximum(x, first))
+        # A filter of maxima drops what is no number: that is as far as can be.
+        distance = np.nan_to_num(distance, nan=np.inf, posinf=np.inf)
         weighted = np.log(np.maximum(distance, SMALLEST)) + log_root
         around = maximum_filter1d(weighted, 4 * HALF_WAVE + 1, axis=1, mode="nearest")
         return np.asarray(around - log_root + log_scale[0][:, None])
@@ -298,5 +300,5 @@ def _chained(u: Array, log_factor: Array) -> tuple[Array, Array, Array]:
     sign *= sign[top]
     mass = sign * np.exp(log_mass - log_mass[top])
     total = float(mass.sum())
-    log_scale -= log_mass[top] + math.log(max(total, SMALLEST))
+    log_scale -= log_mass[top] + (math.log(total) if total > 0.0 else math.nan)
     return sign[:, None] * u, log_scale, mass / total

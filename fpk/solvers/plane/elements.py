@@ -159,7 +159,7 @@ def flux_coefficients(
     out[0] = 1.0
     if weight is not None:
         out[0] = weight(H1, H2)
-        # Where w underflows without a floor its slope is that of nothing.
+        # Without a floor w may underflow: floor/w is then 0/SMALLEST = 0, and w a = 0.
         floor = weight.floor / np.maximum(out[0], SMALLEST)
         share = -0.5 * floor if balanced else 0.5 - 0.5 * floor
         first, second = (share * slope for slope in weight.slopes(H1, H2))

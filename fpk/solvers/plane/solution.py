@@ -180,11 +180,12 @@ def solve_plane_on_mesh(
 ) -> PlaneSolution:
     """Return the finite element solution p = w u with u of ``degree`` on a tensor mesh.
 
-    Without a ``weight`` w = 1. If ``longer``, the mesh of the enriched solution is as much longer
-    as takes the marginals two factors of e farther down: the estimate then contains 86 % of the
-    cost of ending the mesh. Where probability circulates, zero flux at the far edges is wrong by
-    more than the mass beyond. For convergence studies both are on one mesh. ``solved`` is
-    ``null_function`` or another function of its arguments.
+    Without a ``weight`` w = 1. If ``longer``, each axis of the mesh of the enriched solution is
+    longer, until its marginal has fallen by another e², unless the mass beyond is round-off or the
+    marginal does not fall: the estimate then contains 1 − e⁻² = 86 % of the cost of ending the
+    mesh. Where probability circulates, zero flux at the far edges is wrong by more than the mass
+    beyond. For convergence studies both are on one mesh. ``solved`` is ``null_function`` or another
+    function of its arguments.
 
     Raises ``NotCertified`` where the equations have no unique solution.
     """

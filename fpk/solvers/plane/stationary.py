@@ -186,10 +186,11 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
 def finer(rung: int, missing: float, *, most: int) -> int:
     """Return the next of ``RUNGS`` where the error is ``missing`` times the tolerance.
 
-    As many rungs on as the missing digits take, at the ``most`` so many; no rung beyond the highest
-    degree is skipped to.
+    As many rungs on as the missing digits take, ``most`` at the most and for an error that is not
+    finite; no rung beyond the highest degree is skipped to.
     """
-    gain = ceil(min(float(np.log10(max(missing, 1.0))) / DIGITS, most))
+    digits = float(np.log10(max(missing, 1.0))) if np.isfinite(missing) else np.inf
+    gain = ceil(min(digits / DIGITS, most))
     # The second rung is four degrees above the first.
     return max(rung + 1, min(rung + gain - (3 if rung == 0 else 0), RUNGS.index((4, 18))))
 
@@ -235,7 +236,8 @@ def solve_by_elements(
     mesh has more than ``MAX_ENTRIES``. The ends of the first mesh are those of the ``weight``.
     ``solved`` as of ``solve_plane_on_mesh``.
 
-    Raises ``NotCertified`` where the first mesh has more than ``MAX_ENTRIES``.
+    Raises ``NotCertified`` where the first mesh has more than ``MAX_ENTRIES``, or where the weight
+    does not fall to 1e-2 ``tol`` at the energies it is known at.
     """
     if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
         degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))

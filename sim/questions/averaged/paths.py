@@ -282,8 +282,8 @@ def energy_transient(
 
     Where ``form.damping`` is None one exact step leads from time to time, and no error is that of a
     step; else it is in the error, and both steps have paths of their own. Two rounds of ``paths``
-    are made; with ``tol`` more until the expected L1 error is below it at all times, or ``seconds``
-    of wall time have passed.
+    are made; with ``tol`` one, and more until the expected L1 error is below it at all times, or
+    ``seconds`` of wall time have passed.
     """
     exact, gaps = form.damping is None, np.diff(asked.times, prepend=0.0).tolist()
 

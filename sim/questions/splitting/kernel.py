@@ -28,6 +28,8 @@ from sim.step.parts.linear import map_state
 from sim.step.parts.observed import observe
 from sim.step.random import GOLDEN, Halves, Singles, box_muller, mixed_seed, mixed_word
 
+FILES = tuple(dict.fromkeys((*KERNEL, *SOURCES, "sim/questions/splitting/kernel.py")))
+"""Files that the paths are compiled from."""
 LEVELS = 2048
 """Levels of the score from 0 to failure: few enough that the records of a path stay short, each a
 factor of 1.01 to 1.05 of the probabilities from 1e-10 to 1e-40."""
@@ -210,7 +212,7 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
     """Return the function that renews paths; ``kind`` is that of the limit."""
     pairs, damping, energy_damping = key.pairs, key.damping, key.energy_damping
     energy, modes, contact, displacement = key.energy, key.modes, bool(key.laws), kind == "q"
-    sources = checksum([*(ROOT / name for name in (*KERNEL, *SOURCES)), *law_files(key.laws, ROOT)])
+    sources = checksum([*(ROOT / name for name in FILES), *law_files(key.laws, ROOT)])
     laws: Any = [
         compiled_laws(key.laws, x) if contact else None for x in ("force", "slope", "energy")
     ]

@@ -192,11 +192,17 @@ def modulated_transition(
         return float(moved.sum(axis=1).max())
 
     level, settings = halved(e, values, l1, 0.25 * tol, tol)
-    # In steps twice as long, so that what is compared with it sees the error of both.
-    own, enriched = carried(e, level), carried(finer, level - 1)
-    solved, _, _ = judged(question, own, enriched)
+    own, longer, enriched = carried(e, level), carried(e, level - 1), carried(finer, level - 1)
+
+    def apart(x: Array) -> Array:
+        """What twice as long steps change, and with them a higher degree: errors may cancel."""
+        p, in_longer, in_both = (f.density(x)[0] for f in (own, longer, enriched))
+        return np.asarray(np.abs(p - in_longer) + np.abs(in_longer - in_both))
+
+    distance = apart(e.x.ravel()).reshape(-1, *e.x.shape)
+    solved, _, _ = judged(question, own, enriched, distance=distance)
     # At the ends of elements, where no point is, distances are largest while there is no noise.
-    at_ends = np.abs(own.density(e.right)[0] - enriched.density(e.right)[0])
+    at_ends = apart(e.right)
     beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
     distance = np.maximum(solved.distance, beside[..., None])
     return replace(solved, distance=distance, settings={**solved.settings, **settings})

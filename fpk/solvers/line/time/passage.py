@@ -340,8 +340,9 @@ def modulated_passage(
 
     level, settings = halved(e, lambda level: solve(e, level)[1], size, SHARE * tol, tol)
     g, numbers, lost = solve(e, level)
-    # In steps twice as long, so that what is compared with it sees the error of both.
-    error = SAFETY * np.abs(numbers - solve(finer, level - 1)[1])
+    # What twice as long steps change, and with them a higher degree: errors of both may cancel.
+    longer = solve(e, level - 1)[1]
+    error = SAFETY * (np.abs(numbers - longer) + np.abs(longer - solve(finer, level - 1)[1]))
     failure, at = 1.0 - numbers[:-2], np.searchsorted(stops, asked)
     relative = 2.0 * e.coefficient_error(source.energy)
     relative += ROUNDINGS * EPS * (e.count + e.log_range)

@@ -24,6 +24,10 @@ ROUNDS = 6
 """Most rounds, at every second of which all elements are cut in two."""
 
 
+SHIFT = 0.1
+"""Shift below 0 of the inverse, in units of the scale of the rates: K alone is singular."""
+
+
 def eigenvalues_below(e: Elements, rates: Array) -> Integers:
     """Return how many eigenvalues, 0 among them, are less than each of ``rates`` (points,).
 
@@ -39,7 +43,11 @@ def eigenvalues(e: Elements, count: int, scale: float) -> Array:
     """Return the ``count`` least eigenvalues > 0 of −L; ``scale`` is of their order."""
     M, K, *_ = matrices(e)
     first = np.linspace(1.0, 2.0, M.shape[0])
-    found = eigsh(K, count + 1, M, sigma=-0.1 * scale, v0=first, return_eigenvectors=False)
+    shift = -SHIFT * scale
+    try:
+        found = eigsh(K, count + 1, M, sigma=shift, v0=first, return_eigenvectors=False)
+    except RuntimeError as error:  # of the factorisation, or of an iteration that does not end
+        raise NotCertified(f"the relaxation rates were not found: {error}") from None
     return np.asarray(np.sort(found)[1:])
 
 
@@ -74,11 +82,14 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
         common = 2.0 * answer.coefficient_error()
         common += ROUNDINGS * EPS * (answer.count + answer.log_range)
         errors = SAFETY * np.abs(rates - better) + common * rates
+        # Round-off of the inverse, relative to its largest eigenvalue, as one of λ.
+        errors += ROUNDINGS * EPS * (rates + SHIFT * order) ** 2 / (SHIFT * order)
         if (errors <= tol * rates).all() or 2 * answer.count > MOST_ELEMENTS:
             break
     # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost. And
     # no rate is missed.
-    below = eigenvalues_below(answer, np.array([0.5 * rates[0], (1.0 + tol) * rates[-1]]))
+    beyond = rates[-1] + max(float(errors[-1]), tol * float(rates[-1]))
+    below = eigenvalues_below(answer, np.array([0.5 * rates[0], beyond]))
     residual = float(below.tolist() != [1, count + 1])
     settings = {"elements": answer.count, "tol": tol}
     return certified_rates(rates, errors, tol=tol, residual=residual, settings=settings)

@@ -232,16 +232,19 @@ def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Tr
     return refined(pair, solved)
 
 
-def judged(question: Question, own: Evolved, finer: Evolved) -> tuple[Transition, Array, Array]:
+def judged(
+    question: Question, own: Evolved, finer: Evolved, *, distance: Array | None = None
+) -> tuple[Transition, Array, Array]:
     """Return the solution, judged, each element's part of its error, and of its round-off.
 
-    Its error is the distance to the enriched solution ``finer``.
+    Its error is the ``distance`` (times, elements, points), to the enriched solution ``finer``
+    unless given.
     """
     answer, enriched = own.elements, finer.elements
     x, w = answer.x, answer.weight
     (p, size), (better, other) = (f.density(x.ravel()) for f in (own, finer))
     shape = (len(p), *x.shape)
-    distance = np.abs(p - better).reshape(shape)
+    distance = np.abs(p - better).reshape(shape) if distance is None else distance
     last = float(enriched.right[-1])
     # What the enriched solution has beyond the last element of the answer.
     far, far_w = enriched.x[answer.count :], enriched.weight[answer.count :]
