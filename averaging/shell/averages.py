@@ -117,6 +117,8 @@ def _along_rays(system: System, energy: Array) -> Array:
         rises = rises / energy[:, None] + 4.0 * EPS * np.array([-1.0, 1.0])[:, None, None]
         beyond = np.diff(np.sqrt(np.maximum(rises, 0.0)), axis=0)[0].sum(axis=1) / pi
         columns[:, 1, :2] += beyond[:, None] * flat / states
+    if not parts.degrees.size:
+        return columns
     shifted, most = np.split(sums[:, 3:], 2, axis=1)
     columns[:, 0, 3:] = (shifted - 2.0 * most) / states
     # The errors of shifted (at most 3 of most), of 2 most and of T (g is at most most).

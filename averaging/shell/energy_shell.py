@@ -145,8 +145,7 @@ class EnergyShell:
             out = np.zeros((len(rules), which.size, 3 + len(orders)))
             add_rays(energy[i[which]], directions, self.stops, n, orders, *radial, out)
             parts = weights[:, None] * combine(directions, out)
-            total = [[np.bincount(which, x, minlength=i.size) for x in rule.T] for rule in parts]
-            return np.swapaxes(total, 1, 2)
+            return np.add.reduceat(parts, np.searchsorted(which, np.arange(i.size)), axis=1)
 
         def error_of(coarse: Array, fine: Array) -> Array:
             size = np.abs(fine)

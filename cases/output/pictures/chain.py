@@ -21,7 +21,9 @@ def chain_svg(system: System, units: Units = NO_UNITS) -> Markup:
     """
     unit = f" {units.quantity('displacement')}" if units else ""
     count = min(system.n, SHOWN_MASSES)
-    width = 24 + CELL * count + 64
+    clearances = [f"δ = {stop.clearance:g}{unit}" for stop in system.stops]
+    # Letters of 13 px are 8 px wide at the most; the last clearance begins 2 px before the end.
+    width = 24 + CELL * count + max([64, *(8 * len(words) for words in clearances)])
     parts = [_wall(4, 24, 30, FLOOR), _line((24, FLOOR), (width, FLOOR))]
     for k in range(count):
         left = 24 + CELL * k
@@ -34,14 +36,13 @@ def chain_svg(system: System, units: Units = NO_UNITS) -> Markup:
             _text((left + box) / 2, 43, f"k{index}"),
             _text((left + box) / 2, 112, f"c{index}"),
         ]
-        for stop in system.stops:
+        for stop, words in zip(system.stops, clearances, strict=True):
             if stop.index != k:
                 continue
             x = box + BOX + 14 if stop.sign > 0 else box - 26
             parts.append(_wall(x, x + 12, 4, 30))
             # From the edge of the mass to the stop.
             parts.append(_line((x + 6, 30), (x + 6, TOP)))
-            words = f"δ = {stop.clearance:g}{unit}"
             parts.append(_text(x + 6, 13 if stop.sign > 0 else 28, words, side=stop.sign))
         if k + 1 < count or system.n > count:
             parts.append(_line((box + BOX, 54), (left + CELL, 54)))

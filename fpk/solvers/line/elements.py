@@ -133,7 +133,7 @@ def solve_elements(
     residual by another solver of the same equations.
     """
     rule, h = element_rule(degree, process.degrees_of_freedom), (right - left)[:, None]
-    contact = np.flatnonzero(np.isin(left, process.nonsmooth))
+    contact = np.flatnonzero([H in process.nonsmooth for H in left.tolist()])
     x, points = left[:, None] + h * rule.share, rule.share.size
     inner = left[contact, None] + h[contact] * rule.contact_share
     flat = process.coefficients(np.concatenate([x.ravel(), inner.ravel()]))
@@ -142,7 +142,8 @@ def solve_elements(
     log_factor = c.log_density_of_states.max(axis=1)
     T = np.exp(c.log_density_of_states - log_factor[:, None])
     # J h = factors · (u, du/dt) at the Gauss points, t from 0 to 1 over the element.
-    factors = np.hstack([h * c.dissipation, -0.5 * c.diffusion]) * np.tile(rule.weight * T, 2)
+    weighted = rule.weight * T
+    factors = np.hstack([h * c.dissipation * weighted, -0.5 * c.diffusion * weighted])
     A = (factors @ rule.tested).reshape(left.size, degree + 2, degree + 3)
     largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), SMALLEST)
     A /= largest
@@ -154,7 +155,7 @@ def solve_elements(
         (u, own), (enriched, _) = (null_vectors(process, nodes, m, points) for m in degrees)
     residual, net_flux, one_way = _residuals(A, u)
     values, better = (T * (f @ rule.P[: f.shape[1]]) for f in (u, enriched))
-    weights, better_mass = np.tile(rule.weight, (left.size, 1)), better @ rule.enriched_weight
+    weights, better_mass = np.broadcast_to(rule.weight, T.shape), better @ rule.enriched_weight
     if len(process.nonsmooth):
         of_T, of_error = (a[x.size :].reshape(inner.shape) for a in flat[-2:])
         error[contact] = np.maximum(error[contact], of_error.max(axis=1, initial=0.0))
@@ -174,12 +175,14 @@ def solve_elements(
     # The first equation, of the test function 1, is the mean of J. h² may be less than any number.
     scale = np.abs(largest[:, 0, 0] / h[:, 0] / mass / h[:, 0])
     mass, better_mass = h * mass[:, None], h * better_mass[:, None]
-    slope_error = (h * rule.weight * log_density_slope_error(c)).sum(axis=1)
+    slope_error = np.zeros(left.size)
+    if process.state_damping:
+        slope_error = (h * rule.weight * log_density_slope_error(c)).sum(axis=1)
     return Elements(
         left=left,
         right=right,
         coefficient_error=error,
-        slope_error=slope_error if process.state_damping else np.zeros(left.size),
+        slope_error=slope_error,
         u=u / mass,
         enriched=enriched / better_mass,
         log_factor=log_factor,
