@@ -73,7 +73,7 @@ def fit(
     says what was reached. It is ``estimate(lengths, coefficients)``, unless given ``degree`` times
     the last two coefficients, the largest of all values.
     """
-    middle = cut if cut is not None else lambda left, right: 0.5 * (left + right)
+    middle = cut or (lambda left, right: 0.5 * (left + right))
 
     def last_two(lengths: Array, coefficients: Array) -> Array:
         # Σ|c_j| beyond the degree n for c_j ~ j^(−3/2) (a kink) and faster: Σ j^(−r) from n on is
@@ -81,7 +81,7 @@ def fit(
         tail = (coefficients.shape[1] - 1) * np.abs(coefficients[:, -2:]).sum(axis=1)
         return np.asarray(tail.reshape(lengths.size, -1).max(axis=1))
 
-    judge = estimate if estimate is not None else last_two
+    judge = estimate or last_two
     left, right = nodes[:-1], nodes[1:]
     coefficients = interpolated(f, left, right, degree)
     error = judge(right - left, coefficients)
@@ -121,8 +121,7 @@ def projection(degree: int) -> Array:
 class PiecewiseTensor:
     """``f(x, y) = Σ_ij coefficients_klij P_i(s) P_j(t)`` on the rectangle of panels k and l.
 
-    ``nodes`` along both axes; ``coefficients`` (panels, panels, degrees + 1, degrees + 1); 0
-    outside.
+    ``nodes`` of both axes; ``coefficients`` (panels, panels, degree + 1, degree + 1); 0 outside.
     """
 
     nodes: tuple[Array, Array]
@@ -136,7 +135,7 @@ class PiecewiseTensor:
         if b.ndim == 2 and b.shape[1] == 1 and a.ndim <= 2 and a.shape[-1:] == (a.size,):
             return self.on_grid(a.ravel(), b.ravel()).T
         a, b = np.broadcast_arrays(a, b)
-        (k, P), (m, Q) = (self._legendre(axis, z.ravel()) for axis, z in enumerate((a, b)))
+        (k, P), (m, Q) = (self._at(axis, z.ravel()) for axis, z in enumerate((a, b)))
         # Sorted by panel, every panel is one small matrix product.
         panel = k * (self.nodes[1].size - 1) + m
         order = np.argsort(panel, kind="stable")
@@ -151,34 +150,17 @@ class PiecewiseTensor:
         """Return f on the grid (x.size, y.size)."""
         rows = []
         for axis, z in enumerate((x, y)):
-            k, P = self._legendre(axis, z)
+            k, P = self._at(axis, z)
             full = np.zeros((z.size, self.nodes[axis].size - 1, P.shape[1]))
             full[np.arange(z.size), k] = P
             rows.append(full.reshape(z.size, -1))
         matrix = self.coefficients.transpose(0, 2, 1, 3).reshape(rows[0].shape[1], -1)
         return np.asarray(rows[0] @ matrix @ rows[1].T)
 
-    def _legendre(self, axis: int, x: Array) -> tuple[Integers, Array]:
+    def _at(self, axis: int, x: Array) -> tuple[Integers, Array]:
+        """Panels of the points x, and all P_j there (points, degree + 1), 0 beyond."""
         nodes, degree = self.nodes[axis], self.coefficients.shape[2 + axis] - 1
-        k, P = legendre_at(nodes, x, degree)
+        k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
+        t = (2.0 * x - nodes[k] - nodes[k + 1]) / (nodes[k + 1] - nodes[k])
+        P = np.asarray(legendre.legvander(np.clip(t, -1.0, 1.0), degree), float)
         return k, P * ((x >= nodes[0]) & (x <= nodes[-1]))[:, None]
-
-
-def interpolated_tensor(panels: tuple[Array, Array], values: Array, points: int) -> PiecewiseTensor:
-    """Return the polynomials through ``values`` at ``points`` Gauss points a panel and axis.
-
-    ``values`` broadcast to (panels · points, panels · points).
-    """
-    counts = [nodes.size - 1 for nodes in panels]
-    blocks = np.broadcast_to(values, [points * n for n in counts])
-    blocks = blocks.reshape(counts[0], points, counts[1], points)
-    project = projection(points - 1)
-    coefficients = np.einsum("ia,jb,kalb->klij", project, project, blocks, optimize=True)
-    return PiecewiseTensor(panels, coefficients)
-
-
-def legendre_at(nodes: Array, x: Array, degree: int) -> tuple[Integers, Array]:
-    """Return panels of the points x, and all P_j there (points, degree + 1), constant beyond."""
-    k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
-    t = (2.0 * x - nodes[k] - nodes[k + 1]) / (nodes[k + 1] - nodes[k])
-    return k, np.asarray(legendre.legvander(np.clip(t, -1.0, 1.0), degree), float)

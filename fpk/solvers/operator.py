@@ -14,7 +14,7 @@ from skfem.element import ElementLineP1, ElementLineP2, ElementLinePp, ElementQu
 from skfem.helpers import grad, mul
 
 from fpk.numeric.arrays import Array
-from fpk.numeric.piecewise import PiecewiseTensor, interpolated_tensor, projection
+from fpk.numeric.piecewise import PiecewiseTensor, projection
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.solvers.line.mesh import GRADED_LAYERS, initial_nodes
 from fpk.solvers.line.stationary import StationarySolution, solve_on_mesh
@@ -131,10 +131,9 @@ def null_function(
     values = np.asarray(basis.interpolate(y))
     # scikit-fem's first local coordinate is H2.
     blocks = values.reshape(nodes[0].size - 1, nodes[1].size - 1, points, points)
-    grid = blocks.transpose(0, 3, 1, 2).reshape(blocks.shape[0] * points, -1)
-    p = interpolated_tensor(nodes, grid, points)
-    k = degree + 1
-    return PiecewiseTensor(nodes, p.coefficients[..., :k, :k]), residual
+    series = projection(points - 1)[: degree + 1]
+    p = np.einsum("ia,jb,klba->klij", series, series, blocks, optimize=True)
+    return PiecewiseTensor(nodes, p), residual
 
 
 def solve_by_scikit_fem(
