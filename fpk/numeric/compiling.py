@@ -38,9 +38,8 @@ _abandoned: set[Future[Any]] = set()
 class CheckedFiles(IndexDataCacheFile):
     """Index and data files of one function's disk cache, each with a checksum at its end.
 
-    numba unpickles and executes whatever they hold. The SHA-256 of the bytes before it shows
-    damage, and no reader unpickles it. Data are stored with the key that they belong to: two
-    processes may have given one name to two of them.
+    numba unpickles and executes whatever they hold, but not where the SHA-256 at the end shows
+    damage. Data are stored with their key: two processes may have given one name to two of them.
     """
 
     def load(self, key: Any) -> Any:
@@ -179,10 +178,8 @@ def inlined(function: Function) -> Function:
 
 
 def checksum(files: Sequence[Path]) -> int:
-    """Return a checksum of source files.
+    """Return a checksum of source files, for compiled functions to close over and return.
 
-    The disk cache watches the file of the compiled function only. A function that closes over the
-    checksum of all files that it is compiled from, and returns it, is compiled again when one of
-    them was edited.
+    They are compiled again when one is edited: numba watches the file of the function only.
     """
     return crc32(b"".join(file.read_bytes() for file in files))

@@ -1,6 +1,6 @@
 """Contact laws in compiled code."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from inspect import getfile
 from pathlib import Path
@@ -19,9 +19,8 @@ from fpk.system.contact_law import LAWS
 class CompiledLaws(types.Type):
     """One ``part`` of the laws ``names``, to be called by ``of_law`` in compiled code.
 
-    The value is its own type and plain data: a kernel that closes over it is found again in the
-    disk cache, with the laws inside it, and they need not be compiled or loaded again. ``stamps``
-    tell laws of one name apart.
+    The value is its own type and plain data, so that a kernel that closes over it is found again
+    in the disk cache with its laws. ``stamps`` tell laws of one name apart.
     """
 
     names: tuple[str, ...]
@@ -64,22 +63,17 @@ def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
     """Return the call that the type of ``function`` asks for; None, for no law, gives 0."""
     if isinstance(function, types.NoneType):
         return lambda function, law, overlap, exponent: 0.0
+    compiled = numba.njit(error_model="numpy")  # no liberties: a law is what its file says
     laws = function.instance_type
-    *others, choice = (_compiled(getattr(LAWS[name], laws.part)) for name in laws.names)
+    *others, last = (compiled(getattr(LAWS[name], laws.part)) for name in laws.names)
     if not others:
-        return lambda function, law, overlap, exponent: choice(overlap, exponent)
-    last = choice
-    choice = _compiled(lambda law, x, e: last(x, e))
+        return lambda function, law, overlap, exponent: last(overlap, exponent)
+
+    def chosen(first: Any, after: Any) -> Any:
+        """The law ``first`` where the number of the law is 0, one of those ``after`` it else."""
+        return compiled(lambda law, x, e: first(x, e) if law == 0 else after(law - 1, x, e))
+
+    choice = compiled(lambda law, x, e: last(x, e))
     for part in reversed(others):
-        choice = _compiled(_chosen(part, choice))
+        choice = chosen(part, choice)
     return lambda function, law, overlap, exponent: choice(law, overlap, exponent)
-
-
-def _compiled(function: Callable[..., Any]) -> Any:
-    """Compiled without liberties of arithmetic: a law is what its file says."""
-    return numba.njit(error_model="numpy")(function)
-
-
-def _chosen(first: Any, others: Any) -> Any:
-    """The law ``first`` where the number of the law is 0, one of the ``others`` at one less."""
-    return lambda law, x, e: first(x, e) if law == 0 else others(law - 1, x, e)

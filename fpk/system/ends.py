@@ -41,11 +41,10 @@ class BoundaryClass:
 def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryClass]:
     """Return the classes of H_i = 0 and H_i = ∞ of energy ``axis``; none takes a condition.
 
-    At H = 0 with b ~ β H the scale density behaves as H^(−κ) and the speed density as H^(κ−1),
+    At H = 0 with b ~ β H the scale density is ~ H^(−κ) and the speed density ~ H^(κ−1),
     κ = 2 s(0)/β. At infinity the scale diverges where the drift points inwards, and the process
-    comes back from there in finite time when ∫dH/|s| converges. Of several energies the others
-    stand still while H_i is small: all at 0, 1 or 10 times their scales, or one alone, and the
-    least favourable decides.
+    comes back in finite time when ∫dH/|s| converges. The other energies are at 0, 1 or 10 times
+    their scales, all or one alone, and the least favourable decides.
     """
     rest = process.dimension - 1
     name = f"H{axis + 1}" if rest else "H"
@@ -93,9 +92,8 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
 def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
     """Raise ``NotCertified`` where p H of one energy rises at the last, highest ``energy``.
 
-    ``slope`` is d ln p/dH. The rate d ln(p H)/d ln H = 1 + H slope has to be negative at the last
-    energy beyond its error: p has no finite integral else. A rise in between shows in the mass
-    beyond the mesh (``fpk.solvers.probe``).
+    ``slope`` is d ln p/dH. p has a finite integral where the rate d ln(p H)/d ln H = 1 + H slope is
+    negative there, beyond its error. A rise in between shows in the mass beyond the mesh.
     """
     if energy[-1] * slope[-1] < -1.0:
         return

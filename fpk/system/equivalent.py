@@ -92,13 +92,10 @@ def damping_balance(system: System) -> Balance:
     """Return the last balance of Σ c_ij v_i v_j and the noise as the energy grows.
 
     Without stops, or with constant damping, it is a polynomial in θ, and a term of the power θ^k in
-    the Gibbs state has H^k Γ(n)/Γ(n + k) on the shell of energy H. With two humps of the energy the
-    upper one lies there, far above θ.
-
-    With stops E is over the Gibbs state exp(−H/θ) of the chain with its stops. Where
-    Z E X ~ θ^a, Z the partition function, E H^e X is θ^e E X Γ(a + e)/Γ(a); where Z ~ θ^ν and
-    E X ~ θ^k, X is E X ν^k Γ(ν)/Γ(ν + k) on the shell of energy ν θ. Both are exact far out, where
-    all are powers. Raises ``NotApplicable`` where the damping does not outweigh the noise there.
+    the Gibbs state has H^k Γ(n)/Γ(n + k) on the shell of energy H. With stops, where Z E X ~ θ^a,
+    Z the partition function, E H^e X is θ^e E X Γ(a + e)/Γ(a); where Z ~ θ^ν and E X ~ θ^k, X is
+    E X ν^k Γ(ν)/Γ(ν + k) on the shell of energy ν θ. Both are exact far out, where all are powers.
+    Raises ``NotApplicable`` where the damping does not outweigh the noise there.
     """
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
     constant = float(np.sum(np.diag(system.damping) / system.mass))
@@ -203,8 +200,7 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
     """Displacements (masses, points) of the contact masses, and weights (points,), at θ.
 
     A mass departs from the one before it by the flexibility in between, as far as its stops let it
-    go. Of many masses ``KEPT`` points are drawn again after each, as the weights of all together
-    would leave one point in thousands.
+    go. Of many masses ``KEPT`` points are drawn again after each: weights leave few points else.
     """
     masses, reach = system.contact_masses, sqrt(2.0 * DEEP)
     on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= GRID]

@@ -39,10 +39,9 @@ def require_held(system: System) -> None:
 def escape(system: System) -> str | None:
     """Return which damping term lets the motion escape and where, or None where it comes back.
 
-    That the power Σ c_ij v_i v_j is negative without bound does not decide it: van der Pol's
-    oscillator crosses |q| < 1 at any speed, and a potential of higher degree holds the motion. The
-    motion without noise, ``M dv = −(c v + K q + g(q)) dt``, decides it, from states far out in
-    which terms feed energy in. Noise reaches these states, so that no density is stationary.
+    The motion without noise, ``M dv = −(c v + K q + g(q)) dt``, decides it, from states far out in
+    which terms feed energy in; the power Σ c_ij v_i v_j alone does not, as van der Pol's oscillator
+    crosses |q| < 1 at any speed. Noise reaches these states, so that no density is stationary.
     """
     if not system.damping_terms:
         return None
@@ -76,10 +75,9 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
     """Return a state (2n,) on a motion that escapes from ``energy``; None where all come back.
 
     Implicit Euler steps with one correction damp what vibrates and does not grow; where the
-    linearised motion of the masses with terms grows they are short. A motion is back that has lost
-    half of its energy. It has escaped where it leaves the range of double precision, or still rises
-    at the end: a vibration or bursts that end by themselves do not. ``energy/span`` is the least
-    one at which rates are alike.
+    linearised motion grows they are short. A motion is back that has lost half of its energy, and
+    has escaped where it leaves the range of double precision, or still rises at the end.
+    ``energy/span`` is the least energy at which rates are alike.
     """
     n, rates, rng = system.n, _motion(system, unit), np.random.default_rng(0)
     # Two thirds have half of the coordinates small, evenly so in their logarithms, down to a tenth

@@ -107,10 +107,9 @@ class LinearCovariance:
 def linear_covariance(system: System) -> LinearCovariance:
     """Return the covariance of the modes of the system without contacts, from A Σ + Σ Aᵀ + b = 0.
 
-    In (ω Q, P) every entry of A is a rate of its own mode: a slow one is not lost beside a fast
-    one. The solver's error, a damping of the round-off of the fastest mode, is removed by two
-    corrections. The error is estimated by the last correction, by the effect of a residual of the
-    size of its own round-off, and of the round-off of ω, of alternate signs.
+    In (ω Q, P) every entry of A is a rate of its own mode, and none is lost beside a faster one.
+    The error is estimated by the last of two corrections, by the effect of a residual of the size
+    of its own round-off, and by that of the round-off of ω, of alternate signs.
 
     Raises ``NotApplicable`` where a mode is not damped or the damping depends on the state.
     """
