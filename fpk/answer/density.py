@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial, reduce
+from functools import cache, cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -32,8 +32,8 @@ class Density(Quantities):
     ``panels`` holds for every axis the ascending nodes between which the density is smooth; the
     first and last are its support. ``pdf`` takes one array per axis (broadcast together) and
     returns the density; ``pointwise`` likewise the estimate of its error there. ``l1_error``
-    estimates ∫|p − p_exact| including the mass outside the support. ``source(observable)`` computes
-    the density again: where there is one, the density can be pickled without its functions. ::
+    estimates ∫|p − p_exact| including the mass outside the support. ``source(observables)`` is a
+    result with the density solved for again: where there is one, the density can be pickled. ::
 
         p = fpk.solve(fpk.load("fig6a").system, ["q2"], methods=["nonintegrable/fem"])["q2"]
         value, error = p.at(np.linspace(-1.5, 1.5, 31))
@@ -51,14 +51,14 @@ class Density(Quantities):
     certificate: Certificate
     provenance: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "numerical"
-    source: Callable[[Observable], "AnyDensity"] | None = None
+    source: Callable[[Sequence[Observable]], Any] | None = None
 
     def __repr__(self) -> str:
         """Return what the density is of, its error and its support in one line."""
         return self.described(f"L1 error {self.l1_error:.2g}")
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: all but the functions, which ``source`` computes again."""
+        """Return what is pickled: all but the functions, which ``source`` gives again."""
         if self.source is None:
             raise TypeError(
                 f"the density of {self.name} does not know what it follows from and cannot be "
@@ -68,13 +68,10 @@ class Density(Quantities):
         return {k: v for k, v in self.__dict__.items() if k in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the density; its functions are computed when they are first called."""
-        again = cache(partial(state["source"], state["observable"]))
-        self.__dict__.update(
-            state,
-            pdf=lambda *x: again().pdf(*x),
-            pointwise=lambda *x: again().pointwise(*x),
-        )
+        """Restore the density; it is solved for again when a function is first called."""
+        again = cache(lambda: state["source"]([state["observable"]]).densities[0])
+        functions = {k: lambda *x, k=k: getattr(again(), k)(*x) for k in ("pdf", "pointwise")}
+        self.__dict__.update(state, **functions)
 
     def __call__(self, *points: ArrayLike) -> Array:
         """Return the density at ``points``, one number or array per axis."""

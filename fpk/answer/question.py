@@ -111,7 +111,7 @@ QUESTIONS: dict[str, Question] = {}
 
 
 def register(question: Question) -> Question:
-    """Add a question to the registry and return it; a name is taken once."""
+    """Add a question to the registry and return it; ``ValueError`` where its name is taken."""
     if question.name in QUESTIONS:
         raise ValueError(f"the question {question.name} is registered already")
     QUESTIONS[question.name] = question
