@@ -10,7 +10,7 @@ import click
 from cases.commands import parts
 from cases.commands.asking import AT, LIST, MEMORY, SIMULATED, TOL, Asked, asking, observed
 from cases.scene.errors import BadInput
-from fpk.answer.question import OF_DISPLACEMENT, QUESTIONS, Question
+from fpk.answer.question import QUESTIONS, Question
 
 DISPLACEMENT = (
     observed("A displacement: q1, q2, ..."),
@@ -77,7 +77,7 @@ def relaxation(asked: Asked, rates: int) -> None:
 def command_of(name: str) -> click.Command | None:
     """Return the command of a question about a displacement, None where there is none."""
     question = QUESTIONS.get(name)
-    if question is None or question.takes != OF_DISPLACEMENT:
+    if question is None or not question.of_displacement:
         return None
 
     def curve(asked: Asked, of: str, at: str) -> None:

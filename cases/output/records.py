@@ -16,7 +16,7 @@ from fpk.answer.certificate import Certificate
 from fpk.answer.dynamics import Curve, Rates
 from fpk.answer.evolution import Passage, Transient
 from fpk.answer.method import Method
-from fpk.answer.question import OF_DISPLACEMENT, QUESTIONS, Question
+from fpk.answer.question import QUESTIONS, Question
 from fpk.numeric.arrays import Array
 
 Record = dict[str, Any]
@@ -84,7 +84,7 @@ def answer_record(
 
 def curves_by_key() -> dict[str, Question]:
     """Return the questions about the motion of a displacement by the keys of their values."""
-    return {q.key: q for q in QUESTIONS.values() if q.takes == OF_DISPLACEMENT}
+    return {q.key: q for q in QUESTIONS.values() if q.of_displacement}
 
 
 def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[str]]:

@@ -1,8 +1,4 @@
-"""Numbers that follow from a density: moments, probabilities, quantiles, correlations.
-
-Both kinds of density have them as methods. Each is a ``Number``: with an estimate of the numerical
-error where the density is a function, with one standard error where it was sampled.
-"""
+"""Numbers that follow from a density, each with its error: moments, probabilities, quantiles."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -40,16 +36,11 @@ class Number:
 
 
 class Quantities(ABC):
-    """Moments, probabilities, quantiles: of a coordinate X, or of a pair (X, Y), from its density.
+    """Numbers of a coordinate X, or of a pair (X, Y), from its density.
 
     ``panels`` are the ascending nodes of every axis; the first and last are the support.
     All but ``expectation``, ``moment`` and ``plot`` raise ``InvalidInput`` for a joint density,
-    ``covariance`` and ``correlation`` for any other. ::
-
-        q2 = fpk.solve(fpk.load("fig6a").system, ["q2"])["q2"]
-        q2.std().value, q2.std().error
-        q2.exceedance(0.5)   # P(q2 > 0.5)
-        q2.probability(-0.5, 0.5)
+    ``covariance`` and ``correlation`` for any other.
     """
 
     observable: Observable
@@ -72,10 +63,7 @@ class Quantities(ABC):
         """Return E f(X) of a ``function`` of arrays that is smooth but at its ``kinks``."""
 
     def probability(self, low: float, high: float) -> Number:
-        """Return P(low < X <= high) and its error; either end may be infinite.
-
-        Raises ``InvalidInput`` unless both ends are numbers.
-        """
+        """Return P(low < X <= high); ``InvalidInput`` unless both are numbers, infinite or not."""
         return self._probability(_number("low", low), _number("high", high))
 
     @abstractmethod
@@ -89,8 +77,7 @@ class Quantities(ABC):
     def moment(self, *powers: int, about: float = 0.0) -> Number:
         """Return E (X − about)^power, of two coordinates E (X − about)^power (Y − about)^other.
 
-        Raises ``InvalidInput`` for a power that is no integer >= 0, or unless each coordinate has
-        one.
+        Raises ``InvalidInput`` unless each coordinate has a power, an integer >= 0.
         """
         given: tuple[Any, ...] = powers
         whole = all(isinstance(power, Integral) and int(power) >= 0 for power in given)
@@ -124,12 +111,13 @@ class Quantities(ABC):
 
     def kurtosis(self) -> Number:
         """Return E (X − E X)⁴ over the square of the variance: 3 of a Gaussian."""
-
-        def kurtosis(m: Complexes) -> Any:
-            fourth = m[3] - 4.0 * m[0] * m[2] + 6.0 * m[0] ** 2 * m[1] - 3.0 * m[0] ** 4
-            return fourth / (m[1] - m[0] ** 2) ** 2
-
-        return self._of_moments(kurtosis, self.mean().value)
+        return self._of_moments(
+            lambda m: (
+                (m[3] - 4.0 * m[0] * m[2] + 6.0 * m[0] ** 2 * m[1] - 3.0 * m[0] ** 4)
+                / (m[1] - m[0] ** 2) ** 2
+            ),
+            self.mean().value,
+        )
 
     def covariance(self) -> Number:
         """Return E (X − E X)(Y − E Y) of a joint density."""
@@ -137,26 +125,21 @@ class Quantities(ABC):
 
     def correlation(self) -> Number:
         """Return the covariance over both standard deviations, from −1 to 1 but for its error."""
-
-        def correlation(m: Complexes) -> Any:
-            variances = (m[2] - m[0] ** 2) * (m[4] - m[1] ** 2)
-            return (m[3] - m[0] * m[1]) / np.sqrt(variances)
-
-        return self._of_moments(correlation, *self._middle())
+        return self._of_moments(
+            lambda m: (m[3] - m[0] * m[1]) / np.sqrt((m[2] - m[0] ** 2) * (m[4] - m[1] ** 2)),
+            *self._middle(),
+        )
 
     def cdf(self, x: float) -> Number:
         """Return P(X <= x). Raises ``InvalidInput`` unless x is a number."""
         return self._probability(-inf, _number("x", x))
 
     def exceedance(self, x: float) -> Number:
-        """Return P(X > x): its relative digits are kept where it is small.
-
-        Raises ``InvalidInput`` unless x is a number.
-        """
+        """Return P(X > x), with relative digits where it is small; ``InvalidInput`` as ``cdf``."""
         return self._probability(_number("x", x), inf)
 
     def quantile(self, p: float) -> Number:
-        """Return the x with P(X <= x) = p; its error is that of x at p plus and minus its error.
+        """Return the x with P(X <= x) = p, its error by x at p plus and minus the error of P.
 
         Raises ``InvalidInput`` unless 0 < p < 1.
         """
@@ -183,30 +166,20 @@ class Quantities(ABC):
         return Number(x, max(abs(inverse(wanted + s * error) - x) for s in (-1.0, 1.0)) + rounding)
 
     def plot(self, *, log: bool = False) -> Any:
-        """Return a figure of pyplot with the density and its error; of two coordinates as contours.
-
-        ``log``: on a logarithmic scale. ::
-
-            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"])["q2"].plot(log=True)
-        """
+        """Return a figure of pyplot, as ``fpk.plot`` does; ``log``: on a logarithmic scale."""
         return import_module("fpk").plot(self, log=log)
 
     def to_meshio(self) -> Any:
         """Return the density as a ``meshio.Mesh`` of quadratic cells that follow it.
 
-        ``point_data`` has ``density``, ``log10 density`` and ``error of p``, the stated error. ::
-
-            fpk.solve(system, ["q2,p2"], methods=["nonintegrable/fem"])["q2,p2"].to_meshio()
+        ``point_data`` has ``density``, ``log10 density`` and ``error of p``, the stated error.
         """
         from fpk.answer.field import field_of  # noqa: PLC0415  (meshio is needed here only)
 
         return field_of({"p": self})[0]
 
     def to_pyvista(self) -> Any:
-        """Return the density as an ``UnstructuredGrid`` of pyvista, see ``to_meshio``.
-
-        Raises ``Unavailable`` without pyvista.
-        """
+        """Return ``to_meshio`` as an ``UnstructuredGrid``; ``Unavailable`` without pyvista."""
         try:
             pyvista = import_module("pyvista")
         except ImportError:
@@ -260,10 +233,9 @@ def with_points(nodes: Array, points: Array) -> Array:
 
 
 def beyond(function: Function, panels: Sequence[Array], kinks: Sequence[float] = ()) -> float:
-    """Return the largest |f| on the corners of the box twice as wide as the support.
+    """Return the largest |f| on the corners of a box twice as wide as support and ``kinks``.
 
     It bounds f in the tails: a density falls at least exponentially beyond the end of its support.
-    A function that begins farther out, at one of its ``kinks``, is taken at twice their distance.
     """
     reach = 2.0 * float(np.max(np.abs(kinks), initial=0.0))
     ends = (2.0 * x[[0, -1]] for x in panels)

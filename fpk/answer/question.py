@@ -35,9 +35,6 @@ if TYPE_CHECKING:
     from fpk.system.system import System
 
 Answer = TypeVar("Answer")
-OF_DISPLACEMENT = ("observable", "at")
-"""``Question.takes`` of a question about one displacement in the stationary state, at levels,
-frequencies or lags. Its command, its units and its checks follow."""
 Progress = Callable[[int, int, str], None]
 """Called as ``progress(done, total, what)`` while a method works."""
 Powers = tuple[int, int, int]
@@ -78,21 +75,26 @@ class Question:
     """A question: its method's function and its command have its ``name``.
 
     ``words`` name the answer, as in "exact gives no spectrum"; ``takes`` are the fields of
-    ``Asked`` in their order; ``key`` names the values in records. Where it takes
-    ``OF_DISPLACEMENT``, ``help`` is the text of the command; ``axis`` says what ``at`` is, empty
-    for levels; ``powers`` are the units of ``at`` and of the values; ``scale(σ_q, σ_v)`` is a
-    natural size of the values; ``check`` raises ``InvalidInput`` for ``at`` that has no answer.
+    ``Asked`` in their order; ``key`` names the values in records. Of a displacement ``help`` is the
+    text of the command; ``axis`` says what ``at`` is, empty for levels; ``powers`` are the units of
+    ``at`` and of the values; ``scale(σ_q, σ_v)`` is a natural size of the values; ``check`` raises
+    ``InvalidInput`` for ``at`` that has no answer.
     """
 
     name: str
     words: str
-    takes: tuple[str, ...]
+    takes: tuple[str, ...] = ("observable", "at")
     key: str = ""
     help: str = ""
     axis: str = ""
     powers: tuple[Powers, Powers] = ((0, 0, 0), (0, 0, 0))
     scale: Callable[[float, float], float] = lambda q, v: 1.0
     check: Callable[[Any], None] = lambda at: None
+
+    @property
+    def of_displacement(self) -> bool:
+        """Whether it is about one displacement, stationary, at levels, frequencies or lags."""
+        return self.takes == ("observable", "at")
 
     def answered_by(self, method: object) -> bool:
         """Return whether a method, or a class of methods, answers the question."""
@@ -137,7 +139,7 @@ def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
         bound.apply_defaults()
         method, asked = bound.arguments.pop("self"), Asked(**bound.arguments)
         tolerance(asked.tol, None)
-        if question.takes == OF_DISPLACEMENT:
+        if question.of_displacement:
             displacement_row(asked.observable)
             question.check(asked.at)
             method.planned(asked.system, [asked.observable])
@@ -151,7 +153,6 @@ for _question in (
     Question(
         name="crossings",
         words="crossings",
-        takes=OF_DISPLACEMENT,
         key="rate",
         help="""Give the upcrossings of levels per unit time in the stationary state.
 
@@ -164,7 +165,6 @@ for _question in (
     Question(
         name="spectrum",
         words="spectrum",
-        takes=OF_DISPLACEMENT,
         key="spectrum",
         help="""Give the power spectral density at angular frequencies.
 
@@ -178,7 +178,6 @@ for _question in (
     Question(
         name="correlation",
         words="correlation",
-        takes=OF_DISPLACEMENT,
         key="correlation",
         help="""Give the autocovariance E q(0) q(t) − (E q)² at lags t >= 0.
 
