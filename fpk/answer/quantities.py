@@ -92,21 +92,20 @@ class Quantities(ABC):
 
     def rms(self) -> Number:
         """Return √E X²."""
-        return self._of_moments(lambda m: np.sqrt(m[1]), 0.0)
+        return self._of_moments(lambda m: np.sqrt(m[1]), central=False)
 
     def std(self) -> Number:
         """Return the standard deviation, √E (X − E X)²."""
-        return self._of_moments(lambda m: np.sqrt(m[1] - m[0] ** 2), self.mean().value)
+        return self._of_moments(lambda m: np.sqrt(m[1] - m[0] ** 2))
 
     def variance(self) -> Number:
         """Return E (X − E X)²."""
-        return self._of_moments(lambda m: m[1] - m[0] ** 2, self.mean().value)
+        return self._of_moments(lambda m: m[1] - m[0] ** 2)
 
     def skewness(self) -> Number:
         """Return E (X − E X)³ over the cube of the standard deviation, 0 of a symmetric density."""
         return self._of_moments(
-            lambda m: (m[2] - 3.0 * m[0] * m[1] + 2.0 * m[0] ** 3) / (m[1] - m[0] ** 2) ** 1.5,
-            self.mean().value,
+            lambda m: (m[2] - 3.0 * m[0] * m[1] + 2.0 * m[0] ** 3) / (m[1] - m[0] ** 2) ** 1.5
         )
 
     def kurtosis(self) -> Number:
@@ -115,19 +114,18 @@ class Quantities(ABC):
             lambda m: (
                 (m[3] - 4.0 * m[0] * m[2] + 6.0 * m[0] ** 2 * m[1] - 3.0 * m[0] ** 4)
                 / (m[1] - m[0] ** 2) ** 2
-            ),
-            self.mean().value,
+            )
         )
 
     def covariance(self) -> Number:
         """Return E (X − E X)(Y − E Y) of a joint density."""
-        return self._of_moments(lambda m: m[3] - m[0] * m[1], *self._middle())
+        return self._of_moments(lambda m: m[3] - m[0] * m[1], pair=True)
 
     def correlation(self) -> Number:
         """Return the covariance over both standard deviations, from −1 to 1 but for its error."""
         return self._of_moments(
             lambda m: (m[3] - m[0] * m[1]) / np.sqrt((m[2] - m[0] ** 2) * (m[4] - m[1] ** 2)),
-            *self._middle(),
+            pair=True,
         )
 
     def cdf(self, x: float) -> Number:
@@ -192,19 +190,19 @@ class Quantities(ABC):
             raise InvalidInput("density", "joint", "of two coordinates: ask for that of one")
         return with_points(self.panels[0], np.asarray(points))
 
-    def _middle(self) -> tuple[float, float]:
-        """E X and E Y of a joint density."""
-        if len(self.panels) != 2:
+    def _of_moments(
+        self, function: Callable[[Complexes], Any], *, pair: bool = False, central: bool = True
+    ) -> Number:
+        """A ``function`` of the first four moments, of a pair five, about the mean or about 0."""
+        if not pair:
+            self._axis()
+        elif len(self.panels) != 2:
             raise InvalidInput("density", "single", "of one coordinate: ask for that of a pair")
-        return self.moment(1, 0).value, self.moment(0, 1).value
-
-    def _of_moments(self, function: Callable[[Complexes], Any], *about: float) -> Number:
-        """A ``function`` of the first four moments about a point, of two axes of the first five."""
-        pair = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-        powers = [(1,), (2,), (3,), (4,)] if len(about) == 1 else pair
+        powers = [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2)] if pair else [(1,), (2,), (3,), (4,)]
+        about = [self.moment(*k).value if central else 0.0 for k in powers[: 1 + pair]]
         terms = [_monomial(k, about) for k in powers]
         moments = np.array([self.expectation(term).value for term in terms])
-        squares = moments[[1]] if len(about) == 1 else moments[[2, 4]]
+        squares = moments[[2, 4]] if pair else moments[[1]]
         # An imaginary step, whose square is nothing beside 1, differentiates without a difference.
         steps = 1e-20 * np.prod(np.sqrt(squares) ** np.array(powers), axis=1)
         gradient = np.imag([function(m) for m in moments + 1j * np.diag(steps)]) / steps
