@@ -15,13 +15,11 @@ from fpk.numeric.quadrature import gauss_grid
 
 @dataclass(frozen=True)
 class Curve:
-    """Values at the points asked for, with an error each, and the certificate of all of them.
+    """Values at the points asked for, each with its numerical error or one standard error. ::
 
-    An error is an estimate of the numerical one, or one standard error of sampling. ::
-
-        free = fpk.System([1.0], [1.0], [0.1], [0.05])
-        spectrum = Linear().spectrum(free, parse_observable("q1", 1), np.linspace(0.0, 2.0, 21))
-        spectrum.values, spectrum.errors, spectrum.certificate.certified
+    free = fpk.System([1.0], [1.0], [0.1], [0.05])
+    spectrum = Linear().spectrum(free, parse_observable("q1", 1), np.linspace(0.0, 2.0, 21))
+    spectrum.values, spectrum.errors, spectrum.certificate.certified
     """
 
     values: Array
@@ -84,18 +82,12 @@ def certified_curve(
     and the curve's own the larger counts. ``positive`` (None: the values) must not be negative by
     more than the error.
     """
-    relative = float(np.max(errors)) / scale
-    measured = Measured(
-        l1_error=relative,
-        mass_defect=of.certificate.mass_defect,
-        minimum=float(np.min(values if positive is None else positive)) / scale,
-        residual=worst((residual, of.certificate.residual)),
-        tail_mass=of.certificate.tail_mass,
-        failures=(*of.certificate.besides, *failures),
-        absolute_error=relative,
-    )
-    certificate = certify(measured, tol=tol)
-    return Curve(values, errors + SMALLEST, certificate, settings or {})
+    relative, given = float(np.max(errors)) / scale, of.certificate
+    least = float(np.min(values if positive is None else positive)) / scale
+    residual, words = worst((residual, given.residual)), (*given.besides, *failures)
+    numbers = relative, given.mass_defect, least, residual, given.tail_mass
+    measured = Measured(*numbers, failures=words, absolute_error=relative)
+    return Curve(values, errors + SMALLEST, certify(measured, tol=tol), settings or {})
 
 
 def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array]:

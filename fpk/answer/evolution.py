@@ -1,7 +1,7 @@
 """Answers about a motion that begins at a given time: transient densities and first passage."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -38,8 +38,8 @@ def checked_times(times: Array, *, positive: bool = False) -> Array:
 class Transient:
     """Densities at several times at the points asked for.
 
-    ``values`` and ``errors`` are (times, points). An error is an estimate of the numerical error,
-    or one standard error of sampling, as ``error_kind`` says. ::
+    ``values`` and ``errors`` are (times, points); ``error_kind`` says whether an error is an
+    estimate of the numerical error or one standard error of sampling. ::
 
         times, energies = np.array([1.0, 10.0]), np.linspace(0.1, 1.0, 10)
         H = parse_observable("H", 2)
@@ -129,24 +129,11 @@ def certified_passage(
     value, error = np.array(finite).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = error / np.abs(value)
-    worst = float(np.max(failure_error, initial=0.0))
+    worst, least = np.max(failure_error, initial=0.0), np.min(1.0 - failure, initial=1.0)
+    largest, worst = float(np.max([*sizes, worst])), float(worst)
     measured = Measured(
-        l1_error=float(np.max([*sizes, worst])),
-        mass_defect=mass_defect,
-        minimum=float(np.min(1.0 - failure, initial=1.0)),
-        residual=residual,
-        tail_mass=None,
-        absolute_error=worst,
+        largest, mass_defect, float(least), residual, tail_mass=None, absolute_error=worst
     )
-    return Passage(
-        *numbers,
-        times,
-        1.0 - failure,
-        failure_error + EPS,
-        "numerical",
-        certify(measured, tol=tol),
-        starts,
-        settings or {},
-        failure,
-        failure_error,
-    )
+    survival, certificate = (1.0 - failure, failure_error + EPS), certify(measured, tol=tol)
+    answer = Passage(*numbers, times, *survival, "numerical", certificate, starts, settings or {})
+    return replace(answer, failure=failure, failure_error=failure_error)
