@@ -129,11 +129,10 @@ def certified_passage(
     value, error = np.array(finite).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = error / np.abs(value)
-    worst, least = np.max(failure_error, initial=0.0), np.min(1.0 - failure, initial=1.0)
-    largest, worst = float(np.max([*sizes, worst])), float(worst)
-    measured = Measured(
-        largest, mass_defect, float(least), residual, tail_mass=None, absolute_error=worst
-    )
+    worst = float(np.max(failure_error, initial=0.0))
+    largest = float(np.max([*sizes, worst]))
+    least = float(np.min(1.0 - failure, initial=1.0))
+    measured = Measured(largest, mass_defect, least, residual, None, absolute_error=worst)
     survival, certificate = (1.0 - failure, failure_error + EPS), certify(measured, tol=tol)
     answer = Passage(*numbers, times, *survival, "numerical", certificate, starts, settings or {})
     return replace(answer, failure=failure, failure_error=failure_error)
