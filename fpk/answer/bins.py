@@ -234,10 +234,7 @@ def _fit(
 
 
 class Model:
-    """Contents of the bins ``first`` <= bin < ``last`` as functions of θ, by Gauss points.
-
-    ``design`` (bins of all axes, coefficients) has the means of the polynomials over each bin.
-    """
+    """Contents of the bins of a box by θ; ``design`` has the mean polynomials (bins, θ) of each."""
 
     def __init__(self, axes: Sequence[BinAxis], first: Bins, last: Bins, degree: int):
         """Evaluate the polynomials."""

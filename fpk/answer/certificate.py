@@ -12,8 +12,7 @@ from fpk.numeric.errors import InvalidInput
 Default = TypeVar("Default")
 
 NEGATIVE = -1e-14
-"""Smallest p / max p that counts as round-off of a density that is not negative; its size is the
-departure of a mass from 1 that counts as round-off of its own sum."""
+"""Smallest p / max p that counts as round-off; its size is the round-off of a mass."""
 MISSED = "the estimated error"
 """First words of the failure that an estimated error exceeds the tolerance."""
 
@@ -31,15 +30,13 @@ def tolerance(tol: float | None, default: Default) -> float | Default:
 class Measured:
     """Numbers measured on an answer, None where it has no such thing.
 
-    ``l1_error`` estimates ∫|p − p_exact|, with all that the numerics contribute. ``mass_defect`` is
-    |∫p − 1| over the support, before any tail; ``minimum`` the smallest value of p divided by
-    its largest; ``residual`` how far p is from solving its equation, relative to the terms that
-    cancel (for sampling: the largest |z| of the moment identities, NaN where none is evaluated);
-    ``tail_mass`` a bound (for sampling: the share) of the mass outside the support; ``net_flux``
-    the largest probability flux through an element relative to its one-way parts.
-    ``absolute_error`` bounds the error of p anywhere, in units of its largest value, as far as it
-    is part of the stated error: to it the sign of p is known. ``failures``: what else does not
-    hold, in words.
+    ``l1_error`` estimates ∫|p − p_exact| in full. ``mass_defect`` is |∫p − 1| over the support,
+    before any tail; ``minimum`` the smallest value of p over its largest; ``residual`` how far p is
+    from solving its equation, relative to the terms that cancel (for sampling: the largest |z| of
+    the moment identities, or NaN); ``tail_mass`` a bound (for sampling: the share) of the mass
+    outside the support; ``net_flux`` the largest probability flux through an element relative to
+    its one-way parts; ``absolute_error`` the stated error of p anywhere, in units of its largest
+    value, to which its sign is known; ``failures`` what else does not hold, in words.
     """
 
     l1_error: float
@@ -77,7 +74,7 @@ class Certificate(Measured):
 
     @property
     def record(self) -> dict[str, Any]:
-        """The checks and their numbers by name; the errors that they judge stand in the answer."""
+        """The checks and their numbers by name, but for the errors, which stand in the answer."""
         own = {k: x for k, x in vars(self).items() if k not in ("l1_error", "absolute_error")}
         return own | {"certified": self.certified}
 

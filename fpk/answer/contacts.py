@@ -100,10 +100,7 @@ def contact_quantity(name: str, stop: Contact, displacement: Quantities) -> Numb
 
 
 def joint_at_stops(system: System, observables: Sequence[Observable]) -> list[Observable]:
-    """Return the pairs (q, p), not asked for, of masses at stops whose q is observed.
-
-    The rates of touching follow from them.
-    """
+    """Return the pairs (q, p), not observed, of masses at stops with q observed: for rates."""
     touching = [Coordinate("q", i) for i in system.contact_masses]
     pairs = [(q, Coordinate("p", q.row)) for q in touching if (q,) in observables]
     return [pair for pair in pairs if pair not in observables]

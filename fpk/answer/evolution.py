@@ -22,10 +22,7 @@ L1 error above which nothing is known of a density: its errors are then infinite
 
 
 def checked_times(times: Array, *, positive: bool = False) -> Array:
-    """Return ``times`` that are finite, not negative and ascend; else raise ``InvalidInput``.
-
-    With ``positive`` 0 is refused: a single value has no density.
-    """
+    """Return ``times`` if finite, 0 (``positive``: not 0) or later, and ascending, else raise."""
     if not (np.all(np.isfinite(times)) and np.all(times >= 0.0) and np.all(np.diff(times) > 0.0)):
         raise InvalidInput("times", times, "must be finite, 0 or later, and ascend")
     if positive and times.size and times[0] == 0.0:
@@ -122,8 +119,7 @@ def certified_passage(
 ) -> Passage:
     """Return a numerical answer of mean, variance and failure rate, and P(T <= t) at ``times``.
 
-    The certificate counts relative errors of the finite numbers and absolute errors of the
-    probabilities.
+    ``tol`` judges relative errors of the finite numbers, absolute errors of the probabilities.
     """
     finite = [(x.value, x.error) for x in numbers if x and x.value != np.inf]
     value, error = np.array(finite).reshape(-1, 2).T

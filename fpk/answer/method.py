@@ -20,10 +20,7 @@ Solves = Literal["full", "averaged"]
 
 @dataclass(frozen=True)
 class Identity:
-    """An equation that holds exactly in any stationary state, evaluated on an answer.
-
-    ``error`` of ``value`` − ``expected`` is one standard error of sampling, or numerical.
-    """
+    """An equation of any stationary state; ``error`` is of ``value`` − ``expected``."""
 
     name: str
     value: float
@@ -109,10 +106,9 @@ class Method(ABC):
         return self.route.solver
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
-        """Return the method as it is taken where nobody named it, as by ``fpk run``.
+        """Return the method as ``fpk run`` takes it; ``NotApplicable`` if nothing is gained.
 
-        A slow method bounds its work by ``share`` of the usual bound, at which it is left out, and
-        raises ``NotApplicable`` where nothing is gained.
+        A slow method bounds its work by ``share`` of the usual bound, at which it is left out.
         """
         return self
 
@@ -132,10 +128,9 @@ class Method(ABC):
         beside: Sequence[Observable] = (),
         progress: Progress = silent,
     ) -> Result:
-        """Return the densities of ``observables``, ``beside`` as of ``solved``.
+        """Return the densities of ``observables``, with more ``beside`` as of ``solved``.
 
-        Raises ``NotApplicable`` where the method refuses one, ``InvalidInput`` for a name that is
-        not parsed. ::
+        Raises ``NotApplicable`` where it refuses, ``InvalidInput`` for a name not parsed. ::
 
             answer = NonIntegrable().solve(system, [parse_observable("q2", system.n)])
             (p,) = answer.densities
@@ -145,11 +140,7 @@ class Method(ABC):
         return solved(plan, system, observables, beside=beside, progress=progress)
 
     def planned(self, system: System, observables: Sequence[Observable]) -> Plan:
-        """Return the plan for ``system``.
-
-        Raises ``NotApplicable`` where the method refuses an observable or the system, and where the
-        motion escapes, so that no density is stationary.
-        """
+        """Return the plan; ``NotApplicable`` where it refuses or the motion escapes."""
         require_held(system)
         plan = self.prepare(system)
         for observable in observables:
@@ -166,10 +157,9 @@ def solved(
     beside: Sequence[Observable] = (),
     progress: Progress = silent,
 ) -> Result:
-    """Return the result of the plan for ``system`` with the seconds that solving took.
+    """Return the plan's result with its seconds; its densities know settings and source.
 
-    Its densities know its settings and, by functions, how to solve for them again. Densities of
-    ``beside`` are given where they take little more work.
+    Densities of ``beside`` are given where they take little more work.
     """
     start = perf_counter()
     others = [o for o in beside if not plan.refusal(o)]

@@ -233,7 +233,7 @@ def with_points(nodes: Array, points: Array) -> Array:
 def beyond(function: Function, panels: Sequence[Array], kinks: Sequence[float] = ()) -> float:
     """Return the largest |f| on the corners of a box twice as wide as support and ``kinks``.
 
-    It bounds f in the tails: a density falls at least exponentially beyond the end of its support.
+    It stands for f in the tails, where densities fall at least exponentially.
     """
     reach = 2.0 * float(np.max(np.abs(kinks), initial=0.0))
     ends = (2.0 * x[[0, -1]] for x in panels)

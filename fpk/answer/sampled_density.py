@@ -24,8 +24,7 @@ Fits = tuple[tuple[BinAxis, ...], tuple[Box, ...]]
 
 def standard_error(batches: Array) -> Array:
     """Return one standard error of the mean of independent ``batches`` (batches, ...)."""
-    spread: Array = np.std(batches, axis=0, ddof=1) / np.sqrt(batches.shape[0])
-    return spread
+    return np.asarray(np.std(batches, axis=0, ddof=1) / np.sqrt(batches.shape[0]))
 
 
 @dataclass(frozen=True)
@@ -127,10 +126,7 @@ class SampledDensity(Quantities):
 
     @cached_property
     def samples_per_visit(self) -> float:
-        """How many samples come together: variance over mean of what a batch holds of a rare cell.
-
-        Some batches visited such a cell and some did not: only the excursions are independent.
-        """
+        """Samples in an excursion: variance over mean in a cell that not all batches visited."""
         if not self.samples > 0.0:
             return 1.0
         few = self.joined(min(self.values.shape) // 100)  # cells of a hundredth of the axis
@@ -156,7 +152,7 @@ class SampledDensity(Quantities):
         """Fit ln p; ``halve`` as of ``fpk.answer.bins.boxes``."""
         axes = self.bins
         if len(axes) == 2:
-            # The reference is the product of plain fits of each coordinate alone: a box has few
+            # The reference is the product of plain fits of each coordinate: a box has few
             # coefficients where there are few samples, and none where p is large depends on it.
             alone = [self.alone(k) for k in range(2)]
             plain = [replace(one, made=one._fitted(halve=False))._log_p for one in alone]
@@ -184,9 +180,9 @@ class SampledDensity(Quantities):
         """Return the density and one standard error at ``points``, one array per axis.
 
         The independent batches give the error of the fit, Poisson's law a least one where fewer
-        visits are expected than there are batches. One visit more is always added: the variance of
-        k visits is k, of which 0 may have been seen. At a kink the side with the smaller error
-        counts. Outside the bins the density is 0, with the error at their nearest point.
+        visits are expected than there are batches; of k visits, 0 may have been seen, and one more
+        is added. At a kink the side with the smaller error counts. Outside the bins the density is
+        0, with the error at their nearest point.
         """
         batches = len(self.batch_values)
 
@@ -207,13 +203,11 @@ class SampledDensity(Quantities):
 
         arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in points))
         x = np.stack([a.ravel() for a in arrays])
-        near = np.stack([np.clip(a, *e[[0, -1]]) for a, e in zip(x, self.edges, strict=True)])
         value, error = np.zeros((2, x.shape[1]))
         together = CHUNK // batches
         for first in range(0, value.size, together):
             k = slice(first, first + together)
-            value[k], error[k] = self._better(near[:, k], on_side)
-        value = np.where(np.any(near != x, axis=0), 0.0, value)
+            value[k], error[k] = self._better(x[:, k], on_side)
         return value.reshape(arrays[0].shape), error.reshape(arrays[0].shape)
 
     @cached_property
@@ -252,10 +246,7 @@ class SampledDensity(Quantities):
         return np.log(np.maximum(value, SMALLEST)).reshape(x.shape)
 
     def flux(self, weight: Callable[[Array], Array], nodes: Array, at: Array) -> Values:
-        """Return ∫ weight(y) p(x, y) dy at x = ``at`` (points,), and one standard error, as ``at``.
-
-        y runs over the panels of ``nodes``.
-        """
+        """Return ∫ weight(y) p(x, y) dy over panels of y, at x = ``at`` (points,), as ``at``."""
         y, w = (a.ravel() for a in panel_rule(nodes, NODES))
         weights, shape = weight(y), (at.size, y.size)
 
@@ -270,19 +261,17 @@ class SampledDensity(Quantities):
             more = self.visit * more / cells[0].reshape(shape).min(axis=1)
             return flow, np.hypot(standard_error(apart), more)
 
-        near = np.clip(at, *self.edges[0][[0, -1]])
-        points = np.stack([np.repeat(near, y.size), np.tile(y, at.size)])
-        value, error = self._better(points, on_side)
-        return np.where(near == at, value, 0.0), error
+        return self._better(np.stack([np.repeat(at, y.size), np.tile(y, at.size)]), on_side)
 
     def _better(self, points: Array, on_side: Callable[[Array, Integers], Values]) -> Values:
-        """Values and errors of ``on_side`` at points and their bins; at kinks the better side."""
-        ends = zip(self.edges, points, strict=True)
-        inside = [np.clip(np.searchsorted(e, x, "right") - 1, 0, e.size - 2) for e, x in ends]
-        bins = np.array(inside)
-        value, error = on_side(points, bins)
+        """Values and errors by bins, at kinks on the better side; beyond the bins values are 0."""
+        given, edges = points, self.edges
+        points = np.array([np.clip(x, *e[[0, -1]]) for x, e in zip(given, edges, strict=True)])
+        ends = zip(edges, points, strict=True)
+        bins = [np.clip(np.searchsorted(e, x, "right") - 1, 0, e.size - 2) for e, x in ends]
+        value, error = on_side(points, np.array(bins))
         for k, (axis, x) in enumerate(zip(self.bins, points, strict=True)):
-            e, other = axis.edges, bins.copy()
+            e, other = axis.edges, np.array(bins)
             for cut in axis.cuts[1:-1]:
                 close = np.abs(x - e[cut]) <= ROUND_OFF * (e[-1] - e[0])
                 other[k][close] = np.where(bins[k] < cut, cut, cut - 1)[close]
@@ -290,7 +279,8 @@ class SampledDensity(Quantities):
                 values, errors = on_side(points, other)
                 better = errors < error
                 value, error = np.where(better, values, value), np.where(better, errors, error)
-        return value, error
+        away = np.any(points != given, axis=0).reshape(value.size, -1).any(axis=1)
+        return np.where(away, 0.0, value), error
 
     def _evaluated(self, points: Array, bins: Integers) -> tuple[Array, Array, Array, Array]:
         """Density, deviations of ln p (points, batches), its Poisson variance, and sizes of cells.
@@ -307,9 +297,8 @@ class SampledDensity(Quantities):
             k = np.flatnonzero(np.all(inside, axis=0))
             if not k.size:
                 continue
-            half = np.subtract(box.last, box.first) // (
-                2 * (box.degrees.max(axis=1, initial=0) + 1)
-            )
+            coefficients = box.degrees.max(axis=1, initial=0) + 1
+            half = np.subtract(box.last, box.first) // (2 * coefficients)
             for a, axis in enumerate(axes):
                 first = np.maximum(bins[a, k] - half[a], box.first[a])
                 last = np.minimum(bins[a, k] + half[a] + 1, box.last[a])
