@@ -78,9 +78,10 @@ def answers_of(
             continue
         attempts.interrupted |= result.partial
         if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
+            route = method.route
             attempts.notes.append(
-                f"{method.route.label}: certified to {bound(_worst_error(result))}; its work is"
-                f" bounded as no method was named; fpk density --method {method.name} goes further"
+                f"{route.label}: certified to {bound(_worst_error(result))}; its work is bounded"
+                f" as no method was named; fpk density --method {route.method} goes further"
             )
         results.append(result)
     refused, notes = tuple(attempts.refused), tuple(attempts.notes)

@@ -73,8 +73,8 @@ def answer_record(
     if not isinstance(answer, Rates):
         own["error_kind"] = answer.error_kind
     units = answer_units(scene.units, given, key) if scene.units else None
-    solver = answer.settings.get("solver", method.solver)  # of several inside of one method
-    head = {"scene": scene.name, "method": method.name, "solver": solver, "units": units}
+    solver = answer.settings.get("solver", method.route.solver)  # of several inside of one method
+    head = {"scene": scene.name, "method": method.route.method, "solver": solver, "units": units}
     of = str(given.get("observable", given.get("limit", "rates")))
     asked = [(of, [method.route], not isinstance(answer, Curve))]
     tail = answer_tail(answer.certificate, answer.settings, seconds)

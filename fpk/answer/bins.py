@@ -125,11 +125,6 @@ class Box:
     chance: float = 1.0
 
     @property
-    def bins(self) -> tuple[slice, ...]:
-        """The slice of the bins along each axis."""
-        return tuple(map(slice, self.first, self.last))
-
-    @property
     def degrees(self) -> Integers:
         """Degrees (axes, coefficients) of the polynomials along each axis."""
         return powers(len(self.first), self.theta.size)

@@ -117,23 +117,22 @@ class Density(Quantities):
 
         The rest of the L1 error, at least |1 − mass|, may lie anywhere and is added.
         """
-        nodes = self._axis()
-        first, last = (float(x) for x in np.clip([low, high], nodes[0], nodes[-1]))
-        ends = (low < nodes[0], high > nodes[-1])
-        value, error, rounding = (float(x) for x in self._share(first, last))
+        value, error, rounding = (float(x) for x in self._share(low, high))
         of_all = float(self._panel_shares[1].sum())
         unlocated = max(self.l1_error - of_all, self.certificate.mass_defect or 0.0)
         located = max(min(error, of_all - error), 0.0)
+        ends = (low < self.panels[0][0], high > self.panels[0][-1])
         beyond_ends = sum(ends) * outside(self.certificate)
         return Number(value, located + unlocated + beyond_ends + rounding)
 
     def share(self, low: float, high: float) -> float:
         """Return P(low < X <= high) without its error, which takes as long again."""
-        return float(self._share(*np.clip([low, high], *self._axis()[[0, -1]]), rows=1)[0])
+        return float(self._share(low, high, rows=1)[0])
 
     def _share(self, low: float, high: float, *, rows: int = 3) -> Array:
-        """The first ``rows`` of ``_panel_shares`` between two points of the support."""
-        nodes = self.panels[0]
+        """The first ``rows`` of ``_panel_shares`` between two points, within the support."""
+        nodes = self._axis()
+        low, high = np.clip([low, high], *nodes[[0, -1]])
         first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
         whole: Array = self._panel_shares[:rows, first:last].sum(axis=1)
         cut = [(low, nodes[first]), (nodes[last], high)] if first <= last else [(low, high)]

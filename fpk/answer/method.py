@@ -95,16 +95,6 @@ class Method(ABC):
     def refined(self) -> Self:
         """Return the same method at its next finer level."""
 
-    @property
-    def name(self) -> str:
-        """The method's name on the command line."""
-        return self.route.method
-
-    @property
-    def solver(self) -> str:
-        """How the method's equation is solved, on the command line."""
-        return self.route.solver
-
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
         """Return the method as ``fpk run`` takes it; ``NotApplicable`` if nothing is gained.
 

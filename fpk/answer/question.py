@@ -10,15 +10,13 @@ function of the method and of what is ``Asked``, in its body or afterwards::
     Linear.spectrum = answer(spectrum)
     Linear().spectrum(system, parse_observable("q1", 1), np.linspace(0.0, 2.0, 5), tol=1e-8)
 
-``tol`` is the largest error wanted: of curves in units of ``scale``, of rates relative to each;
-None for the default of the method. Spectra are two-sided, in angular frequency:
-S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, so that ∫ S dω over all real ω is the variance.
-C(t) = E q(0) q(t) − (E q)², t >= 0, is the variance at t = 0.
-
-Raised are ``InvalidInput`` for a tolerance that is not > 0, what is no displacement, a lag that is
-no time (all three here), a start at or beyond the limit, or times that do not ascend from 0 or
-later; and ``NotApplicable`` where the method does not answer for this system, observable, limit or
-start. This file imports no numerical library: the command line reads it for its help.
+``tol`` is the largest error wanted: of curves in units of ``scale``, of rates relative to each.
+Spectra are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, ∫ S dω over all real
+ω is the variance; C(t) = E q(0) q(t) − (E q)², t >= 0. ``InvalidInput`` is raised for a tolerance
+that is not > 0, no displacement, a lag that is no time (all three here), a start at or beyond the
+limit, or times that do not ascend from 0 or later; ``NotApplicable`` where the method does not
+answer for this system, observable, limit or start. This file imports no numerical library: the
+command line reads it for its help.
 """
 
 from collections.abc import Callable
@@ -95,10 +93,6 @@ class Question:
     def of_displacement(self) -> bool:
         """Whether it is about one displacement, stationary, at levels, frequencies or lags."""
         return self.takes == ("observable", "at")
-
-    def answered_by(self, method: object) -> bool:
-        """Return whether a method, or a class of methods, answers the question."""
-        return hasattr(method, self.name)
 
 
 def require_lags(at: Any) -> None:

@@ -218,7 +218,8 @@ class SampledDensity(Quantities):
         for box in every:
             theta = box.theta if box.theta.size else np.zeros(1)
             degree = int(box.degrees.sum(axis=0).max(initial=0))
-            own = tuple(s for bins in box.bins for s in (bins, slice(None)))
+            ends = zip(box.first, box.last, strict=True)
+            own = tuple(s for a, b in ends for s in (slice(a, b), slice(None)))
             spread[own] = Model(axes, box.first, box.last, degree).spread(theta)
         points = tuple(range(1, spread.ndim, 2))
         whole = spread.sum(axis=points, keepdims=True)
