@@ -33,7 +33,7 @@ def density(asked: Asked, of: str, at: str) -> None:
     from cases.output.records import columns_text, listed
     from cases.scene.points import parse_points
     from fpk.answer.dynamics import Curve
-    from fpk.answer.method import Method, solved
+    from fpk.answer.method import Method
     from fpk.answer.observable import observable_name
 
     points, settings = parse_points(at, len(observable)), asked.settings
@@ -42,7 +42,7 @@ def density(asked: Asked, of: str, at: str) -> None:
     def work(method: Method, tol: float | None, progress: Any) -> Curve:
         plan = method.planned(asked.scene.system, [observable])
         parts.checkpoint_folder(asked.scene, {**settings, "tol": tol, "observable": of})
-        result = solved(plan, asked.scene.system, [observable], progress=progress)
+        result = method.solve(asked.scene.system, [observable], plan=plan, progress=progress)
         (p,) = result.densities
         return Curve(*p.at(*points), p.certificate, result.settings, p.error_kind)
 

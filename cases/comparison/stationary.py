@@ -16,7 +16,7 @@ from cases.scene.scene import Scene
 from cases.written import bound
 from fpk.answer.contacts import joint_at_stops
 from fpk.answer.density import Density
-from fpk.answer.method import Method, Plan, Progress, Result, silent, solved
+from fpk.answer.method import Method, Plan, Progress, Result, silent
 from fpk.answer.observable import Observable, observable_name
 from fpk.numeric.errors import NotApplicable
 from fpk.system.system import System
@@ -66,7 +66,8 @@ def answers_of(
 
         def solve(own: Method, taken: Method = taken, plan: Plan = plan, given: Any = given) -> Any:
             plan = plan if own is taken else own.prepare(system)
-            return _solved(plan, system, given, attempts, progress, rates)
+            answer = partial_of(own.solve, plan=plan, progress=progress)
+            return _solved(answer, system, given, attempts, progress, rates)
 
         result = attempts.answer_of(
             method.route,
@@ -98,16 +99,16 @@ def _is_taken(method: Method, system: System, share: float | None) -> bool:
 
 
 def _solved(
-    plan: Plan,
+    solve: Callable[..., Result],
     system: System,
     observables: Sequence[Observable],
     attempts: Attempts,
     progress: Progress,
     rates: bool,
 ) -> Result:
-    """The answer of ``plan``, or as ``Attempts.at_default`` says."""
+    """The answer by ``solve``, or as ``Attempts.at_default`` says."""
     beside = joint_at_stops(system, observables) if rates else []
-    result = solved(plan, system, observables, beside=beside, progress=progress)
+    result = solve(system, observables, beside=beside)
 
     def ask(tol: float | None) -> Result:
         if tol is None:

@@ -116,18 +116,35 @@ class Method(ABC):
         observables: Sequence[Observable],
         *,
         beside: Sequence[Observable] = (),
+        plan: Plan | None = None,
         progress: Progress = silent,
     ) -> Result:
-        """Return the densities of ``observables``, with more ``beside`` as of ``solved``.
+        """Return the densities of ``observables``, and ``beside`` where they take little more work.
 
-        Raises ``NotApplicable`` where it refuses, ``InvalidInput`` for a name not parsed. ::
+        The densities know the settings, and those by functions how to solve for them again.
+        ``plan`` is the method's, where it was made. Raises ``NotApplicable`` where it refuses,
+        ``InvalidInput`` for a name not parsed. ::
 
             answer = NonIntegrable().solve(system, [parse_observable("q2", system.n)])
             (p,) = answer.densities
         """
         require_observables(observables)
-        plan = self.planned(system, observables)
-        return solved(plan, system, observables, beside=beside, progress=progress)
+        plan = plan or self.planned(system, observables)
+        start = perf_counter()
+        others = [o for o in beside if not plan.refusal(o)]
+        if plan.solve_beside and others:
+            result = plan.solve_beside(observables, others, progress)
+        else:
+            result = plan.solve(observables, progress)
+        source = partial(result.method.solve, system)
+
+        def known(density: AnyDensity) -> AnyDensity:
+            own: dict[str, Any] = {"source": source} if isinstance(density, Density) else {}
+            return replace(density, provenance=result.settings, **own)
+
+        densities, others_given = (tuple(map(known, d)) for d in (result.densities, result.beside))
+        seconds = perf_counter() - start
+        return replace(result, densities=densities, beside=others_given, seconds=seconds)
 
     def planned(self, system: System, observables: Sequence[Observable]) -> Plan:
         """Return the plan; ``NotApplicable`` where it refuses or the motion escapes."""
@@ -137,35 +154,6 @@ class Method(ABC):
             if reason := plan.refusal(observable):
                 raise NotApplicable(reason)
         return plan
-
-
-def solved(
-    plan: Plan,
-    system: System,
-    observables: Sequence[Observable],
-    *,
-    beside: Sequence[Observable] = (),
-    progress: Progress = silent,
-) -> Result:
-    """Return the plan's result with its seconds; its densities know settings and source.
-
-    Densities of ``beside`` are given where they take little more work.
-    """
-    start = perf_counter()
-    others = [o for o in beside if not plan.refusal(o)]
-    if plan.solve_beside and others:
-        result = plan.solve_beside(observables, others, progress)
-    else:
-        result = plan.solve(observables, progress)
-    source = partial(result.method.solve, system)
-
-    def known(density: AnyDensity) -> AnyDensity:
-        own: dict[str, Any] = {"source": source} if isinstance(density, Density) else {}
-        return replace(density, provenance=result.settings, **own)
-
-    densities, others_given = (tuple(map(known, d)) for d in (result.densities, result.beside))
-    seconds = perf_counter() - start
-    return replace(result, densities=densities, beside=others_given, seconds=seconds)
 
 
 @dataclass(frozen=True)
