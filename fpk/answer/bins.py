@@ -112,9 +112,9 @@ class BinAxis:
 class Box:
     """Fit of ln p on the bins ``first`` <= bin < ``last`` of each axis.
 
-    ``theta`` (coefficients,) is empty without samples: p is 0. Of single batches it differs by
-    ``deviations`` (batches, coefficients); independent samples have ``covariance``. ``chance`` is
-    the probability of such a misfit, 0 where p changes too much from bin to bin.
+    ``theta`` (coefficients,) is empty where p is 0; batches differ from it by ``deviations``
+    (batches, coefficients), independent samples have its ``covariance``. ``chance`` is the
+    probability of such a misfit, 0 where p changes too much from bin to bin.
     """
 
     first: Bins
@@ -154,9 +154,8 @@ def boxes(
 ) -> Iterator[Box]:
     """Yield the fits that cover all bins of ``axes``, none of them across a kink.
 
-    ``shares`` (bins of each axis) of all samples, and ``batch_shares`` (batches, bins of each axis)
-    of each batch, lie in the bins; ``samples`` are independent. ``halve`` False: one box between
-    each two kinks, whether it fits or not.
+    ``shares`` (bins of each axis) of all samples, of each batch ``batch_shares`` (batches, bins of
+    each axis), lie in the bins; ``samples`` are independent. Without ``halve`` pieces stay whole.
     """
 
     def parts(first: Bins, last: Bins, *, halved: bool) -> Iterator[Box]:

@@ -49,9 +49,8 @@ def stop_clearances(system: System) -> tuple[StopClearance, ...]:
 def kinks_of(system: System, coordinate: Coordinate) -> list[float]:
     """Return the values, ascending, at which the density of a coordinate may have a kink.
 
-    Of q_i the stops of mass i; of H the least energy at which each stop is touched, ½ δ²/C_ii and
-    the contact energy of nearer stops, C the compliance; of H_m the energy at which mode m alone
-    touches it, ½ (ω_m δ/T_im)².
+    Of q_i the stops of mass i; of H the least energy to touch each stop, ½ δ²/C_ii and the contact
+    energy of nearer stops, C the compliance; of H_m by mode m alone, ½ (ω_m δ/T_im)².
     """
     at = [(stop.index, stop.sign * stop.clearance) for stop in system.stops]
     kinks: list[float] = []

@@ -179,11 +179,10 @@ def certified_density(
 ) -> Density:
     """Return a density with its certificate: the one place where densities by a function are made.
 
-    ``measured`` is from the solver, but mass and smallest value are measured here, on the density
-    itself; ``tol`` is the L1 tolerance. ``added_error``, of the density at points and the points,
-    is an error there that ``measured.l1_error`` lacks; its integral is added. With ``frame``, a
-    matrix F and panels of y, all is measured at x = F y: for coordinates so strongly correlated
-    that no affordable panels of x resolve the ridge.
+    ``measured`` is from the solver, but mass and smallest value are measured here; ``tol`` is the
+    L1 tolerance. ``added_error`` of the density at points and the points is an error there that
+    ``measured.l1_error`` lacks. With ``frame``, a matrix F and panels of y, all is measured at
+    x = F y: where coordinates are so correlated that no affordable panels of x resolve the ridge.
     """
     jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
     mesh, grids = gauss_grid(axes)

@@ -77,10 +77,9 @@ def certified_curve(
 ) -> Curve:
     """Return a curve that rests on the stationary density ``of``, with its certificate.
 
-    ``tol`` is the largest error allowed in units of ``scale``, which is not 0, see ``Question``.
-    Mass, tail and failures are taken from the density, its missed tolerance apart; of its residual
-    and the curve's own the larger counts. ``positive`` (None: the values) must not be negative by
-    more than the error.
+    ``tol`` is the largest error in units of ``scale``, not 0. The density gives mass, tail and
+    failures, its missed tolerance apart; the larger residual counts. ``positive`` (None: the
+    values) must not be negative by more than the error.
     """
     relative, given = float(np.max(errors)) / scale, of.certificate
     least = float(np.min(values if positive is None else positive)) / scale
@@ -93,9 +92,9 @@ def certified_curve(
 def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array]:
     """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp of a joint density f at q = ``at``, and errors.
 
-    The error holds the integrated error of f, the distance of rules with fewer points and the tail
-    beyond the last momentum, if f falls there as over the last panel: infinite where f does not
-    fall, unless it is within its error of 0. Of samples it is one standard error by their batches.
+    The error holds the integrated error of f, the distance of coarser rules and the tail beyond the
+    last momentum, if f falls as over the last panel: infinite where it does not and is not 0 within
+    its error. Of samples it is one standard error.
     """
     nodes = np.union1d(0.0, joint.panels[1][joint.panels[1] > 0.0])
     if isinstance(joint, SampledDensity):

@@ -37,9 +37,8 @@ class Identity:
 class Result:
     """The answer of one method: a density per observable asked for, and its own statements.
 
-    ``settings`` is for readers alone; ``neglected`` names in words the effects that the method
-    leaves out; ``partial``: the work was interrupted before its end; ``report`` is the typed report
-    of a simulation; ``beside`` are further densities of the solution, from which numbers follow.
+    ``settings`` is for readers alone; ``neglected`` names effects that are left out; ``partial``:
+    the work was interrupted; ``report`` is of a simulation; ``beside`` are further densities.
     """
 
     method: "Method"
@@ -76,10 +75,9 @@ class Plan:
 
 
 class Method(ABC):
-    """A route with its discretisation: a frozen record that can refine itself.
+    """A route with its discretisation: a frozen dataclass, its route registered with ``register``.
 
-    A new method derives from it as a frozen dataclass, defines the three functions below, and is
-    registered with ``register``. Callers ask ``planned``, not ``prepare``, for its plan.
+    Callers ask ``planned``, not ``prepare``, for its plan.
     """
 
     @property

@@ -86,11 +86,10 @@ def number_text(value: float) -> str:
 def parse_numbers(
     key: str, text: str, kinds: Iterable[tuple[str, Sequence[str], int]], remedy: str
 ) -> tuple[str, dict[str, float]]:
-    """Return the kind and the numbers that ``text`` gives by name, as ``a=1,b=2``.
+    """Return the kind and the numbers that ``text`` gives by name, as ``a=1,b=2``, each once.
 
-    The kind is the first of ``kinds``, (name, names of its numbers, how many it needs), that has
-    all names given. Raises ``InvalidInput`` of ``key`` where there is none, ``text`` does not read
-    so, a name comes twice, or a number is not finite.
+    The first of ``kinds``, (name, names of its numbers, how many it needs), with all names given is
+    the kind. Raises ``InvalidInput`` of ``key`` without such a kind or finite numbers.
     """
     values: dict[str, float] = {}
     for part in text.split(","):

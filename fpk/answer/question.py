@@ -115,10 +115,7 @@ def register(question: Question) -> Question:
 
 
 def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
-    """Return ``function(method, asked)`` as a method's answer to the question of its name.
-
-    It is called with the system and what the question takes, then ``tol`` and ``progress``.
-    """
+    """Return ``function(method, asked)`` as a method's function of what the question takes."""
     question, given = QUESTIONS[function.__name__], Parameter.POSITIONAL_OR_KEYWORD
     parameters = [Parameter(name, given) for name in ("self", "system", *question.takes)]
     for name, value in (("tol", None), ("progress", silent)):

@@ -284,9 +284,9 @@ class SampledDensity(Quantities):
         return np.where(away, 0.0, value), error
 
     def _evaluated(self, points: Array, bins: Integers) -> tuple[Array, Array, Array, Array]:
-        """Density, deviations of ln p (points, batches), its Poisson variance, and sizes of cells.
+        """p, deviations of ln p (points, batches), its Poisson variance, cells (axes, points).
 
-        A cell (axes, points) has as many bins as there are for a coefficient of its box.
+        A cell has as many bins as there are for a coefficient of its box.
         """
         (axes, every), count, many = self.fits, points.shape[1], len(self.batch_values)
         value, deviations, variance = np.zeros(count), np.zeros((count, many)), np.zeros(count)
