@@ -119,8 +119,8 @@ class Method(ABC):
     ) -> Result:
         """Return the densities of ``observables``, and ``beside`` where they take little more work.
 
-        The densities know the settings, and those by functions how to solve for them again.
-        ``plan`` is the method's, where it was made. Raises ``NotApplicable`` where it refuses,
+        Densities know the settings, and if they are functions how to be solved for again. ``plan``
+        is the method's, where a caller has it. Raises ``NotApplicable`` where it refuses,
         ``InvalidInput`` for a name not parsed. ::
 
             answer = NonIntegrable().solve(system, [parse_observable("q2", system.n)])
