@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from fpk.answer.certificate import Certificate
+from fpk.answer.field import field_of
 from fpk.answer.observable import Observable, observable_name
 from fpk.numeric.arrays import Array, Complexes
 from fpk.numeric.errors import InvalidInput, Unavailable
@@ -172,8 +173,6 @@ class Quantities(ABC):
 
         ``point_data`` has ``density``, ``log10 density`` and ``error of p``, the stated error.
         """
-        from fpk.answer.field import field_of  # noqa: PLC0415  (meshio is needed here only)
-
         return field_of({"p": self})[0]
 
     def to_pyvista(self) -> Any:
