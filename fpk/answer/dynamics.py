@@ -15,11 +15,13 @@ from fpk.numeric.quadrature import gauss_grid
 
 @dataclass(frozen=True)
 class Curve:
-    """Values at the points asked for, each with its numerical error or one standard error. ::
+    """Values at the points asked for, and the certificate of all of them.
 
-    free = fpk.System([1.0], [1.0], [0.1], [0.05])
-    spectrum = Linear().spectrum(free, parse_observable("q1", 1), np.linspace(0.0, 2.0, 21))
-    spectrum.values, spectrum.errors, spectrum.certificate.certified
+    Each has an estimate of its numerical error, or one standard error of sampling. ::
+
+        free = fpk.System([1.0], [1.0], [0.1], [0.05])
+        spectrum = Linear().spectrum(free, parse_observable("q1", 1), np.linspace(0.0, 2.0, 21))
+        spectrum.values, spectrum.errors, spectrum.certificate.certified
     """
 
     values: Array
