@@ -54,7 +54,7 @@ def test_they_are_shown(scene_path, fpk):
     assert theory["applies"] and theory["reason"] == "not for q2: momenta only"
     assert record["system"]["contacts"][0]["law"] == "cubic"
     assert TOY[0] in fpk("show", scene_path)[1]
-    assert any(m.name == TOY[0] for m in all_methods())
+    assert any(m.route.method == TOY[0] for m in all_methods())
 
 
 def test_they_are_run_and_compared(scene_path, outcome, fpk):
