@@ -10,12 +10,11 @@ returns densities with their errors and certificates; ``compare`` says what sepa
     answers = fpk.solve(system, ["q2", "H"], methods=["nonintegrable/fem"])
     answers["q2"](0.3)
 
-Every name is loaded when it is first used. ``load``, ``solve``, ``compare``, ``sweep`` and ``plot``
-come from the room ``cases``: the one place where this room, which knows neither averaging, nor
-sampling, nor scenes, points up. Conventions that hold in every room: Ito equations ``dX = drift dt
-+ noise_factor dB``, ``B`` standard Wiener processes; ``diffusion = noise_factor @ noise_factor.T``;
-the FPK operator is ``-d_i(s_i p) + ½ d_i d_j(b_ij p)``, the ½ staying in the equation; a noise
-intensity ``D`` means ``E[W(t) W(t+τ)] = 2 D δ(τ)``. Masses count from 1.
+Every name is loaded when it is first used; functions come from the room ``cases``, the one place
+where this room points up. Conventions in every room: Ito equations ``dX = drift dt + noise_factor
+dB``, ``B`` standard Wiener processes; ``diffusion = noise_factor @ noise_factor.T``; the FPK
+operator is ``-d_i(s_i p) + ½ d_i d_j(b_ij p)``, the ½ staying in the equation; a noise intensity
+``D`` means ``E[W(t) W(t+τ)] = 2 D δ(τ)``. Masses count from 1.
 """
 
 from importlib import import_module
@@ -38,17 +37,13 @@ if TYPE_CHECKING:
     from fpk.system.system import System as System
 
 _HOME = {
-    name: module
-    for module, names in {
-        "fpk.system.contact": "Contact",
-        "fpk.system.damping": "DampingTerm",
-        "fpk.answer.density": "Density",
-        "fpk.numeric.errors": "InvalidInput NotApplicable NotCertified",
-        "fpk.system.system": "System",
-        "cases.api": "compare load plot solve",
-        "cases.studies.sweep.sweep": "sweep",
-    }.items()
-    for name in names.split()
+    "Contact": "fpk.system.contact",
+    "DampingTerm": "fpk.system.damping",
+    "Density": "fpk.answer.density",
+    **dict.fromkeys(("InvalidInput", "NotApplicable", "NotCertified"), "fpk.numeric.errors"),
+    "System": "fpk.system.system",
+    **dict.fromkeys(("compare", "load", "plot", "solve"), "cases.api"),
+    "sweep": "cases.studies.sweep.sweep",
 }
 __all__ = [*_HOME]
 

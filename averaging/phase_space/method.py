@@ -112,7 +112,7 @@ class PhaseSpace(Theory):
             raise NotApplicable("damping terms may take minutes; ask for it by its name")
         for closed in (Exact(), Linear()):
             if closed.refusal(system, (Coordinate("q", 0),)) is None:
-                raise NotApplicable(f"{closed.name} has the same density to more digits")
+                raise NotApplicable(f"{closed.method} has the same density to more digits")
         return replace(
             self,
             tol=max(self.tol, UNASKED_TOL),

@@ -103,11 +103,12 @@ class Asked:
         start, name, reasons = perf_counter(), self.method, []
         try:
             offered = methods_of(name, self.solver, **settings)
-            methods = [method for method in offered if question.answered_by(method)]
+            methods = [method for method in offered if hasattr(method, question.name)]
             for setting, value in sorted(settings.items()) if methods else ():
                 known = {*settings_of(methods[0]), "partial", "tol"}
                 if value not in (None, False) and setting not in known:
-                    remedy = f"is not an option of {name} by {methods[0].solver}; leave it out"
+                    by = methods[0].route.solver
+                    remedy = f"is not an option of {name} by {by}; leave it out"
                     raise InvalidInput(setting.replace("_", "-"), value, remedy)
             for method in methods:
                 try:
@@ -121,7 +122,7 @@ class Asked:
             raise BadInput(f"--{option} {error.value}: {error.remedy}") from None
         if reasons:
             raise BadInput(f"{self.scene.name}: {name} does not apply: {reasons[0]}")
-        able = dict.fromkeys(r.method for r in listed_routes() if question.answered_by(r.make()))
+        able = dict.fromkeys(r.method for r in listed_routes() if hasattr(r.make(), question.name))
         raise BadInput(f"{name} gives no {question.words}; use one of {', '.join(able)}")
 
 

@@ -10,7 +10,7 @@ import click
 from cases.commands import parts
 from cases.commands.asking import AT, LIST, MEMORY, SIMULATED, TOL, Asked, asking, observed
 from cases.scene.errors import BadInput
-from fpk.answer.question import OF_DISPLACEMENT, QUESTIONS, Question
+from fpk.answer.question import QUESTIONS, Question
 
 DISPLACEMENT = (
     observed("A displacement: q1, q2, ..."),
@@ -33,7 +33,7 @@ def density(asked: Asked, of: str, at: str) -> None:
     from cases.output.records import columns_text, listed
     from cases.scene.points import parse_points
     from fpk.answer.dynamics import Curve
-    from fpk.answer.method import Method, solved
+    from fpk.answer.method import Method
     from fpk.answer.observable import observable_name
 
     points, settings = parse_points(at, len(observable)), asked.settings
@@ -42,7 +42,7 @@ def density(asked: Asked, of: str, at: str) -> None:
     def work(method: Method, tol: float | None, progress: Any) -> Curve:
         plan = method.planned(asked.scene.system, [observable])
         parts.checkpoint_folder(asked.scene, {**settings, "tol": tol, "observable": of})
-        result = solved(plan, asked.scene.system, [observable], progress=progress)
+        result = method.solve(asked.scene.system, [observable], plan=plan, progress=progress)
         (p,) = result.densities
         return Curve(*p.at(*points), p.certificate, result.settings, p.error_kind)
 
@@ -77,7 +77,7 @@ def relaxation(asked: Asked, rates: int) -> None:
 def command_of(name: str) -> click.Command | None:
     """Return the command of a question about a displacement, None where there is none."""
     question = QUESTIONS.get(name)
-    if question is None or question.takes != OF_DISPLACEMENT:
+    if question is None or not question.of_displacement:
         return None
 
     def curve(asked: Asked, of: str, at: str) -> None:

@@ -64,7 +64,7 @@ def replies_of(
     """
     attempts, names, budget = Attempts(partial, relax), (question.name,), budget or Budget()
     kind = QUESTIONS["passage" if isinstance(question, PassageQuestion) else "transient"]
-    able: list[Any] = [method for method in methods if kind.answered_by(method)]
+    able: list[Any] = [method for method in methods if hasattr(method, kind.name)]
     # Splitting, or the choice of the window, may come beside them.
     budget.begin(1 + sum(method.route.sampled for method in able))
     given: list[Given] = []

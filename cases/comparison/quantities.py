@@ -25,7 +25,6 @@ from fpk.answer.dynamics import upcrossings
 from fpk.answer.method import Result, Route, silent
 from fpk.answer.observable import Coordinate, Level, observable_name
 from fpk.answer.quantities import ErrorKind, Number
-from fpk.answer.question import QUESTIONS
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System
@@ -165,7 +164,7 @@ def _rates(
     joint = known.get((q, p))
     if joint is not None:
         values, errors = upcrossings(joint, float(system.mass[q.row]), at)
-    elif QUESTIONS["crossings"].answered_by(method) and route.quick and not route.sampled:
+    elif hasattr(method, "crossings") and route.quick and not route.sampled:
         try:
             curve = method.crossings(system, (q,), at, tol=None, progress=silent)
         except (NotApplicable, NotCertified):

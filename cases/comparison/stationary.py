@@ -16,7 +16,7 @@ from cases.scene.scene import Scene
 from cases.written import bound
 from fpk.answer.contacts import joint_at_stops
 from fpk.answer.density import Density
-from fpk.answer.method import Method, Plan, Progress, Result, silent, solved
+from fpk.answer.method import Method, Plan, Progress, Result, silent
 from fpk.answer.observable import Observable, observable_name
 from fpk.numeric.errors import NotApplicable
 from fpk.system.system import System
@@ -66,7 +66,8 @@ def answers_of(
 
         def solve(own: Method, taken: Method = taken, plan: Plan = plan, given: Any = given) -> Any:
             plan = plan if own is taken else own.prepare(system)
-            return _solved(plan, system, given, attempts, progress, rates)
+            answer = partial_of(own.solve, plan=plan, progress=progress)
+            return _solved(answer, system, given, attempts, progress, rates)
 
         result = attempts.answer_of(
             method.route,
@@ -78,9 +79,10 @@ def answers_of(
             continue
         attempts.interrupted |= result.partial
         if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
+            route = method.route
             attempts.notes.append(
-                f"{method.route.label}: certified to {bound(_worst_error(result))}; its work is"
-                f" bounded as no method was named; fpk density --method {method.name} goes further"
+                f"{route.label}: certified to {bound(_worst_error(result))}; its work is bounded"
+                f" as no method was named; fpk density --method {route.method} goes further"
             )
         results.append(result)
     refused, notes = tuple(attempts.refused), tuple(attempts.notes)
@@ -97,16 +99,16 @@ def _is_taken(method: Method, system: System, share: float | None) -> bool:
 
 
 def _solved(
-    plan: Plan,
+    solve: Callable[..., Result],
     system: System,
     observables: Sequence[Observable],
     attempts: Attempts,
     progress: Progress,
     rates: bool,
 ) -> Result:
-    """The answer of ``plan``, or as ``Attempts.at_default`` says."""
+    """The answer by ``solve``, or as ``Attempts.at_default`` says."""
     beside = joint_at_stops(system, observables) if rates else []
-    result = solved(plan, system, observables, beside=beside, progress=progress)
+    result = solve(system, observables, beside=beside)
 
     def ask(tol: float | None) -> Result:
         if tol is None:

@@ -16,7 +16,7 @@ from fpk.answer.certificate import Certificate
 from fpk.answer.dynamics import Curve, Rates
 from fpk.answer.evolution import Passage, Transient
 from fpk.answer.method import Method
-from fpk.answer.question import OF_DISPLACEMENT, QUESTIONS, Question
+from fpk.answer.question import QUESTIONS, Question
 from fpk.numeric.arrays import Array
 
 Record = dict[str, Any]
@@ -73,8 +73,8 @@ def answer_record(
     if not isinstance(answer, Rates):
         own["error_kind"] = answer.error_kind
     units = answer_units(scene.units, given, key) if scene.units else None
-    solver = answer.settings.get("solver", method.solver)  # of several inside of one method
-    head = {"scene": scene.name, "method": method.name, "solver": solver, "units": units}
+    solver = answer.settings.get("solver", method.route.solver)  # of several inside of one method
+    head = {"scene": scene.name, "method": method.route.method, "solver": solver, "units": units}
     of = str(given.get("observable", given.get("limit", "rates")))
     asked = [(of, [method.route], not isinstance(answer, Curve))]
     tail = answer_tail(answer.certificate, answer.settings, seconds)
@@ -84,7 +84,7 @@ def answer_record(
 
 def curves_by_key() -> dict[str, Question]:
     """Return the questions about the motion of a displacement by the keys of their values."""
-    return {q.key: q for q in QUESTIONS.values() if q.takes == OF_DISPLACEMENT}
+    return {q.key: q for q in QUESTIONS.values() if q.of_displacement}
 
 
 def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[str]]:

@@ -19,7 +19,6 @@ from cases.studies.levels import Level, timed_first, timing
 from fpk.answer.evolution import Passage
 from fpk.answer.method import Progress, silent
 from fpk.answer.quantities import Number
-from fpk.answer.question import QUESTIONS
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.system import System
@@ -159,7 +158,7 @@ def passage_routes(
     answers = []
     for route in listed_routes():
         method: Any = route.make()
-        if not QUESTIONS["passage"].answered_by(method) or (route.sampled and not simulate):
+        if not hasattr(method, "passage") or (route.sampled and not simulate):
             continue
         whose = "full system (6)" if route.solves == "full" else f"{route.method} theory"
         equation = f"first passage of {question.name}, {whose}"

@@ -1,12 +1,12 @@
 """Bins of coordinates, and the density between their edges: exp(polynomial) on boxes of bins.
 
 On a box the density of one or two coordinates is ``p = r exp(Σ_j θ_j P_j)``, P_j products of
-Legendre polynomials of the bin number and r a known reference. The θ are those of maximum
-likelihood of the *contents* of the bins, integrals of p: the width of the bins is not in the
-answer, and p is positive. Boxes end at the known kinks of p. A box whose highest coefficients are
-not consistent with 0 is halved, and each box that fits is halved once more, so that a misfit that
-the test does not see is small beside the sampling error. Errors follow from independent batches.
-Kooperberg and Stone, Comput. Stat. Data Anal. 12, 1991, 327 (logspline density estimation).
+Legendre polynomials of the bin number and r a known reference. The θ have the largest likelihood of
+the *contents* of the bins, integrals of p: the width of the bins is not in the answer. Boxes end at
+the known kinks of p. A box whose highest coefficients are not consistent with 0 is halved, and each
+box that fits is halved once more, so that a misfit that the test does not see is small beside the
+sampling error. Errors follow from independent batches. Kooperberg and Stone, Comput. Stat. Data
+Anal. 12, 1991, 327 (logspline density estimation).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -41,8 +41,8 @@ PER_COEFFICIENT = 30
 PER_BATCH = 10
 """Samples in each batch above which the mean of all batches is nearly normal."""
 STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
-"""Largest number of Newton steps and of the halvings of one, and the squared distance from the
-maximum, in units of the standard error, at which they end."""
+"""Most Newton steps, and halvings of each; squared distance from the maximum, in standard errors,
+at which they end."""
 ROUNDING = 1e-13
 """Change of the mean log-likelihood of a sample that is round-off."""
 SPREAD = 10.0
@@ -62,8 +62,7 @@ def no_reference(x: Array, bins: Integers) -> Array:
 class BinAxis:
     """Bins of one coordinate: ascending ``edges``, positions of ``kinks`` among them, and ln r.
 
-    Between kinks bins are equally wide; above those of ``widening`` their edges are in proportion
-    to the fourth power of their number.
+    Between kinks bins are equally wide, but above a kink of ``widening`` as the fourth power.
     """
 
     edges: Array
@@ -78,37 +77,34 @@ class BinAxis:
 
     @property
     def pieces(self) -> Iterator[tuple[float, float, int, bool]]:
-        """Yield between each two kinks both ends, the number of bins, and whether these widen."""
+        """Yield both ends between each two kinks, the number of bins, and whether they widen."""
         for a, b in pairwise(self.cuts):
             low, high = self.edges[[a, b]].tolist()
             yield low, high, b - a, low in self.widening
 
     def number(self, x: Array, bins: Integers) -> Array:
-        """Return the continuous bin number at ``x``, a whole number at each edge.
-
-        It is a smooth function of x between kinks. ``bins`` are the bins that x lies in.
-        """
+        """Return at ``x`` within ``bins`` a number smooth between kinks, whole at each edge."""
         value = np.empty(x.shape)
-        for (a, b), interpolant in zip(pairwise(self.cuts), self._numbers, strict=True):
+        for a, b, interpolant in self._numbers:
             own = (bins >= a) & (bins < b)
             value[own] = interpolant(x[own])
         return value
 
     @cached_property
-    def _numbers(self) -> list[Callable[[Array], Array]]:
+    def _numbers(self) -> list[tuple[int, int, Callable[[Array], Array]]]:
         number, interpolant = np.arange(self.edges.size) + 0.0, scipy.interpolate.PchipInterpolator
-        own = [slice(a, b + 1) for a, b in pairwise(self.cuts)]
-        return [interpolant(self.edges[s], number[s]) for s in own]
+        ends = [(a, b, slice(a, b + 1)) for a, b in pairwise(self.cuts)]
+        return [(a, b, interpolant(self.edges[s], number[s])) for a, b, s in ends]
 
     @cached_property
     def rule(self) -> tuple[Array, Array]:
-        """Bin numbers of the Gauss points of all bins (bins, ``NODES``), and weights times r."""
+        """Numbers of the Gauss points of all bins (bins, ``NODES``), and weights times r."""
         x, w = panel_rule(self.edges, NODES)
         bins = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
         return self.number(x, bins), w * np.exp(self.log_r(x, bins))
 
     def log_r(self, x: Array, bins: Integers) -> Array:
-        """Return ln r, no less than half of ``LARGEST_LOG`` below 0: r is not to underflow."""
+        """Return ln r, at least −``LARGEST_LOG``/2, so that r does not underflow."""
         return np.maximum(self.log_reference(x, bins), -0.5 * LARGEST_LOG)
 
 
@@ -116,10 +112,9 @@ class BinAxis:
 class Box:
     """Fit of ln p on the bins ``first`` <= bin < ``last`` of each axis.
 
-    ``theta`` (coefficients,), empty without samples: p is 0. ``deviations`` (batches, coefficients)
-    are by what the θ of single batches differ from that of all; ``covariance`` is that of θ for
-    independent samples. ``chance`` is the probability of a misfit as large as there is, 0 where the
-    density changes too much from bin to bin.
+    ``theta`` (coefficients,) is empty where p is 0; batches differ from it by ``deviations``
+    (batches, coefficients), independent samples have its ``covariance``. ``chance`` is the
+    probability of such a misfit, 0 where p changes too much from bin to bin.
     """
 
     first: Bins
@@ -130,17 +125,12 @@ class Box:
     chance: float = 1.0
 
     @property
-    def bins(self) -> tuple[slice, ...]:
-        """The slice of the bins along each axis."""
-        return tuple(map(slice, self.first, self.last))
-
-    @property
     def degrees(self) -> Integers:
         """Degrees (axes, coefficients) of the polynomials along each axis."""
         return powers(len(self.first), self.theta.size)
 
     def basis(self, numbers: Sequence[Array]) -> Array:
-        """Return the polynomials (points, coefficients) at bin ``numbers`` (points,), by axis."""
+        """Return the polynomials (points, coefficients) at ``numbers`` (points,) of each axis."""
         ends = zip(numbers, self.first, self.last, self.degrees, strict=True)
         factors = [_polynomials(u, a, b, max(k, default=0))[:, k] for u, a, b, k in ends]
         return reduce(np.multiply, factors)
@@ -164,9 +154,8 @@ def boxes(
 ) -> Iterator[Box]:
     """Yield the fits that cover all bins of ``axes``, none of them across a kink.
 
-    ``shares`` (bins of each axis) of all samples and ``batch_shares`` (batches, bins of each axis)
-    of independent batches are those in each bin; ``samples`` is the number of independent samples.
-    ``halve`` False: one box between each two kinks, whether it fits or not.
+    ``shares`` (bins of each axis) of all samples, of each batch ``batch_shares`` (batches, bins of
+    each axis), lie in the bins; ``samples`` are independent. Without ``halve`` pieces stay whole.
     """
 
     def parts(first: Bins, last: Bins, *, halved: bool) -> Iterator[Box]:
@@ -239,11 +228,7 @@ def _fit(
 
 
 class Model:
-    """Contents of the bins ``first`` <= bin < ``last`` as functions of θ, by Gauss points.
-
-    ``design`` (bins of all axes, coefficients) has the means of the polynomials over each bin, the
-    statistics that a fit matches.
-    """
+    """Contents of the bins of a box by θ; ``design`` has the mean polynomials (bins, θ) of each."""
 
     def __init__(self, axes: Sequence[BinAxis], first: Bins, last: Bins, degree: int):
         """Evaluate the polynomials."""
@@ -279,9 +264,8 @@ class Model:
     def solved(self, shares: Array, samples: float) -> tuple[Array, Array, bool]:
         """Return θ of the largest likelihood, the information, and whether the maximum was reached.
 
-        By Newton's method with halved steps, from a fit to ln of the counts and half a sample more
-        in each bin, or from a constant where that is likelier.
-        Where samples say nothing coefficients are about 0 ± ``SPREAD``.
+        Newton's method with halved steps begins at a fit to ln of the counts and half a sample more
+        in each bin, or at a constant where it is likelier. Without samples θ is 0 ± ``SPREAD``.
         """
         constant = np.zeros(self.design.shape[1])
         held, volume = samples * shares + 0.5, self.contents(constant)

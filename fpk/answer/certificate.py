@@ -2,10 +2,9 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fpk.numeric.arrays import ROUND_OFF
 from fpk.numeric.errors import InvalidInput
@@ -13,8 +12,7 @@ from fpk.numeric.errors import InvalidInput
 Default = TypeVar("Default")
 
 NEGATIVE = -1e-14
-"""Smallest p / max p that counts as round-off of a density that is not negative; its size is the
-departure of a mass from 1 that counts as round-off of its own sum."""
+"""Smallest p / max p that counts as round-off; its size is the round-off of a mass."""
 MISSED = "the estimated error"
 """First words of the failure that an estimated error exceeds the tolerance."""
 
@@ -30,21 +28,15 @@ def tolerance(tol: float | None, default: Default) -> float | Default:
 
 @dataclass(frozen=True)
 class Measured:
-    """Numbers measured on an answer; each is computed from the answer, none is typed.
+    """Numbers measured on an answer, None where it has no such thing.
 
-    ``l1_error`` estimates ∫|p − p_exact| and holds all that the numerics contribute: truncation of
-    the mesh, quadrature, interpolation, tails. ``mass_defect`` is |∫p − 1| over the support, before
-    any tail; ``minimum`` the smallest value of p divided by its largest; ``residual`` how far p is
+    ``l1_error`` estimates ∫|p − p_exact| in full. ``mass_defect`` is |∫p − 1| over the support,
+    before any tail; ``minimum`` the smallest value of p over its largest; ``residual`` how far p is
     from solving its equation, relative to the terms that cancel (for sampling: the largest |z| of
-    the moment identities, NaN where none is evaluated); ``tail_mass`` a bound (for sampling: the
-    share) of the mass outside the support; ``net_flux`` the largest probability flux through an
-    element relative to its one-way parts, None where none is computed. ``absolute_error`` is a
-    bound of the error of p anywhere, in units of its largest value, where one is part of the stated
-    error (0 where none is): to that the sign of p is known. ``failures``: what else does not hold,
-    in words.
-
-    A number is None where the answer has no such thing: no mass where it is no density, no residual
-    where a formula is evaluated or paths are counted, no tail where nothing is cut off.
+    the moment identities, or NaN); ``tail_mass`` a bound (for sampling: the share) of the mass
+    outside the support; ``net_flux`` the largest probability flux through an element relative to
+    its one-way parts; ``absolute_error`` the stated error of p anywhere, in units of its largest
+    value, to which its sign is known; ``failures`` what else does not hold, in words.
     """
 
     l1_error: float
@@ -56,7 +48,7 @@ class Measured:
     failures: tuple[str, ...] = ()
     absolute_error: float = 0.0
 
-    def with_failures(self, *words: str) -> "Measured":
+    def with_failures(self, *words: str) -> Self:
         """Return the same with more that does not hold."""
         return replace(self, failures=(*self.failures, *words))
 
@@ -65,9 +57,9 @@ class Measured:
 class Certificate(Measured):
     """Checks that an answer passed or failed; nothing was mended to make them pass.
 
-    The numbers are those of ``Measured``. ``failures`` says in words what does not hold; the answer
+    The numbers are as of ``Measured``. ``failures`` says in words what does not hold; the answer
     is certified when it is empty. ``missed`` is the estimated error where it exceeds the tolerance,
-    None where it does not. Made by ``certify`` only. ::
+    else None. Made by ``certify`` only. ::
 
         certificate = fpk.solve(system, ["q2"], methods=["integrable"])["q2"].certificate
         certificate.certified, certificate.failures, certificate.mass_defect
@@ -82,7 +74,7 @@ class Certificate(Measured):
 
     @property
     def record(self) -> dict[str, Any]:
-        """The checks and their numbers by name; the errors that they judge stand in the answer."""
+        """The checks and their numbers by name, but for the errors, which stand in the answer."""
         own = {k: x for k, x in vars(self).items() if k not in ("l1_error", "absolute_error")}
         return own | {"certified": self.certified}
 
@@ -103,20 +95,18 @@ def worst(values: Iterable[float | None]) -> float | None:
     return float(np.max(given)) if given else None
 
 
-def with_values(certificate: Certificate, *values: NDArray[Any]) -> Certificate:
-    """Return the certificate of ``values`` and errors made of an answer: a NaN is not certified."""
-    if missing := sum(int(np.isnan(x).sum()) for x in values):
+def forbid_nan(answer: Any) -> None:
+    """Certify no ``answer`` with a NaN among its values and errors: its ``__post_init__``."""
+    if missing := int(np.isnan(answer.values).sum() + np.isnan(answer.errors).sum()):
         words = f"{missing} of the values and errors are not numbers"
-        return replace(certificate, failures=(*certificate.failures, words))
-    return certificate
+        object.__setattr__(answer, "certificate", answer.certificate.with_failures(words))
 
 
 def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certificate:
     """Return the certificate of an answer: the only place where one is made.
 
-    ``tol`` is the tolerance of the L1 error that was asked for, infinite where none was. Of a
-    sampled answer (``sampled``) the residual is a |z| that the simulation judges itself, and no
-    error bound follows from its mass. Comparisons are written so that a NaN fails.
+    ``tol`` is the tolerance of the L1 error, infinite where none was asked for. The residual of a
+    ``sampled`` answer is a |z|, which the simulation judges. A NaN fails every comparison.
     """
     m, failures = measured, list(measured.failures)
     if m.minimum is not None and not m.minimum >= NEGATIVE - m.absolute_error:

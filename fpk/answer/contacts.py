@@ -19,10 +19,7 @@ CLEARANCE_RULE = 2.0
 
 @dataclass(frozen=True)
 class StopClearance:
-    """One stop: its clearance in units of the motion that the mass would have without contact.
-
-    ``mass`` counts from 1; ``rms`` and ``ratio`` are None where the motion has no stationary state.
-    """
+    """A stop's clearance over the rms motion without contact; None where it is not stationary."""
 
     mass: int
     side: str
@@ -52,9 +49,8 @@ def stop_clearances(system: System) -> tuple[StopClearance, ...]:
 def kinks_of(system: System, coordinate: Coordinate) -> list[float]:
     """Return the values, ascending, at which the density of a coordinate may have a kink.
 
-    Of q_i the positions of the stops of mass i; of H the least energy at which each stop is
-    touched, ½ δ²/C_ii and the contact energy of nearer stops there, C the compliance; of H_m the
-    energy at which mode m alone touches it, ½ (ω_m δ/T_im)². Of a momentum there are none.
+    Of q_i the stops of mass i; of H the least energy to touch each stop, ½ δ²/C_ii and the contact
+    energy of nearer stops, C the compliance; of H_m by mode m alone, ½ (ω_m δ/T_im)².
     """
     at = [(stop.index, stop.sign * stop.clearance) for stop in system.stops]
     kinks: list[float] = []
@@ -72,19 +68,18 @@ def kinks_of(system: System, coordinate: Coordinate) -> list[float]:
 def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, Number]:
     """Return numbers of the contact at a one-sided ``stop``, by their names.
 
-    ``displacement`` is the density of the displacement of the stop's mass.
-    "contact probability": P(overlap > 0), the share of time in contact; "mean overlap" and "mean
-    force": expectations over all time, 0 while there is no contact (force in force units, Eq. (2));
-    "overlap in contact" and "force in contact": the same over the time in contact alone, whose
-    errors count those of the probability in full. ::
+    ``displacement`` is the density of the displacement of the stop's mass. "contact probability":
+    P(overlap > 0), the share of time in contact; "mean overlap" and "mean force": expectations over
+    all time, 0 without contact (force in force units, Eq. (2)); "overlap in contact" and "force in
+    contact": the same over the time in contact alone. ::
 
         q2 = fpk.solve(system, ["q2"], methods=["nonintegrable/fem"])["q2"]
         contact_quantities(system.stops[0], q2)["mean force"]
     """
     names = "contact probability", "mean overlap", "mean force"
-    touching, depth, force = (contact_quantity(name, stop, displacement) for name in names)
-    return {
-        **dict(zip(names, (touching, depth, force), strict=True)),
+    given = {name: contact_quantity(name, stop, displacement) for name in names}
+    touching, depth, force = given.values()
+    return given | {
         "overlap in contact": ratio(depth, touching),
         "force in contact": ratio(force, touching),
     }
@@ -104,11 +99,7 @@ def contact_quantity(name: str, stop: Contact, displacement: Quantities) -> Numb
 
 
 def joint_at_stops(system: System, observables: Sequence[Observable]) -> list[Observable]:
-    """Return pairs (q, p) of masses at stops: the rates of touching these follow from them.
-
-    They are those of the masses whose q is one of the ``observables``, less the pairs that are
-    among the ``observables`` themselves.
-    """
+    """Return the pairs (q, p), not observed, of masses at stops with q observed: for rates."""
     touching = [Coordinate("q", i) for i in system.contact_masses]
     pairs = [(q, Coordinate("p", q.row)) for q in touching if (q,) in observables]
     return [pair for pair in pairs if pair not in observables]

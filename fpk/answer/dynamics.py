@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fpk.answer.certificate import Certificate, Measured, certify, with_values, worst
+from fpk.answer.certificate import Certificate, Measured, certify, forbid_nan, worst
 from fpk.answer.density import RULES, SAFETY, AnyDensity, Density
 from fpk.answer.quantities import ErrorKind
 from fpk.answer.sampled_density import SampledDensity
@@ -15,9 +15,9 @@ from fpk.numeric.quadrature import gauss_grid
 
 @dataclass(frozen=True)
 class Curve:
-    """Values at the points asked for, with an error each, and the certificate of all of them.
+    """Values at the points asked for, and the certificate of all of them.
 
-    An error is an estimate of the numerical one, or one standard error of sampling. ::
+    Each has an estimate of its numerical error, or one standard error of sampling. ::
 
         free = fpk.System([1.0], [1.0], [0.1], [0.05])
         spectrum = Linear().spectrum(free, parse_observable("q1", 1), np.linspace(0.0, 2.0, 21))
@@ -32,8 +32,7 @@ class Curve:
 
     def __post_init__(self) -> None:
         """Let no NaN be certified."""
-        judged = with_values(self.certificate, self.values, self.errors)
-        object.__setattr__(self, "certificate", judged)
+        forbid_nan(self)
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ def certified_rates(
     residual: float | None = None,
     settings: Mapping[str, str | float | int] | None = None,
 ) -> Rates:
-    """Return rates with their certificate by ``tol``, relative to each."""
+    """Return rates with their certificate; ``tol`` is relative to each."""
     relative = float(np.max(errors / np.abs(values)))
     certificate = certify(Measured(relative, None, None, residual, None), tol=tol)
     return Rates(np.asarray(values, dtype=complex), errors, certificate, settings or {})
@@ -80,33 +79,24 @@ def certified_curve(
 ) -> Curve:
     """Return a curve that rests on the stationary density ``of``, with its certificate.
 
-    ``tol`` is the largest error allowed, in units of ``scale``, a natural size of the values that
-    is not 0: σ_v/(2πσ_q) of crossings, σ_q³/σ_v of spectra, σ_q² of autocovariances. Mass, tails
-    and failures are those of the density, but that it misses a tolerance of its own; so is the
-    residual, unless that of the curve's own equation is larger. What is ``positive``, the values
-    themselves where it is None, fails if it is negative by more than the error.
+    ``tol`` is the largest error in units of ``scale``, not 0. The density gives mass, tail and
+    failures, its missed tolerance apart; the larger residual counts. ``positive`` (None: the
+    values) must not be negative by more than the error.
     """
-    relative = float(np.max(errors)) / scale
-    measured = Measured(
-        l1_error=relative,
-        mass_defect=of.certificate.mass_defect,
-        minimum=float(np.min(values if positive is None else positive)) / scale,
-        residual=worst((residual, of.certificate.residual)),
-        tail_mass=of.certificate.tail_mass,
-        failures=(*of.certificate.besides, *failures),
-        absolute_error=relative,
-    )
-    certificate = certify(measured, tol=tol)
-    return Curve(values, errors + SMALLEST, certificate, settings or {})
+    relative, given = float(np.max(errors)) / scale, of.certificate
+    least = float(np.min(values if positive is None else positive)) / scale
+    residual, words = worst((residual, given.residual)), (*given.besides, *failures)
+    numbers = relative, given.mass_defect, least, residual, given.tail_mass
+    measured = Measured(*numbers, failures=words, absolute_error=relative)
+    return Curve(values, errors + SMALLEST, certify(measured, tol=tol), settings or {})
 
 
 def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array]:
-    """Return the rates ∫_0^∞ (p/m) f(q, p) dp of a joint density of (q, p) at q = ``at``.
+    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp of a joint density f at q = ``at``, and errors.
 
-    Rice's formula. The error is the integral of that of the density, with what fewer points give
-    and what lies beyond the last momentum, f falling there at least as over the last panel:
-    infinite where it does not fall, unless it is within its error of 0 there. Of samples it is one
-    standard error by their batches.
+    The error holds the integrated error of f, the distance of coarser rules and the tail beyond the
+    last momentum, if f falls as over the last panel: infinite where it does not and is not 0 within
+    its error. Of samples it is one standard error.
     """
     nodes = np.union1d(0.0, joint.panels[1][joint.panels[1] > 0.0])
     if isinstance(joint, SampledDensity):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fpk.answer.certificate import Certificate, Measured, certify, with_values
+from fpk.answer.certificate import Certificate, Measured, certify, forbid_nan
 from fpk.answer.quantities import ErrorKind, Number
 from fpk.numeric.arrays import EPS, Array
 from fpk.numeric.errors import InvalidInput
@@ -22,10 +22,7 @@ L1 error above which nothing is known of a density: its errors are then infinite
 
 
 def checked_times(times: Array, *, positive: bool = False) -> Array:
-    """Return ``times`` if they are finite, not negative and ascend; raise ``InvalidInput`` if not.
-
-    Of ``NaN`` no comparison holds. With ``positive`` 0 is refused: one value has no density.
-    """
+    """Return ``times`` if finite, 0 (``positive``: not 0) or later, and ascending, else raise."""
     if not (np.all(np.isfinite(times)) and np.all(times >= 0.0) and np.all(np.diff(times) > 0.0)):
         raise InvalidInput("times", times, "must be finite, 0 or later, and ascend")
     if positive and times.size and times[0] == 0.0:
@@ -38,8 +35,8 @@ def checked_times(times: Array, *, positive: bool = False) -> Array:
 class Transient:
     """Densities at several times at the points asked for.
 
-    ``values`` and ``errors`` are (times, points). An error is an estimate of the numerical error,
-    or one standard error of sampling, as ``error_kind`` says. ::
+    ``values`` and ``errors`` are (times, points); ``error_kind`` says whether an error is an
+    estimate of the numerical error or one standard error of sampling. ::
 
         times, energies = np.array([1.0, 10.0]), np.linspace(0.1, 1.0, 10)
         H = parse_observable("H", 2)
@@ -56,16 +53,12 @@ class Transient:
 
     def __post_init__(self) -> None:
         """Let no NaN be certified."""
-        judged = with_values(self.certificate, self.values, self.errors)
-        object.__setattr__(self, "certificate", judged)
+        forbid_nan(self)
 
 
 @dataclass(frozen=True)
 class StartCurve:
-    """Moments of the first-passage time over the start: of an energy below its limit.
-
-    ``starts``, ``mean``, ``mean_error``, ``variance`` and ``variance_error`` are (starts,).
-    """
+    """Moments of the first-passage time over the energies of ``starts``, (starts,) each."""
 
     starts: Array
     mean: Array
@@ -80,10 +73,10 @@ class Passage:
 
     ``rate`` is −d ln P(T > t)/dt for t → ∞, the least eigenvalue with an absorbing limit, None
     where the method does not give it. Where some never fail ``mean`` and ``variance`` are inf.
-    ``survival`` is P(T > t) at ``times``, with
-    ``survival_error``, (times,) each; where the method knows it better than 1 − ``survival``,
-    ``failure`` is P(T <= t), with ``failure_error``. ``starts`` has moments for all starts at once
-    where the method gives them. ``error_kind`` as of ``Transient``. ::
+    ``survival`` is P(T > t) at ``times``, with ``survival_error``, (times,) each; where the method
+    knows it better than 1 − ``survival``, ``failure`` is P(T <= t), with ``failure_error``.
+    ``starts`` has moments for all starts at once where the method gives them. ``error_kind`` as of
+    ``Transient``. ::
 
         limit, times = parse_limit("H=1", 2), np.array([10.0, 100.0])
         first = NonIntegrable().passage(system, limit, REST, times)
@@ -109,7 +102,7 @@ class Passage:
         if unknown.size and self.certificate.certified:
             k = unknown[0]
             words = f"P(T > {self.times[k]:g}) is known to {self.survival_error[k]:.2g} only"
-            object.__setattr__(self, "certificate", replace(self.certificate, failures=(words,)))
+            object.__setattr__(self, "certificate", self.certificate.with_failures(words))
 
 
 def certified_passage(
@@ -126,32 +119,16 @@ def certified_passage(
 ) -> Passage:
     """Return a numerical answer of mean, variance and failure rate, and P(T <= t) at ``times``.
 
-    The certificate counts relative errors of the numbers, but for those that are infinite or
-    beyond double precision, and absolute ones of the probabilities. No ``mass_defect`` and no
-    ``residual`` where a formula is evaluated, see ``Measured``.
+    ``tol`` judges relative errors of the finite numbers, absolute errors of the probabilities.
     """
     finite = [(x.value, x.error) for x in numbers if x and x.value != np.inf]
     value, error = np.array(finite).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = error / np.abs(value)
     worst = float(np.max(failure_error, initial=0.0))
-    measured = Measured(
-        l1_error=float(np.max([*sizes, worst])),
-        mass_defect=mass_defect,
-        minimum=float(np.min(1.0 - failure, initial=1.0)),
-        residual=residual,
-        tail_mass=None,
-        absolute_error=worst,
-    )
-    return Passage(
-        *numbers,
-        times,
-        1.0 - failure,
-        failure_error + EPS,
-        "numerical",
-        certify(measured, tol=tol),
-        starts,
-        settings or {},
-        failure,
-        failure_error,
-    )
+    largest = float(np.max([*sizes, worst]))
+    least = float(np.min(1.0 - failure, initial=1.0))
+    measured = Measured(largest, mass_defect, least, residual, None, absolute_error=worst)
+    survival, certificate = (1.0 - failure, failure_error + EPS), certify(measured, tol=tol)
+    answer = Passage(*numbers, times, *survival, "numerical", certificate, starts, settings or {})
+    return replace(answer, failure=failure, failure_error=failure_error)

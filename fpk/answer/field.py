@@ -1,6 +1,6 @@
 """Densities as fields on quadratic cells that follow them, for meshio and pyvista."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,14 +16,13 @@ MOST_CELLS = 60_000
 
 
 def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
-    """Return the densities as a mesh of meshio that follows the first one, refined where it bends.
+    """Return the densities by route as a mesh of meshio, and the error of its cells.
 
-    The field is the smallest box that holds all points at which the first is at least ``CUT`` of
-    its largest value; in the corners of a box of two coordinates it is less. In ``point_data`` the
-    array ``density`` is the first, beside it ``log10 density``, not a number where it is not
-    positive; every route, simulations too, has its own array, the error it states, and the
-    difference of the first from it. The number is the largest difference of
-    interpolant and density at the probes, in units of the density.
+    The mesh is the smallest box with all points at which the first density is at least ``CUT`` of
+    its largest value, refined where it bends. In ``point_data`` are ``density``, the first, and
+    ``log10 density``, NaN where it is not positive; of every route its density, the error it
+    states, and the difference of the first from it. The error of the cells is the largest
+    difference of interpolant and density at the probes, in units of the density.
     """
     import meshio  # noqa: PLC0415  (0.1 s)
 
@@ -46,9 +45,17 @@ def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
     while subdivision > allowed and cells <= MOST_CELLS:
         nodes = tuple(_with_middles(e) for e in ends)
         values = density(*np.ix_(*nodes))
-        misses = [_misses(density, nodes, values, axis) for axis in range(len(nodes))]
+        allowed, misses = SUBDIVISION * float(values.max()), []
+        for axis, x in enumerate(nodes):  # the largest miss of each cell along the axis
+            between = [0.5 * (x[1:] + x[:-1]) if n is x else n for n in nodes]
+            truth = np.moveaxis(density(*np.ix_(*between)), axis, 0)
+            along = np.moveaxis(values, axis, 0)
+            low, middle, high = along[:-1:2], along[1::2], along[2::2]
+            # The parabola through three nodes at a quarter and at three quarters of the cell.
+            quarters = [0.125 * (3 * a + 6 * middle - b) for a, b in ((low, high), (high, low))]
+            off = np.abs(np.stack(quarters, axis=1).reshape(truth.shape) - truth)
+            misses.append(off.reshape(low.shape[0], -1).max(axis=1))
         subdivision = max(float(m.max()) for m in misses)
-        allowed = SUBDIVISION * float(values.max())
         ends = [_with_middles(e, only=miss > allowed) for e, miss in zip(ends, misses, strict=True)]
         cells = int(np.prod([e.size - 1 for e in ends]))
     mesh = np.meshgrid(*nodes, indexing="ij")
@@ -74,16 +81,3 @@ def _with_middles(ends: Array, only: Flags | None = None) -> Array:
     """The ends of cells with the middles of all of them, or of those in ``only``."""
     middles = 0.5 * (ends[1:] + ends[:-1])
     return np.sort(np.concatenate([ends, middles if only is None else middles[only]]))
-
-
-def _misses(density: Any, nodes: Sequence[Array], values: Array, axis: int) -> Array:
-    """Per cell along an axis, the largest |interpolant − density| halfway between its nodes."""
-    x = nodes[axis]
-    between = [0.5 * (x[1:] + x[:-1]) if a == axis else n for a, n in enumerate(nodes)]
-    truth = np.moveaxis(density(*np.ix_(*between)), axis, 0)
-    along = np.moveaxis(values, axis, 0)
-    low, middle, high = along[:-1:2], along[1::2], along[2::2]
-    # The parabola through three nodes at a quarter and at three quarters of the cell.
-    quarters = [0.125 * (3 * a + 6 * middle - b) for a, b in ((low, high), (high, low))]
-    off = np.abs(np.stack(quarters, axis=1).reshape(truth.shape) - truth)
-    return np.asarray(off.reshape(low.shape[0], -1).max(axis=1))

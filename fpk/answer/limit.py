@@ -6,9 +6,6 @@ from dataclasses import dataclass
 from fpk.answer.observable import Observable, number_text, parse_numbers, parse_observable
 from fpk.numeric.errors import InvalidInput
 
-REMEDY = "use H=1.5, H1=0.4 or H1=0.4,H2=0.6 (whichever is passed first), or q2=1.2 for |q2|"
-
-
 LEAST = 1e-100
 """Least limit: of a smaller one the square of the mean time leaves the range of double precision
 in units not far from it."""
@@ -51,14 +48,10 @@ def parse_limit(text: str, n: int) -> Limit:
     Raises ``InvalidInput`` for an unknown name, several limits that are not modal energies, or one
     that is not a finite number of at least ``LEAST``.
     """
-    values = parse_numbers("limit", text, REMEDY)
-    names = set(values)
-    if names <= {f"H{i + 1}" for i in range(n)}:
-        kind = "modal"
-    elif len(names) == 1 and names <= {"H", *(f"q{i + 1}" for i in range(n))}:
-        kind = next(iter(names))[0]
-    else:
-        raise InvalidInput("limit", text, REMEDY)
+    kinds = [("modal", [f"H{i + 1}" for i in range(n)], 1), ("H", ["H"], 1)]
+    kinds += [("q", [f"q{i + 1}"], 1) for i in range(n)]
+    remedy = "use H=1.5, H1=0.4 or H1=0.4,H2=0.6 (whichever is passed first), or q2=1.2 for |q2|"
+    kind, values = parse_numbers("limit", text, kinds, remedy)
     if min(values.values()) < LEAST:
         raise InvalidInput("limit", text, f"must be > 0, {LEAST:g} at least")
     return Limit(kind, values)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from fpk.answer.density import AnyDensity, Density
 from fpk.answer.observable import Observable, require_observables
@@ -20,11 +20,7 @@ Solves = Literal["full", "averaged"]
 
 @dataclass(frozen=True)
 class Identity:
-    """An equation that holds exactly in any stationary state, evaluated on an answer.
-
-    ``value`` should equal ``expected``; ``error`` is one standard error of the difference for
-    sampling and an estimate of its numerical error otherwise.
-    """
+    """An equation of any stationary state; ``error`` is of ``value`` − ``expected``."""
 
     name: str
     value: float
@@ -41,11 +37,8 @@ class Identity:
 class Result:
     """The answer of one method: a density per observable asked for, and its own statements.
 
-    ``neglected`` names in words the effects of the system that the method leaves out, empty where
-    none; ``partial`` says that the work was interrupted and the answer is what there was by then;
-    ``report`` is the typed report of a simulation, None otherwise. ``settings`` is for readers
-    alone: no decision rests on it. ``beside`` are densities of the same solution that were not
-    asked for, from which numbers follow.
+    ``settings`` is for readers alone; ``neglected`` names effects that are left out; ``partial``:
+    the work was interrupted; ``report`` is of a simulation; ``beside`` are further densities.
     """
 
     method: "Method"
@@ -67,12 +60,11 @@ class Result:
 
 @dataclass(frozen=True)
 class Plan:
-    """A method prepared for one system: what it refuses, and how it solves.
+    """A method prepared for one system.
 
     ``refusal(observable)`` returns why the observable is not given, None where it is;
-    ``solve(observables, progress)`` returns the result for observables that are. One that gives
-    more densities with little more work has ``solve_beside(observables, others, progress)``, whose
-    result has those of ``others`` in ``beside``.
+    ``solve(observables, progress)`` returns the result; ``solve_beside(observables, others,
+    progress)`` has the densities of ``others`` in ``beside`` with little more work.
     """
 
     refusal: Callable[[Observable], str | None]
@@ -83,12 +75,9 @@ class Plan:
 
 
 class Method(ABC):
-    """A route with its discretisation: a frozen record that can refine itself.
+    """A route with its discretisation: a frozen dataclass, its route registered with ``register``.
 
-    Whoever wants the plan of a stationary density asks ``planned``, not ``prepare``.
-
-    A method of one's own derives from it as a frozen dataclass, defines the three below, and is
-    registered with ``register``.
+    Callers ask ``planned``, not ``prepare``, for its plan.
     """
 
     @property
@@ -104,22 +93,10 @@ class Method(ABC):
     def refined(self) -> Self:
         """Return the same method at its next finer level."""
 
-    @property
-    def name(self) -> str:
-        """The method's name on the command line."""
-        return self.route.method
-
-    @property
-    def solver(self) -> str:
-        """How the method's equation is solved, on the command line."""
-        return self.route.solver
-
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
-        """Return the method as it is taken where nobody named it, as by ``fpk run``.
+        """Return the method as ``fpk run`` takes it; ``NotApplicable`` if nothing is gained.
 
-        A slow one bounds its work, of which it may take ``share`` for this system, and refuses by
-        ``NotApplicable`` where nothing is gained. One that is bounded does not fail where the bound
-        ends it: it is left out.
+        A slow method bounds its work by ``share`` of the usual bound, at which it is left out.
         """
         return self
 
@@ -137,29 +114,38 @@ class Method(ABC):
         observables: Sequence[Observable],
         *,
         beside: Sequence[Observable] = (),
+        plan: Plan | None = None,
         progress: Progress = silent,
     ) -> Result:
-        """Return the densities of ``observables``; raise ``NotApplicable`` where it refuses.
+        """Return the densities of ``observables``, and ``beside`` where they take little more work.
 
-        An example::
+        Densities know the settings, and if they are functions how to be solved for again. ``plan``
+        is the method's, where a caller has it. Raises ``NotApplicable`` where it refuses,
+        ``InvalidInput`` for a name not parsed. ::
 
             answer = NonIntegrable().solve(system, [parse_observable("q2", system.n)])
             (p,) = answer.densities
-
-        ``beside`` as of ``solved``.
-
-        Raises ``InvalidInput`` for an observable that is a name instead of a parsed one.
         """
         require_observables(observables)
-        plan = self.planned(system, observables)
-        return solved(plan, system, observables, beside=beside, progress=progress)
+        plan = plan or self.planned(system, observables)
+        start = perf_counter()
+        others = [o for o in beside if not plan.refusal(o)]
+        if plan.solve_beside and others:
+            result = plan.solve_beside(observables, others, progress)
+        else:
+            result = plan.solve(observables, progress)
+        source = partial(result.method.solve, system)
+
+        def known(density: AnyDensity) -> AnyDensity:
+            own: dict[str, Any] = {"source": source} if isinstance(density, Density) else {}
+            return replace(density, provenance=result.settings, **own)
+
+        densities, others_given = (tuple(map(known, d)) for d in (result.densities, result.beside))
+        seconds = perf_counter() - start
+        return replace(result, densities=densities, beside=others_given, seconds=seconds)
 
     def planned(self, system: System, observables: Sequence[Observable]) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` where it refuses an observable.
-
-        Raises it, too, where the method is not for the system, and for every method with one
-        reason where the motion escapes, so that no density is stationary.
-        """
+        """Return the plan; ``NotApplicable`` where it refuses or the motion escapes."""
         require_held(system)
         plan = self.prepare(system)
         for observable in observables:
@@ -168,53 +154,16 @@ class Method(ABC):
         return plan
 
 
-def solved(
-    plan: Plan,
-    system: System,
-    observables: Sequence[Observable],
-    *,
-    beside: Sequence[Observable] = (),
-    progress: Progress = silent,
-) -> Result:
-    """Return the result of the plan for ``system`` with the seconds that solving took.
-
-    Its densities have its settings as their provenance; those by functions know what they follow
-    from and can be pickled. Those of ``beside`` are given where they take little more work.
-    """
-    start = perf_counter()
-    others = [o for o in beside if not plan.refusal(o)] if plan.solve_beside else []
-    if plan.solve_beside and others:
-        result = plan.solve_beside(observables, others, progress)
-    else:
-        result = plan.solve(observables, progress)
-    source = partial(_density_again, result.method, system)
-    known = []
-    for densities in (result.densities, result.beside):
-        own = (replace(d, provenance=result.settings) for d in densities)
-        known.append(tuple(replace(d, source=source) if isinstance(d, Density) else d for d in own))
-    seconds = perf_counter() - start
-    return replace(result, densities=known[0], beside=known[1], seconds=seconds)
-
-
-def _density_again(method: Method, system: System, observable: Observable) -> AnyDensity:
-    """Return a density solved for again, after unpickling for instance."""
-    (density,) = method.solve(system, [observable]).densities
-    return density
-
-
 @dataclass(frozen=True)
 class Route:
-    """One METHOD with one SOLVER of the command line, and all that others need to know of it.
+    """One METHOD with one SOLVER of the command line; the first registered of a method is drawn.
 
-    ``method`` and ``solver`` are the names on the command line; ``words`` says for legends what is
-    solved and how, ``equation`` the number of the paper's equation. ``solves`` is "full" for
-    Eq. (6) itself and "averaged" for a theory's equation; ``sampled`` says that the errors are
-    those of sampling. ``colour`` is the curve's (#rrggbb). ``make()`` returns the method with its
-    default settings. ``quick``: an answer does not take seconds, so that ``fpk export`` and the
-    references of studies take the route without being told. ``named``: it is taken only where its
-    solver is named.
-    Of one method's routes the one registered first is the default and the one that is drawn; a
-    route that samples comes after those that do not.
+    ``words`` says for legends what is solved and how, ``equation`` the number of the paper's
+    equation. ``solves`` is "full" for Eq. (6) itself, "averaged" for a theory's equation;
+    ``sampled``: the errors are sampling errors; ``colour`` is the curve's (#rrggbb). ``make()``
+    returns the method with its default settings. ``quick``: an answer does not take seconds, so
+    that ``fpk export`` and the references of studies take the route unasked. ``named``: the route
+    is taken only where its solver is named.
     """
 
     method: str
@@ -245,7 +194,7 @@ ROUTES: dict[tuple[str, str], Route] = {}
 
 
 def register(route: Route) -> Route:
-    """Add a route to the registry and return it; a pair of names is taken once."""
+    """Add a route to the registry and return it; ``ValueError`` where its names are taken."""
     key = route.method, route.solver
     if key in ROUTES:
         raise ValueError(f"route {route.method}/{route.solver} is registered already")

@@ -1,7 +1,7 @@
-"""Names of what can be observed: q1..qn, p1..pn, H, H1..Hn, or a pair of them."""
+"""Names that users write: observables q1..qn, p1..pn, H, H1..Hn and pairs; numbers by name."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 from typing import Any, Literal
@@ -45,11 +45,9 @@ def parse_observable(text: str, n: int) -> Observable:
     remedy = f"is not an observable; use q1..q{n}, p1..p{n}, H, H1..H{n}, or two of them as a,b"
     coordinates = []
     for part in text.split(","):
-        match = re.fullmatch(r"([qpH])([1-9][0-9]{0,3})?", part.strip(), flags=re.ASCII)
-        if match is None or (match[2] is None and match[1] != "H"):
-            raise InvalidInput("observable", text, remedy)
-        index = None if match[2] is None else int(match[2]) - 1
-        if index is not None and index >= n:
+        match = re.fullmatch(r"([qp](?=\d)|H)([1-9][0-9]{0,3})?", part.strip(), flags=re.ASCII)
+        index = int(match[2]) - 1 if match and match[2] else None
+        if match is None or (index is not None and index >= n):
             raise InvalidInput("observable", text, remedy)
         coordinates.append(Coordinate(match[1], index))  # type: ignore[arg-type]
     if not 1 <= len(coordinates) <= 2 or len(set(coordinates)) != len(coordinates):
@@ -63,10 +61,7 @@ def observable_name(observable: Observable) -> str:
 
 
 def displacement_row(observable: Observable) -> int:
-    """Return the index of the mass whose displacement is observed, counted from 0.
-
-    Raises ``InvalidInput`` where that is not what is observed.
-    """
+    """Return the index from 0 of the mass whose displacement is observed, else ``InvalidInput``."""
     require_observables([observable])
     if len(observable) != 1 or observable[0].kind != "q":
         words = "is not a displacement; use q1, q2, ..."
@@ -79,9 +74,8 @@ def require_observables(observables: Sequence[Any]) -> None:
     for observable in observables:
         parsed = isinstance(observable, tuple) and len(observable) in (1, 2)
         if not parsed or not all(isinstance(c, Coordinate) for c in observable):
-            raise InvalidInput(
-                "observable", observable, 'is not parsed; use parse_observable("q2", system.n)'
-            )
+            words = 'is not parsed; use parse_observable("q2", system.n)'
+            raise InvalidInput("observable", observable, words)
 
 
 def number_text(value: float) -> str:
@@ -89,20 +83,25 @@ def number_text(value: float) -> str:
     return repr(float(value)).removesuffix(".0")
 
 
-def parse_numbers(key: str, text: str, remedy: str) -> dict[str, float]:
-    """Return the numbers that ``text`` gives by name, as ``a=1,b=2``.
+def parse_numbers(
+    key: str, text: str, kinds: Iterable[tuple[str, Sequence[str], int]], remedy: str
+) -> tuple[str, dict[str, float]]:
+    """Return the kind and the numbers that ``text`` gives by name, as ``a=1,b=2``, each once.
 
-    Raises ``InvalidInput`` of ``key`` where it does not read so, a name comes twice, or a number is
-    not finite.
+    The first of ``kinds``, (name, names of its numbers, how many it needs), with all names given is
+    the kind. Raises ``InvalidInput`` of ``key`` without such a kind or finite numbers.
     """
     values: dict[str, float] = {}
     for part in text.split(","):
-        name, equals, number = (word.strip() for word in part.partition("="))
+        name, _, number = (word.strip() for word in part.partition("="))
         try:
             value = float(number)
         except ValueError:
             value = inf
-        if not (name and equals and isfinite(value)) or name in values:
+        if name in values or not isfinite(value):
             raise InvalidInput(key, text, remedy)
         values[name] = value
-    return values
+    for kind, names, needed in kinds:
+        if values.keys() <= {*names} and len(values) >= needed:
+            return kind, values
+    raise InvalidInput(key, text, remedy)

@@ -1,8 +1,4 @@
-"""Numbers that follow from a density: moments, probabilities, quantiles, correlations.
-
-Both kinds of density have them as methods. Each is a ``Number``: with an estimate of the numerical
-error where the density is a function, with one standard error where it was sampled.
-"""
+"""Numbers that follow from a density, each with its error: moments, probabilities, quantiles."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -16,6 +12,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from fpk.answer.certificate import Certificate
+from fpk.answer.field import field_of
 from fpk.answer.observable import Observable, observable_name
 from fpk.numeric.arrays import Array, Complexes
 from fpk.numeric.errors import InvalidInput, Unavailable
@@ -40,16 +37,11 @@ class Number:
 
 
 class Quantities(ABC):
-    """Moments, probabilities, quantiles: of a coordinate X, or of a pair (X, Y), from its density.
+    """Numbers of a coordinate X, or of a pair (X, Y), from its density.
 
     ``panels`` are the ascending nodes of every axis; the first and last are the support.
     All but ``expectation``, ``moment`` and ``plot`` raise ``InvalidInput`` for a joint density,
-    ``covariance`` and ``correlation`` for any other. ::
-
-        q2 = fpk.solve(fpk.load("fig6a").system, ["q2"])["q2"]
-        q2.std().value, q2.std().error
-        q2.exceedance(0.5)   # P(q2 > 0.5)
-        q2.probability(-0.5, 0.5)
+    ``covariance`` and ``correlation`` for any other.
     """
 
     observable: Observable
@@ -72,10 +64,7 @@ class Quantities(ABC):
         """Return E f(X) of a ``function`` of arrays that is smooth but at its ``kinks``."""
 
     def probability(self, low: float, high: float) -> Number:
-        """Return P(low < X <= high) and its error; either end may be infinite.
-
-        Raises ``InvalidInput`` unless both ends are numbers.
-        """
+        """Return P(low < X <= high); ``InvalidInput`` unless both are numbers, infinite or not."""
         return self._probability(_number("low", low), _number("high", high))
 
     @abstractmethod
@@ -89,8 +78,7 @@ class Quantities(ABC):
     def moment(self, *powers: int, about: float = 0.0) -> Number:
         """Return E (X − about)^power, of two coordinates E (X − about)^power (Y − about)^other.
 
-        Raises ``InvalidInput`` for a power that is no integer >= 0, or unless each coordinate has
-        one.
+        Raises ``InvalidInput`` unless each coordinate has a power, an integer >= 0.
         """
         given: tuple[Any, ...] = powers
         whole = all(isinstance(power, Integral) and int(power) >= 0 for power in given)
@@ -105,58 +93,52 @@ class Quantities(ABC):
 
     def rms(self) -> Number:
         """Return √E X²."""
-        return self._of_moments(lambda m: np.sqrt(m[1]), 0.0)
+        return self._of_moments(lambda m: np.sqrt(m[1]), central=False)
 
     def std(self) -> Number:
         """Return the standard deviation, √E (X − E X)²."""
-        return self._of_moments(lambda m: np.sqrt(m[1] - m[0] ** 2), self.mean().value)
+        return self._of_moments(lambda m: np.sqrt(m[1] - m[0] ** 2))
 
     def variance(self) -> Number:
         """Return E (X − E X)²."""
-        return self._of_moments(lambda m: m[1] - m[0] ** 2, self.mean().value)
+        return self._of_moments(lambda m: m[1] - m[0] ** 2)
 
     def skewness(self) -> Number:
         """Return E (X − E X)³ over the cube of the standard deviation, 0 of a symmetric density."""
         return self._of_moments(
-            lambda m: (m[2] - 3.0 * m[0] * m[1] + 2.0 * m[0] ** 3) / (m[1] - m[0] ** 2) ** 1.5,
-            self.mean().value,
+            lambda m: (m[2] - 3.0 * m[0] * m[1] + 2.0 * m[0] ** 3) / (m[1] - m[0] ** 2) ** 1.5
         )
 
     def kurtosis(self) -> Number:
         """Return E (X − E X)⁴ over the square of the variance: 3 of a Gaussian."""
-
-        def kurtosis(m: Complexes) -> Any:
-            fourth = m[3] - 4.0 * m[0] * m[2] + 6.0 * m[0] ** 2 * m[1] - 3.0 * m[0] ** 4
-            return fourth / (m[1] - m[0] ** 2) ** 2
-
-        return self._of_moments(kurtosis, self.mean().value)
+        return self._of_moments(
+            lambda m: (
+                (m[3] - 4.0 * m[0] * m[2] + 6.0 * m[0] ** 2 * m[1] - 3.0 * m[0] ** 4)
+                / (m[1] - m[0] ** 2) ** 2
+            )
+        )
 
     def covariance(self) -> Number:
         """Return E (X − E X)(Y − E Y) of a joint density."""
-        return self._of_moments(lambda m: m[3] - m[0] * m[1], *self._middle())
+        return self._of_moments(lambda m: m[3] - m[0] * m[1], pair=True)
 
     def correlation(self) -> Number:
         """Return the covariance over both standard deviations, from −1 to 1 but for its error."""
-
-        def correlation(m: Complexes) -> Any:
-            variances = (m[2] - m[0] ** 2) * (m[4] - m[1] ** 2)
-            return (m[3] - m[0] * m[1]) / np.sqrt(variances)
-
-        return self._of_moments(correlation, *self._middle())
+        return self._of_moments(
+            lambda m: (m[3] - m[0] * m[1]) / np.sqrt((m[2] - m[0] ** 2) * (m[4] - m[1] ** 2)),
+            pair=True,
+        )
 
     def cdf(self, x: float) -> Number:
         """Return P(X <= x). Raises ``InvalidInput`` unless x is a number."""
         return self._probability(-inf, _number("x", x))
 
     def exceedance(self, x: float) -> Number:
-        """Return P(X > x): its relative digits are kept where it is small.
-
-        Raises ``InvalidInput`` unless x is a number.
-        """
+        """Return P(X > x), with relative digits where it is small; ``InvalidInput`` as ``cdf``."""
         return self._probability(_number("x", x), inf)
 
     def quantile(self, p: float) -> Number:
-        """Return the x with P(X <= x) = p; its error is that of x at p plus and minus its error.
+        """Return the x with P(X <= x) = p, its error by x at p plus and minus the error of P.
 
         Raises ``InvalidInput`` unless 0 < p < 1.
         """
@@ -183,30 +165,18 @@ class Quantities(ABC):
         return Number(x, max(abs(inverse(wanted + s * error) - x) for s in (-1.0, 1.0)) + rounding)
 
     def plot(self, *, log: bool = False) -> Any:
-        """Return a figure of pyplot with the density and its error; of two coordinates as contours.
-
-        ``log``: on a logarithmic scale. ::
-
-            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"])["q2"].plot(log=True)
-        """
+        """Return a figure of pyplot, as ``fpk.plot`` does; ``log``: on a logarithmic scale."""
         return import_module("fpk").plot(self, log=log)
 
     def to_meshio(self) -> Any:
         """Return the density as a ``meshio.Mesh`` of quadratic cells that follow it.
 
-        ``point_data`` has ``density``, ``log10 density`` and ``error of p``, the stated error. ::
-
-            fpk.solve(system, ["q2,p2"], methods=["nonintegrable/fem"])["q2,p2"].to_meshio()
+        ``point_data`` has ``density``, ``log10 density`` and ``error of p``, the stated error.
         """
-        from fpk.answer.field import field_of  # noqa: PLC0415  (meshio is needed here only)
-
         return field_of({"p": self})[0]
 
     def to_pyvista(self) -> Any:
-        """Return the density as an ``UnstructuredGrid`` of pyvista, see ``to_meshio``.
-
-        Raises ``Unavailable`` without pyvista.
-        """
+        """Return ``to_meshio`` as an ``UnstructuredGrid``; ``Unavailable`` without pyvista."""
         try:
             pyvista = import_module("pyvista")
         except ImportError:
@@ -219,19 +189,19 @@ class Quantities(ABC):
             raise InvalidInput("density", "joint", "of two coordinates: ask for that of one")
         return with_points(self.panels[0], np.asarray(points))
 
-    def _middle(self) -> tuple[float, float]:
-        """E X and E Y of a joint density."""
-        if len(self.panels) != 2:
+    def _of_moments(
+        self, function: Callable[[Complexes], Any], *, pair: bool = False, central: bool = True
+    ) -> Number:
+        """A ``function`` of the first four moments, of a pair five, about the mean or about 0."""
+        if not pair:
+            self._axis()
+        elif len(self.panels) != 2:
             raise InvalidInput("density", "single", "of one coordinate: ask for that of a pair")
-        return self.moment(1, 0).value, self.moment(0, 1).value
-
-    def _of_moments(self, function: Callable[[Complexes], Any], *about: float) -> Number:
-        """A ``function`` of the first four moments about a point, of two axes of the first five."""
-        pair = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-        powers = [(1,), (2,), (3,), (4,)] if len(about) == 1 else pair
+        powers = [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2)] if pair else [(1,), (2,), (3,), (4,)]
+        about = [self.moment(*k).value if central else 0.0 for k in powers[: 1 + pair]]
         terms = [_monomial(k, about) for k in powers]
         moments = np.array([self.expectation(term).value for term in terms])
-        squares = moments[[1]] if len(about) == 1 else moments[[2, 4]]
+        squares = moments[[2, 4]] if pair else moments[[1]]
         # An imaginary step, whose square is nothing beside 1, differentiates without a difference.
         steps = 1e-20 * np.prod(np.sqrt(squares) ** np.array(powers), axis=1)
         gradient = np.imag([function(m) for m in moments + 1j * np.diag(steps)]) / steps
@@ -260,10 +230,9 @@ def with_points(nodes: Array, points: Array) -> Array:
 
 
 def beyond(function: Function, panels: Sequence[Array], kinks: Sequence[float] = ()) -> float:
-    """Return the largest |f| on the corners of the box twice as wide as the support.
+    """Return the largest |f| on the corners of a box twice as wide as support and ``kinks``.
 
-    It bounds f in the tails: a density falls at least exponentially beyond the end of its support.
-    A function that begins farther out, at one of its ``kinks``, is taken at twice their distance.
+    It stands for f in the tails, where densities fall at least exponentially.
     """
     reach = 2.0 * float(np.max(np.abs(kinks), initial=0.0))
     ends = (2.0 * x[[0, -1]] for x in panels)

@@ -1,27 +1,22 @@
 """Questions about motion in time: one record for each, from which methods and commands follow.
 
-A ``Question`` has the name of the function by which a method answers it, and what that takes. A
-class answers it with a function of the method and of what is ``Asked``::
+A ``Question`` has the name of the function by which a method answers it. A class answers it with a
+function of the method and of what is ``Asked``, in its body or afterwards::
 
     class Linear(Method):
         @answer
         def spectrum(self, asked: Asked) -> Curve: ...
 
+    Linear.spectrum = answer(spectrum)
     Linear().spectrum(system, parse_observable("q1", 1), np.linspace(0.0, 2.0, 5), tol=1e-8)
 
-A class that exists is given an answer likewise: ``Linear.spectrum = answer(spectrum)``.
-Tolerance, displacement, lags, and that the method gives the density are checked here; times, limits
-and starts by the methods. ``tol`` is the largest error wanted: of curves in units of ``scale``, of
-rates relative to each; None for the default of the method. ``progress`` is called as
-``progress(done, total, what)``.
-
-Spectra are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, so that ∫ S dω over
-all real ω is the variance. C(t) = E q(0) q(t) − (E q)², t >= 0, is the variance at t = 0.
-
-Raised are ``InvalidInput`` for a tolerance that is not > 0, what is no displacement, a lag that is
-no time, a start at or beyond the limit, or times that do not ascend from 0 or later; and
-``NotApplicable`` where the method does not answer for this system, observable, limit or start.
-This file imports no numerical library: the command line reads it for its help.
+``tol`` is the largest error wanted: of curves in units of ``scale``, of rates relative to each.
+Spectra are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, ∫ S dω over all real
+ω is the variance; C(t) = E q(0) q(t) − (E q)², t >= 0. ``InvalidInput`` is raised for a tolerance
+that is not > 0, no displacement, a lag that is no time (all three here), a start at or beyond the
+limit, or times that do not ascend from 0 or later; ``NotApplicable`` where the method does not
+answer for this system, observable, limit or start. This file imports no numerical library: the
+command line reads it for its help.
 """
 
 from collections.abc import Callable
@@ -38,10 +33,6 @@ if TYPE_CHECKING:
     from fpk.system.system import System
 
 Answer = TypeVar("Answer")
-OF_DISPLACEMENT = ("observable", "at")
-"""``Question.takes`` of a question about one displacement in the stationary state: the
-displacement, and levels, frequencies or lags. Its command, its units and its checks follow from
-that."""
 Progress = Callable[[int, int, str], None]
 """Called as ``progress(done, total, what)`` while a method works."""
 Powers = tuple[int, int, int]
@@ -54,15 +45,11 @@ def silent(done: int, total: int, what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """One question with its arguments, as a method receives it.
+    """One question as a method receives it: fields that ``Question.takes`` does not name are unset.
 
-    These are ``system``, ``tol``, ``progress`` and the fields that ``Question.takes`` names; the
-    others keep their defaults.
-
-    ``observable`` as ``parse_observable`` gives it. ``at`` are levels, angular frequencies or lags
-    (points,), or of densities points, one array (points,) for each coordinate. ``start`` is a
-    ``fpk.answer.start.Start``, ``limit`` a ``fpk.answer.limit.Limit``; ``times`` (times,) are after
-    the start; ``count`` is how many rates; ``tol`` None is the method's default.
+    ``at`` are levels, angular frequencies or lags (points,), or of densities points, one array
+    (points,) for each coordinate. ``start`` is a ``fpk.answer.start.Start``, ``limit`` a
+    ``fpk.answer.limit.Limit``; ``times`` (times,) are after the start; ``count`` is how many rates.
     """
 
     system: "System"
@@ -77,28 +64,24 @@ class Asked:
 
     @property
     def row(self) -> int:
-        """The index of the mass whose displacement is observed, from 0.
-
-        Raises ``InvalidInput`` where no displacement is.
-        """
+        """The index of the mass whose displacement is observed, from 0."""
         return displacement_row(self.observable)
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """A question about motion in time.
+    """A question: its method's function and its command have its ``name``.
 
-    ``name`` is that of the method's function and of the command; ``words`` name the answer, as in
-    "exact gives no spectrum"; ``takes`` are the fields of ``Asked`` in the order in which they are
-    given; ``key`` is the name of the values in records. Where it takes ``OF_DISPLACEMENT`` the
-    command follows: ``help`` is its text; ``axis`` says what ``at`` is, empty for levels;
-    ``powers`` are the units of ``at`` and of the values; ``scale(σ_q, σ_v)`` is a natural size of
-    the values; and ``check`` raises ``InvalidInput`` for ``at`` that has no answer.
+    ``words`` name the answer, as in "exact gives no spectrum"; ``takes`` are the fields of
+    ``Asked`` in their order; ``key`` names the values in records. Of a displacement ``help`` is the
+    text of the command; ``axis`` says what ``at`` is, empty for levels; ``powers`` are the units of
+    ``at`` and of the values; ``scale(σ_q, σ_v)`` is a natural size of the values; ``check`` raises
+    ``InvalidInput`` for ``at`` that has no answer.
     """
 
     name: str
     words: str
-    takes: tuple[str, ...]
+    takes: tuple[str, ...] = ("observable", "at")
     key: str = ""
     help: str = ""
     axis: str = ""
@@ -106,9 +89,10 @@ class Question:
     scale: Callable[[float, float], float] = lambda q, v: 1.0
     check: Callable[[Any], None] = lambda at: None
 
-    def answered_by(self, method: object) -> bool:
-        """Return whether a method, or a class of methods, answers the question."""
-        return hasattr(method, self.name)
+    @property
+    def of_displacement(self) -> bool:
+        """Whether it is about one displacement, stationary, at levels, frequencies or lags."""
+        return self.takes == ("observable", "at")
 
 
 def require_lags(at: Any) -> None:
@@ -123,7 +107,7 @@ QUESTIONS: dict[str, Question] = {}
 
 
 def register(question: Question) -> Question:
-    """Add a question to the registry and return it; a name is taken once."""
+    """Add a question to the registry and return it; ``ValueError`` where its name is taken."""
     if question.name in QUESTIONS:
         raise ValueError(f"the question {question.name} is registered already")
     QUESTIONS[question.name] = question
@@ -131,18 +115,12 @@ def register(question: Question) -> Question:
 
 
 def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
-    """Return ``function(method, asked)`` as a method's answer to the question of its name.
-
-    It is called with the system and what the question takes, then ``tol`` and ``progress``.
-    """
-    question = QUESTIONS[function.__name__]
-    given = [
-        Parameter(name, Parameter.POSITIONAL_OR_KEYWORD)
-        for name in ("self", "system", *question.takes)
-    ]
-    how = {"tol": None, "progress": silent}
-    named = [Parameter(k, Parameter.KEYWORD_ONLY, default=value) for k, value in how.items()]
-    signature = Signature([*given, *named])
+    """Return ``function(method, asked)`` as a method's function of what the question takes."""
+    question, given = QUESTIONS[function.__name__], Parameter.POSITIONAL_OR_KEYWORD
+    parameters = [Parameter(name, given) for name in ("self", "system", *question.takes)]
+    for name, value in (("tol", None), ("progress", silent)):
+        parameters.append(Parameter(name, Parameter.KEYWORD_ONLY, default=value))
+    signature = Signature(parameters)
 
     @wraps(function)
     def ask(*given: Any, **named: Any) -> Answer:
@@ -152,7 +130,7 @@ def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
         bound.apply_defaults()
         method, asked = bound.arguments.pop("self"), Asked(**bound.arguments)
         tolerance(asked.tol, None)
-        if question.takes == OF_DISPLACEMENT:
+        if question.of_displacement:
             displacement_row(asked.observable)
             question.check(asked.at)
             method.planned(asked.system, [asked.observable])
@@ -162,11 +140,10 @@ def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
     return ask
 
 
-register(
+for _question in (
     Question(
         name="crossings",
         words="crossings",
-        takes=OF_DISPLACEMENT,
         key="rate",
         help="""Give the upcrossings of levels per unit time in the stationary state.
 
@@ -175,13 +152,10 @@ register(
         """,
         powers=((1, 0, 0), (0, 0, -1)),
         scale=lambda q, v: v / (2.0 * pi * q),
-    )
-)
-register(
+    ),
     Question(
         name="spectrum",
         words="spectrum",
-        takes=OF_DISPLACEMENT,
         key="spectrum",
         help="""Give the power spectral density at angular frequencies.
 
@@ -191,13 +165,10 @@ register(
         axis="angular frequency",
         powers=((0, 0, -1), (2, 0, 1)),
         scale=lambda q, v: q**3 / v,
-    )
-)
-register(
+    ),
     Question(
         name="correlation",
         words="correlation",
-        takes=OF_DISPLACEMENT,
         key="correlation",
         help="""Give the autocovariance E q(0) q(t) − (E q)² at lags t >= 0.
 
@@ -208,10 +179,9 @@ register(
         powers=((0, 0, 1), (2, 0, 0)),
         scale=lambda q, v: q**2,
         check=require_lags,
-    )
-)
-register(Question("relaxation", "relaxation rates", ("count",)))
-register(
-    Question("transient", "densities in time", ("observable", "start", "times", "at"), "density")
-)
-register(Question("passage", "first passage", ("limit", "start", "times")))
+    ),
+    Question("relaxation", "relaxation rates", ("count",)),
+    Question("transient", "densities in time", ("observable", "start", "times", "at"), "density"),
+    Question("passage", "first passage", ("limit", "start", "times")),
+):
+    register(_question)

@@ -13,35 +13,29 @@ from fpk.answer.bins import ALARM, LARGEST_LOG, NODES, BinAxis, Box, Model, boxe
 from fpk.answer.certificate import Certificate, outside
 from fpk.answer.observable import Observable
 from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond
-from fpk.numeric.arrays import CHUNK, EPS, SMALLEST, Array, Flags, Integers
+from fpk.numeric.arrays import CHUNK, EPS, ROUND_OFF, SMALLEST, Array, Flags, Integers
 from fpk.numeric.quadrature import panel_rule
 
 Values = tuple[Array, Array]
 """Values and one standard error each."""
 Fits = tuple[tuple[BinAxis, ...], tuple[Box, ...]]
-"""Axes with the references of the fits, and the fits of ``fpk.answer.bins.boxes`` that
-cover all bins."""
-
-NEAR = 1e-9
-"""Distance from a kink, as a share of the axis, in which a continuous density hardly changes."""
+"""Axes with the references of the fits, and the fits that cover all bins."""
 
 
 def standard_error(batches: Array) -> Array:
     """Return one standard error of the mean of independent ``batches`` (batches, ...)."""
-    spread: Array = np.std(batches, axis=0, ddof=1) / np.sqrt(batches.shape[0])
-    return spread
+    return np.asarray(np.std(batches, axis=0, ddof=1) / np.sqrt(batches.shape[0]))
 
 
 @dataclass(frozen=True)
 class SampledDensity(Quantities):
     """Density of one or two coordinates from the contents of bins, with its sampling error.
 
-    ``bins`` are those of every axis, with what is known of the density along it;
-    ``values`` is the share of samples in each bin divided by its area, ``batch_values``
-    (batches, *bins) the same of each of the independent batches. Samples outside are counted in
-    ``certificate.tail_mass``, never folded in. ``samples`` is how many were counted, 0 where that
-    is not known. ``l1_error`` is the expected ∫|p − p_exact| by chance of the density as ``at``
-    returns it, not a number where it was not computed. ::
+    ``bins`` has the bins of each axis, with what is known of the density along it; ``values`` is
+    the share of samples in each bin divided by its area, ``batch_values`` (batches, *bins) the same
+    of each independent batch. Samples outside are counted in ``certificate.tail_mass``. ``samples``
+    is how many were counted, 0 where unknown. ``l1_error`` is the expected ∫|p − p_exact| by chance
+    of the density as ``at`` returns it, NaN where it was not computed. ::
 
         sampled = MonteCarlo(paths=4096, relaxations=20.0)
         p = fpk.solve(system, ["q2"], methods=[sampled])["q2"]
@@ -64,7 +58,7 @@ class SampledDensity(Quantities):
         return self.described(f"{self.values.size} bins, {self.batch_values.shape[0]} batches")
 
     def __call__(self, *points: ArrayLike) -> Array:
-        """Return the density at ``points``, one number or array per axis, as ``at`` does."""
+        """Return the density at ``points``, one number or array per axis."""
         return self.at(*(np.asarray(x, dtype=float) for x in points))[0]
 
     @property
@@ -81,14 +75,11 @@ class SampledDensity(Quantities):
 
     @property
     def standard_error(self) -> Array:
-        """One standard error of each of ``values``, from the spread of the independent batches."""
+        """One standard error of each of ``values``."""
         return standard_error(self.batch_values)
 
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
-        """Return E f(X) and one standard error, by the spread of the independent batches.
-
-        Within a bin samples are spread as the fitted density is.
-        """
+        """Return E f(X) and one standard error; within a bin samples lie as the fitted density."""
         x = [panel_rule(e, NODES)[0].ravel() for e in self.edges]
         f = np.asarray(function(*np.meshgrid(*x, indexing="ij")))
         within = self.within
@@ -105,30 +96,22 @@ class SampledDensity(Quantities):
         return Number(float(total), error)
 
     def _probability(self, low: float, high: float) -> Number:
-        """Return P(low < X <= high) and one standard error, at least that of one visit.
-
-        Of a bin that is cut the share counts that the fitted density has there.
-        """
+        """One standard error is at least one visit; a bin is cut by the fitted density."""
         edges = self._axis()
-        inside = np.clip(edges, low, high)
-        whole = (np.diff(inside) == np.diff(edges)).astype(float)
-        for k in np.flatnonzero((np.diff(inside) > 0.0) & (whole == 0.0)):
-            ends = [edges[k], inside[k], inside[k + 1], edges[k + 1]]
-            x, w = panel_rule(np.array(ends), NODES)
-            value = self.at(x.ravel())[0].reshape(w.shape)
-            before, within, after = (w * value).sum(axis=1)
-            total = before + within + after
-            whole[k] = within / total if total > 0.0 else (ends[2] - ends[1]) / (ends[3] - ends[0])
-        inside = whole * np.diff(edges)
+        inside = np.clip(edges, *np.clip([low, high], *edges[[0, -1]]))
+        share = np.diff(inside) / np.diff(edges)
+        for k in np.flatnonzero((share > 0.0) & (share < 1.0)):
+            x, w = panel_rule(np.array([edges[k], *inside[k : k + 2], edges[k + 1]]), NODES)
+            parts = (w * self.at(x)[0]).sum(axis=1)
+            if parts.sum() > 0.0:
+                share[k] = parts[1] / parts.sum()
+        held = share * np.diff(edges)
         tail = outside(self.certificate) if low < edges[0] or high > edges[-1] else 0.0
-        chance = standard_error(self.batch_values @ inside)
-        return Number(float(self.values @ inside), float(np.hypot(chance, self.visit) + tail))
+        chance = standard_error(self.batch_values @ held)
+        return Number(float(self.values @ held), float(np.hypot(chance, self.visit) + tail))
 
     def joined(self, most: int) -> "SampledDensity":
-        """Return the density with up to ``most`` neighbouring bins joined along every axis.
-
-        It is the largest such number that divides the bins of each between its kinks.
-        """
+        """Return the density with up to ``most`` bins between kinks joined along every axis."""
         cuts = [np.diff(axis.cuts) for axis in self.bins]
         factor = max(k for k in range(1, max(most, 1) + 1) if not np.any(np.concatenate(cuts) % k))
         every = np.concatenate([self.values[None], self.batch_values]) * self.areas
@@ -143,11 +126,7 @@ class SampledDensity(Quantities):
 
     @cached_property
     def samples_per_visit(self) -> float:
-        """How many samples come together: variance over mean of what a batch holds of a rare cell.
-
-        Rare are cells, a hundredth of each axis, that some batches visited and some did not: the
-        samples of one excursion are correlated, and there only the excursions are independent.
-        """
+        """Samples in an excursion: variance over mean in a cell that not all batches visited."""
         if not self.samples > 0.0:
             return 1.0
         few = self.joined(min(self.values.shape) // 100)  # cells of a hundredth of the axis
@@ -166,14 +145,14 @@ class SampledDensity(Quantities):
 
     @cached_property
     def fits(self) -> Fits:
-        """The fits of ln p on boxes of bins, ``made`` or else made now."""
+        """The fits of ln p on boxes of bins."""
         return self.made or self._fitted()
 
     def _fitted(self, *, halve: bool = True) -> Fits:
         """Fit ln p; ``halve`` as of ``fpk.answer.bins.boxes``."""
         axes = self.bins
         if len(axes) == 2:
-            # The reference is the product of plain fits of each coordinate alone: a box has few
+            # The reference is the product of plain fits of each coordinate: a box has few
             # coefficients where there are few samples, and none where p is large depends on it.
             alone = [self.alone(k) for k in range(2)]
             plain = [replace(one, made=one._fitted(halve=False))._log_p for one in alone]
@@ -200,11 +179,10 @@ class SampledDensity(Quantities):
     def at(self, *points: Array) -> tuple[Array, Array]:
         """Return the density and one standard error at ``points``, one array per axis.
 
-        The error is that of the fit by the independent batches; where fewer visits are expected
-        than there are batches, at least that of Poisson's law of the visits. One visit more is
-        always added: the variance of k visits is k, of which 0 may have been seen. At a kink the
-        fit of the two with the smaller error counts. Outside the bins the density is 0, with the
-        error at the nearest point of these.
+        The independent batches give the error of the fit, Poisson's law a least one where fewer
+        visits are expected than there are batches; of k visits, 0 may have been seen, and one more
+        is added. At a kink the side with the smaller error counts. Outside the bins the density is
+        0, with the error at their nearest point.
         """
         batches = len(self.batch_values)
 
@@ -225,13 +203,11 @@ class SampledDensity(Quantities):
 
         arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in points))
         x = np.stack([a.ravel() for a in arrays])
-        near = np.stack([np.clip(a, *e[[0, -1]]) for a, e in zip(x, self.edges, strict=True)])
         value, error = np.zeros((2, x.shape[1]))
         together = CHUNK // batches
         for first in range(0, value.size, together):
             k = slice(first, first + together)
-            value[k], error[k] = self._better(near[:, k], on_side)
-        value = np.where(np.any(near != x, axis=0), 0.0, value)
+            value[k], error[k] = self._better(x[:, k], on_side)
         return value.reshape(arrays[0].shape), error.reshape(arrays[0].shape)
 
     @cached_property
@@ -242,7 +218,8 @@ class SampledDensity(Quantities):
         for box in every:
             theta = box.theta if box.theta.size else np.zeros(1)
             degree = int(box.degrees.sum(axis=0).max(initial=0))
-            own = tuple(s for bins in box.bins for s in (bins, slice(None)))
+            ends = zip(box.first, box.last, strict=True)
+            own = tuple(s for a, b in ends for s in (slice(a, b), slice(None)))
             spread[own] = Model(axes, box.first, box.last, degree).spread(theta)
         points = tuple(range(1, spread.ndim, 2))
         whole = spread.sum(axis=points, keepdims=True)
@@ -270,11 +247,7 @@ class SampledDensity(Quantities):
         return np.log(np.maximum(value, SMALLEST)).reshape(x.shape)
 
     def flux(self, weight: Callable[[Array], Array], nodes: Array, at: Array) -> Values:
-        """Return ∫ weight(y) p(x, y) dy over the panels of ``nodes``, and one standard error.
-
-        Of a joint density of (x, y), at x = ``at`` (points,). At a kink the fit with the smaller
-        error counts; outside the bins it is 0, with the error at the end of these.
-        """
+        """Return ∫ weight(y) p(x, y) dy over panels of y, at x = ``at`` (points,), as ``at``."""
         y, w = (a.ravel() for a in panel_rule(nodes, NODES))
         weights, shape = weight(y), (at.size, y.size)
 
@@ -289,32 +262,31 @@ class SampledDensity(Quantities):
             more = self.visit * more / cells[0].reshape(shape).min(axis=1)
             return flow, np.hypot(standard_error(apart), more)
 
-        near = np.clip(at, *self.edges[0][[0, -1]])
-        points = np.stack([np.repeat(near, y.size), np.tile(y, at.size)])
-        value, error = self._better(points, on_side)
-        return np.where(near == at, value, 0.0), error
+        return self._better(np.stack([np.repeat(at, y.size), np.tile(y, at.size)]), on_side)
 
     def _better(self, points: Array, on_side: Callable[[Array, Integers], Values]) -> Values:
-        """Values and errors of ``on_side`` at points and their bins; at kinks the better side."""
-        edges = self.edges
-        inside = (np.searchsorted(e, x, "right") - 1 for e, x in zip(edges, points, strict=True))
-        bins = np.array([np.clip(b, 0, e.size - 2) for b, e in zip(inside, edges, strict=True)])
-        value, error = on_side(points, bins)
+        """Values and errors by bins, at kinks on the better side; beyond the bins values are 0."""
+        given, edges = points, self.edges
+        points = np.array([np.clip(x, *e[[0, -1]]) for x, e in zip(given, edges, strict=True)])
+        ends = zip(edges, points, strict=True)
+        bins = [np.clip(np.searchsorted(e, x, "right") - 1, 0, e.size - 2) for e, x in ends]
+        value, error = on_side(points, np.array(bins))
         for k, (axis, x) in enumerate(zip(self.bins, points, strict=True)):
-            other = bins.copy()
+            e, other = axis.edges, np.array(bins)
             for cut in axis.cuts[1:-1]:
-                close = np.abs(x - edges[k][cut]) <= NEAR * (edges[k][-1] - edges[k][0])
+                close = np.abs(x - e[cut]) <= ROUND_OFF * (e[-1] - e[0])
                 other[k][close] = np.where(bins[k] < cut, cut, cut - 1)[close]
             if np.any(other != bins):
                 values, errors = on_side(points, other)
                 better = errors < error
                 value, error = np.where(better, values, value), np.where(better, errors, error)
-        return value, error
+        away = np.any(points != given, axis=0).reshape(value.size, -1).any(axis=1)
+        return np.where(away, 0.0, value), error
 
     def _evaluated(self, points: Array, bins: Integers) -> tuple[Array, Array, Array, Array]:
-        """Density, deviations of ln p (points, batches), its Poisson variance, and sizes of cells.
+        """p, deviations of ln p (points, batches), its Poisson variance, cells (axes, points).
 
-        A cell (axes, points) has as many bins as there are for a coefficient of its box.
+        A cell has as many bins as there are for a coefficient of its box.
         """
         (axes, every), count, many = self.fits, points.shape[1], len(self.batch_values)
         value, deviations, variance = np.zeros(count), np.zeros((count, many)), np.zeros(count)
@@ -326,9 +298,8 @@ class SampledDensity(Quantities):
             k = np.flatnonzero(np.all(inside, axis=0))
             if not k.size:
                 continue
-            half = np.subtract(box.last, box.first) // (
-                2 * (box.degrees.max(axis=1, initial=0) + 1)
-            )
+            coefficients = box.degrees.max(axis=1, initial=0) + 1
+            half = np.subtract(box.last, box.first) // (2 * coefficients)
             for a, axis in enumerate(axes):
                 first = np.maximum(bins[a, k] - half[a], box.first[a])
                 last = np.minimum(bins[a, k] + half[a] + 1, box.last[a])

@@ -11,11 +11,6 @@ from fpk.numeric.errors import InvalidInput
 from fpk.system.escape import escape
 from fpk.system.system import System
 
-REMEDY = (
-    "use rest, H=0.3, modal energies H1=0.1,H2=0.2, a state q1=0.2,p1=0.1,.. (what is left out is "
-    "0), or noise=0.5 for the stationary state under that multiple of the noise intensity"
-)
-
 
 @dataclass(frozen=True)
 class Start:
@@ -36,9 +31,7 @@ class Start:
 
     def state(self, n: int) -> tuple[Array, Array]:
         """Return q and p (n,) each, of the kind "state"."""
-        q, p = (
-            np.array([self.values.get(f"{kind}{i + 1}", 0.0) for i in range(n)]) for kind in "qp"
-        )
+        q, p = (np.array([self.values.get(f"{k}{i + 1}", 0.0) for i in range(n)]) for k in "qp")
         return q, p
 
     def __str__(self) -> str:
@@ -63,18 +56,15 @@ def parse_start(text: str, system: System) -> Start:
     """
     if text.strip() == "rest":
         return REST
-    values = parse_numbers("start", text, REMEDY)
-    n, names = system.n, set(values)
-    modal = {f"H{i + 1}" for i in range(n)}
-    kinds = {
-        "state": {f"{kind}{i + 1}" for kind in "qp" for i in range(n)},
-        "energy": {"H"},
-        "modal": modal,
-        "noise": {"noise"},
-    }
-    kind = next((kind for kind, allowed in kinds.items() if names <= allowed), None)
-    if kind is None or (kind == "modal" and names != modal):
-        raise InvalidInput("start", text, REMEDY)
+    q, p, modal = ([f"{kind}{i + 1}" for i in range(system.n)] for kind in "qpH")
+    kinds = ("state", q + p, 1), ("energy", ["H"], 1), ("modal", modal, system.n)
+    kind, values = parse_numbers(
+        "start",
+        text,
+        (*kinds, ("noise", ["noise"], 1)),
+        "use rest, H=0.3, modal energies H1=0.1,H2=0.2, a state q1=0.2,p1=0.1,.. (what is left out "
+        "is 0), or noise=0.5 for the stationary state under that multiple of the noise intensity",
+    )
     if kind == "noise" and values["noise"] > 0.0 and (reason := system.fact(escape)):
         raise InvalidInput("start", text, f"there is no stationary state: {reason}")
     if kind != "state" and min(values.values()) < 0.0:

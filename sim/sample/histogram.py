@@ -12,8 +12,8 @@ from fpk.answer.bins import BinAxis, LogReference, no_reference
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.contacts import kinks_of
 from fpk.answer.observable import Coordinate, Observable
-from fpk.answer.sampled_density import NEAR, SampledDensity
-from fpk.numeric.arrays import SMALLEST, Array, Integers
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.arrays import ROUND_OFF, SMALLEST, Array, Integers
 from fpk.system.linear import modal_energies
 from fpk.system.system import System, effects_of
 from sim.step.step_size import temperature
@@ -84,7 +84,7 @@ def binned(
     """
     inside = list[float]()
     for kink in sorted(k for k in kinks if low <= k < high):
-        if not inside or kink - inside[-1] > NEAR * (high - low):
+        if not inside or kink - inside[-1] > ROUND_OFF * (high - low):
             inside.append(kink)
     nodes = [low, *(k for k in inside if k > low), high]
     each = max(32, bins // (len(nodes) - 1) // 8 * 8)  # by 8 they may be joined

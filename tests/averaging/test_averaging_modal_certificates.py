@@ -44,7 +44,7 @@ def test_the_gaussian_is_judged_by_the_tolerance(name):
     assert not density.certificate.certified
 
 
-@pytest.mark.parametrize("method", METHODS, ids=lambda m: f"{m.name}/{m.solver}")
+@pytest.mark.parametrize("method", METHODS, ids=lambda m: f"{m.method}/{m.solver}")
 def test_what_is_certified_was_measured(method):
     name = "q1" if isinstance(method, Linear) else "H1"
     (density,) = solved(method, fig6(), name)

@@ -15,7 +15,7 @@ from cases.output.text import rendered
 from cases.scene.scene import load_scene
 from fpk.answer.certificate import Measured
 from fpk.answer.density import certified_density
-from fpk.answer.method import Plan, solved
+from fpk.answer.method import Method, Plan
 from fpk.answer.observable import parse_observable
 
 
@@ -116,15 +116,15 @@ def test_control_c_ends_a_run_with_the_answers_that_there_are(scene):
 
 def test_the_fields_of_a_curve_are_saved_before_the_next_one(fpk, monkeypatch, tmp_path):
     """The second curve ends the process at once; what was saved then is on disk."""
-    calls = []
+    calls, solve = [], Method.solve
 
-    def dying(plan, *arguments, **settings):
-        calls.append(plan)
+    def dying(method, *arguments, **settings):
+        calls.append(method)
         if len(calls) == 2:
             raise SystemExit(130)
-        return solved(plan, *arguments, **settings)
+        return solve(method, *arguments, **settings)
 
-    monkeypatch.setattr("cases.comparison.stationary.solved", dying)
+    monkeypatch.setattr(Method, "solve", dying)
     monkeypatch.setattr("cases.comparison.routes.all_methods", lambda **settings: (EXACT,))
     fpk("run", "fig3a", "--out", tmp_path)
     with h5py.File(tmp_path / "result.nc") as file:

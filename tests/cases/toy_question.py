@@ -6,13 +6,12 @@ import numpy as np
 
 from averaging import Linear
 from fpk.answer.dynamics import Curve
-from fpk.answer.question import OF_DISPLACEMENT, Asked, Question, answer, register, require_lags
+from fpk.answer.question import Asked, Question, answer, register, require_lags
 
 INCREMENT = register(
     Question(
         name="increment",
         words="variance of an increment",
-        takes=OF_DISPLACEMENT,
         key="variance",
         help="Give the variance of q(t) − q(0) at lags t >= 0.",
         axis="lag",

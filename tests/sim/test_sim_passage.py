@@ -12,7 +12,6 @@ from fpk.answer.evolution import Passage
 from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
 from fpk.answer.observable import Coordinate
-from fpk.answer.question import QUESTIONS
 from fpk.answer.start import parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.contact import Contact
@@ -294,7 +293,7 @@ def test_an_overdamped_velocity_is_followed_and_too_long_a_step_is_not_certified
 
 
 def test_no_noise_is_refused_and_the_method_has_the_protocol() -> None:
-    assert QUESTIONS["passage"].answered_by(MonteCarlo())
+    assert hasattr(MonteCarlo(), "passage")
     with pytest.raises(NotApplicable, match="no noise"):
         passed(System([1.0], [1.0], [0.1], [0.0]), "H=1")
     assert linear(1).n == 1

@@ -11,7 +11,6 @@ from cases.comparison.routes import method_for
 from fpk.answer.evolution import Transient
 from fpk.answer.method import silent
 from fpk.answer.observable import parse_observable
-from fpk.answer.question import QUESTIONS
 from fpk.answer.start import parse_start
 from fpk.numeric.errors import InvalidInput
 from fpk.system.linear import diffusion_matrix, drift_matrix
@@ -50,7 +49,7 @@ def test_a_linear_system_from_a_state_is_gaussian_at_any_time() -> None:
     x = np.linspace(-1.5, 1.5, 13)
     answer = sampled(system, "q2", "q1=0.5,p2=0.2", times, x)
     assert answer.certificate.certified and answer.error_kind == "sampling"
-    assert QUESTIONS["transient"].answered_by(MonteCarlo()) and answer.values.shape == (3, 13)
+    assert hasattr(MonteCarlo(), "transient") and answer.values.shape == (3, 13)
     for k, t in enumerate(times):
         mean, C = gaussian(system, t, [0.5, 0.0, 0.0, 0.2])
         expected = norm(mean[1], np.sqrt(C[1, 1])).pdf(x)

@@ -31,7 +31,6 @@ from fpk.answer.limit import parse_limit
 from fpk.answer.method import Method, silent
 from fpk.answer.observable import Observable, observable_name
 from fpk.answer.quantities import Number
-from fpk.answer.question import QUESTIONS
 from fpk.answer.start import REST
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System
@@ -216,7 +215,7 @@ def _first(
     refused: list[Exception] = []
     answers: list[Answer] = []
     for method in methods:
-        if QUESTIONS[question].answered_by(method):
+        if hasattr(method, question):
             try:
                 answer = ask(method, tol=None, progress=silent)
             except REFUSALS as error:
