@@ -14,7 +14,7 @@ from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.process import Process
-from sim.questions.averaged.square_root import SquareRootForm, from_energies, line_form
+from sim.questions.averaged.square_root import SquareRootForm, line_form
 from sim.questions.splitting.kernel import (
     LEVELS,
     CompiledReplicas,
@@ -127,7 +127,7 @@ def energy_problem(
 
     def root(H: Array) -> Array:
         """R at the energies H."""
-        return np.where(H > 0.0, np.sqrt(from_energies(form, H[:, None])).ravel(), 0.0)
+        return np.where(H > 0.0, np.sqrt(form.inverse(H[:, None])).ravel(), 0.0)
 
     top, first = map(float, root(np.array([limit, start])))
     R = np.linspace(0.0, top, CELLS + 1)

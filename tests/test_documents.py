@@ -29,7 +29,7 @@ from fpk.answer import bins, contacts, field
 from fpk.numeric.errors import InvalidInput
 from fpk.solvers import contour
 from fpk.system import damping
-from sim.questions import curves, failure_times
+from sim.questions import curves, passage
 from sim.questions.splitting import run as splitting
 from sim.sample import checkpoint, diagnostics, histogram, plan, settings
 from sim.step import step_size
@@ -196,8 +196,8 @@ CONSTANTS = {
         f"{first_passage.SAFETY:g} times the distance of the last two,"
         f" or {first_passage.SAFETY * first_passage.SHARE:g} times the largest relative one",
         f"A mean time beyond e^{first_passage.HIGHEST:g} units",
-        f"with fewer than {failure_times.LEAST_FAILURES} failures in the tail",
-        f"jackknife of {failure_times.GROUPS} groups",
+        f"with fewer than {passage.LEAST_FAILURES} failures in the tail",
+        f"jackknife of {passage.GROUPS} groups",
         f"one Hann window of {curves.WINDOW:g} decay times",
         f"over paths and {curves.RELAXATIONS:g} relaxation times",
         f"polynomial of total degree {bins.DEGREE} in the number of the bin",

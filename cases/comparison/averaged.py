@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from cases.scene.expect import Theory
-from fpk.answer.evolution import Passage, Transient
+from fpk.answer.evolution import Passage, Transient, checked_times
 from fpk.answer.limit import Limit
 from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register
 from fpk.answer.observable import Coordinate, Observable, observable_name
@@ -99,9 +99,8 @@ class AveragedSimulation(Method):
         A state begins at its energies, H of the integrable theory anywhere on H1 + H2 + … = H.
         """
         from sim.questions.averaged.paths import energy_passage
-        from sim.questions.limits import require_times
 
-        require_times(asked.times)
+        checked_times(asked.times)
         system, wanted = asked.system, self.tol if asked.tol is None else asked.tol
         form = self._form(self._process(system))
         scales = form.scales / form.noise
@@ -126,11 +125,10 @@ class AveragedSimulation(Method):
         ``passage``.
         """
         from sim.questions.averaged.paths import energy_transient
-        from sim.questions.limits import require_times
 
         system = asked.system
         require_held(system)
-        require_times(asked.times)
+        checked_times(asked.times)
         if reason := self._unknown(asked.observable):
             raise NotApplicable(reason)
         form = self._form(self._process(system))
@@ -166,8 +164,6 @@ class AveragedSimulation(Method):
 
         Raises ``NotApplicable`` where the theory does not know the limit.
         """
-        from sim.questions.averaged.square_root import from_energies
-
         line, d = self.theory == "nonintegrable", form.scales.size
         if limit.kind == "q" or (limit.kind == "modal" and line):
             known = "H" if line else "H and of modal energies"
@@ -177,7 +173,7 @@ class AveragedSimulation(Method):
             values = np.array([value for _, value in named])
             return np.eye(d)[[m for m, _ in named]], values
         values = np.array([limit.value])
-        values = from_energies(form, values[None])[0] if line else values
+        values = form.inverse(values[None])[0] if line else values
         return np.ones((1, d)), values
 
     def _starts(self, system: System, start: Start) -> Any:
@@ -195,12 +191,9 @@ class AveragedSimulation(Method):
             louder = replace(system, noise_intensity=factor * system.noise_intensity)
             form = self._form(self._process(louder))
             slowest, steps = self._steps(form)
-            interval, time = 0.5 * slowest, BURN_IN * slowest
-            threads = self.threads or usable_cores()
-            begun = partial(
-                burnt_in, form, interval=interval, steps=steps, time=time, threads=threads
-            )
-            return lambda paths, stream: form.energies(begun(paths, stream))
+            dt, threads = 0.5 * slowest / steps, self.threads or usable_cores()
+            many = ceil(2.0 * BURN_IN) * steps
+            return partial(burnt_in, form, dt=dt, steps=many, threads=threads)
         if start.kind == "energy" and not line:
 
             def spread(paths: int, stream: np.random.Generator) -> Array:

@@ -18,8 +18,7 @@ from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.line.time.passage import first_passage
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.failure_times import LEAST_FAILURES
-from sim.questions.passage import horizon
+from sim.questions.passage import LEAST_FAILURES, horizon
 from sim.questions.splitting.problem import ScoreFunction
 from sim.questions.splitting.run import Splitting, rare_failure
 

@@ -1,4 +1,1 @@
-"""Simulated answers in time: crossings, spectra, transients, first passage, rare failure.
-
-``averaged`` simulates the energies of an averaged equation in place of the full system.
-"""
+"""Simulated answers in time: curves, transients, first passage, rare failure, averaged energies."""

@@ -1,5 +1,7 @@
 """Autocovariances, power spectra and upcrossing rates of displacements of the full system (6)."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from math import ceil, inf, pi
 from typing import Any
@@ -7,50 +9,43 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded at their first use
 
-from fpk.answer.certificate import tolerance
+from fpk.answer.certificate import Measured, certify, tolerance
 from fpk.answer.dynamics import Curve
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
-from sim.questions.limits import longest_step, motion_step, needs_steps
+from sim.questions.limits import Reach, longest_step, motion_step, needs_steps
 from sim.questions.passing import count_upcrossings
-from sim.questions.rounds import MOST_SUMS, Simulation, error_of, in_rounds, sampled_curve
+from sim.questions.rounds import MOST_SUMS, Simulation, error_of, in_rounds
 from sim.sample.diagnostics import CHUNKS, drift_limit, drifts
 from sim.sample.settings import Settings
-from sim.step.arrays import LANES
+from sim.step.arrays import GROUPS, LANES
 from sim.step.step_size import contact_frequency, highest_frequency, relaxation_time
 
 RELAXATIONS = 20.0
-"""Relaxation times of each trajectory in which products of an autocovariance begin, or crossings
-are counted, unless a time is given."""
+"""Relaxation times of each trajectory that are counted, or begin products, without a ``time``."""
 
 BEYOND = 6
 """Samples beyond the longest lag: the spline is worst at its end."""
-
-Products = tuple[Array, Array, Array]
-"""Sums of a round, as of ``_products``."""
 
 
 def correlation(method: Settings, asked: Asked) -> Curve:
     """Return the autocovariance of q of mass ``row`` at the lags ``at``.
 
     Products q(s) q(s + t) about the mean of all, at samples s in ``RELAXATIONS`` relaxation times
-    or the ``time`` of each trajectory, less where memory ends it; between samples of t a cubic
-    spline. Stated is, in quadrature, the error by blocks of trajectories, what changes at the step
-    dt instead of dt/2, by the same random numbers, and the largest error of the spline, see
-    ``_spline_error``. Raises ``InvalidInput`` for lags that are too long for memory.
+    or the ``time``, less where memory ends it; between samples of t a cubic spline. Errors are by
+    blocks of trajectories, by the step dt instead of dt/2, and by the spline. Raises
+    ``InvalidInput`` for lags that are too long for memory.
     """
-    system, at, wanted = asked.system, asked.at, tolerance(asked.tol, method.tol)
-    dt, too_long = motion_step(method, system)
+    system, at = asked.system, asked.at
+    dt, too_long = motion_step(method, system, Reach())
     stepped = needs_steps(system)
-    step = max(1, int(longest_step(system) / dt)) if stepped else 1
-    spacing = step * dt
-
+    step = max(1, int(longest_step(system, Reach()) / dt)) if stepped else 1
+    spacing, longest = step * dt, float(np.max(at))
     read = partial(_record, row=asked.row)
-    simulations: list[Simulation] = [(dt, step, True, step, read)]
+    simulations: list[Simulation] = [(dt, step, True, read)]
     if stepped:
-        simulations.insert(0, (0.5 * dt, 2 * step, False, 2 * step, read))
-    longest = float(np.max(at))
+        simulations.insert(0, (0.5 * dt, 2 * step, False, read))
     most = MOST_SUMS // (LANES * len(simulations))
     if longest > 0.5 * most * spacing:
         remedy = f"a lag takes {longest / spacing:.1e} samples at once; ask for shorter ones"
@@ -58,34 +53,48 @@ def correlation(method: Settings, asked: Asked) -> Curve:
     lags = 2 * ceil(0.5 * longest / spacing) + BEYOND
     wished = ceil((method.time or RELAXATIONS * relaxation_time(system)) / spacing)
     origins = min(wished, most - lags)
-    rounds: list[list[Products]] = [[] for _ in simulations]
+    rounds: list[list[tuple[Array, ...]]] = [[] for _ in simulations]
 
-    def estimate(series: list[Array], _: Array, __: int) -> float:
+    def estimate(series: list[Array], *_: Any) -> tuple[Array, float]:
         for sums, q in zip(rounds, series, strict=True):
             sums.append(_products(q, origins))
-        return float(np.max(error_of(_curve(rounds[0], spacing, at)))) / _variance(rounds[0])
+        curves = _curve(rounds[0], spacing, np.append(at, 0.0))
+        return curves[:, :-1], float(curves[:, -1].mean())
 
     samples = origins + lags
-    paths, failures = in_rounds(
+    blocks, scale, paths, failures = in_rounds(
         method, asked, simulations, samples, (samples + 1, LANES), estimate, "correlation"
     )
-    curves = [_curve(sums, spacing, at) for sums in rounds]
-    values, coarse = (curve.mean(axis=0) for curve in (curves[0], curves[-1]))
+    bias = _curve(rounds[-1], spacing, at).mean(axis=0) - blocks.mean(axis=0)
     spline = _spline_error(rounds[0], spacing)
-    errors = np.sqrt(error_of(curves[0]) ** 2 + (coarse - values) ** 2 + spline**2)
-    settings: dict[str, str | float | int] = {
-        "dt": simulations[0][0],
-        "coarse dt": dt,
-        "sampled every": spacing,
-        "time": origins * spacing,
-        "paths": paths,
-        "seed": method.seed,
-        "largest step bias": float(np.max(np.abs(coarse - values))),
-        "error of the spline": spline,
-    }
-    scale = _variance(rounds[0])
-    positive, failures = scale - np.abs(values), too_long + failures
-    return sampled_curve(values, errors, scale, wanted, failures, settings, positive)
+    settings = {"dt": simulations[0][0], "coarse dt": dt, "sampled every": spacing}
+    settings |= {"time": origins * spacing, "paths": paths, "seed": method.seed}
+    settings |= {"largest step bias": float(np.max(np.abs(bias))), "error of the spline": spline}
+    positive = scale - np.abs(blocks.mean(axis=0))
+    failures += too_long
+    return _answer(method, asked, blocks, (bias, spline), scale, failures, settings, positive)
+
+
+def _answer(
+    method: Settings,
+    asked: Asked,
+    blocks: Array,
+    beside: tuple[Array | float, ...],
+    scale: float,
+    failures: list[str],
+    settings: Mapping[str, float],
+    positive: Array | None = None,
+) -> Curve:
+    """Return the mean of ``blocks`` (blocks, points); its errors are its own and those ``beside``.
+
+    ``scale`` is the unit of the tolerance; ``positive``, the values where it is None, must be so.
+    """
+    values, errors = blocks.mean(axis=0), np.sqrt(sum(e**2 for e in (error_of(blocks), *beside)))
+    relative, least = float(np.max(errors)) / scale, values if positive is None else positive
+    measured = Measured(relative, None, float(np.min(least)) / scale, None, None)
+    measured = replace(measured, failures=tuple(failures), absolute_error=relative)
+    certificate = certify(measured, tol=tolerance(asked.tol, method.tol or inf), sampled=True)
+    return Curve(values, errors, certificate, settings, error_kind="sampling")
 
 
 def _record(trace: Array, samples: int, done: int, series: Array, row: int) -> None:
@@ -93,7 +102,7 @@ def _record(trace: Array, samples: int, done: int, series: Array, row: int) -> N
     series[:, done : done + samples + 1] = trace[:, : samples + 1, row]
 
 
-def _products(q: Array, origins: int) -> Products:
+def _products(q: Array, origins: int) -> tuple[Array, ...]:
     """Means of q(s) q(s + t), of q(s) + q(s + t), (blocks, lags), and of q, (blocks, 1).
 
     ``q`` is (blocks, samples, LANES), and s the first samples, as many as ``origins``.
@@ -109,7 +118,7 @@ def _products(q: Array, origins: int) -> Products:
     return products, later_sums[:, :1] + later_sums, sums[:, -1:] / (samples * LANES)
 
 
-def _curve(rounds: list[Products], spacing: float, at: Array, every: int = 1) -> Array:
+def _curve(rounds: list[tuple[Array, ...]], spacing: float, at: Array, every: int = 1) -> Array:
     """Autocovariances of each block, (blocks, lags), about the mean of all.
 
     By a cubic spline through every sample, or one of ``every``, that begins level: E q v = 0.
@@ -123,16 +132,11 @@ def _curve(rounds: list[Products], spacing: float, at: Array, every: int = 1) ->
     return np.asarray(spline(at))
 
 
-def _spline_error(rounds: list[Products], spacing: float) -> float:
+def _spline_error(rounds: list[tuple[Array, ...]], spacing: float) -> float:
     """Twice a 15th of what leaving out every other sample changes: it errs 16 times as much."""
     samples = spacing * np.arange(rounds[0][0].shape[1] - 2)  # without the end, where none is asked
     one, two = (_curve(rounds, spacing, samples, every).mean(axis=0) for every in (1, 2))
     return float(np.max(np.abs(one - two))) * 2.0 / 15.0
-
-
-def _variance(rounds: list[Products]) -> float:
-    variance = float(_curve(rounds, 1.0, np.zeros(1)).mean())
-    return variance if variance > 0.0 else 1.0
 
 
 WINDOW = 40.0
@@ -142,70 +146,58 @@ SAMPLING, OF_CONTACT = 6.0, 3.0
 """Sampling frequency, in units of the highest that is asked for or natural, and of the highest in
 contact: what folds back into the range is (1/5)⁴ of it where the spectrum falls as ω^−4."""
 
-MOST_FREQUENCIES = 1024
-"""Frequencies beyond which they are refused: 8192 windows of 3000 samples then take minutes."""
-
 
 def spectrum(method: Settings, asked: Asked) -> Curve:
     """Return the power spectral density of q of mass ``row`` at the angular frequencies ``at``.
 
-    By Welch's method at just these frequencies: |Σ w q e^(−iωt)|² of one Hann window w on each
-    trajectory, ``WINDOW`` decay times long, the variance about the mean of all. Leakage flattens it
-    by a constant over the square of the length: windows of half the length, on the same samples,
-    show it, and a third of the difference is added. Stated is, in quadrature, the error by blocks
-    of trajectories, all of that third, and a bound of what sampling folds back. Steps are half
-    those of a density, of whose bias a sixteenth is left.
-
-    Raises ``InvalidInput`` for too many frequencies, or one so high that a window has more samples
-    than are taken in minutes.
+    By Welch's method: |Σ w q e^(−iωt)|² of one Hann window w on each trajectory, ``WINDOW`` decay
+    times long, about the mean of all. Leakage flattens it by a constant over the square of the
+    length: a third of the difference to windows of half the length is added. Errors are by blocks,
+    all of that third, and a bound of what sampling folds back. Steps are half those of a density.
+    Raises ``InvalidInput`` for more frequencies, or higher ones, than take minutes.
     """
-    system, row, at = asked.system, asked.row, asked.at
-    wanted = tolerance(asked.tol, method.tol)
-    if at.size > MOST_FREQUENCIES:
-        words = f"frequencies, each of which is summed on its own; ask for {MOST_FREQUENCIES}"
+    system, row, at, most = asked.system, asked.row, asked.at, MOST_SUMS // (GROUPS * LANES)
+    if at.size > most:  # of 8192 windows of 3000 samples they take minutes
+        words = f"frequencies, each of which is summed on its own; ask for {most}"
         raise InvalidInput("at", at.size, words)
     highest = max(float(np.max(np.abs(at))), highest_frequency(system))
     spacing = 2.0 * pi / max(SAMPLING * highest, OF_CONTACT * contact_frequency(system))
-    dt, too_long = motion_step(method, system, too_long=1.0)  # no second step shows the bias
+    dt, too_long = motion_step(method, system, Reach(), too_long=1.0)  # no step shows the bias
     length = 2 * ceil(0.5 * (method.time or WINDOW * relaxation_time(system)) / spacing)
     if length > MOST_SUMS // 2:
         words = f"a window takes {length:.1e} samples at the highest frequency; ask for lower ones"
         raise InvalidInput("at", highest, words)
     step, too_long = (ceil(2.0 * spacing / dt), too_long) if needs_steps(system) else (1, [])
-    powers, means, squares = list[Array](), list[Array](), list[Array]()
-    scale = 1.0
+    powers, means, leakage = list[Array](), list[Array](), np.zeros(0)
 
-    def estimate(sums: list[Array], square: Array, _: int) -> float:
-        nonlocal scale
+    def estimate(sums: list[Array], rms: Array, _: int) -> tuple[Array, float]:
+        nonlocal leakage
         split = sums[0].reshape(-1, at.size, 3, 2, LANES)
         means.append(split.mean(axis=(0, 4)))
         powers.append(np.sum(split**2, axis=3).mean(axis=3))
-        squares.append(square[[row, system.n + row]])
-        size = np.sqrt(np.mean(squares, axis=0))
-        scale = float(size[0] ** 3 / size[1] * system.mass[row]) if size[1] > 0 else 1.0
-        return float(np.max(_welch(powers, means, length, spacing)[1])) / scale
+        power = np.concatenate(powers)  # (blocks, frequencies, windows)
+        paths, mean = len(power) * LANES, np.sum(np.mean(means, axis=0) ** 2, axis=2)
+        power = power * paths / (paths - 1.0) - mean * (paths / (paths - 1.0))
+        norm = spacing / (2.0 * pi * 0.375 * length)  # Σ w² of a Hann window is 3/8 of its samples
+        whole, halves = norm * power[:, :, 0], norm * 2.0 * power[:, :, 1:].mean(axis=2)
+        leaks = (whole - halves) / 3.0
+        leakage = leaks.mean(axis=0)
+        return whole + leaks, float(rms[0] ** 3 / rms[1]) if rms[1] > 0.0 else 1.0
 
     read = partial(_add_fourier, row=row, omega=at * spacing, length=length)
-    simulations: list[Simulation] = [(spacing / step, step, False, step, read)]
-    windows, failures = in_rounds(
-        method, asked, simulations, length, (6 * at.size, LANES), estimate, "spectrum"
+    simulation, numbers = (spacing / step, step, False, read), (6 * at.size, LANES)
+    blocks, scale, windows, failures = in_rounds(
+        method, asked, [simulation], length, numbers, estimate, "spectrum"
     )
-    values, errors, leakage = _welch(powers, means, length, spacing)
     # Bound of the spectrum at 2π k/spacing ± ω, by the tail N_ii/(π m² ω⁴) of white noise: twice
     # the nearest one, as all beyond are less than it together.
     tail = float(system.noise_matrix[row, row]) / (pi * float(system.mass[row]) ** 2)
     folded = 2.0 * tail / (2.0 * pi / spacing - np.abs(at)) ** 4
-    settings: dict[str, str | float | int] = {
-        "dt": spacing / step,
-        "sampled every": spacing,
-        "window": length * spacing,
-        "windows": windows,
-        "seed": method.seed,
-        "largest leakage": float(np.max(np.abs(leakage))),
-        "largest folding": float(np.max(folded)),
-    }
-    errors = np.sqrt(errors**2 + leakage**2 + folded**2)
-    return sampled_curve(values, errors, scale, wanted, failures + too_long, settings)
+    settings = {"dt": spacing / step, "sampled every": spacing, "window": length * spacing}
+    settings |= {"windows": windows, "seed": method.seed}
+    settings["largest leakage"] = float(np.max(np.abs(leakage)))
+    settings["largest folding"] = float(np.max(folded))
+    return _answer(method, asked, blocks, (leakage, folded), scale, failures + too_long, settings)
 
 
 def _add_fourier(
@@ -224,84 +216,54 @@ def _add_fourier(
     sums += weights @ trace[:, 1 : t.size + 1, row]
 
 
-def _welch(
-    powers: list[Array], means: list[Array], length: int, spacing: float
-) -> tuple[Array, Array, Array]:
-    """Spectra, their errors by blocks, and the part that is added for leakage, (frequencies,)."""
-    power = np.concatenate(powers)  # (blocks, frequencies, windows)
-    paths = len(power) * LANES
-    about = np.sum(np.mean(means, axis=0) ** 2, axis=2) * (paths / (paths - 1.0))
-    # Σ w² of a Hann window is 3/8 of its samples.
-    norm = spacing / (2.0 * pi * 0.375 * length)
-    whole = norm * (power[:, :, 0] * paths / (paths - 1.0) - about[:, 0])
-    halves = norm * 2.0 * ((power[:, :, 1:] * paths / (paths - 1.0)) - about[:, 1:]).mean(axis=2)
-    leakage = (whole - halves) / 3.0
-    corrected = whole + leakage
-    return corrected.mean(axis=0), error_of(corrected), leakage.mean(axis=0)
-
-
 def crossings(method: Settings, asked: Asked) -> Curve:
     """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row``, counted.
 
-    Crossings that the noise makes within a step are not seen: a share of all that falls as the
-    step. Returned is the rate extrapolated from dt and dt/2 by the same random numbers, twice that
-    at dt/2 less that at dt; whole in its error, beside that of sampling by independent blocks of
-    trajectories, is what the extrapolation changes. Where hardly anything crosses, a rate may be
-    negative within its error. The trajectories are followed for ``time`` (``RELAXATIONS``
-    relaxation times where none is given), and on until ``tol`` is met or ``seconds`` have passed.
+    Crossings that the noise makes within a step are not seen, a share of all that falls as the
+    step: from dt and dt/2, by the same random numbers, the rate is extrapolated, and may be
+    negative within its error; all that changes is in it, beside the error by blocks. Trajectories
+    are followed for ``time`` or ``RELAXATIONS`` relaxation times, and on until ``tol`` is met.
     """
-    system, row, at = asked.system, asked.row, asked.at
-    wanted, mass, order = tolerance(asked.tol, method.tol), float(system.mass[row]), np.argsort(at)
-    dt, too_long = motion_step(method, system, error=wanted)
+    system, row, order = asked.system, asked.row, np.argsort(asked.at)
+    dt, too_long = motion_step(method, system, Reach(), error=tolerance(asked.tol, method.tol))
     whole = ceil((method.time or RELAXATIONS * relaxation_time(system)) / dt)
-    known: Any = {"row": row, "momentum": system.n + row, "levels": at[order]}
-    simulations: list[Simulation] = []
-    for h, each in ((0.5 * dt, 2), (dt, 1)):
-        read = partial(count_upcrossings, dt=h, inverse_mass=1.0 / mass, **known)
-        simulations.append((h, each, each == 1, 1, read))
-    counts, times, squares = list[Array](), list[float](), list[Array]()
-    scale, made, rates, at_half = inf, 0, np.zeros(0), np.zeros(0)
+    known: Any = {"row": row, "momentum": system.n + row, "levels": asked.at[order]}
+    known["inverse_mass"] = 1.0 / float(system.mass[row])
+    simulations: list[Simulation] = [
+        (dt / each, each, each == 1, partial(count_upcrossings, dt=dt / each, **known))
+        for each in (2, 1)
+    ]
+    # Upcrossings of each block in the chunks, (steps, blocks, levels), and how long these are.
+    counts, made, at_half = list[Array](), list[int](), np.zeros(0)
 
-    def counted(counts_of_both: list[Array], square: Array, steps: int) -> float:
-        nonlocal scale, made, rates, at_half
-        made += steps
-        # Upcrossings of each block in the chunk, (steps, blocks, levels).
-        counts.append(np.cumsum(counts_of_both, axis=2)[:, :, :-1])
-        times.append(steps * dt)
-        at_half, at_whole = np.sum(counts, axis=0) / (LANES * (made * dt))
-        rates = 2.0 * at_half - at_whole
-        squares.append(square[[row, system.n + row]])
-        size = np.sqrt(np.mean(squares, axis=0))
-        scale = float(size[1] / mass / (2.0 * pi * size[0])) if size[0] > 0 else 1.0
-        return float(np.max(error_of(rates))) / scale
+    def estimate(counted: list[Array], rms: Array, steps: int) -> tuple[Array, float]:
+        nonlocal at_half
+        made.append(steps)
+        counts.append(np.cumsum(counted, axis=2)[:, :, :-1])
+        at_half, at_whole = np.sum(counts, axis=0) / (LANES * (sum(made) * dt))
+        scale = float(rms[1] / (2.0 * pi * rms[0])) if rms[0] > 0.0 else 1.0
+        return 2.0 * at_half - at_whole, scale
 
-    paths, failures = in_rounds(
-        method, asked, simulations, whole, (at.size + 1,), counted, "crossings", least=CHUNKS
+    rates, scale, paths, failures = in_rounds(
+        method, asked, simulations, whole, (asked.at.size + 1,), estimate, "crossings", least=CHUNKS
     )
-    if made < whole and not method.seconds:
+    if sum(made) < whole and not method.seconds:
         failures.insert(0, "it was ended before all chunks were done")
     failures += too_long
     # The mean of a chunk that was cut short is too noisy to show a drift.
-    full = [k for k, time in enumerate(times) if time >= (whole // CHUNKS - 0.5) * dt]
+    full = [k for k, steps in enumerate(made) if steps >= whole // CHUNKS]
     if len(full) < 2:
         failures.append("it ended in its first chunk, where no drift shows; give it more time")
     else:
-        means = np.array(counts)[full, 0].T / np.array(times)[full]  # (levels, blocks, chunks)
+        # (levels, blocks, chunks)
+        means = np.array(counts)[full, 0].T / (np.array(made)[full] * dt)
         z, limit = np.abs(drifts(means)), drift_limit(means.shape[1], 2 * means.shape[0])
         if np.max(z) > limit:
             words = f"by {np.max(z):.1f} standard errors (chance explains {limit:.1f})"
             failures.append(f"the rates drift {words}; use a longer burn_in")
-    bias = (rates - at_half).mean(axis=0)
-    time = made * dt
-    once = 1.0 / (paths * time)
-    values, errors = rates.mean(axis=0), np.sqrt(error_of(rates) ** 2 + bias**2 + once**2)
-    settings: dict[str, str | float | int] = {
-        "dt": 0.5 * dt,
-        "coarse dt": dt,
-        "paths": paths,
-        "time": time,
-        "seed": method.seed,
-        "largest step bias": float(np.max(np.abs(bias))),
-    }
-    back = np.argsort(order)
-    return sampled_curve(values[back], errors[back], scale, wanted, failures, settings)
+    bias, time = (rates - at_half).mean(axis=0), sum(made) * dt
+    settings = {"dt": 0.5 * dt, "coarse dt": dt, "paths": paths, "time": time, "seed": method.seed}
+    settings["largest step bias"] = float(np.max(np.abs(bias)))
+    back, once = np.argsort(order), 1.0 / (paths * time)
+    rates = np.take(rates, back, axis=1)
+    return _answer(method, asked, rates, (bias[back], once), scale, failures, settings)

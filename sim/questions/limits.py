@@ -12,18 +12,12 @@ from fpk.answer.observable import Coordinate
 from fpk.answer.start import REST, Start
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.system.linear import diffusion_matrix, drift_matrix, modal_energies, natural_modes
+from fpk.system.linear import diffusion_matrix, drift_matrix, natural_modes
 from fpk.system.system import System, effects_of
+from sim.sample.histogram import values_of
 from sim.sample.settings import Settings
+from sim.step import step_size
 from sim.step.schemes import SCHEMES, flow_covariance
-from sim.step.step_size import (
-    REACHED,
-    chosen_step,
-    highest_frequency,
-    stability_limit,
-    step_for,
-    temperature,
-)
 
 
 def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:
@@ -35,10 +29,7 @@ def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:
 
 
 def energies_at(system: System, limit: Limit) -> Array:
-    """Return the limits in the order of ``energies_of``.
-
-    Of a displacement it is the least potential energy there, on its right and on its left.
-    """
+    """Return the limits as of ``energies_of``; of q the least potential energy at either side."""
     if limit.kind != "q":
         return np.array([limit.values[str(c)] for c in energies_of(limit, system.n)])
     i, springs = limit.observable(system.n)[0].row, 0.5 * limit.value**2
@@ -47,17 +38,12 @@ def energies_at(system: System, limit: Limit) -> Array:
 
 
 def beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
-    """Return which states q, p (paths, n) are at or beyond the limit, to the round-off of a start.
-
-    A start that is drawn at an energy has it to round-off only.
-    """
+    """Return which states q, p (paths, n) are at or beyond the limit, to the round-off of H."""
     if limit.kind == "q":
         return np.asarray(np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value)
     reached = (1.0 - ROUND_OFF) * energies_at(system, limit)
-    if limit.kind == "H":
-        return np.asarray(system.hamiltonian(q, p) >= reached[0])
-    rows = [c.row for c in energies_of(limit, system.n)]
-    return np.asarray(np.any(modal_energies(system, q, p)[:, rows] >= reached, axis=1))
+    H = [values_of(system, c, q, p) for c in energies_of(limit, system.n)]
+    return np.asarray(np.any(np.transpose(H) >= reached, axis=1))
 
 
 def modal_rates(system: System, limit: Limit, matrix: Array) -> Array:
@@ -71,20 +57,18 @@ def largest_energy(system: System, start: Start) -> float:
     if start.kind == "state":
         return float(system.hamiltonian(*start.state(system.n)))
     if start.kind == "noise" and not start.rest:
-        if (kT := temperature(system)) == inf:
+        if (kT := step_size.temperature(system)) == inf:
             raise NotApplicable("some motion is not damped: no stationary state to start from")
-        return REACHED * start.values["noise"] * kT
+        return step_size.REACHED * start.values["noise"] * kT
     return float(sum(start.values.values()))
 
 
 def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
     """Return about the time in which noise and the speed of the ``start`` can reach the ``limit``.
 
-    Of |q_i| it is when the rms displacement from rest and that speed times t are the distance to
-    the limit, without stops and up to a factor 2 less; inf where that is not within the shortest
-    natural period. Of H it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power
-    of the noise: from rest the mean of H then is the limit L. Of modal energies it is that from
-    rest, N the power of the noise into the mode.
+    Of |q_i| without stops and up to a factor 2 less; inf beyond the shortest natural period. Of H
+    it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power of the noise. Of
+    modal energies it is from rest, N the power of the noise into the mode.
     """
     away, energy = np.sqrt(energies_at(system, limit)), largest_energy(system, start)
     if limit.kind != "q":
@@ -95,21 +79,16 @@ def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
             away = np.maximum(away - sqrt(energy), 0.0)
         filling = np.max(power / away**2) if np.all(away > 0.0) else 0.0
         return float(1.0 / filling) if filling > 0.0 else inf
-    i, time = limit.observable(system.n)[0].row, 2.0 * pi / highest_frequency(system)
+    i, time = limit.observable(system.n)[0].row, 2.0 * pi / step_size.highest_frequency(system)
     distance, speed = limit.value, sqrt(2.0 * energy / system.mass[i])
     if start.kind == "state":
         q, p = start.state(system.n)
         distance, speed = distance - abs(q[i]), abs(p[i]) / system.mass[i]
     flow = partial(flow_covariance, drift_matrix(system), diffusion_matrix(system))
-
-    def reached(time: float) -> bool:
-        return bool(speed * time + sqrt(flow(time)[1][i, i]) >= distance)
-
-    if not (distance > 0.0 and reached(time)):
-        return inf
-    while reached(time):
-        time *= 0.5
-    return time
+    shorter = time
+    while speed * shorter + sqrt(flow(shorter)[1][i, i]) >= distance > 0.0:
+        shorter *= 0.5
+    return shorter if shorter < time else inf
 
 
 class Reach(NamedTuple):
@@ -122,23 +101,16 @@ class Reach(NamedTuple):
 
 
 def reach_of(system: System, limit: Limit | None, start: Start, time: float) -> Reach:
-    """Return how far a motion gets that is followed to the ``limit``, or for ``time``.
-
-    The mean of m v² is kT at most, or less: twice the energy of the start and of the noise by then,
-    Σ (N_ii/m_i) t.
-    """
-    kT, energy = temperature(system), largest_energy(system, start)
+    """Return how far a motion gets that is followed to the ``limit``, or for ``time``."""
+    kT, energy = step_size.temperature(system), largest_energy(system, start)
     if not system.damping_terms and 0.0 < time < inf:  # terms may feed energy in
         power = float(np.sum(np.diag(system.noise_matrix) / system.mass))
-        kT = min(kT, 2.0 * (energy + power * time))
-    with_noise = energy + (REACHED * kT if isfinite(kT) else 0.0)
+        kT = min(kT, 2.0 * (energy + power * time))  # m v² is twice the energy by then at most
+    with_noise = energy + (step_size.REACHED * kT if isfinite(kT) else 0.0)
     if limit is None:
         return Reach(kT, with_noise)
-    at = energies_at(system, limit)
-    if limit.kind == "q":
-        energy = max(float(np.max(at)), with_noise)
-    else:
-        energy = max(float(np.sum(at)), energy)
+    at, of_q = energies_at(system, limit), limit.kind == "q"
+    energy = max(float(np.max(at)), with_noise) if of_q else max(float(np.sum(at)), energy)
     kT = min(kT, 2.0 * energy) if limit.kind == "H" else kT  # m v² <= 2 H
     return Reach(kT, energy, time_to_limit(system, limit), time_to_limit(system, limit, start))
 
@@ -146,31 +118,18 @@ def reach_of(system: System, limit: Limit | None, start: Start, time: float) -> 
 STEPS_PER_PERIOD = 20
 """Steps, of the coarser of both simulations, in the shortest natural period."""
 
-STEP_PER_DECAY = 0.2
-"""Step, of the coarser simulation, in units of the fastest decay of a velocity."""
-
 STEP_TO_LIMIT = 0.1
-"""Step, of the coarser simulation, in units of ``time_to_limit`` t. q leaves the cubic between two
-steps h by (√3/8) (h/t)^1.5 standard deviations at t, 0.7 % at this step: less than the sampling
-error of 8192 trajectories."""
+"""Step h, of the coarser simulation, in units of ``time_to_limit`` t and of the fastest decay of an
+amplitude: q leaves the cubic by (√3/8) (h/t)^1.5 standard deviations at t, 0.7 %."""
 
 STEPS_SINCE_START = 8
 """Steps, of the coarser simulation, that have been made at least by a time that is asked for."""
 
 CHUNK = 256
-"""Steps, of the coarser simulation, after which the wall time is looked at and trajectories that
-have failed make room: 8192 of them take 10 ms and more."""
+"""Steps, of the coarser simulation, after which the wall time is looked at: 8192 take 10 ms."""
 
 TOO_LONG = 4.0
-"""Steps of one's own, in units of the longest that is chosen, beyond which nothing is certified:
-the difference from half of it may then be less than the error."""
-
-
-def require_times(times: Array) -> None:
-    """Raise ``InvalidInput`` for times that do not ascend from 0 or later."""
-    ascend = np.all(np.diff(times, prepend=-1.0) > 0.0)
-    if not (ascend and np.all(np.isfinite(times)) and np.all(times >= 0.0)):
-        raise InvalidInput("times", times, "must be finite, ascend, and be 0 or later")
+"""Steps of one's own, in units of the longest that is chosen, beyond which nothing is certified."""
 
 
 def needs_steps(system: System) -> bool:
@@ -179,19 +138,19 @@ def needs_steps(system: System) -> bool:
     return effects.contact or effects.state_damping
 
 
-def longest_step(system: System, reach: Reach | None = None) -> float:
+def longest_step(system: System, reach: Reach) -> float:
     """Return the step in which velocities change little enough to see what is between two steps."""
-    reach, period = reach or Reach(), 2.0 * pi / highest_frequency(system)
     decay = float(np.max(np.abs(np.linalg.eigvals(system.damping / system.mass))))
-    motion = period / STEPS_PER_PERIOD, STEP_PER_DECAY / decay if decay > 0.0 else inf
-    contact = chosen_step(system, energy=reach.energy, kT=reach.kT)
-    return min(*motion, STEP_TO_LIMIT * reach.limit, contact)
+    amplitude = 2.0 * STEP_TO_LIMIT / decay if decay > 0.0 else inf
+    period = 2.0 * pi / step_size.highest_frequency(system) / STEPS_PER_PERIOD
+    contact = step_size.chosen_step(system, energy=reach.energy, kT=reach.kT)
+    return min(period, amplitude, STEP_TO_LIMIT * reach.limit, contact)
 
 
 def motion_step(
     method: Settings,
     system: System,
-    reach: Reach | None = None,
+    reach: Reach,
     *,
     error: float | None = None,
     too_long: float = TOO_LONG,
@@ -199,9 +158,8 @@ def motion_step(
     """Return the longer of the steps of a motion within ``reach``, and why it is not certified.
 
     ``error`` is as of ``step_for``. Words are there for a step of one's own that is ``too_long``.
-
-    Raises ``InvalidInput`` for a step that is unstable, and for another scheme than exact_flow,
-    which alone can repeat a motion at half the step.
+    Raises ``InvalidInput`` for an unstable step, and for a scheme but exact_flow, which alone can
+    repeat a motion at half the step.
     """
     if method.scheme != "exact_flow":
         raise InvalidInput("scheme", method.scheme, "motions in time take exact_flow")
@@ -209,12 +167,11 @@ def motion_step(
         raise InvalidInput("checkpoint", method.checkpoint, "motions in time save no state")
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: the motion is not random")
-    reach = reach or Reach()
-    kT, energy = temperature(system) if reach.kT is None else reach.kT, reach.energy
+    kT, energy = step_size.temperature(system) if reach.kT is None else reach.kT, reach.energy
     kT = kT if kT < inf else 2.0 * energy  # of undamped motion up to the limit
     longest, error = longest_step(system, reach), error or method.paths**-0.5
-    dt = method.dt or method.step_factor * min(longest, step_for(system, error, kT=kT))
-    limit = stability_limit(system, SCHEMES[method.scheme], energy=energy, kT=kT)
+    dt = method.dt or method.step_factor * min(longest, step_size.step_for(system, error, kT=kT))
+    limit = step_size.stability_limit(system, SCHEMES[method.scheme], energy=energy, kT=kT)
     if not 0.0 < dt < limit and not method.allow_unstable:
         remedy = f"must be > 0 and below the stability limit {limit:.4g} of {method.scheme}"
         raise InvalidInput("dt", dt, remedy)
@@ -231,8 +188,7 @@ def first_step(dt: float, times: Array, start: float = inf, factor: float = 1.0)
 def stages(first: float, dt: float, end: float, *, most: int) -> Iterator[tuple[float, int]]:
     """Yield steps, and how many of each, ``most`` at once, that lead from time 0 to ``end``.
 
-    They begin with ``first`` and double up to ``dt`` where they stay below the time since the start
-    over ``STEPS_SINCE_START``: a motion is seen at any time by steps that are short beside it.
+    They double from ``first`` to ``dt``, each below the time before it over ``STEPS_SINCE_START``.
     """
     now, step = 0.0, first
     while now < end * (1.0 - 1e-12):

@@ -1,62 +1,65 @@
-"""First passage by simulation: trajectories of any model are followed until they pass the limit."""
+"""First passage by simulation: trajectories are followed until they fail, some to an end before.
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
-from math import ceil, inf, sqrt
+From failure times, some cut short, follow moments, the failure rate, P(T > t) and their errors.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from math import ceil, inf, nan, sqrt
 from typing import Any
 
 import numpy as np
+from scipy.special import gammaincinv
 
-from fpk.answer.certificate import tolerance
-from fpk.answer.evolution import Passage
-from fpk.answer.question import Asked, Progress
+from fpk.answer.certificate import Measured, certify, tolerance
+from fpk.answer.evolution import Passage, checked_times
+from fpk.answer.quantities import Number
+from fpk.answer.question import Asked
 from fpk.numeric.arrays import Array, Flags
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.machine import left_out
 from fpk.system.modulation import Modulation
 from sim.questions import limits
-from sim.questions.failure_times import passage_of, settled_at
 from sim.questions.passing import reader_of
-from sim.questions.rounds import Watch, seed_of, working
+from sim.questions.rounds import MOST_SUMS, Watch, seed_of, working
 from sim.sample.ensemble import Reader, ensemble_from
 from sim.sample.settings import Settings
-from sim.step.arrays import LANES, MAX_TRAJECTORIES, in_blocks, in_rows
+from sim.step.arrays import GROUPS, LANES, MAX_TRAJECTORIES, in_blocks, in_rows
 from sim.step.random import stream_of
 from sim.step.step_size import loudest, relaxation_time
 
-AT_ONCE = 32768
-"""Trajectories that run together: a chunk of them takes less than a second."""
-
 HOPELESS = 8.0
-"""A simulation ends in which nothing has failed in one over this of its time, where no time was
-asked for: in the rest some 8 · 3 failures at most (95 %) are to be expected, too few to go on from.
-"""
+"""A simulation without a ``time`` ends where nothing has failed in one over this of its own: in the
+rest some 8 · 3 failures at most (95 %) are to be expected, too few to go on from."""
 
-Run = tuple[Any, int, Callable[[float, float], Reader], tuple[int, ...]]
-"""An ensemble, its steps in one of the coarser simulation, its reader by the step and the time at
-which that begins, and which failure times it writes: 0 of the finer simulation, 1 of the coarser.
-"""
+LEAST_FAILURES = 100
+"""Failures in the tail below which its rate, and what is continued by it, is not certified."""
+
+LARGEST_BIAS, CHANCE = 0.5, 3.0
+"""Difference between two steps, in units of a number, beyond which it does not show the error: it
+leaves half of the number at half the step. And standard errors of a difference by chance."""
+
+Run = tuple[Any, int, Callable[[Any], Reader], tuple[int, ...]]
+"""An ensemble, its steps in one of the coarser simulation, what makes its reader, and the failure
+times that it writes: 0 of the finer simulation, 1 of the coarser."""
 
 
 def passage(method: Settings, asked: Asked) -> Passage:
     """Return the first passage that is asked for by simulation at dt/2 and at dt.
 
-    ``paths`` trajectories are followed until all have failed, or for ``time``, or the cost of
-    ``most_steps`` steps each. ``asked.tol``, the relative error wanted of the mean, or ``seconds``:
-    as many more as they take. ``longest`` bounds the first.
+    ``paths`` trajectories are followed until all have failed, or for the ``horizon``; as many more
+    for ``asked.tol``, the relative error of the mean, or ``seconds``.
     """
-    system, limit, start, times = asked.system, asked.limit, asked.start, asked.times
-    limits.require_times(times)
-    wanted = tolerance(asked.tol, method.tol)
-    modulation, loud = system.modulation, loudest(system)
+    system, limit, start, times = asked.system, asked.limit, asked.start, checked_times(asked.times)
+    wanted, modulation, loud = tolerance(asked.tol, method.tol), system.modulation, loudest(system)
     reach = limits.reach_of(loud, limit, start, method.time or inf)
     dt, failures = limits.motion_step(method, loud, reach, error=wanted)
     first = limits.first_step(dt, times, reach.start, method.step_factor)
     last = float(np.max(times, initial=0.0))
-    longest = horizon(method, dt, last, modulation)
+    longest = horizon(method, dt, last, noise_end(modulation))
     # Under noise that varies none may fail for long, and many later.
     hopeless = method.time or max(longest / HOPELESS, last, min(settled_at(modulation), longest))
-    paths = -(-min(method.paths, AT_ONCE) // LANES) * LANES
+    at_once = MOST_SUMS // limits.CHUNK  # a chunk of them takes less than a second
+    paths = -(-min(method.paths, at_once) // LANES) * LANES
     energies = limits.energies_of(limit, system.n)
 
     def begun(number: int) -> tuple[list[Run], Flags, Array]:
@@ -64,7 +67,8 @@ def passage(method: Settings, asked: Asked) -> Passage:
         past = limits.beyond(system, limit, q, p)
         if np.all(past):
             raise InvalidInput("start", str(start), f"is beyond the limit {limit}")
-        seed, read = seed_of(method.seed, number), partial(reader_of, system, limit)
+        seed = seed_of(method.seed, number)
+        read = lambda motion: reader_of(system, limit, motion.dt, motion.begin)  # noqa: E731
         known: Any = {"energies": energies, "workers": workers, "modulation": modulation}
         with left_out():  # by the same random numbers
             both = (0.5 * first, False), (first, True)
@@ -73,29 +77,28 @@ def passage(method: Settings, asked: Asked) -> Passage:
         return [(e, 2 - k, read, (k,)) for k, e in enumerate(pair)], past, chance
 
     with working(method, system, wanted, start) as (workers, watch, origin):
-        rounds = ceil(method.paths / paths), MAX_TRAJECTORIES // AT_ONCE
+        rounds = ceil(method.paths / paths), MAX_TRAJECTORIES // at_once
         steps = first, dt, limits.CHUNK, longest, hopeless
-        settings = {"scheme": method.scheme, "seed": method.seed}
-        memory = relaxation_time(system)
-        return passage_in_rounds(asked, watch, rounds, begun, steps, memory, settings, failures)
+        known = relaxation_time(system), {"scheme": method.scheme, "seed": method.seed}, failures
+        return passage_in_rounds(asked, watch, rounds, begun, steps, *known)
 
 
-def horizon(
-    method: Settings, dt: float, last: float, modulation: Modulation | None = None
-) -> float:
-    """Return how long a trajectory is followed at most: ``time``, or as ``followed_for`` says."""
+def settled_at(modulation: Modulation | None) -> float:
+    """Return from when on the noise is constant; inf where there is none from then on."""
+    if modulation is None:
+        return 0.0
+    return float(modulation.times[-1]) if modulation.last else inf
+
+
+def horizon(method: Settings, dt: float, last: float, end: float = inf) -> float:
+    """Return ``time``, or that of ``most_steps``, to the ``end`` of noise, or ``last`` if later."""
     # Two steps of the finer simulation to one, dt, of the coarser.
-    return method.time or followed_for(method.most_steps / 3.0 * dt, last, modulation)
+    return method.time or max(min(method.most_steps / 3.0 * dt, end), last)
 
 
-def followed_for(most: float, last: float, modulation: Modulation | None) -> float:
-    """Return how long paths are followed: ``most``, but to the ``last`` time asked for at least.
-
-    No longer than that after the end of a noise that ends with 0: motion then only decays.
-    """
-    if modulation is not None and not modulation.last:
-        most = min(most, float(modulation.times[-1]))
-    return max(most, last)
+def noise_end(modulation: Modulation | None) -> float:
+    """Return from when on there is no noise: motion then only decays."""
+    return inf if modulation is None or modulation.last else float(modulation.times[-1])
 
 
 def passage_in_rounds(
@@ -110,72 +113,199 @@ def passage_in_rounds(
 ) -> Passage:
     """Return the first passage of trajectories in ``rounds``, so many at least and at most.
 
-    ``begun(number)`` returns the runs of a round, which of its trajectories are past the limit at
-    time 0, and exponential numbers for ``followed``. ``steps`` are the first and the longest of the
-    coarser simulation, how many are made at once, the horizon, and ``hopeless`` of ``followed``;
-    the rest as of ``passage_of``.
+    ``begun(number)`` returns the runs of a round, which of its trajectories failed at time 0, and
+    exponential numbers (paths, limits) for the readers. ``steps`` are the first and the longest of
+    the coarser simulation, how many are made at once, and the last times, of all and without any
+    failure; ``memory`` is as of ``passage_of``.
     """
     (first, dt, chunk, longest, hopeless), rows = steps, list[Array]()
 
-    def failed(number: int) -> float:
-        (runs, past, chance), ends = begun(number), (longest, hopeless)
-        stages = limits.stages(first, dt, longest, most=chunk)
-        rows.append(followed(runs, past, chance, stages, ends, watch.ends, asked.progress))
+    def followed(number: int) -> float:
+        runs, past, chances = begun(number)
+        paths, lanes = past.size, np.arange(past.size)
+        chance = [in_blocks(chances) for _ in range(2)]
+        found = [in_blocks(np.where(past, 0.0, inf)[:, None]) for _ in range(2)]
+        failed = np.full((2, paths), inf)
+        for step, made in limits.stages(first, dt, longest, most=chunk):
+            if step / runs[-1][1] != runs[-1][0].dt:
+                runs = [(e.onward(step / many), many, make, k) for e, many, make, k in runs]
+            for ensemble, many, make, which in runs:
+                arrays, read = [a[k] for k in which for a in (found, chance)], make(ensemble)
+                ensemble.advance(many * made, *arrays, read=read, passed=arrays[0])
+            failed[:, lanes] = [in_rows(times)[: lanes.size, 0] for times in found]
+            running = np.isinf(failed[:, lanes]).any(axis=0)
+            alive, time = int(np.count_nonzero(running)), runs[-1][0].time
+            share = max(1.0 - alive / paths, min(1.0, time / longest))
+            asked.progress(int(1000 * share), 1000, "first passage")
+            nothing = not np.isfinite(failed).any() and time >= hopeless
+            if not alive or nothing or watch.ends():
+                break
+            if 2 * alive <= len(found[0]) * LANES and len(found[0]) > 1:
+                kept = np.flatnonzero(running)
+                lanes = lanes[kept]
+                for ensemble, *_ in runs:
+                    ensemble.keep(kept)
+                found, chance = ([in_blocks(in_rows(a)[kept]) for a in x] for x in (found, chance))
+        until = np.full(paths, min(longest, time))
+        # What passes in the part of the last step beyond the horizon counts as not failed.
+        failed[failed > until] = inf
+        rows.append(np.vstack([failed, until]))
         # About the relative standard error of the mean: times are nearly exponential.
         return 1.1 / sqrt(max(1, sum(np.count_nonzero(fine < inf) for fine, _, _ in rows)))
 
-    watch.until(failed, least=rounds[0], most=rounds[1])
+    failures = [*failures, *watch.until(followed, least=rounds[0], most=rounds[1])]
     settings = {"dt": 0.5 * dt, "coarse dt": dt, **settings}
-    failures = [*failures, *watch.interruption()]
     return passage_of(np.hstack(rows), asked, watch.tol, first, memory, settings, failures)
 
 
-def followed(
-    runs: list[Run],
-    past: Flags,
-    chance: Array,
-    steps: Iterable[tuple[float, int]],
-    last: tuple[float, float],
-    ends: Callable[[], bool],
-    progress: Progress,
-) -> Array:
-    """Return when trajectories failed, and until when each was followed, (3, paths).
+def estimates(time: Array, until: Array, times: Array, begin: float) -> Array:
+    """Return E T, var T, the failure rate after ``begin``, and P(T > t) at ``times``.
 
-    They are simulated by ``runs``, some ``past`` (paths,) the limit from time 0, with exponential
-    numbers for the readers, ``chance`` (paths, limits), in ``steps`` (dt, how many) until they have
-    failed at half the step and at the step, the first two rows; inf where a trajectory lived until
-    the time in the last row. That is the first ``last`` one, the second if none has failed by then,
-    or after some steps when it ``ends()``.
+    Paths fail at ``time``, those that live are followed ``until``. P(T > t) by Kaplan and Meier (J.
+    Amer. Stat. Assoc. 53, 1958, 457); beyond the last time it falls at the failure rate, failures
+    over the time under risk. Moments are ∫ P dt and ∫ 2 t P dt, inf where ``begin`` is.
     """
-    paths, lanes, (longest, hopeless) = past.size, np.arange(past.size), last
-    chances = [in_blocks(chance) for _ in range(2)]
-    found = [in_blocks(np.where(past, 0.0, inf)[:, None]) for _ in range(2)]
-    failed, readers = np.full((2, paths), inf), list[Reader]()
-    for dt, chunk in steps:
-        if not readers or dt / runs[-1][1] != runs[-1][0].dt:
-            if readers:
-                runs = [(e.onward(dt / many), many, make, k) for e, many, make, k in runs]
-            readers = [make(ensemble.dt, ensemble.begin) for ensemble, _, make, _ in runs]
-        for (ensemble, many, _, which), read in zip(runs, readers, strict=True):
-            arrays = [a[k] for k in which for a in (found, chances)]
-            ensemble.advance(many * chunk, *arrays, read=read, passed=arrays[0])
-        now = np.array([in_rows(times)[: lanes.size, 0] for times in found])
-        failed[:, lanes] = now
-        running = np.isinf(now).any(axis=0)
-        alive, time = int(np.count_nonzero(running)), runs[-1][0].time
-        progress(
-            int(1000 * max(1.0 - alive / paths, min(1.0, time / longest))), 1000, "first passage"
-        )
-        nothing = not np.isfinite(failed).any() and time >= hopeless
-        if not alive or nothing or ends():
-            break
-        if 2 * alive <= len(found[0]) * LANES and len(found[0]) > 1:
-            kept = np.flatnonzero(running)
-            lanes = lanes[kept]
-            for ensemble, *_ in runs:
-                ensemble.keep(kept)
-            found, chances = ([in_blocks(in_rows(a)[kept]) for a in x] for x in (found, chances))
-    until = np.full(paths, min(longest, time))
-    # What passes in the part of the last step beyond the horizon counts as not failed.
-    failed[failed > until] = inf
-    return np.vstack([failed, until])
+    seen = np.minimum(time, until)
+    order = np.argsort(seen, kind="stable")
+    seen, failed = seen[order], (time <= until)[order]
+    survival = np.cumprod(np.append(1.0, 1.0 - failed / np.arange(seen.size, 0, -1)))
+    first, second = (float(np.sum(survival[:-1] * np.diff(seen**k, prepend=0.0))) for k in (1, 2))
+    exposure = float(np.sum(np.maximum(seen - begin, 0.0)))
+    events = int(np.count_nonzero(failed & (seen > begin)))
+    rate, last, left = events / exposure if exposure > 0.0 else nan, seen[-1], survival[-1]
+    at = survival[np.searchsorted(seen, times, side="right")]
+    if left > 0.0:
+        mean = 1.0 / rate if rate > 0.0 else inf
+        first += left * mean
+        second += 2.0 * left * mean * (last + mean)
+        at = at * np.exp(-np.maximum(times - last, 0.0) / mean)
+    if not max(first, begin) < inf:  # without noise some never fail, none of the sample perhaps
+        first = second = inf
+    return np.array([first, second - first**2 if first < inf else inf, rate, *at])
+
+
+def tail_begin(time: Array, until: Array, memory: float) -> float:
+    """Return the time from which there is one failure rate, as far as the sample shows.
+
+    The earliest from which the rate agrees with those from all later times within ``CHANCE`` errors
+    (Lepski's rule), and ``memory`` more; no later than leaves ``LEAST_FAILURES``.
+    """
+    seen = np.minimum(time, until)
+    events = np.sort(seen[time <= until])
+    if events.size < 2 * LEAST_FAILURES + 1:
+        return 0.0
+    latest = float(events[-LEAST_FAILURES - 1])
+    begins = latest * np.linspace(0.0, 1.0, 20)
+    if memory < latest:
+        begins = np.union1d(np.linspace(0.0, min(8.0 * memory, latest), 20), begins)
+    counts = np.array([np.count_nonzero(events > b) for b in begins])
+    rates = counts / np.array([np.sum(np.maximum(seen - b, 0.0)) for b in begins])
+    variances = rates**2 / counts
+    for k, rate in enumerate(rates):
+        # Of a part of the sample the variance of the difference is the difference of variances.
+        spread = np.sqrt(np.maximum(variances[k:] - variances[k], 0.0))
+        if np.all(np.abs(rates[k:] - rate) <= CHANCE * spread + 1e-12 * rate):
+            return min(float(begins[k]) + memory, latest)
+    return latest
+
+
+def with_errors(
+    sampled: Array, times: Array, begin: float
+) -> tuple[Array, Array, Array, list[str]]:
+    """Return the ``estimates`` at half the step, their errors, those of the step, and doubts.
+
+    Errors are by leaving out groups, and the difference between both steps, in quadrature.
+    """
+    fine, coarse, until = sampled
+    best = estimates(fine, until, times, begin)
+    # The jackknife: √((G − 1)/G Σ (left out − mean)²), G of ``GROUPS``; inf where there is none.
+    group = np.arange(fine.size) % GROUPS
+    rows = [estimates(fine[k], until[k], times, begin) for k in (group != g for g in range(GROUPS))]
+    with np.errstate(invalid="ignore"):
+        chance, alive = np.sqrt(np.var(rows, axis=0) * (GROUPS - 1)), best[3:]
+        at_least = np.sqrt(np.maximum(alive * (1.0 - alive), 0.0) / fine.size)
+        chance[3:] = np.maximum(chance[3:], np.maximum(at_least, 1.0 / fine.size))
+        bias = np.abs(estimates(coarse, until, times, begin) - best)
+        error = np.hypot(chance, bias)
+        size = np.append(np.abs(best[:3]), np.minimum(alive, 1.0 - alive))
+        rough = np.flatnonzero(bias > LARGEST_BIAS * size + CHANCE * chance)
+    names = ["mean", "variance", "failure rate", *(f"P(T <= {t:g})" for t in times)]
+    remedy = "at twice the step, too much to tell what is left; use a smaller dt"
+    words = [f"the {names[k]} changes by {bias[k]:.2g} {remedy}" for k in rough[:1]]
+    return best, np.where(np.isnan(error), inf, error), bias, words
+
+
+def most_events(events: int) -> float:
+    """Return the bound, at 95 %, of the expected number of which ``events`` came (Poisson)."""
+    return float(gammaincinv(events + 1.0, 0.95))
+
+
+def passage_of(
+    sampled: Array,
+    asked: Asked,
+    tol: float | None,
+    step: float,
+    memory: float,
+    settings: Mapping[str, Any],
+    failures: Sequence[str] = (),
+) -> Passage:
+    """Return first passage from ``sampled`` times (3, paths).
+
+    Rows: failures at half the step and at the step, inf where a trajectory lived until the third.
+    ``step`` is the first of the longer ones: errors are inf where half fail within few of them. By
+    the time ``memory``, or when half have failed, a trajectory has forgotten its start: where all
+    were followed for less and some live, moments, rate and later P(T > t) are not known. Raises
+    ``InvalidInput`` for a limit below all starts.
+    """
+    times, settled = asked.times, settled_at(asked.system.modulation)
+    (fine, _, until), failed = sampled, sampled[0] <= sampled[2]
+    if np.all(fine == 0.0):
+        remedy = "all trajectories begin beyond it; take a higher one"
+        raise InvalidInput("limit", str(asked.limit), remedy)
+    paths, events, followed = fine.size, int(np.count_nonzero(failed)), float(np.max(until))
+    exposure = float(np.sum(np.minimum(fine, until)))
+    # Where half have failed those that live are the same from then on, whatever the start.
+    memory = min(memory, float(np.median(np.where(failed, fine, inf))))
+    begin = max(tail_begin(fine, until, memory), settled)
+    best, error, bias, words = with_errors(sampled, times, begin)
+    if (begin < memory or followed < settled + memory) and events < paths:
+        # A rate that the start is in says nothing of later.
+        best[:3], error[:3] = (nan if settled < inf else best[:3]), inf
+        error[3:][times > followed] = inf
+    after = fine[failed & (fine > 0.0)]
+    # Within so few steps the noise of the energy, taken for constant in a step, changes too much.
+    steps = float(np.median(after)) / step if after.size and step > 0.0 else inf
+    if steps < 0.5 * limits.STEPS_SINCE_START:
+        error[:] = inf
+        use = f"too few to see how; use dt = {steps * step / limits.STEPS_SINCE_START:.2g}"
+        words = [f"half of the failures come within {steps:.2g} steps of dt = {step:.2g}, {use}"]
+    late = int(np.count_nonzero(failed & (fine > begin)))
+    if settled < inf and events < paths and late < LEAST_FAILURES:
+        few = f"none of {paths} trajectories passed the limit by t = {followed:.4g}"
+        if events:
+            few = f"{paths - events} of {paths} trajectories had not failed by t = {followed:.4g}"
+            few = f"{few}, and {late} failures in the tail are too few to go on from"
+        most = f"{most_events(events) / exposure:.2g} at most (95 %); simulate for longer, or split"
+        words.append(f"{few}: the mean failure rate until then is {most}")
+    # Relative to the mean; where some never fail, absolute of probabilities.
+    never = np.max(error[3:], initial=0.0) if settled == inf else inf
+    relative = float(error[0] / best[0] if best[0] < inf else never)
+    lowest = float(np.min(best[3:], initial=0.0))
+    measured = Measured(relative, None, lowest, None, 1.0 - events / paths)
+    measured = measured.with_failures(*failures, *words)
+    if not events and settled < inf:  # nothing to state but bounds: all lived through their time
+        best[:3], error[:3] = (exposure / paths, inf, 0.0), (inf, inf, most_events(0) / exposure)
+    settings = {**settings, "trajectories": paths, "not failed": paths - events}
+    settings["followed until"] = float(np.max(np.minimum(fine, until)))
+    if begin < inf:
+        settings["failure rate from"] = begin
+    if 0 < events < paths and best[0] < inf:
+        settings["continued"] = "the moments, at the failure rate, where trajectories end first"
+    if events:
+        settings["step bias of the mean"] = float(bias[0])
+        settings["step bias of the rate"] = float(bias[2])
+    mean, variance, rate = (Number(float(best[k]), float(error[k])) for k in range(3))
+    certificate = certify(measured, tol=inf if tol is None else tol, sampled=True)
+    numbers = mean, variance, rate if rate.value == rate.value else None, times, best[3:], error[3:]
+    known = (None, None) if settled < inf else (1.0 - best[3:], error[3:])  # of P(T <= t)
+    return Passage(*numbers, "sampling", certificate, None, settings, *known)

@@ -15,7 +15,7 @@ from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.system.linear import natural_modes
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
-from sim.questions.limits import energies_at, energies_of
+from sim.questions.limits import energies_at, energies_of, modal_rates
 from sim.sample.ensemble import Reader
 from sim.step.arrays import W
 from sim.step.kernel import once
@@ -66,11 +66,10 @@ def form_of(value: Array, s: Array, first: int, form: Array, width: int = W) -> 
 
 @inlined
 def distance_to(limit: float, H: float, variance: float, growth: float, at_rest: float) -> float:
-    """Return d = 2 (√(e + L − H) − √e)/√β, e = σ²/β, how far an energy is from its ``limit`` L.
+    """Return ∫dH/σ from H to the ``limit``, σ² = ``variance`` being linear in H with the slope β.
 
-    It has the ``variance`` σ² per time, of which the noise makes β more as it adds 1 to H, β σ²
-    being the ``growth`` and β ``at_rest`` where that is 0: in y = ∫dH/σ, σ² being linear in H, the
-    diffusion is 1. Not positive at or beyond the limit.
+    The noise adds ``growth``/σ² = β to σ² as it adds 1 to H, ``at_rest`` where σ = 0. Not positive
+    at or beyond the limit.
     """
     beta = growth / variance if growth > 0.0 else at_rest
     e = variance / beta
@@ -103,10 +102,7 @@ NATS = 40.0
 
 
 def reader(make: Callable[[int], Any]) -> Reader:
-    """Return the reader that ``make(sources)`` compiles, with the name and docstring of ``make``.
-
-    ``sources`` is the checksum of ``SOURCES``, which the compiled function returns as a constant.
-    """
+    """Return the reader that ``make`` compiles, which returns the checksum of ``SOURCES``."""
     compiled = once(lambda: make(checksum([ROOT / name for name in SOURCES])))
 
     @wraps(make)
@@ -131,8 +127,7 @@ def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None
 def count_upcrossings(sources: int) -> Any:
     """Add to ``counts`` (blocks, levels + 1), whose running sums are upcrossings of the ``levels``.
 
-    Levels ascend. Between samples q is the cubic through q and v at both ends: each of its rising
-    parts is counted, so that a level passed up and down within a step is not lost.
+    Levels ascend. Each rising part of a cubic counts: a level may be passed within a step.
     """
 
     @cached_njit()
@@ -165,10 +160,7 @@ def count_upcrossings(sources: int) -> Any:
 
 @reader
 def pass_displacement(sources: int) -> Any:
-    """Write when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES), where inf.
-
-    Between samples q is the cubic through q and v at both ends: no ``chance`` is in it.
-    """
+    """Write when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES) if inf."""
 
     @cached_njit()
     def read(
@@ -198,15 +190,11 @@ def pass_displacement(sources: int) -> Any:
 def pass_energies(sources: int) -> Any:
     """Write when one of the energies in ``rows`` first passes its limit to ``time``, where inf.
 
-    Energies pass by diffusion: dH = … + σ dB, σ² = p'Fp, and as the noise moves H by 1 it moves
-    σ² by β = p'Gp/σ², of ``diffusion``; momenta p are rows from ``first`` on. Between samples, h
-    apart, the distance d of ``distance_to`` is a Brownian bridge, and vanishes with
-    the probability exp(−2 d0 d1/h), with h times the mean e² of modulated noise, ``spread``
-    (samples,), in place of h; then at the share d0/(d0 + |d1|) of the step, the mean of which is
-    right.
-    ``chance`` (blocks, limits, LANES) holds an exponential number for each: that limit is passed
-    when the sum of −ln(1 − probability) is more. One number for all steps: the same motion at
-    another step passes at nearly the same time.
+    Momenta are rows from ``first`` on. Between samples the distance d of ``distance_to`` is a
+    Brownian bridge, and vanishes with the probability exp(−2 d0 d1/h), h of ``spread`` (samples,),
+    ∫e² dt over the step; then at the share d0/(d0 + |d1|), right in the mean. A limit is passed
+    when the sum of −ln(1 − probability) exceeds its number of ``chance`` (blocks, limits, LANES):
+    the same motion at another step passes at nearly that time.
     """
 
     @cached_njit()
@@ -248,7 +236,7 @@ def pass_energies(sources: int) -> Any:
 
 
 class Diffusion(NamedTuple):
-    """How the noise moves energies, forms of the momenta p; one a limit, see ``pass_energies``."""
+    """How the noise moves energies, dH = … + σ dB; forms of the momenta p, see ``distance_to``."""
 
     variance: Array  # (limits, n, n), σ² = pᵀ F p
     growth: Array  # (limits, n, n), β σ² = pᵀ G p
@@ -256,11 +244,10 @@ class Diffusion(NamedTuple):
 
 
 def diffusion_of(system: System, limit: Limit) -> Diffusion:
-    """Return how the noise moves the energies of ``limit``, in the order of ``energies_of``.
+    """Return how the noise N = f D fᵀ moves the energies of ``limit``, as of ``energies_of``.
 
-    Of H: F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹, N = f D fᵀ; of a mode with the shape T_m: the
-    same of its own momentum. No noise reaches an energy of β = 0: its limit is then beyond
-    all numbers.
+    Of H F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; of a mode with the shape T_m the same of its own
+    momentum. No noise reaches an energy of β = 0: its limit is then beyond all numbers.
     """
     N = system.noise_matrix
     if limit.kind == "H":
@@ -269,9 +256,8 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
         G = (8.0 * mobility @ N @ mobility @ N @ mobility)[None]
     else:
         T = natural_modes(system)[0].T[[c.row for c in energies_of(limit, system.n)]]
-        noise = np.einsum("mi,ij,mj->m", T, N, T)[:, None, None]
-        F = 2.0 * noise * T[:, :, None] * T[:, None, :]
-        G = 4.0 * noise * F
+        F = 2.0 * modal_rates(system, limit, N)[:, None, None] * T[:, :, None] * T[:, None, :]
+        G = 4.0 * modal_rates(system, limit, N)[:, None, None] * F
     trace_f, trace_g = (np.trace(form, axis1=1, axis2=2) for form in (F, G))
     return Diffusion(F, G, np.maximum(trace_g / np.maximum(trace_f, SMALLEST), SMALLEST))
 
@@ -297,17 +283,12 @@ def pass_under(
 
 
 def reader_of(system: System, limit: Limit, dt: float, begin: float = 0.0) -> Reader:
-    """Return the reader of samples ``dt`` apart from ``begin`` on that sees ``limit`` passed.
-
-    It takes the arrays ``time`` and ``chance`` of ``pass_energies``.
-    """
+    """Return the reader of samples ``dt`` apart that takes ``time`` and ``chance`` of a limit."""
     n, known = system.n, dict[str, Any](dt=dt, begin=begin)
     if limit.kind == "q":
-        row, value = limit.observable(n)[0].row, limit.value
-        inverse = 1.0 / float(system.mass[row])
-        known |= {"row": row, "momentum": n + row, "inverse_mass": inverse, "limit": value}
-        return partial(pass_displacement, **known)
-    limits, diffusion = energies_at(system, limit), diffusion_of(system, limit)
-    rows = 2 * n + np.arange(limits.size)
-    known |= {"first": n, "rows": rows, "limits": limits, "diffusion": diffusion}
-    return partial(pass_under, modulation=system.modulation, **known)
+        row = limit.observable(n)[0].row
+        known |= {"inverse_mass": 1.0 / float(system.mass[row]), "limit": limit.value}
+        return partial(pass_displacement, row=row, momentum=n + row, **known)
+    values = energies_at(system, limit)
+    known |= {"modulation": system.modulation, "diffusion": diffusion_of(system, limit)}
+    return partial(pass_under, first=n, rows=2 * n + np.arange(values.size), limits=values, **known)

@@ -1,44 +1,45 @@
-"""Rounds of sampled trajectories until an answer is good enough, and the curves that follow."""
+"""Trajectories: where they begin, how they go on, and rounds of them until an answer is good."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil, inf
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 
-from fpk.answer.certificate import Measured, certify, tolerance
-from fpk.answer.dynamics import Curve
+from fpk.answer.certificate import tolerance
 from fpk.answer.question import Asked
 from fpk.answer.start import Start
-from fpk.numeric.arrays import Array
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.arrays import Array, Flags
+from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.machine import left_out, usable_cores, working_time
+from fpk.system.linear import natural_modes
 from fpk.system.system import System
-from sim.questions.starts import drawn_states
+from sim.questions.limits import CHUNK, needs_steps
 from sim.sample.checkpoint import interruptible
 from sim.sample.ensemble import Ensemble, Reader, ensemble_from
 from sim.sample.settings import LEAST_PATHS, Settings
 from sim.sample.workers import workers_of
 from sim.step.arrays import LANES, in_rows
-from sim.step.random import GOLDEN
+from sim.step.random import GOLDEN, start_displacements, stream_of
+from sim.step.schemes import factored
+from sim.step.step_size import chosen_step, relaxation_time, temperature
 
 MOST_STEPS, MOST_SAMPLES = 1 << 22, 64
-"""Steps of all trajectories, and samples of each, after which the wall time is looked at: some ten
-milliseconds, and a tenth of a second where ``MOST_SUMS`` numbers are summed."""
+"""Steps of all trajectories, and samples of each, after which the wall time is looked at."""
 
 MOST_SUMS = 1 << 23
-"""Numbers that the windows of one round hold, 64 MB; of two blocks at the least, for an error."""
+"""Numbers of the windows of a round, 64 MB, or steps of a passage, that are made at once."""
 
 
 @dataclass(eq=False)
 class Watch:
-    """Goes on until an error is ``tol``, or for ``seconds`` of wall time, or to Ctrl-C.
+    """Goes on until an error is ``tol``, at most for ``seconds`` of wall time, or to Ctrl-C.
 
-    With a ``tol`` the ``seconds`` are a limit; ``stopped()`` says that an answer that may be
-    partial is to end.
+    ``stopped()`` says that Ctrl-C ends an answer that may be partial.
     """
 
     seconds: float
@@ -52,45 +53,164 @@ class Watch:
 
     def until(
         self, answer: Callable[[int], float | None], *, least: int = 1, most: float = inf
-    ) -> None:
-        """Call ``answer`` with 0, 1, … at least so often until the error it returns is met.
+    ) -> list[str]:
+        """Call ``answer`` with 0, 1, …, ``least`` to ``most`` times, until its error is met.
 
-        Where it is time to stop before, or it was called ``most`` times, that is the end; so it is
-        where an ``answer`` was cut short and returns None.
+        It ends earlier where it is time to stop, or where an ``answer`` was cut short: None.
+        Returned is that Ctrl-C came, in words, if it did.
         """
-        number = 0
-        while (error := answer(number)) is not None:
+        number, more = 0, True
+        while more and (error := answer(number)) is not None:
             number += 1
-            more = error > self.tol if self.tol is not None else self.seconds < inf
-            if (number >= least and not more) or number >= most or self.ends():
-                return
+            wanted = error > self.tol if self.tol is not None else self.seconds < inf
+            more = (number < least or wanted) and number < most and not self.ends()
+        return ["partial: interrupted by Ctrl-C"] if self.stopped() else []
 
-    def require(self, what: str, share: float) -> None:
-        """Raise ``InvalidInput`` where it is time to stop and only a ``share`` of ``what`` is done.
-
-        Without all of it there is no answer.
-        """
+    def require(self, what: str, share: float) -> bool:
+        """Return False; raise ``InvalidInput`` where it ends with a ``share`` of ``what`` done."""
         if not self.ends():
-            return
+            return False
         if self.stopped():
             raise KeyboardInterrupt
         taken = working_time() - self.begin
         needed = f"which takes about {taken / share:.2g} s" if share > 0.0 else "which takes longer"
         raise InvalidInput("seconds", self.seconds, f"are over in {what}, {needed}; give it more")
 
-    def interruption(self) -> list[str]:
-        """Return that Ctrl-C came, in words, if it did."""
-        return ["partial: interrupted by Ctrl-C"] if self.stopped() else []
+
+ACCEPTED = 1e-4
+"""Share of the proposals on an energy shell below which no states are drawn from it."""
+
+
+def drawn_states(
+    system: System,
+    start: Start,
+    seed: int,
+    paths: int,
+    number: int = 0,
+    *,
+    burn_in: float = 10.0,
+    workers: Any = None,
+    watch: Any = None,
+) -> tuple[Array, Array]:
+    """Return q and p (paths, n) at time 0 of the trajectories of round ``number``.
+
+    A start under other noise is burnt in for ``burn_in`` relaxation times; the ``watch``, a
+    ``Watch``, ends it by ``InvalidInput``. Raises ``NotApplicable`` where nothing is stationary.
+    """
+    n, stream = system.n, stream_of(seed, number)
+    if start.kind == "energy" and not start.rest:
+        return on_shell(system, start.values["H"], paths, stream)
+    if start.kind == "modal":
+        shapes, omega = natural_modes(system)
+        phase = 2.0 * np.pi * stream.random((paths, n))
+        size = np.sqrt(2.0 * np.array([start.values[f"H{m + 1}"] for m in range(n)]))
+        q = (size / omega * np.cos(phase)) @ shapes.T
+        return q, (size * np.sin(phase)) @ (system.mass[:, None] * shapes).T
+    factor = start.values.get("noise", 0.0)
+    if not factor:
+        q, p = start.state(n)
+        return np.tile(q, (paths, 1)), np.tile(p, (paths, 1))
+    # From displacements and momenta of the temperature of the other noise.
+    system = replace(system, noise_intensity=factor * system.noise_intensity)
+    kT, time = temperature(system), burn_in * relaxation_time(system)
+    if not np.isfinite(time):
+        raise NotApplicable("some motion is not damped: no stationary state to start from")
+    whole = -(-paths // LANES) * LANES
+    q = start_displacements(system, kT, stream.standard_normal((n, whole))).T
+    L = factored(np.diag(kT * system.mass))
+    p = (L @ stream.standard_normal((L.shape[1], whole))).T
+
+    ended = lambda share: bool(watch) and share < 1.0 and watch.require("the burn-in", share)  # noqa: E731
+    other = (seed + number * int(GOLDEN) + 2**63) % 2**64  # no seed of a round
+    begun = partial(ensemble_from, system, q, p, seed=other, workers=workers)
+    dt, many = (chosen_step(system), (2,)) if needs_steps(system) else (inf, (1,))
+    ((states,),) = motions(begun, q, states_of, np.array([time]), dt, many, ended)
+    q, p = np.split(states[:paths], 2, axis=1)
+    return q, p
+
+
+def states_of(ensemble: Ensemble) -> Array:
+    """Return the states (q, p) of the last sample, (paths, 2n)."""
+    return in_rows(ensemble.last)[:, : 2 * ensemble.system.n]
+
+
+def motions(
+    begun: Callable[..., Any],
+    start: Array,
+    seen: Callable[[Any], Array],
+    times: Array,
+    dt: float,
+    many: tuple[int, ...] = (2, 1),
+    ended: Callable[[float], bool] = lambda share: False,
+) -> Iterator[tuple[Array, ...]]:
+    """Yield at each time the states that are ``seen`` of motions in ``many`` steps for one of dt.
+
+    At time 0 they are ``start``; ``begun(dt=, halved=)`` returns an ensemble that begins there. By
+    an infinite ``dt`` each time is one step. It ends where ``ended(share of the times done)``.
+    """
+    now, running = 0.0, list[Any]()
+    for time in times.tolist():
+        if time > now:
+            steps = max(1, ceil((time - now) / dt))
+            parts = ceil(steps / CHUNK)
+            stride = ceil(steps / parts)
+            long = (time - now) / (parts * stride)
+            with left_out():  # by the same random numbers
+                running = [e.onward(long / each) for e, each in zip(running, many, strict=False)]
+                running = running or [begun(dt=long / k, halved=k < many[0]) for k in many]
+            for ensemble, each in zip(running, many, strict=True):
+                for done in range(parts):
+                    ensemble.advance(stride * each, stride=stride * each)
+                    if ended((now + (time - now) * (done + 1) / parts) / times[-1]):
+                        return
+        now = time
+        yield tuple(map(seen, running)) or (start,) * len(many)
+
+
+def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tuple[Array, Array]:
+    """Return q and p (paths, n) of the density δ(H − ``energy``).
+
+    In directions of the phase space scaled so that H is r²/2 but for the contact, by the weight
+    r^(2n−1)/(∂H/∂r) where H is reached, R^(2n−2) at the most, R = √(2 energy). Raises
+    ``NotApplicable`` where fewer than ``ACCEPTED`` of the proposals are accepted.
+    """
+    n, many = system.n, max(paths, 4096)
+    back = np.linalg.inv(np.linalg.cholesky(system.stiffness_matrix)).T
+    root, most = np.sqrt(system.mass), np.sqrt(2.0 * energy)
+    states: list[Array] = []
+    proposed = wanted = 0
+    while wanted < paths:
+        u = stream.standard_normal((many, 2 * n))
+        u /= np.linalg.norm(u, axis=1, keepdims=True)
+        direction = np.hstack([u[:, :n] @ back.T, u[:, n:] * root])
+        # Where H reaches the energy along every direction, by bisection to the last digit.
+        low, high = np.full(many, 0.0 if system.stops else most), np.full(many, most)
+        for _ in range(60 if system.stops else 0):
+            middle = 0.5 * (low + high)
+            above = system.hamiltonian(*np.split(middle[:, None] * direction, 2, axis=1)) > energy
+            low, high = np.where(above, low, middle), np.where(above, middle, high)
+        radius = 0.5 * (low + high)
+        state = radius[:, None] * direction
+        by_contact = np.zeros(many)  # Σ g_i dq_i/dr, the part of ∂H/∂r that the contacts make
+        for stop in system.stops:
+            overlap = np.maximum(stop.sign * state[:, stop.index] - stop.clearance, 0.0)
+            by_contact += stop.sign * stop.force(overlap) * direction[:, stop.index]
+        weight = (radius / most) ** (2 * n - 2) * radius / (radius + by_contact)
+        accepted: Flags = stream.random(many) < weight
+        states.append(state[accepted])
+        proposed, wanted = proposed + many, wanted + int(np.count_nonzero(accepted))
+        if proposed >= 2**18 and wanted < ACCEPTED * proposed:
+            words = "is so far within the contacts that no states are drawn from it"
+            raise NotApplicable(f"the shell H = {energy:g} {words}; begin in a state")
+    q, p = np.split(np.concatenate(states)[:paths], 2, axis=1)
+    return q, p
 
 
 @contextmanager
 def working(
     method: Settings, system: System, tol: float | None, start: Start | None = None
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield workers, the watch, and what draws states of the ``start`` (None: stationary ones).
-
-    It is called with the number of trajectories and that of their round.
-    """
+    """Yield workers, the watch, and ``drawn_states`` of the ``start`` (None: stationary ones)."""
     start = start or Start("noise", {"noise": 1.0})
     seconds = method.seconds or (method.longest if tol is not None else inf)
     with (
@@ -107,9 +227,8 @@ def seed_of(seed: int, number: int) -> int:
     return (seed + number * int(GOLDEN)) % 2**64
 
 
-Simulation = tuple[float, int, bool, int, Reader]
-"""One of the simulations of a round, by the same random numbers: its step, how many lie between
-samples, whether it is ``halved``, from which step to the next states are read, and the reader."""
+Simulation = tuple[float, int, bool, Reader]
+"""A simulation by the same random numbers as others: step, steps a sample, ``halved``, reader."""
 
 
 def in_rounds(
@@ -118,46 +237,42 @@ def in_rounds(
     simulations: Sequence[Simulation],
     samples: int,
     numbers: tuple[int, ...],
-    estimate: Callable[[list[Array], Array, int], float],
+    estimate: Callable[[list[Array], Array, int], tuple[Array, float]],
     what: str,
     *,
     least: int = 0,
-) -> tuple[int, list[str]]:
-    """Follow trajectories until ``estimate`` is content; return how many, and what went wrong.
+) -> tuple[Array, float, int, list[str]]:
+    """Follow trajectories until ``tol``; return estimates, their scale, paths, what went wrong.
 
-    A round is a window of ``samples`` of trajectories that have not been followed before. With
-    ``least`` it is a chunk of a window, of which there are so many; the trajectories stay the same,
-    and go on after it in chunks as long. Of each block a simulation is read into ``numbers``, a
-    shape. ``estimate`` is given these (blocks, …) of each simulation, the mean squares of (q, p) at
-    the end, and the number of samples; it returns the error of all there is, in the unit of the
-    tolerance. A window that the time cuts short is not counted, and the first one is refused by
-    ``InvalidInput``; a chunk is counted.
+    A round is a window of ``samples`` of new trajectories; one that the time cuts short does not
+    count, and the first is refused. With ``least`` it is one of so many chunks of a window of the
+    same trajectories, counts, and has every step read. ``estimate`` takes what was read of each
+    simulation, (blocks, *numbers), the rms q and v of mass ``asked.row``, and the samples; it
+    returns estimates (blocks, points) of all rounds, and their scale, 1 where not > 0.
     """
-    system, onward = asked.system, least > 0
+    system, row, onward = asked.system, asked.row, least > 0
     paths = -(-method.paths // LANES) * LANES
     size = len(simulations) * int(np.prod(numbers))
     own = paths if onward else max(2, min(paths // LANES, MOST_SUMS // size)) * LANES
     least = least or ceil(paths / own)
     piece = max(1, min(MOST_SAMPLES, MOST_STEPS // (own * simulations[0][1])))
-    rounds, running = 0, list[Ensemble]()
+    rounds, running, squares = 0, list[Ensemble](), list[Array]()
+    blocks, scale = np.zeros(0), 1.0
 
     def followed(number: int) -> float | None:
-        nonlocal rounds, running
+        nonlocal rounds, running, blocks, scale
         if not (onward and running):
             seed, (q, p) = seed_of(method.seed, number), origin(own, number)
+            begun = partial(ensemble_from, system, q, p, seed=seed, workers=workers)
             with left_out():
-                running = [
-                    ensemble_from(system, q, p, dt, seed, halved=halved, workers=workers)
-                    for dt, _, halved, _, _ in simulations
-                ]
+                running = [begun(dt=dt, halved=halved) for dt, _, halved, _ in simulations]
         sums, done = [np.zeros((own // LANES, *numbers)) for _ in simulations], 0
         first, last = (samples * k // least for k in (number, number + 1))
         wanted = max(1, last - first) if onward else samples
         while done < wanted and not (done and watch.ends()):
             many = min(piece, wanted - done)
-            for ensemble, of, array in zip(running, simulations, sums, strict=True):
-                _, steps, _, stride, read = of
-                ensemble.advance(many * steps, array, stride=stride, read=read)
+            for ensemble, (_, k, _, read), array in zip(running, simulations, sums, strict=True):
+                ensemble.advance(many * k, array, stride=1 if onward else k, read=read)
             done += many
         whole = done == wanted
         if not (whole or onward):
@@ -165,44 +280,21 @@ def in_rounds(
                 watch.require(f"the first {own} windows", done / wanted)
             return None
         rounds += whole
-        states = in_rows(running[0].last)[:, : 2 * system.n]
-        error = estimate(sums, np.mean(states**2, axis=0), done)
+        squares.append(np.mean(in_rows(running[0].last)[:, [row, system.n + row]] ** 2, axis=0))
+        rms = np.sqrt(np.mean(squares, axis=0)) / [1.0, system.mass[row]]
+        blocks, scale = estimate(sums, rms, done)
+        scale = scale if scale > 0.0 else 1.0
         asked.progress(min(rounds, least), least, what)
-        return error if whole else None
+        return float(np.max(error_of(blocks))) / scale if whole else None
 
     with working(method, system, tolerance(asked.tol, method.tol)) as (workers, watch, origin):
-        watch.until(followed, least=least)
-        failures = watch.interruption()
+        failures = watch.until(followed, least=least)
     paths = own if onward else rounds * own
     if paths < LEAST_PATHS:
         failures.append(f"it ended after {paths} trajectories of {LEAST_PATHS}")
-    return paths, failures
+    return blocks, scale, paths, failures
 
 
 def error_of(blocks: Array) -> Array:
     """Return one standard error of the mean of independent ``blocks`` (blocks, ...)."""
     return np.asarray(blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks)))
-
-
-def sampled_curve(
-    values: Array,
-    errors: Array,
-    scale: float,
-    tol: float | None,
-    failures: Sequence[str],
-    settings: dict[str, str | float | int],
-    positive: Array | None = None,
-) -> Curve:
-    """Return a curve with one standard error each; the rest as of ``certified_curve``."""
-    relative = float(np.max(errors)) / scale
-    measured = Measured(
-        l1_error=relative,
-        mass_defect=None,
-        minimum=float(np.min(values if positive is None else positive)) / scale,
-        residual=None,
-        tail_mass=None,
-        failures=tuple(failures),
-        absolute_error=relative,
-    )
-    certificate = certify(measured, tol=inf if tol is None else tol, sampled=True)
-    return Curve(values, errors, certificate, settings, error_kind="sampling")

@@ -13,7 +13,7 @@ from fpk.answer.method import silent
 from fpk.answer.start import parse_start
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.failure_times import LEAST_FAILURES
+from sim.questions.passage import LEAST_FAILURES
 
 
 @pytest.mark.parametrize(("last", "simulations"), [(400.0, 1), (20.0, 2)])

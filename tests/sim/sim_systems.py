@@ -14,7 +14,7 @@ from fpk.answer.start import parse_start
 from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.failure_times import passage_of
+from sim.questions.passage import passage_of
 from sim.sample.diagnostics import Report
 from sim.sample.ensemble import Ensemble
 from sim.sample.histogram import Histogram, axis_of, covering, extremes

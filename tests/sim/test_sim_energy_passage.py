@@ -16,11 +16,10 @@ from fpk.answer.start import parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.system import System
 from sim.questions.averaged.square_root import (
-    from_energies,
-    limit_diffusion,
     square_root_form,
     square_root_step,
 )
+from sim.questions.limits import CHUNK
 from sim.questions.passing import distance_to
 from sim.questions.rounds import Watch
 
@@ -60,7 +59,7 @@ def called_distances(limit: Any, H: Any, variance: Any, growth: Any, at_rest: An
 def distances(limits: Any, form: Any, X: Any) -> Any:
     """How far the first limit is, as the compiled readers have it."""
     weights, values = limits
-    p, of = np.sqrt(X), limit_diffusion(form, weights)
+    p, of = np.sqrt(X), form.diffusion(weights)
     forms = (np.einsum("pi,ij,pj->p", p, form[0], p) for form in (of.variance, of.growth))
     return called_distances(values[0], (X @ weights.T)[:, 0], *forms, of.at_rest[0])
 
@@ -136,7 +135,7 @@ def test_energies_are_inverted() -> None:
     simulation = AveragedSimulation("nonintegrable")
     form = simulation._form(simulation._process(fig6()))
     H = np.array([[1e-6], [0.1], [0.4], [1.3]])
-    assert form.energies(from_energies(form, H)) == pytest.approx(H, rel=1e-12)
+    assert form.energies(form.inverse(H)) == pytest.approx(H, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -169,7 +168,7 @@ def test_seconds_end_it_and_enough_of_them_change_nothing(contact: bool) -> None
 
 def test_an_end_by_the_wall_time_has_no_bias(monkeypatch: pytest.MonkeyPatch) -> None:
     # Each round of 512 paths ends after another number of looks at the time, 4 to 13.
-    monkeypatch.setattr("sim.questions.averaged.paths.AT_ONCE", 512)
+    monkeypatch.setattr("sim.questions.averaged.paths.MOST_SUMS", 512 * CHUNK)
     numbers, left = iter(range(10**6)), [0]
 
     def ends(_: Any) -> bool:
@@ -185,7 +184,8 @@ def test_an_end_by_the_wall_time_has_no_bias(monkeypatch: pytest.MonkeyPatch) ->
     assert abs(answer.mean.value - CIR_MEAN / 0.1) < 4.0 * answer.mean.error
 
 
-def until_the_last(watch: Watch, answer: Any, *, least: int, most: int) -> None:
+def until_the_last(watch: Watch, answer: Any, *, least: int, most: int) -> list[str]:
     """Every round, whatever the time."""
     for number in range(most):
         answer(number)
+    return []

@@ -1,6 +1,7 @@
 """Modulated noise by simulation: the exact covariance, the order of its step, first passage."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim import MonteCarlo
 from sim.questions.passing import spread_of
-from sim.questions.transient import motions
+from sim.questions.rounds import motions, states_of
 from sim.sample.ensemble import ensemble_from
 from sim.step.arrays import in_rows
 from sim.step.schemes import flow_covariance
@@ -53,7 +54,8 @@ def by_steps(system, time, dt):
 
 def test_steps_of_modulated_noise_have_the_covariance_of_their_rule():
     rest = np.zeros((PATHS, 1))
-    rows = list(motions(ONE, rest, rest, TIMES, 0.5, 3))
+    begun = partial(ensemble_from, ONE, rest, rest, seed=3, modulation=ENVELOPE)
+    rows = list(motions(begun, np.hstack([rest, rest]), states_of, TIMES, 0.5))
     for time, (fine, coarse) in zip(TIMES, rows, strict=True):
         for states, dt in ((fine, 0.25), (coarse, 0.5)):
             wanted = by_steps(ONE, time, dt)

@@ -18,10 +18,10 @@ from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.failure_times import estimates, tail_begin
 from sim.questions.limits import energies_of
+from sim.questions.passage import estimates, tail_begin
 from sim.questions.passing import reader_of
-from sim.questions.starts import on_shell
+from sim.questions.rounds import on_shell
 from sim.sample.ensemble import ensemble_from
 from sim.step.arrays import LANES, in_blocks, in_rows
 

@@ -20,11 +20,11 @@ from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.linear import natural_modes
 from sim.questions.averaged.square_root import SquareRootForm
 from sim.questions.passing import cubic_of, first_passage
+from sim.questions.rounds import on_shell
 from sim.questions.splitting import RareFailure, Splitting, rare_failure
 from sim.questions.splitting.kernel import LEVELS, draw_normals
 from sim.questions.splitting.problem import system_problem
 from sim.questions.splitting.run import mean_and_error, split
-from sim.questions.starts import on_shell
 from sim.sample.workers import workers_of
 from sim.step.random import GOLDEN, mixed_seed
 from sim.step.schemes import exact_flow

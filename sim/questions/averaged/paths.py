@@ -1,12 +1,14 @@
 """Averaged energies as an ensemble, and their questions: densities, first passage, transients."""
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil, inf, nan
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.evolution import Passage, Transient
@@ -17,17 +19,12 @@ from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags, Integers
 from fpk.numeric.errors import InvalidInput
 from fpk.system.modulation import Modulation
-from sim.questions.averaged.square_root import (
-    SquareRootForm,
-    from_energies,
-    limit_diffusion,
-    square_root_step,
-)
-from sim.questions.limits import STEP_TO_LIMIT, first_step
-from sim.questions.passage import AT_ONCE, Run, followed_for, passage_in_rounds
+from sim.questions.averaged.square_root import SquareRootForm, square_root_step
+from sim.questions.limits import CHUNK, STEP_TO_LIMIT, first_step
+from sim.questions.passage import Run, noise_end, passage_in_rounds
 from sim.questions.passing import pass_under
-from sim.questions.rounds import Watch
-from sim.questions.transient import States, counted_in_rounds
+from sim.questions.rounds import MOST_SUMS, Watch, motions
+from sim.questions.transient import counted_in_rounds
 from sim.sample.ensemble import Reader
 from sim.sample.histogram import MARGIN, binned, covering, log_states, sampled_density
 from sim.sample.workers import workers_of
@@ -41,19 +38,14 @@ STARTS = 1 << 63
 """Number of the first stream of a seed from which starts are drawn; steps have those before it."""
 
 MOST_DRAWS = 3e7
-"""Random numbers at most where no wall time is given, some 20 s of one core: paths are followed for
-no longer than that allows."""
-
-Starts = Callable[[int, np.random.Generator], Array]
-"""Energies (paths, d) at time 0, drawn from a stream."""
+"""Random numbers of a passage at most where no wall time is given, some 20 s of one core."""
 
 
 @dataclass(eq=False)
 class EnergyEnsemble:
     """Paths of X (paths, d) that advance together from the time ``begin``: an ``Ensemble`` of them.
 
-    Each ``GROUP`` of blocks has a stream of its own of the ``seed``, from ``number`` · 2**32 on:
-    the result does not depend on the workers. Readers see the rows (paths, rows) ``observed``.
+    Each ``GROUP`` of blocks has a stream of its own of the ``seed``, from ``number`` · 2**32 on.
     """
 
     form: SquareRootForm
@@ -62,10 +54,9 @@ class EnergyEnsemble:
     seed: int
     number: int
     workers: Any
-    observed: Callable[[Array], Array] = np.asarray
     modulation: Modulation | None = None
     begin: float = 0.0
-    streams: list[np.random.Generator] = field(default_factory=list)
+    streams: list[Generator] = field(default_factory=list)
     done: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
@@ -78,27 +69,19 @@ class EnergyEnsemble:
         """Time of the states."""
         return self.begin + self.done * self.dt
 
-    def advance(
-        self, steps: int, *arrays: Array, read: Reader | None = None, passed: Any = None
-    ) -> None:
-        """Advance all paths; ``read`` sees each state, and the one before them, with its arrays.
-
-        ``passed``, by which an ``Ensemble`` finds unstable steps, is not used: no step of energies
-        is unstable.
-        """
+    def advance(self, steps: int, *arrays: Array, read: Reader | None = None, **_: Any) -> None:
+        """Advance all paths; ``read`` sees each state, and the one before them, with its arrays."""
 
         def advanced(group: int) -> Array:
-            X = self.X[group * GROUP * LANES : (group + 1) * GROUP * LANES]
-            trace = [in_blocks(self.observed(X))] if read else []
+            stream, first = self.streams[group], self.X[group * GROUP * LANES :][: GROUP * LANES]
+            trace = deque([first], None if read else 1)
             for k in range(steps):
-                now, stream = self.begin + (self.done + k) * self.dt, self.streams[group]
-                X = square_root_step(self.form, X, self.dt, stream, self.modulation, now)
-                if read:
-                    trace.append(in_blocks(self.observed(X)))
+                noise = stream, self.modulation, self.begin + (self.done + k) * self.dt
+                trace.append(square_root_step(self.form, trace[-1], self.dt, *noise))
             if read:
                 own = (a[group * GROUP : (group + 1) * GROUP] for a in arrays)
-                read(np.stack(trace, axis=1), steps, self.done, *own)
-            return X
+                read(np.stack([*map(in_blocks, trace)], axis=1), steps, self.done, *own)
+            return trace[-1]
 
         groups = range(-(-len(self.X) // (GROUP * LANES)))
         self.X = np.concatenate(list(self.workers.executor.map(advanced, groups)))
@@ -131,11 +114,9 @@ def simulate_energies(
 ) -> tuple[SampledDensity, ...]:
     """Return sampled densities of energies H_i, pairs of them and H = Σ H_i, with their errors.
 
-    ``paths`` in all are sampled every ``interval``, in ``steps`` steps, for ``time`` after
-    ``burn_in``, at whose end they give the ranges of the histograms. ``seconds`` of wall time end
-    it; nothing is certified where they are over in the burn-in.
-
-    Raises ``InvalidInput`` for paths that fill no batches.
+    ``paths`` are sampled every ``interval``, in ``steps`` steps, for ``time`` after ``burn_in``, at
+    whose end they give the ranges of the histograms, or for ``seconds`` of wall time. Raises
+    ``InvalidInput`` for paths that fill no batches.
     """
     if paths < 4 * GROUPS or paths % GROUPS:
         raise InvalidInput("paths", paths, f"use a multiple of {GROUPS}, {4 * GROUPS} or more")
@@ -146,43 +127,32 @@ def simulate_energies(
         for _ in range(ceil(burn_in / interval)):
             if not watch.ends():
                 ensemble.advance(steps)
-        failures = [*failures]
-        if watch.ends():
-            failures.append(f"{seconds or 0.0:.3g} s were over in the burn-in; give it more time")
+        over = f"{seconds or 0.0:.3g} s were over in the burn-in; give it more time"
+        failures = [*failures, over] if watch.ends() else failures
         H = form.energies(ensemble.X)
-        reached = np.array([(0.0, column(H, c).max()) for o in observables for c in o])
+        reached = np.array([(0.0, x.max()) for o in observables for x in columns(o, H)])
         histograms = covering(observables, reached, partial(energy_axis, form))
         counts = [np.zeros((GROUPS, h.size + 1), dtype=np.int64) for h in histograms]
         while taken < samples and not (taken and watch.ends()):
             ensemble.advance(steps)
             H, taken = form.energies(ensemble.X), taken + 1
             for total, histogram in zip(counts, histograms, strict=True):
-                total += histogram.counted([column(H, c) for c in histogram.observable], GROUPS)
+                total += histogram.counted(columns(histogram.observable, H), GROUPS)
             progress(taken, samples, "averaged simulation")
-    # No identity of the averaged equations is evaluated.
-    known: dict[str, Any] = {"residual": nan, "tol": tol, "failures": failures}
-    return tuple(
-        sampled_density(histogram, total, taken=paths * taken, **known)
-        for histogram, total in zip(histograms, counts, strict=True)
-    )
+    known: Any = {"residual": nan, "tol": tol, "failures": failures}  # no identity is evaluated
+    found = zip(histograms, counts, strict=True)
+    return tuple(sampled_density(h, total, taken=paths * taken, **known) for h, total in found)
 
 
 def burnt_in(
-    form: SquareRootForm,
-    paths: int,
-    stream: np.random.Generator,
-    *,
-    interval: float,
-    steps: int,
-    time: float,
-    threads: int = 1,
+    form: SquareRootForm, paths: int, stream: Generator, dt: float, steps: int, threads: int
 ) -> Array:
-    """Return X (paths, d) after ``time``, in intervals of ``steps`` each, from exponential ones."""
+    """Return the energies (paths, d) after ``steps``, from exponential X."""
     start, seed = stream.exponential(form.scales, (paths, form.scales.size)), stream.integers(2**63)
     with workers_of(None, threads) as workers:
-        ensemble = EnergyEnsemble(form, start, interval / steps, int(seed), 0, workers)
-        ensemble.advance(ceil(time / interval) * steps)
-    return ensemble.X
+        ensemble = EnergyEnsemble(form, start, dt, int(seed), 0, workers)
+        ensemble.advance(steps)
+    return form.energies(ensemble.X)
 
 
 def energy_axis(
@@ -197,15 +167,15 @@ def energy_axis(
     return binned(0.0, high, kinks, bins, widening=True, reference=reference)
 
 
-def column(H: Array, coordinate: Coordinate) -> Array:
-    """Return one energy of the columns of H (paths, d), or their sum."""
-    return np.asarray(H.sum(axis=1) if coordinate.index is None else H[:, coordinate.index])
+def columns(observable: Observable, H: Array) -> list[Array]:
+    """Return those columns of the energies H (paths, d), or their sum."""
+    return [H.sum(axis=1) if c.index is None else H[:, c.index] for c in observable]
 
 
 def energy_passage(
     form: SquareRootForm,
     limits: tuple[Array, Array],
-    starts: Starts,
+    starts: Callable[[int, Generator], Array],
     asked: Asked,
     *,
     dt: float,
@@ -218,13 +188,11 @@ def energy_passage(
 ) -> Passage:
     """Return the first passage of any of ``limits`` in steps of dt/2, beside steps of ``dt``.
 
-    They are of sums of X: weights (limits, d) · X reach values (limits,). Where steps are exact
-    (``form.damping`` None) both see the same paths, else paths of their own. Between steps each
-    distance to a limit is a Brownian bridge. Paths are followed until they fail, for the cost of
-    ``MOST_DRAWS``, or for ``seconds`` of wall time; as ``followed_for`` says where the noise ends.
-    ``memory`` as of ``passage_of``. Raises ``InvalidInput`` for starts that all lie beyond a limit.
+    Weights (limits, d) · X reach values (limits,). Where steps are exact (``form.damping`` None)
+    both see the same paths, else paths of their own. ``starts`` draws energies (paths, d). Paths
+    are followed for ``MOST_DRAWS`` or ``seconds``; ``memory`` is as of ``passage_of``.
     """
-    own, exact = min(-(-paths // LANES) * LANES, AT_ONCE), form.damping is None
+    own, exact = min(-(-paths // LANES) * LANES, MOST_SUMS // CHUNK), form.damping is None
     (weights, values), d, modulation = limits, form.noise.size, asked.system.modulation
     # From rest the mean of Σ w X under the largest noise is the limit L at the time L/(w · d).
     loudest = 1.0 if modulation is None else modulation.largest
@@ -232,32 +200,27 @@ def energy_passage(
     rounds, first = -(-paths // own), first_step(dt, asked.times)
     most = MOST_DRAWS / ((2 if exact else 3) * rounds * own * d)
     most = (most if seconds is None else 2.0**40) * dt  # the wall time ends it before
-    longest = followed_for(most, float(np.max(asked.times, initial=0.0)), modulation)
-    known: Any = {"rows": d + np.arange(values.size), "limits": values, "first": 0}
-    see: Any = partial(
-        pass_under, modulation=modulation, diffusion=limit_diffusion(form, weights), **known
-    )
+    longest = max(min(most, noise_end(modulation)), float(np.max(asked.times, initial=0.0)))
+    known: Any = {"modulation": modulation, "diffusion": form.diffusion(weights)}
+    known |= {"rows": d + np.arange(values.size), "limits": values, "first": 0}
 
-    def both(
-        trace: Array, samples: int, done: int, *arrays: Array, dt: float, begin: float
-    ) -> None:
-        """Read every step, and every second one, of the same paths."""
-        see(trace, samples, done, *arrays[:2], dt=dt, begin=begin)
-        half = np.ascontiguousarray(trace[:, ::2])
-        see(half, samples // 2, done // 2, *arrays[2:], dt=2.0 * dt, begin=begin)
+    def see(trace: Array, samples: int, done: int, *arrays: Array, dt: float, begin: float) -> None:
+        """Read every step, and for two more arrays every second one, of the same paths."""
+        for k in range(1, len(arrays) // 2 + 1):
+            X, times = trace[:, ::k], arrays[2 * k - 2 : 2 * k]
+            rows = np.concatenate([np.sqrt(X), weights @ X], axis=2)
+            pass_under(rows, samples // k, done // k, *times, dt=k * dt, begin=begin, **known)
 
     def begun(number: int) -> tuple[list[Run], Flags, Array]:
         stream = stream_of(seed, STARTS + number)
-        X = from_energies(form, starts(own, stream))
+        X = form.inverse(starts(own, stream))
         past = np.any((1.0 - ROUND_OFF) * values <= X @ weights.T, axis=1)
-        rows = lambda X: np.hstack([np.sqrt(X), X @ weights.T])  # noqa: E731
+        reader = lambda motion: partial(see, dt=motion.dt, begin=motion.begin)  # noqa: E731
         runs = list[Run]()
-        for k, (many, read, which) in enumerate(
-            [(2, both, (0, 1))] if exact else [(2, see, (0,)), (1, see, (1,))]
-        ):
-            known = seed, 2 * number + k, workers, rows, modulation
-            make = partial(lambda read, h, begin: partial(read, dt=h, begin=begin), read)
-            runs.append((EnergyEnsemble(form, X, first / many, *known), many, make, which))
+        for k, (many, which) in enumerate([(2, (0, 1))] if exact else [(2, (0,)), (1, (1,))]):
+            numbers = first / many, seed, 2 * number + k
+            motion = EnergyEnsemble(form, X, *numbers, workers, modulation)
+            runs.append((motion, many, reader, which))
         return runs, past, stream.exponential(size=(own, values.size))  # see ``pass_energies``
 
     with workers_of(None, threads) as workers:
@@ -268,7 +231,7 @@ def energy_passage(
 
 def energy_transient(
     form: SquareRootForm,
-    starts: Starts,
+    starts: Callable[[int, Generator], Array],
     asked: Asked,
     *,
     dt: float,
@@ -280,37 +243,25 @@ def energy_transient(
 ) -> Transient:
     """Return the densities of energies that are asked for, with standard errors.
 
-    Where ``form.damping`` is None one exact step leads from time to time, and no error is that of a
-    step; else it is in the error, and both steps have paths of their own. Two rounds of ``paths``
-    are made; with ``tol`` one, and more until the expected L1 error is below it at all times, or
-    ``seconds`` of wall time have passed.
+    Exact steps (``form.damping`` None) lead from time to time; else both steps, ``dt`` and dt/2,
+    have paths of their own. Two rounds of ``paths`` are made; with ``tol`` one, and more until the
+    expected L1 error is below it at all times, or ``seconds`` of wall time have passed.
     """
-    exact, gaps = form.damping is None, np.diff(asked.times, prepend=0.0).tolist()
+    exact, modulation = form.damping is None, asked.system.modulation
+    longest, many = (inf, (1,)) if exact else (dt, (2, 1))
 
-    def states(number: int) -> States:
-        start = from_energies(form, starts(paths, stream_of(seed, STARTS + number)))
-        known: Any = {"workers": workers, "modulation": asked.system.modulation}
-        runs = [
-            EnergyEnsemble(form, start, 0.0, seed, 2 * number + k, **known)
-            for k in range(1 if exact else 2)
-        ]
-        for gap in gaps:
-            for k, (run, longest) in enumerate(zip(runs, (0.5 * dt, dt), strict=False)):
-                steps = 0 if gap == 0.0 else 1 if exact else ceil(gap / longest * (1.0 - 1e-12))
-                runs[k] = run.onward(gap / max(1, steps))
-                runs[k].advance(steps)
-            if watch.ends():
-                if not number:
-                    raise InvalidInput("seconds", seconds, "are over in the first round; give more")
-                return
-            yield form.energies(runs[0].X), None if exact else form.energies(runs[1].X)
+    def states(number: int, ended: Callable[[float], bool]) -> Iterable[tuple[Array, ...]]:
+        X = form.inverse(starts(paths, stream_of(seed, STARTS + number)))
 
-    def columns(H: Array) -> list[Array]:
-        return [column(H, c) for c in asked.observable]
+        begun = lambda dt, halved: EnergyEnsemble(  # noqa: E731
+            form, X, dt, seed, 2 * number + halved, workers, modulation
+        )
+        seen = lambda ensemble: form.energies(ensemble.X)  # noqa: E731
+        return motions(begun, form.energies(X), seen, asked.times, longest, many, ended)
 
     with workers_of(None, threads) as workers:
         # Without an error that is wanted two rounds are enough, whatever the time.
         watch = Watch(seconds or inf, lambda: False, inf if tol is None else tol)
         settings = {"seed": seed, "steps": "exact" if exact else "Strang splitting"}
-        axis = partial(energy_axis, form)
-        return counted_in_rounds(asked, watch, states, columns, axis, 2, paths, dt, settings)
+        read, axis = partial(columns, asked.observable), partial(energy_axis, form)
+        return counted_in_rounds(asked, watch, states, read, axis, 2, paths, dt, settings)

@@ -1,4 +1,4 @@
-"""Averaged energies as square-root processes, Eqs. (9), (17): their form, exact steps, limits."""
+"""Averaged energies as square-root processes, Eqs. (9), (17): their form and exact steps."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,40 +23,55 @@ FIRST = 8
 class SquareRootForm:
     """``dX_i = (d_i − γ_i(X) X_i) dt + √(β_i X_i) dB_i``, i = 1 … d, noises independent, Eq. (17).
 
-    ``noise`` d, ``slope`` β and ``linear`` γ₀ are constants (d,). ``damping`` returns γ − γ₀ at X
-    (paths, d), None where γ is constant: a step of any length is then exact. ``energies`` gives H
-    (paths, d) of X; ``scales`` (d,) are X of the order of the mean. ``quiet`` are γ₀ and γ − γ₀ of
-    the damping alone, without noise, where these are others. p(Σ H_i) is in proportion to H^(n−1)
-    next to 0, n the ``degrees_of_freedom``, and may not be smooth at ``kinks``.
+    p(Σ H_i) is in proportion to H^(n−1) next to 0, n the ``degrees_of_freedom``, and may not be
+    smooth at ``kinks``.
     """
 
-    noise: Array
-    slope: Array
-    damping: Function | None
-    linear: Array
-    energies: Function
-    scales: Array
-    quiet: tuple[Array, Function] | None = None
+    noise: Array  # (d,), d
+    slope: Array  # (d,), β
+    damping: Function | None  # γ − γ₀ at X (paths, d); None: constant, any step is exact
+    linear: Array  # (d,), γ₀
+    energies: Function  # H (paths, d) of X
+    scales: Array  # (d,), X of the order of the mean
+    quiet: tuple[Array, Function] | None = None  # γ₀, γ − γ₀ without noise where these are others
     degrees_of_freedom: int = 1
     kinks: tuple[float, ...] = ()
 
     def under(self, factor: float) -> "SquareRootForm":
         """Return the form under so many times the noise."""
-        linear, damping = self.linear, self.damping
-        if self.quiet is not None and damping is not None:
-            (alone, of_damping), whole = self.quiet, damping
-            linear = alone + factor * (linear - alone)
+        louder = replace(self, noise=factor * self.noise, slope=factor * self.slope)
+        if self.quiet is None or self.damping is None:
+            return louder
+        (alone, of_damping), whole = self.quiet, self.damping
 
-            def damping(X: Array) -> Array:
-                rest = of_damping(X)
-                return np.asarray(rest + factor * (whole(X) - rest))
+        def damping(X: Array) -> Array:
+            rest = of_damping(X)
+            return np.asarray(rest + factor * (whole(X) - rest))
 
-        noise, slope = factor * self.noise, factor * self.slope
-        return replace(self, noise=noise, slope=slope, linear=linear, damping=damping)
+        return replace(louder, linear=alone + factor * (self.linear - alone), damping=damping)
+
+    def inverse(self, energies: Array) -> Array:
+        """Return X (paths, d) of ``energies``, by bisection."""
+        low, high = np.zeros_like(energies), np.broadcast_to(self.scales, energies.shape).copy()
+        while np.any(below := self.energies(high) < energies):
+            high[below] *= 2.0
+        for _ in range(60):  # to the last digit
+            middle = 0.5 * (low + high)
+            below = self.energies(middle) < energies
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return np.asarray(high)
+
+    def diffusion(self, weights: Array) -> Diffusion:
+        """Return how the noise moves the sums ``weights`` (limits, d) · X, by the momenta √X.
+
+        σ² = Σ w² β X; as the noise moves a sum by 1 it moves σ² by Σ w³ β² X/σ².
+        """
+        w, one, slope = weights[:, :, None], np.eye(self.slope.size), self.slope[:, None]
+        return Diffusion(w**2 * slope * one, w**3 * slope**2 * one, np.max(w * slope, axis=(1, 2)))
 
 
 def square_root_form(process: Process) -> SquareRootForm:
-    """Return modal energies H_i, with b_ii = β_i H_i and s_i = d_i where H_i = 0, as they are.
+    """Return the form whose X are modal energies H_i, b_ii = β_i H_i, s_i = d_i where H_i = 0.
 
     Raises ``NotApplicable`` where β_i or d_i depends on the energies, or b_ij ≠ 0.
     """
@@ -94,11 +109,11 @@ def square_root_form(process: Process) -> SquareRootForm:
 
 
 def line_form(process: Process) -> SquareRootForm:
-    """Return X = R², R = ∫ dH/√b from 0: a square-root process with β = 4 whatever b(H) is.
+    """Return the form of X = R², R = ∫ dH/√b from 0: a square-root process whatever b(H) is.
 
     By Ito's formula ``dX = μ dt + 2 √X dB``, ``μ = 1 + 2 R (s − b'/4)/√b``, and μ(0) = d = 2n with
-    n degrees of freedom: steps are of weak order two, but where contact has no clearance, where γ
-    is steep next to 0. Raises ``NotApplicable`` where the density does not fall off.
+    n degrees of freedom. Where contact has no clearance γ is steep next to 0, and steps are not of
+    weak order two. Raises ``NotApplicable`` where the density does not fall off.
     """
     grid = process.energy_scale * np.logspace(-3.0, 3.0, 600)
     slope = log_density_slope(process.coefficients(grid))
@@ -134,28 +149,6 @@ def line_form(process: Process) -> SquareRootForm:
     )
 
 
-def limit_diffusion(form: SquareRootForm, weights: Array) -> Diffusion:
-    """Return how the noise moves the sums ``weights`` (limits, d) · X, forms of the momenta √X.
-
-    A sum S of square-root processes has dS = … + σ dB, σ² = Σ w² β X; as the noise moves S by 1 it
-    moves σ² by Σ w³ β² X/σ², at rest by that of the energy alone that moves most.
-    """
-    w, one, slope = weights[:, :, None], np.eye(form.slope.size), form.slope[:, None]
-    return Diffusion(w**2 * slope * one, w**3 * slope**2 * one, np.max(w * slope, axis=(1, 2)))
-
-
-def from_energies(form: SquareRootForm, energies: Array) -> Array:
-    """Return X (paths, d) of ``energies``: by bisection, ``form.energies`` being monotone."""
-    low, high = np.zeros_like(energies), np.broadcast_to(form.scales, energies.shape).copy()
-    while np.any(below := form.energies(high) < energies):
-        high[below] *= 2.0
-    for _ in range(60):  # to the last digit
-        middle = 0.5 * (low + high)
-        below = form.energies(middle) < energies
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return np.asarray(high)
-
-
 def square_root_step(
     form: SquareRootForm,
     X: Array,
@@ -164,16 +157,13 @@ def square_root_step(
     modulation: Modulation | None = None,
     begin: float = 0.0,
 ) -> Array:
-    """Draw X (paths, d) one step later, by Strang splitting; it stays positive.
+    """Draw X (paths, d) one step later, by Strang splitting of weak order two; it stays positive.
 
     Half a step of the damping beyond the linear, ``dX = −(γ(X) − γ₀) X dt`` by an exponential
-    midpoint rule, the exact step of the square-root process that is left, and the other half. That
-    process has X(t) = k χ'², k = β (1 − e^{−γ₀t})/(4γ₀), noncentral chi-square with 4 d/β degrees
-    of freedom and noncentrality X e^{−γ₀t}/k. Weak order two. Of modulated noise, the step being
-    from ``begin`` on, (1 − e^{−γ₀t})/γ₀ is ∫e(s)² e^{−γ₀(t−s)} ds, exact as well, and γ that of the
-    mean of e².
-
-    Raises ``NotCertified`` where a step is so long that energies grow beyond all bounds.
+    midpoint rule, the exact step of the rest, and the other half. The rest has X(t) = k χ'², k = β
+    (1 − e^{−γ₀t})/(4γ₀), noncentral chi-square with 4 d/β degrees of freedom and noncentrality
+    X e^{−γ₀t}/k. Of modulated noise, from ``begin`` on, (1 − e^{−γ₀t})/γ₀ is ∫e(s)² e^{−γ₀(t−s)} ds
+    and γ that of the mean of e². Raises ``NotCertified`` where a step is unstable.
     """
     factor = 1.0 if modulation is None else float(modulation.mean_square(np.array(begin), dt))
     form = form if modulation is None else form.under(factor)
@@ -194,8 +184,7 @@ def square_root_step(
     if modulation is not None:
         grown = modulation.faded(begin, begin + dt, form.linear) / factor
     k = 0.25 * form.slope * grown
-    freedom = 4.0 * form.noise / form.slope
-    X = damped(k * stream.noncentral_chisquare(freedom, X * decay / k))
+    X = damped(k * stream.noncentral_chisquare(4.0 * form.noise / form.slope, X * decay / k))
     if not np.isfinite(X).all():
         words = "energies left the range of double precision: steps of"
         raise NotCertified(f"{words} {dt:g} are unstable; use a smaller step")

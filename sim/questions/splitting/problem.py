@@ -15,6 +15,7 @@ from fpk.system.linear import natural_modes
 from fpk.system.system import System
 from sim.questions import limits
 from sim.questions.passing import diffusion_of
+from sim.questions.rounds import drawn_states
 from sim.questions.splitting.kernel import (
     LEVELS,
     CompiledReplicas,
@@ -22,7 +23,6 @@ from sim.questions.splitting.kernel import (
     Score,
     compiled_paths,
 )
-from sim.questions.starts import drawn_states
 from sim.sample.plan import step_arrays, watched
 from sim.step.schemes import EXACT_FLOW
 from sim.step.step_size import chosen_step, temperature

@@ -24,7 +24,7 @@ from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.numeric.machine import usable_cores, working_time
 from fpk.system.modulation import require_constant_noise
 from fpk.system.system import System
-from sim.questions.failure_times import most_events
+from sim.questions.passage import most_events
 from sim.questions.rounds import Watch
 from sim.questions.splitting.kernel import LEVELS
 from sim.questions.splitting.problem import ScoreFunction, system_problem
