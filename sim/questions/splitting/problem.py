@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite
 
 import numpy as np
@@ -15,16 +16,10 @@ from fpk.system.linear import natural_modes
 from fpk.system.system import System
 from sim.questions import limits
 from sim.questions.passing import diffusion_of
-from sim.questions.splitting.kernel import (
-    LEVELS,
-    CompiledReplicas,
-    LimitArrays,
-    Score,
-    compiled_paths,
-)
+from sim.questions.splitting.kernel import LEVELS, CompiledReplicas, LimitArrays, compiled_paths
 from sim.questions.starts import drawn_states
 from sim.sample.plan import step_arrays, watched
-from sim.step.schemes import EXACT_FLOW
+from sim.step.schemes import SCHEMES
 from sim.step.step_size import chosen_step, temperature
 
 ScoreFunction = Callable[[Array, Array], Array]
@@ -34,33 +29,29 @@ below the limit, ascending, and times (k,) > 0, ascending, to (k, m)."""
 ROWS, COLUMNS = 128, 256
 """Cells of the table over the root of the remaining time and over the share of the limit."""
 
-
 SHARES = np.maximum(np.arange(COLUMNS), 0.5) / COLUMNS
 """Shares x of the limit at which scores are asked; the first stands for 0."""
 
 
-def cost_score(limit: float, *, noise: float, decay: float) -> ScoreFunction:
+def least_action(
+    energies: Array, times: Array, *, limit: float, noise: float, decay: float
+) -> Array:
     """Return minus the least action by which ``dH = (D' − γ H) dt + √(2 D' H) dB`` fails in time.
 
     ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))`` with ``noise`` D' and ``decay`` γ, which may be
     0 or negative: the exponent of the Gaussian transition of an oscillator's amplitude.
     """
-
-    def score(energies: Array, times: Array) -> Array:
-        tau = times[:, None]
-        grown = tau if decay == 0.0 else -np.expm1(-decay * tau) / decay
-        short = np.sqrt(limit) - np.sqrt(energies) * np.exp(-0.5 * decay * tau)
-        return np.asarray(-np.square(np.maximum(short, 0.0)) / (noise * grown))
-
-    return score
+    tau = times[:, None]
+    grown = tau if decay == 0.0 else -np.expm1(-decay * tau) / decay
+    short = np.sqrt(limit) - np.sqrt(energies) * np.exp(-0.5 * decay * tau)
+    return np.asarray(-np.square(np.maximum(short, 0.0)) / (noise * grown))
 
 
-def score_table(
-    scores: Sequence[ScoreFunction], energies: Sequence[Array], *, time: float, steps: int
-) -> Score:
-    """Return the levels of one score a coordinate; ``energies`` are what it takes at ``SHARES``.
+def score_tables(scores: Sequence[ScoreFunction], energies: Sequence[Array], time: float) -> Array:
+    """Return levels (coordinates, rows + 1, columns + 1); ``energies`` are those at ``SHARES``.
 
-    A score counts from its value at energy 0 with all of ``time`` left; no failure has a larger one
+    x = column/columns is the share of the limit, and (row/rows)² that of the time which is left. A
+    score counts from its value at energy 0 with all of ``time`` left; no failure has a larger one
     than energies just below it.
     """
     left, tables = time * (np.arange(1, ROWS + 1) / ROWS) ** 2, []
@@ -76,7 +67,7 @@ def score_table(
         else:  # the score cannot tell: x alone does
             table[:, :-1] = LEVELS * np.arange(COLUMNS) / COLUMNS
         tables.append(table)
-    return Score(np.array(tables), steps)
+    return np.array(tables)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,37 +79,33 @@ class SystemProblem:
     start: Start
     time: float
     dt: float
-    score: Score
+    tables: Array  # of the score
 
     def replicas(
         self, count: int, steps: int, seed: int, stream: np.random.Generator
     ) -> CompiledReplicas:
-        """Return ``count`` paths of ``steps`` steps from their starts, drawn from ``stream``."""
-        n, step = self.system.n, step_arrays(self.system, EXACT_FLOW, self.time / steps)
-        energies = limits.energies_of(self.limit, n) or [Coordinate("H", m) for m in range(n)]
-        key, watch = watched(self.system, EXACT_FLOW, step, (), (), energies)
-        starts = drawn_states(self.system, self.start, int(stream.integers(2**63)), count)
-        score = self.score._replace(steps=steps)
-        model = step, watch, limit_arrays(self.system, self.limit), score
-        renew = compiled_paths(key, self.limit.kind)
+        """Return ``count`` paths of ``steps`` steps from their starts, drawn from ``stream``.
+
+        Of |q_i| the score is of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the largest
+        |q_i| of free motion and k the static stiffness at mass i. E_i is not above H, and not below
+        its value E_f = ½ k a² + U_i(a) where |q_i| passes a. |q_i| itself would be a poor score:
+        the next peak of a path that has set out for it is no longer open.
+        """
+        system, limit, n = self.system, self.limit, self.system.n
+        at, reach, energy, mass = limits.energies_at(system, limit), np.zeros(n), 1.0, 0
+        if limit.kind == "q":
+            at, energy = np.array([limit.value]), float(np.min(at))
+            mass, (shapes, omega) = limit.observable(n)[0].row, natural_modes(system)
+            reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
+        scheme = SCHEMES["exact_flow"]
+        step = step_arrays(system, scheme, self.time / steps)
+        energies = limits.energies_of(limit, n) or [Coordinate("H", m) for m in range(n)]
+        key, watch = watched(system, scheme, step, (), (), energies)
+        starts = drawn_states(system, self.start, int(stream.integers(2**63)), count)
+        numbers = LimitArrays(at, diffusion_of(system, limit), reach, energy, mass)
+        model = step, watch, numbers, self.tables, steps
+        renew = compiled_paths(key, limit.kind)
         return CompiledReplicas(renew, model, np.hstack(starts), steps, seed)
-
-
-def limit_arrays(system: System, limit: Limit) -> LimitArrays:
-    """Return the numbers of the quantity that ``limit`` is on.
-
-    Of |q_i| these are, for the score, of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the
-    largest |q_i| of free motion and k the static stiffness at mass i. E_i is not above H, and not
-    below its value E_f = ½ k a² + U_i(a) where |q_i| passes a. |q_i| itself would be a poor score:
-    the next peak of a path that has set out for it is no longer open.
-    """
-    at, diffusion = limits.energies_at(system, limit), diffusion_of(system, limit)
-    if limit.kind != "q":
-        return LimitArrays(at, diffusion, np.zeros(system.n), 1.0, 0)
-    mass, energy = limit.observable(system.n)[0].row, float(np.min(at))
-    shapes, omega = natural_modes(system)
-    reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
-    return LimitArrays(np.array([limit.value]), diffusion, reach, energy, mass)
 
 
 def system_problem(
@@ -152,19 +139,19 @@ def system_problem(
         tops, kT = np.min(tops, keepdims=True), temperature(system)
         noise = np.mean(np.diag(system.noise_matrix) / system.mass, keepdims=True)
         decay = noise / kT if isfinite(kT) else np.zeros(1)
-    scores = [
-        cost_score(energy, noise=float(D), decay=float(c))
+    scores: list[ScoreFunction] = [
+        partial(least_action, limit=energy, noise=float(D), decay=float(c))
         for energy, D, c in zip(tops, noise, decay, strict=True)
     ]
     if score is not None:
         if len(scores) > 1:
             raise InvalidInput("score", score, "must be left out where there are several limits")
         scores = [score]
-    table = score_table(scores, [top * SHARES**2 for top in tops], time=time, steps=1)
+    tables = score_tables(scores, [top * SHARES**2 for top in tops], time)
     reach = limits.reach_of(system, limit, start, time)
     soon = min(reach.limit, reach.start) if start.kind == "state" else reach.limit
     longest = chosen_step(system, energy=reach.energy, kT=reach.kT)
     longest = min(longest, limits.STEP_TO_LIMIT * soon, time / limits.STEPS_SINCE_START)
     if dt is not None and dt > limits.TOO_LONG * longest:
         raise InvalidInput("dt", dt, f"is too long to see a passage; use {longest:.2g}")
-    return SystemProblem(system, limit, start, time, dt or longest, table)
+    return SystemProblem(system, limit, start, time, dt or longest, tables)

@@ -7,7 +7,7 @@ by a copy of a survivor up to the first time at which its score exceeds Z, and b
 there. For a Markov chain in discrete time and any score the probability has the mean P exactly.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import ceil, exp, hypot, inf, isfinite, log, nan
@@ -136,23 +136,18 @@ class RareFailure:
 
 
 def split(
-    replicas: Any,
-    failure: int,
-    killed: int,
-    stream: np.random.Generator,
-    over: Callable[[], bool] = lambda: False,
+    replicas: Any, failure: int, killed: int, stream: np.random.Generator, until: float = inf
 ) -> tuple[float, int, int]:
     """Return ln of the estimated probability that a path's score reaches ``failure``, and levels.
 
-    Third come the replicas that failed before any was killed: plain sampling. ``replicas`` are
-    paths with the largest levels ``best`` (replicas,) that their scores have reached, and
-    ``renew(dead, parents, level)``, as ``kernel.CompiledReplicas`` has them. ``killed`` is the
-    least number of them that each level kills; ties may make it more. The logarithm is −inf where
-    no replica is left, and not a number where it is ``over()`` before the last level.
+    Third come the replicas that failed before any was killed: plain sampling. ``replicas`` are as
+    ``kernel.CompiledReplicas``; each level kills ``killed`` of them at least, and ties. The
+    logarithm is −inf where no replica is left, and not a number where the last level has not come
+    by the working time ``until``.
     """
     log_probability, levels = 0.0, 0
     failed = int(np.sum(replicas.best >= failure))
-    while not over():
+    while working_time() <= until:
         best = replicas.best
         level = int(np.partition(best, killed - 1)[killed - 1])
         if level >= failure:
@@ -201,16 +196,13 @@ def repetition(
 ) -> tuple[int, int, tuple[float, ...]]:
     """Return one repetition at the step dt / 2**``fine``: its ``number``, ``fine``, its result.
 
-    That is the result of ``split`` and the steps made, with streams of its own. ``problem`` is a
-    dataclass as ``SystemProblem``, with ``time``, ``dt`` and ``replicas``. The repetition is not
-    finished, its probability not a number, where more than ``left`` seconds are needed.
+    That is the result of ``split``, within ``left`` seconds, and the steps made, with streams of
+    its own. ``problem`` is a dataclass as ``SystemProblem``.
     """
-    begin = working_time()
-    stream = stream_of(settings.seed, 2 * number + fine)
+    until, stream = working_time() + left, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
     replicas = problem.replicas(settings.replicas, steps, seed, stream)
-    over = lambda: working_time() - begin > left  # noqa: E731
-    result = split(replicas, LEVELS, settings.killed, stream, over)
+    result = split(replicas, LEVELS, settings.killed, stream, until)
     return number, fine, (*result, int(replicas.paths.moved.sum()))
 
 
