@@ -17,14 +17,17 @@ from fpk.system.process import Process
 from sim.questions.averaged.square_root import SquareRootForm, from_energies, line_form
 from sim.questions.splitting.kernel import (
     LEVELS,
+    SHARES,
     CompiledReplicas,
     Paths,
+    ScoreFunction,
     begin,
+    least_action,
     level_of,
     record,
+    score_tables,
     uniform,
 )
-from sim.questions.splitting.problem import SHARES, ScoreFunction, least_action, score_tables
 from sim.questions.splitting.run import RareFailure, Splitting, failure_of
 from sim.step.kernel import kernel_checksum, once
 from sim.step.random import GOLDEN, fill_normals, place_of

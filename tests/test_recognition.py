@@ -39,8 +39,7 @@ from fpk.system.damping import DampingTerm
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.splitting.problem import system_problem
-from sim.questions.splitting.run import NOT_IN_REPETITION, Splitting, failure_of
+from sim.questions.splitting.run import NOT_IN_REPETITION, Splitting, failure_of, system_problem
 from sim.sample.checkpoint import PROGRAM, program_checksum
 from sim.sample.histogram import Histogram, binned
 from sim.sample.settings import ANYWHERE, NOT_IN_STATE

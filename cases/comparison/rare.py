@@ -20,7 +20,7 @@ from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.failure_times import LEAST_FAILURES
 from sim.questions.passage import horizon
-from sim.questions.splitting.problem import ScoreFunction
+from sim.questions.splitting.kernel import ScoreFunction
 from sim.questions.splitting.run import Splitting, rare_failure
 
 SPLITTING = Route(

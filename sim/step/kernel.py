@@ -39,21 +39,16 @@ def kernel_checksum(laws: Sequence[str] = (), root: Path = ROOT) -> int:
 
 
 class KernelKey(NamedTuple):
-    """Effects, scheme and observations that a kernel is compiled for.
+    """Effects, scheme and observations that a kernel is compiled for."""
 
-    ``laws`` are the contact laws that act, ``damping`` and ``energy_damping`` damping terms and
-    those with H; H may be observed (``energy``), and products of forces summed (``moments``); a map
-    draws ``pairs`` of normals; there may be ``substeps``, small steps near stops.
-    """
-
-    laws: tuple[str, ...] = ()
+    laws: tuple[str, ...] = ()  # of contact
     kick_first: bool = True
-    damping: bool = False
-    energy_damping: bool = False
-    energy: bool = False
-    moments: bool = False
-    pairs: int = 2
-    substeps: bool = False
+    damping: bool = False  # damping terms act
+    energy_damping: bool = False  # and some with H
+    energy: bool = False  # H is observed
+    moments: bool = False  # products of forces are summed
+    pairs: int = 2  # of normals, of one map
+    substeps: bool = False  # small steps near stops
 
     def parts_of_laws(self) -> Any:
         """Return force, slope and energy of the laws for ``of_law``, None where nothing touches."""

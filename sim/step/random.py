@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fpk.numeric.arrays import Array
 from fpk.numeric.compiling import cached_njit, inlined
 from fpk.system.system import System
-from sim.step.arrays import LANES
+from sim.step.arrays import LANES, in_blocks
 from sim.step.schemes import factored
 from sim.step.step_size import temperature
 
@@ -30,8 +30,7 @@ START = 1 << 39
 """First counter, within a trajectory's words, of those that draw its initial state."""
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-"""2**64 over the golden ratio: from a word to the next, and from a seed to one of another
-simulation."""
+"""2**64 over the golden ratio: from a word to the next, and to the seed of another simulation."""
 
 u32, f32 = np.uint32, np.float32
 
@@ -115,10 +114,7 @@ def _fill_blocks(out: Array, words: Words, counter: np.uint64, offset: np.uint64
 
 
 def normals(seed: int, paths: int, counter: int, count: int) -> Array:
-    """Return (count, paths) standard normals: of every path those from word ``counter`` on.
-
-    The step number ``step`` of a scheme with ``pairs`` pairs reads from ``step · pairs``.
-    """
+    """Return (count, paths) standard normals: of every path those from word ``counter`` on."""
     out = np.empty((count + count % 2, -(-paths // LANES) * LANES))
     _fill_blocks(out, np.empty(LANES, np.uint64), np.uint64(counter), mixed_seed(seed))
     return out[:count, :paths]
@@ -136,7 +132,7 @@ def start_states(system: System, seed: int, blocks: int) -> Array:
     q = np.zeros_like(p)
     if system.damping_terms:
         q = start_displacements(system, kT, normals(seed, blocks * LANES, START + n, n))
-    return np.array(np.vstack([q, p]).reshape(2 * n, -1, LANES).transpose(1, 0, 2), order="C")
+    return in_blocks(np.vstack([q, p]).T)
 
 
 def start_displacements(system: System, kT: float, z: Array) -> Array:

@@ -125,9 +125,8 @@ def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None)
 def step_for(
     system: System, error: float, *, kT: float | None = None, observables: Sequence[Observable] = ()
 ) -> float:
-    """Return the step, up to ``chosen_step``, whose bias at the stops is a third of ``error``.
+    """Return the step, up to ``chosen_step``, whose bias at the stops is a third of ``error`` of p.
 
-    ``error`` is the relative sampling error of p.
     Within v h of a stop, v the thermal velocity, the force is not smooth over a step: of a force
     ``B x^e`` the bias of p(q) there is ``BIAS X^e`` of itself, ``X = h² e B (v h)^(e−1)/m`` the
     square of the phase that the contact adds in a step. In a density of q and p, or of one of them

@@ -22,8 +22,7 @@ from sim.questions.averaged.square_root import SquareRootForm
 from sim.questions.passing import cubic_of, first_passage
 from sim.questions.splitting import RareFailure, Splitting, rare_failure
 from sim.questions.splitting.kernel import LEVELS
-from sim.questions.splitting.problem import system_problem
-from sim.questions.splitting.run import mean_and_error, split
+from sim.questions.splitting.run import mean_and_error, split, system_problem
 from sim.questions.starts import on_shell
 from sim.sample.workers import workers_of
 from sim.step.random import GOLDEN, fill_normals, mixed_seed

@@ -1,26 +1,84 @@
-"""The compiled paths of splitting: records, score, limits, and single trajectories of the system.
+"""The full system (6) towards a limit: starts, score, and compiled paths with their records.
 
-A trajectory is a block of one lane. The score is a share of the limit by which paths are ranked.
+A trajectory is a block of one lane. The score ranks paths by the share of the limit that they have
+reached and by the time that is left.
 """
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from fpk.answer.limit import Limit
+from fpk.answer.observable import Coordinate
+from fpk.answer.start import Start
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import cached_njit, inlined
 from fpk.system.compiled_laws import of_law
-from sim.questions.passing import NATS, Diffusion, cubic_of, distance_to, first_passage
+from fpk.system.linear import natural_modes
+from fpk.system.system import System
+from sim.questions import limits, passing
+from sim.questions.starts import drawn_states
+from sim.sample.plan import step_arrays, watched
 from sim.step import forces
 from sim.step.arrays import StepArrays, WatchArrays
 from sim.step.kernel import KernelKey, kernel_checksum, map_state, once
 from sim.step.lanes import form_of, kick, row
 from sim.step.random import GOLDEN, fill_normals, mixed_seed, mixed_word, place_of
+from sim.step.schemes import SCHEMES
+
+ScoreFunction = Callable[[Array, Array], Array]
+"""ln P(failure within a time | energy), or any approximation of it: a function of energies (m,)
+below the limit, ascending, and times (k,) > 0, ascending, to (k, m)."""
 
 LEVELS = 2048
 """Levels of the score from 0 to failure: few enough that the records of a path stay short, each a
 factor of 1.01 to 1.05 of the probabilities from 1e-10 to 1e-40."""
+
+ROWS, COLUMNS = 128, 256
+"""Cells of the table over the root of the remaining time and over the share of the limit."""
+
+SHARES = np.maximum(np.arange(COLUMNS), 0.5) / COLUMNS
+"""Shares x of the limit at which scores are asked; the first stands for 0."""
+
+
+def least_action(
+    energies: Array, times: Array, *, limit: float, noise: float, decay: float
+) -> Array:
+    """Return minus the least action by which ``dH = (D' − γ H) dt + √(2 D' H) dB`` fails in time.
+
+    ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))`` with ``noise`` D' and ``decay`` γ, which may be
+    0 or negative: the exponent of the Gaussian transition of an oscillator's amplitude.
+    """
+    tau = times[:, None]
+    grown = tau if decay == 0.0 else -np.expm1(-decay * tau) / decay
+    short = np.sqrt(limit) - np.sqrt(energies) * np.exp(-0.5 * decay * tau)
+    return np.asarray(-np.square(np.maximum(short, 0.0)) / (noise * grown))
+
+
+def score_tables(scores: Sequence[ScoreFunction], energies: Sequence[Array], time: float) -> Array:
+    """Return levels (coordinates, rows + 1, columns + 1); ``energies`` are those at ``SHARES``.
+
+    x = column/columns is the share of the limit, and (row/rows)² that of the time which is left. A
+    score counts from its value at energy 0 with all of ``time`` left; no failure has a larger one
+    than energies just below it.
+    """
+    left, tables = time * (np.arange(1, ROWS + 1) / ROWS) ** 2, []
+    for score, energy in zip(scores, energies, strict=True):
+        table = np.zeros((ROWS + 1, COLUMNS + 1))
+        table[:, -1] = LEVELS
+        values = score(energy, left)
+        lowest = values[-1, 0]
+        if np.isfinite(lowest) and lowest < 0.0:
+            share = np.where(np.isnan(values), 0.0, 1.0 - values / lowest)
+            ascending = np.maximum.accumulate(np.clip(share, 0.0, 1.0), axis=1)
+            table[1:, :-1] = LEVELS * np.maximum.accumulate(ascending, axis=0)
+        else:  # the score cannot tell: x alone does
+            table[:, :-1] = LEVELS * np.arange(COLUMNS) / COLUMNS
+        tables.append(table)
+    return np.array(tables)
 
 
 class Paths(NamedTuple):
@@ -34,14 +92,10 @@ class Paths(NamedTuple):
 
 
 class LimitArrays(NamedTuple):
-    """The limit of a first passage: of c modal energies or, with c = 1, of one displacement q_i.
-
-    E_f is the energy of failure. The score of a displacement depends on E_i/E_f, E_i the energy
-    that its motion has; ``reach`` gives it from the modal energies H_m.
-    """
+    """The limit of a first passage: of c energies or, with c = 1, of one displacement q_i."""
 
     values: Array  # (c,)
-    diffusion: Diffusion  # of the energies, none of a displacement
+    diffusion: passing.Diffusion  # of the energies, none of a displacement
     reach: Array  # (n,), √(H_m/E_f) times these add up to √(E_i/E_f) without contact
     energy: float  # E_f
     mass: int  # of the displacement, from 0
@@ -50,8 +104,7 @@ class LimitArrays(NamedTuple):
 class CompiledReplicas:
     """Paths of one repetition from ``states`` (N, d), with room for so many ``steps``.
 
-    A compiled ``function`` renews them by numbers, the ``model``. Every renewed path has a stream
-    of its own, of those that begin with the seed ``seed``.
+    A compiled ``function`` renews them by the numbers ``model``, each with a stream of its own.
     """
 
     def __init__(
@@ -147,7 +200,7 @@ def look(
             form_of(seen[m, 1:2], s, at.p, noise.variance[m], 1.0, 1)
             form_of(seen[m, 2:3], s, at.p, noise.growth[m], 1.0, 1)
             H, value = s[watch.traced[m]], limit.values[m]
-            seen[m, 0] = distance_to(value, H, seen[m, 1], seen[m, 2], noise.at_rest[m])
+            seen[m, 0] = passing.distance_to(value, H, seen[m, 1], seen[m, 2], noise.at_rest[m])
             seen[m, 3] = sqrt(max(H, 0.0) / value)
 
 
@@ -158,11 +211,12 @@ def passed(before: Array, seen: Array, limit: float, h: float, word: np.uint64, 
     By an energy it is with the probability of a Brownian bridge, of the uniform number at ``word``.
     """
     if of_q:
-        return first_passage(cubic_of(before[1], before[2], seen[1], seen[2], h), limit) <= 1.0
+        cubic = passing.cubic_of(before[1], before[2], seen[1], seen[2], h)
+        return passing.first_passage(cubic, limit) <= 1.0
     exponent = 2.0 * before[0] * seen[0] / h
     if before[0] <= 0.0 or seen[0] <= 0.0:
         return True
-    return exponent < NATS and uniform(word) < exp(-exponent)
+    return exponent < passing.NATS and uniform(word) < exp(-exponent)
 
 
 @once
@@ -238,3 +292,41 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
         return sources
 
     return renew
+
+
+@dataclass(frozen=True, eq=False)
+class SystemProblem:
+    """Failure of ``system`` at ``limit`` before ``time``; see ``run.repetition``."""
+
+    system: System
+    limit: Limit
+    start: Start
+    time: float
+    dt: float
+    tables: Array  # of the score
+
+    def replicas(
+        self, count: int, steps: int, seed: int, stream: np.random.Generator
+    ) -> CompiledReplicas:
+        """Return ``count`` paths of ``steps`` steps from their starts, drawn from ``stream``.
+
+        Of |q_i| the score is of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the largest
+        |q_i| of free motion and k the static stiffness at mass i. E_i is not above H, and not below
+        its value E_f = ½ k a² + U_i(a) where |q_i| passes a. |q_i| itself would be a poor score:
+        the next peak of a path that has set out for it is no longer open.
+        """
+        system, limit, n = self.system, self.limit, self.system.n
+        at, reach, energy, mass = limits.energies_at(system, limit), np.zeros(n), 1.0, 0
+        if limit.kind == "q":
+            at, energy = np.array([limit.value]), float(np.min(at))
+            mass, (shapes, omega) = limit.observable(n)[0].row, natural_modes(system)
+            reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
+        scheme = SCHEMES["exact_flow"]
+        step = step_arrays(system, scheme, self.time / steps)
+        energies = limits.energies_of(limit, n) or [Coordinate("H", m) for m in range(n)]
+        key, watch = watched(system, scheme, step, (), (), energies)
+        starts = drawn_states(system, self.start, int(stream.integers(2**63)), count)
+        numbers = LimitArrays(at, passing.diffusion_of(system, limit), reach, energy, mass)
+        model = step, watch, numbers, self.tables, steps
+        renew = compiled_paths(key, limit.kind)
+        return CompiledReplicas(renew, model, np.hstack(starts), steps, seed)
