@@ -178,9 +178,9 @@ def look(
     seen: Array, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, law: Any,
     of_q: bool,
 ) -> None:  # fmt: skip
-    """Write, of each limit at the observed state, what ``passed`` reads and the share x.
+    """Write, of each limit at the observed state, four numbers.
 
-    That is the distance to it; q and v of a displacement, or σ² and its growth; √(E/E_f).
+    They are the distance to it; q and v of a displacement, or σ² and its growth; x = √(E/E_f).
     """
     at = watch.at
     if of_q:
@@ -202,21 +202,6 @@ def look(
             H, value = s[watch.traced[m]], limit.values[m]
             seen[m, 0] = passing.distance_to(value, H, seen[m, 1], seen[m, 2], noise.at_rest[m])
             seen[m, 3] = sqrt(max(H, 0.0) / value)
-
-
-@inlined
-def passed(before: Array, seen: Array, limit: float, h: float, word: np.uint64, of_q: bool) -> bool:
-    """Return whether a limit is passed between two looks (4,), one step h apart, or at the second.
-
-    By an energy it is with the probability of a Brownian bridge, of the uniform number at ``word``.
-    """
-    if of_q:
-        cubic = passing.cubic_of(before[1], before[2], seen[1], seen[2], h)
-        return passing.first_passage(cubic, limit) <= 1.0
-    exponent = 2.0 * before[0] * seen[0] / h
-    if before[0] <= 0.0 or seen[0] <= 0.0:
-        return True
-    return exponent < passing.NATS and uniform(word) < exp(-exponent)
 
 
 @once
@@ -266,9 +251,14 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
                 if records == 0 or done > begun:
                     reached = -1
                     for m in range(c):
-                        gone, u = seen[m, 0] <= 0.0, place + np.uint64(pairs + m) * GOLDEN
-                        if done > begun:
-                            gone = passed(before[m], seen[m], limit.values[m], h, u, displacement)
+                        gone, a, b = seen[m, 0] <= 0.0, before[m], seen[m]
+                        if done > begun and displacement:
+                            cubic = passing.cubic_of(a[1], a[2], b[1], b[2], h)
+                            gone = passing.first_passage(cubic, limit.values[m]) <= 1.0
+                        elif done > begun:  # of a Brownian bridge between both
+                            nats, u = 2.0 * a[0] * b[0] / h, place + np.uint64(pairs + m) * GOLDEN
+                            chance = exp(-nats) if nats < passing.NATS else 0.0
+                            gone |= a[0] <= 0.0 or uniform(u) < chance
                         # What has not passed the limit has not failed, to round-off either.
                         inside = min(level_of(tables[m], seen[m, 3], done / steps), LEVELS - 1)
                         reached = max(reached, LEVELS if gone else inside)
