@@ -40,9 +40,9 @@ def padded(rows: Array) -> Array:
 def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
     """Return ``exp(A dt)`` and ``∫ exp(A s) b exp(Aᵀ s) ds`` over 0..dt.
 
-    Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978, 395), which contains
-    exp(−A h), for ``|A| h <= ½``; doubling ``h`` then adds positive covariances: nothing cancels.
-    In units, powers of 2, in which A is balanced and b about 1: any others are as good.
+    Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978, 395) for ``|A| h <= ½``, in
+    units in which A is balanced and b about 1; doubling ``h`` then adds positive covariances:
+    nothing cancels.
     """
     with np.errstate(invalid="ignore"):  # scipy makes a permutation of the scale, unasked
         balanced, (scale, _) = matrix_balance(drift, permute=False, separate=True)
@@ -66,8 +66,8 @@ def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, A
 def factored(covariance: Array) -> Array:
     """Return a factor L (m, rank) with L Lᵀ = ``covariance``, which may be singular.
 
-    Cholesky with pivoting of the matrix scaled to unit diagonal, so that variances of different
-    units and powers of the step count alike; what is left at a pivot of round-off is dropped.
+    Cholesky with pivoting, scaled to unit diagonal, so that variances of different units and powers
+    of the step count alike; what is left at a pivot of round-off is dropped.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)

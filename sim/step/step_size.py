@@ -48,8 +48,7 @@ CHANCE = exp(-100.0)
 density is not Gibbs', and falls by e^−30 only instead of e^−100, none of them has."""
 
 STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8
-"""Wall time of a step of up to three masses, and of a sample, of one thread, in s, to a factor 2:
-the step that follows is longer by the fourth root of that."""
+"""Wall time, in s, to a factor 2, of a step of up to three masses and of a sample, by a thread."""
 
 
 def temperature(system: System) -> float:
@@ -249,8 +248,7 @@ def modal_powers(system: System, temperatures: Array) -> Array:
 def undamped_mode(system: System) -> bool:
     """Return whether neither the constant damping nor any term acts on some mode."""
     shapes, omega = natural_modes(system)
-    constant = np.abs(np.einsum("im,ij,jm->m", shapes, system.damping, shapes))
-    reached = constant > ROUND_OFF * omega[-1]
+    reached = np.abs(np.diag(shapes.T @ system.damping @ shapes)) > ROUND_OFF * omega[-1]
     size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
     for term in system.damping_terms:
         reached |= size[term.row] * size[term.column] > ROUND_OFF
@@ -268,8 +266,7 @@ def loudest(system: System) -> System:
 def hottest(system: System) -> float:
     """Return the least T with N <= T c, as quadratic forms of v; inf where some v is not damped.
 
-    Of no damped linear motion is the mean of m v² larger. With damping terms it is the largest
-    temperature of a mode, or that of all.
+    With damping terms it is the largest temperature of a mode, or that of all.
     """
     if system.damping_terms:
         return float(max(temperature(system), *modal_temperatures(system)))

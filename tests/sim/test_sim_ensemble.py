@@ -111,7 +111,7 @@ def test_whatever_is_compiled_is_in_the_checksum() -> None:
     sources = {p: p.read_text("utf-8") for p in (ROOT / "sim").rglob("*.py")}
     decorated = re.compile(r"@(njit\(|inlined|cached_njit\()")
     compiled = {p for p, text in sources.items() if decorated.search(text)}
-    assert len(compiled) > 6 and compiled <= files
+    assert len(compiled) == 6 and compiled <= files
     assert files <= set(sources)
 
 
