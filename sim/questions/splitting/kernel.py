@@ -257,8 +257,10 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
                             gone = passing.first_passage(cubic, limit.values[m]) <= 1.0
                         elif done > begun:  # of a Brownian bridge between both
                             nats, u = 2.0 * a[0] * b[0] / h, place + np.uint64(pairs + m) * GOLDEN
-                            chance = exp(-nats) if nats < passing.NATS else 0.0
-                            gone |= a[0] <= 0.0 or uniform(u) < chance
+                            if a[0] <= 0.0:
+                                gone = True
+                            elif nats < passing.NATS and not gone:
+                                gone = uniform(u) < exp(-nats)
                         # What has not passed the limit has not failed, to round-off either.
                         inside = min(level_of(tables[m], seen[m, 3], done / steps), LEVELS - 1)
                         reached = max(reached, LEVELS if gone else inside)
