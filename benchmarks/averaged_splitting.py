@@ -17,26 +17,20 @@ from fpk.system.process import Process
 from sim.questions.averaged.square_root import SquareRootForm, line_form
 from sim.questions.splitting.kernel import (
     LEVELS,
+    SHARES,
     CompiledReplicas,
     Paths,
-    Score,
+    ScoreFunction,
     begin,
-    draw_normals,
+    least_action,
     level_of,
-    place,
     record,
+    score_tables,
     uniform,
 )
-from sim.questions.splitting.problem import SHARES, ScoreFunction, cost_score, score_table
 from sim.questions.splitting.run import RareFailure, Splitting, failure_of
-from sim.step.kernel import once
-from sim.step.random import GOLDEN
-
-NAMES = (
-    "sim/step/random.py",
-    "sim/questions/splitting/kernel.py",
-    "benchmarks/averaged_splitting.py",
-)
+from sim.step.kernel import kernel_checksum, once
+from sim.step.random import GOLDEN, fill_normals, place_of
 
 CELLS = 4096
 """Cells of the table of the damping over R = √X up to the limit."""
@@ -62,7 +56,7 @@ class EnergyProblem:
     top: float
     time: float
     dt: float
-    score: Score
+    tables: Array
 
     def replicas(
         self, count: int, steps: int, seed: int, stream: np.random.Generator
@@ -74,7 +68,7 @@ class EnergyProblem:
         pairs = round(2.0 * d / beta)
         model = (
             (h, k, float(np.exp(-gamma * h)), 0.25 * beta * h, self.top),
-            pairs, self.table, self.score._replace(steps=steps),
+            pairs, self.table, self.tables[0], steps,
         )  # fmt: skip
         states = np.full((count, 1), self.first)
         return CompiledReplicas(compiled_energies(), model, states, steps, seed)
@@ -136,13 +130,15 @@ def energy_problem(
     grid = np.linspace(0.0, top, extra.size)
     mean = gamma + 2.0 * float(np.trapezoid(extra * grid, grid)) / top**2
     own = score or (
-        lambda H, times: cost_score(top**2, noise=0.5 * beta, decay=mean)(root(H) ** 2, times)
+        lambda H, times: least_action(
+            root(H) ** 2, times, limit=top**2, noise=0.5 * beta, decay=mean
+        )
     )
-    table = score_table([own], [energy(top * SHARES)], time=time, steps=1)
+    tables = score_tables([own], [energy(top * SHARES)], time)
     rate = max(abs(gamma), abs(mean))
     return EnergyProblem(
         (d, beta, gamma), extra, first**2, top, time,
-        dt or min(time, 1.0 / rate if rate > 0.0 else time) / STEPS, table,
+        dt or min(time, 1.0 / rate if rate > 0.0 else time) / STEPS, tables,
     )  # fmt: skip
 
 
@@ -171,13 +167,13 @@ def damped(X: float, table: Array, top: float, h: float) -> float:
 @once
 def compiled_energies() -> Any:
     """Return the function that renews paths of an energy, one for all threads."""
-    sources = checksum([ROOT / name for name in NAMES])
+    sources = kernel_checksum() ^ checksum([ROOT / "benchmarks/averaged_splitting.py"])
 
     @cached_njit()
     def renew(
         dead: Integers, parents: Integers, level: int, first: int, offset: np.uint64,
         numbers: tuple[float, float, float, float, float], pairs: int, table: Array,
-        score: Score, paths: Paths,
+        levels: Array, steps: int, paths: Paths,
     ) -> int:  # fmt: skip
         """Replace the paths ``dead`` by ``parents`` up to where they exceed ``level``, then anew.
 
@@ -185,21 +181,20 @@ def compiled_energies() -> Any:
         checksum of its sources.
         """
         h, k, decay, variance, top_R = numbers
-        x, z = np.zeros(1), np.zeros(2 * pairs, np.float32)
-        word = np.zeros(2, np.uint32)
+        x, z, words = np.zeros(1), np.zeros(2 * pairs, np.float32), np.zeros(1, np.uint64)
         for number in range(dead.size):
             i = dead[number]
             done = begin(paths, i, parents[number], level, x)
             begun, top, records = done, paths.level[i, 0], 1
             X = x[0]
             if level < 0:
-                top = level_of(score, 0, np.sqrt(X) / top_R, 0)
+                top = level_of(levels, np.sqrt(X) / top_R, 0.0)
                 record(paths, i, 0, x, top, 0)
-            while done < score.steps and top < LEVELS:
+            while done < steps and top < LEVELS:
                 R0 = np.sqrt(X)
                 X = damped(X, table, top_R, 0.5 * h)
-                at = place(first + number, (done - begun) * (pairs + 1), offset)
-                draw_normals(z, word, at, pairs)
+                at = place_of(first + number, (done - begun) * (pairs + 1), offset)
+                fill_normals(z, words, at, pairs, 1)
                 mean = np.float64(z[0]) + np.sqrt(X * decay / k)
                 total = mean * mean
                 for r in range(1, 2 * pairs):
@@ -208,7 +203,7 @@ def compiled_energies() -> Any:
                 u = at + np.uint64(pairs) * GOLDEN
                 most = bridge_maximum(R0, np.sqrt(X), variance, u)
                 done += 1
-                reached = level_of(score, 0, most / top_R, done)
+                reached = level_of(levels, most / top_R, done / steps)
                 if reached > top:
                     top, x[0] = reached, X
                     record(paths, i, records, x, top, done)

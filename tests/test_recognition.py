@@ -39,8 +39,7 @@ from fpk.system.damping import DampingTerm
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.splitting.problem import system_problem
-from sim.questions.splitting.run import NOT_IN_REPETITION, Splitting, failure_of
+from sim.questions.splitting.run import NOT_IN_REPETITION, Splitting, failure_of, system_problem
 from sim.sample.checkpoint import PROGRAM, program_checksum
 from sim.sample.histogram import Histogram, binned
 from sim.sample.settings import ANYWHERE, NOT_IN_STATE
@@ -211,8 +210,7 @@ def test_a_repetition_is_that_of_a_problem_equal_in_all_that_matters(monkeypatch
     monkeypatch.setattr("sim.sample.checkpoint.program_checksum", lambda: 1)
     limit, start = parse_limit("H=2", 2), parse_start("q1=0.1", STEADY)
     problem = system_problem(STEADY, limit, start, 5.0, dt=0.1, score=None)
-    score = problem.score._replace(table=problem.score.table[:, ::32, ::32])
-    problem = replace(problem, system=SYSTEM, score=score)
+    problem = replace(problem, system=SYSTEM, tables=problem.tables[:, ::32, ::32])
     own = identity(problem, Splitting())
     for way, other in others(problem):
         assert identity(other, Splitting()) != own, way
@@ -313,9 +311,7 @@ def test_an_option_of_a_command_is_another_run_unless_no_state_depends_on_it(tmp
     assert {"dt", "step_pair", "allow_unstable", "seed", "tol", "threads"} <= {*names}
 
 
-UNREAD_BY_PATHS = {
-    "kick_first", "observed", "momenta", "moments", "substeps", "traced", "halved", "modulated",
-}  # fmt: skip
+UNREAD_BY_PATHS = {"kick_first", "moments", "substeps"}
 """Fields of a ``KernelKey`` that have one value where single paths are made for splitting."""
 
 
@@ -330,9 +326,9 @@ def test_compiled_code_is_found_by_every_field_of_its_key(compiled, unread):
     def closed_over(key):
         return fingerprint([cell.cell_contents for cell in compiled(key).py_func.__closure__])
 
-    key = KernelKey(laws=("hertz",), damping=True, energy_damping=True, energy=True, observed=True)
+    key = KernelKey(laws=("hertz",), damping=True, energy_damping=True, energy=True)
     own = closed_over(key)
-    for f in fields(key):
-        values = [other for _, other in others(getattr(key, f.name))]
-        for other in [("power",), ()] if f.name == "laws" else values:
-            assert (closed_over(replace(key, **{f.name: other})) == own) == (f.name in unread)
+    for name, value in key._asdict().items():
+        values = [other for _, other in others(value)]
+        for other in [("power",), ()] if name == "laws" else values:
+            assert (closed_over(key._replace(**{name: other})) == own) == (name in unread)

@@ -19,7 +19,7 @@ from fpk.solvers.line.time.passage import first_passage
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.passage import LEAST_FAILURES, horizon
-from sim.questions.splitting.problem import ScoreFunction
+from sim.questions.splitting.kernel import ScoreFunction
 from sim.questions.splitting.run import Splitting, rare_failure
 
 SPLITTING = Route(

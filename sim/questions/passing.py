@@ -11,15 +11,15 @@ import numpy as np
 
 from fpk.answer.limit import Limit
 from fpk.numeric.arrays import SMALLEST, Array, Integers
-from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
+from fpk.numeric.compiling import cached_njit, inlined
 from fpk.system.linear import natural_modes
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim.questions.limits import energies_at, energies_of, modal_rates
 from sim.sample.ensemble import Reader
 from sim.step.arrays import W
-from sim.step.kernel import once
-from sim.step.lanes import add_product, fill, row
+from sim.step.kernel import kernel_checksum, once
+from sim.step.lanes import form_of
 
 Cubic = tuple[float, float, float, float]
 
@@ -55,16 +55,6 @@ def turning_points(c: Cubic) -> tuple[float, float]:
 
 
 @inlined
-def form_of(value: Array, s: Array, first: int, form: Array, width: int = W) -> None:
-    """Write pᵀ ``form`` p of each lane, p being the rows of ``s`` from ``first`` on."""
-    fill(value, 0.0, width)
-    for i in range(form.shape[0]):
-        for j in range(form.shape[1]):
-            x, y = row(s, first + i, 1, width), row(s, first + j, 1, width)
-            add_product(value, x, y, form[i, j], width)
-
-
-@inlined
 def distance_to(limit: float, H: float, variance: float, growth: float, at_rest: float) -> float:
     """Return ∫dH/σ from H to the ``limit``, σ² = ``variance`` being linear in H with the slope β.
 
@@ -94,16 +84,13 @@ def first_passage(c: Cubic, limit: float) -> float:
     return 2.0
 
 
-SOURCES = ("sim/step/arrays.py", "sim/step/lanes.py", "sim/questions/passing.py")
-"""Files that readers are compiled from."""
-
 NATS = 40.0
 """−ln of a probability that counts as none: 4e-18."""
 
 
 def reader(make: Callable[[int], Any]) -> Reader:
-    """Return the reader that ``make`` compiles, which returns the checksum of ``SOURCES``."""
-    compiled = once(lambda: make(checksum([ROOT / name for name in SOURCES])))
+    """Return the reader that ``make`` compiles, which returns the checksum of its sources."""
+    compiled = once(lambda: make(kernel_checksum()))
 
     @wraps(make)
     def read(*arrays: Any, **numbers: Any) -> None:

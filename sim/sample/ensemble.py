@@ -22,7 +22,7 @@ from sim.sample.workers import TASKS_PER_THREAD, Workers
 from sim.step.arrays import GROUPS, LANES, StepArrays, WatchArrays, in_blocks, in_rows
 from sim.step.kernel import KernelKey, compiled_kernel
 from sim.step.random import mixed_seed, start_states
-from sim.step.schemes import EXACT_FLOW, Scheme
+from sim.step.schemes import SCHEMES, Scheme
 from sim.step.step_size import largest_reached, loudest, stability_limit
 
 Reader = Callable[..., None]
@@ -45,20 +45,19 @@ def advanced(
     """
     states, sums, counts, last, *own = arrays
     blocks, rows, strength = len(states), watch.traced.size, step.strength
-    piece = max(1, TRACED // blocks) * stride if key.traced else steps
+    piece = max(1, TRACED // blocks) * stride if rows else steps
     trace = np.empty((blocks, min(piece, steps) // max(1, stride) + 1, rows, LANES))
     flat = (a.reshape(blocks, a.shape[1] * a.shape[2]) for a in (states, sums))
     fixed = *flat, counts, live, batch, first
     for k in range(0, max(1, steps), max(1, piece)):
         many = min(piece, steps - k)
         trace[:, 0] = last
-        if key.modulated:
-            step = step._replace(strength=strength[k : k + many])
+        step = step._replace(strength=strength[k : k + many])
         compiled_kernel(key)(
             *fixed, np.uint64(word + k * step.words), many, phase + k, stride, offset, step,
             watch, trace.reshape(blocks, trace.shape[1] * rows * LANES),
         )  # fmt: skip
-        if key.traced:
+        if rows:
             last[:] = trace[:, many // stride]
             if read:
                 read(trace, many // stride, samples + k // stride, *own)
@@ -144,11 +143,10 @@ class Ensemble:
         """Observe these from now on, all counts and sums starting from zero."""
         self.histograms, self.products = tuple(histograms), tuple(products)
         traced = [Coordinate(kind, i) for kind in ("q", "p") for i in range(self.system.n)]
-        key, self._watch = watched(
+        self._key, self._watch = watched(
             self.system, self.scheme, self.step, self.histograms, self.products,
-            () if self.start is None else (*traced, *self.energies), halved=self.halved,
+            () if self.start is None else (*traced, *self.energies),
         )  # fmt: skip
-        self._key = replace(key, modulated=self.modulation is not None)
         self.last = np.zeros((len(self.states), self._watch.traced.size, LANES))
         self.samples = self.phase = 0
         self._clear()
@@ -290,4 +288,4 @@ def ensemble_from(
     system: System, q: Array, p: Array, dt: float, seed: int, **settings: Any
 ) -> Ensemble:
     """Return the ensemble that begins in the observed states q, p (paths, n), by exact_flow."""
-    return Ensemble(system, EXACT_FLOW, dt, len(q), seed, start=(q, p), **settings)
+    return Ensemble(system, SCHEMES["exact_flow"], dt, len(q), seed, start=(q, p), **settings)

@@ -165,6 +165,7 @@ def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = Fal
     return StepArrays(
         matrix=linear.matrix,
         pairs=pairs,
+        maps=1 + halved,
         dt=float(dt),
         stiffness_matrix=system.stiffness_matrix,
         half_inverse_mass=0.5 / system.mass,
@@ -179,6 +180,7 @@ def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = Fal
         after=padded(long.propagator[mass]),
         bend=padded(bend),
         reach=reach,
+        strength=np.zeros(0, np.float32),
     )
 
 
@@ -189,16 +191,13 @@ def watched(
     histograms: Sequence[Histogram],
     products: Sequence[Product],
     traced: Sequence[Coordinate] = (),
-    *,
-    halved: bool = False,
 ) -> tuple[KernelKey, WatchArrays]:
     """Return what the kernel must be compiled for, and the numbers that it reads to observe."""
     n, slots, effects = system.n, step.slot_mass, effects_of(system)
     observed = {c for histogram in histograms for c in histogram.observable} | {*traced}
-    kinds = {c.kind for c in observed}
     modes = sorted(c.row for c in observed if c.kind == "H" and c.index is not None)
     forces = 0 if step.terms is None else n
-    work = 5 if forces else int(bool(modes))
+    work = 5 if forces else 1
     sizes = [2 * slots.size, n, n, n, 1, len(modes), forces, 3 * forces, work]
     at = Rows(*np.cumsum([step.matrix.shape[1] + 2 * n, *sizes]).tolist())
     first = {"q": at.q, "p": at.p, "f": at.force, "d": at.damping}
@@ -208,7 +207,7 @@ def watched(
             return first[c.kind] + c.row
         return at.energy if c.index is None else at.modal + modes.index(c.index)
 
-    shapes, frequency = natural_modes(system) if modes else (np.zeros((n, 0)), np.zeros(0))
+    shapes, frequency = natural_modes(system)
     T = shapes.T[modes]
     # Bins; no axis: row −1.
     rows = np.full((len(histograms), 2), -1, dtype=np.int64)
@@ -227,8 +226,8 @@ def watched(
         half_springs=(half if scheme.springs_kicked else 0.0) * system.stiffness_matrix,
         term_shift=shift,
         cross=shift * system.damping[:, slots] / system.mass[slots],
-        mode_q=frequency[modes, None] * T * system.mass if modes else None,
-        mode_p=np.ascontiguousarray(T) if modes else None,
+        mode_q=frequency[modes, None] * T * system.mass,
+        mode_p=np.ascontiguousarray(T),
         at=at,
         start=starts(histograms)[:-1],
         products=np.array(
@@ -245,14 +244,9 @@ def watched(
         kick_first=scheme.kick_first or not (effects.contact or effects.state_damping),
         damping=effects.state_damping,
         energy_damping=effects.energy_damping,
-        observed=bool(kinds or products),
-        momenta=bool(kinds & {"p", "H"} or products or effects.state_damping),
         energy=Coordinate("H") in observed or bool(products and effects.energy_damping),
-        modes=bool(modes),
         moments=bool(products),
         pairs=step.pairs,
         substeps=step.small > 1,
-        traced=bool(traced),
-        halved=halved,
     )
     return key, watch

@@ -36,7 +36,7 @@ class Rows(NamedTuple):
     modal: int  # (modes), modal energies of the observed state
     damping: int  # (n), forces of the damping terms
     change: int  # (3n), rates of change of (q, p) by the springs, and of the terms' forces by them
-    work: int  # scratch: 1 where modal energies are observed, 5 where there are terms
+    work: int  # scratch: 1, and 5 where there are terms
     total: int
 
 
@@ -56,11 +56,12 @@ class StepArrays(NamedTuple):
     """Numbers of one step; of a long step those of its small ones, and of the long one itself.
 
     A slot is a mass that touches something; it may have several stops. Without long steps
-    (``sim.sample.plan``) ``after``, ``bend`` and ``reach`` have no rows, and are not read.
+    (``sim.sample.plan``) ``after``, ``bend`` and ``reach`` have no rows.
     """
 
     matrix: Array  # (2n, columns), propagator and factor of the linear map, columns padded
     pairs: int
+    maps: int  # linear maps in a step, each with its own pairs of normals
     dt: float
     stiffness_matrix: Array  # (n, n)
     half_inverse_mass: Array  # (n,), 1/(2m): energies of momenta
@@ -75,7 +76,7 @@ class StepArrays(NamedTuple):
     after: Array  # (stops, 2n padded), mean displacement after the long step
     bend: Array  # (stops, 2n padded), b by the sizes of the state
     reach: Array  # (stops,), what the noise can add
-    strength: Any = None  # (steps,) float32, factors on the noise; None where it is constant
+    strength: Any  # (steps,) float32, factors on the noise; no entries where it is constant
 
 
 class WatchArrays(NamedTuple):
@@ -85,8 +86,8 @@ class WatchArrays(NamedTuple):
     half_springs: Array  # (n, n), the same of the springs
     cross: Array  # (n, slots), w h² c_ik / m_k
     term_shift: float  # w h² of the processor of the damping terms
-    mode_q: Any  # (modes, n), ω_m T_rm m_r: H_m = ½ (mode_q q)² + ½ (mode_p p)²; or None
-    mode_p: Any  # (modes, n), T_rm
+    mode_q: Array  # (modes, n), ω_m T_rm m_r: H_m = ½ (mode_q q)² + ½ (mode_p p)²
+    mode_p: Array  # (modes, n), T_rm
     at: Rows
     rows: Integers  # (histograms, 2), rows of the coordinates, second −1 for one coordinate
     bins: Integers  # (histograms, 2)

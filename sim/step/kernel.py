@@ -1,65 +1,65 @@
-"""The compiled stepper: many steps of many blocks of lanes, with only the effects asked for."""
+"""The compiled stepper: many steps of many blocks of lanes, with only the effects asked for.
+
+The random linear map is ``x <- matrix @ (x, z)``, z rows of normals, a pair of rows a word. It
+goes by pairs of rows and ``COLUMNS`` columns through scratch rows.
+
+The lanes that may touch a stop within a long step (``sim.sample.plan``) make its small steps in
+groups of ``NARROW``; all lanes are mapped over the long step, and those then overwrite what the map
+gave. Their normals belong to the trajectory and the step, wherever a lane lies in its group: a
+word's lower half is the radius, the upper the angle.
+"""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import lru_cache, wraps
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from fpk.numeric.arrays import Array, Integers
-from fpk.numeric.compiling import ROOT, cached_njit, checksum
+from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
 from fpk.system.compiled_laws import compiled_laws, law_files
-from sim.step.arrays import NARROW, StepArrays, W, WatchArrays
-from sim.step.lanes import add, add_matrix, add_product, aligned_rows, copy, row
-from sim.step.parts import forces, linear, observed
-from sim.step.random import GOLDEN, fill_normals
+from sim.step import forces, random
+from sim.step.arrays import COLUMNS, NARROW, StepArrays, W, WatchArrays
+from sim.step.lanes import add, add_matrix, add_product, aligned_rows, copy, fill, row
+from sim.step.random import GOLDEN, Singles, Words
 
-KERNEL = (
-    *(f"sim/step/{name}.py" for name in ("arrays", "kernel", "lanes", "random")),
-    *(f"sim/step/parts/{name}.py" for name in ("forces", "linear", "observed")),
+COMPILED = (
+    *(f"sim/step/{name}.py" for name in ("arrays", "forces", "kernel", "lanes", "random")),
+    *(f"sim/questions/{name}.py" for name in ("passing", "splitting/kernel")),
 )
-"""Files that a kernel is compiled from."""
+"""Files that kernels, readers of traces and the paths of splitting are compiled from."""
 
 
-def kernel_checksum(laws: Sequence[str], root: Path = ROOT) -> int:
-    """Return a checksum of the sources that a kernel with contact ``laws`` is compiled from."""
-    return checksum([*(root / name for name in KERNEL), *law_files(laws, root)])
+def kernel_checksum(laws: Sequence[str] = (), root: Path = ROOT) -> int:
+    """Return a checksum of the sources of what is compiled, with contact ``laws``."""
+    return checksum([*(root / name for name in COMPILED), *law_files(laws, root)])
 
 
-@dataclass(frozen=True)
-class KernelKey:
-    """Effects, scheme and observations that a kernel is compiled for.
+class KernelKey(NamedTuple):
+    """Effects, scheme and observations that a kernel is compiled for."""
 
-    ``laws`` are the contact laws that act, ``damping`` and ``energy_damping`` damping terms and
-    those with H; a step draws ``pairs`` of normals. There may be ``substeps``, small steps near
-    stops; observed states that are handed out (``traced``); two maps of a step (``halved``); and a
-    factor on the noise of each step (``modulated``).
-    """
-
-    laws: tuple[str, ...] = ()
+    laws: tuple[str, ...] = ()  # of contact
     kick_first: bool = True
-    damping: bool = False
-    energy_damping: bool = False
-    observed: bool = False
-    momenta: bool = False
-    energy: bool = False
-    modes: bool = False
-    moments: bool = False
-    pairs: int = 2
-    substeps: bool = False
-    traced: bool = False
-    halved: bool = False
-    modulated: bool = False
+    damping: bool = False  # damping terms act
+    energy_damping: bool = False  # and some with H
+    energy: bool = False  # H is observed
+    moments: bool = False  # products of forces are summed
+    pairs: int = 2  # of normals, of one map
+    substeps: bool = False  # small steps near stops
+
+    def parts_of_laws(self) -> Any:
+        """Return force, slope and energy of the laws for ``of_law``, None where nothing touches."""
+        parts = "force", "slope", "energy"
+        return [compiled_laws(self.laws, part) if self.laws else None for part in parts]
 
 
 def once(make: Callable[..., Any]) -> Callable[..., Any]:
     """Return ``make`` with results that are kept, made by one thread at a time."""
     lock, cached = Lock(), lru_cache(make)
 
-    @wraps(make)
     def made(*key: Any) -> Any:
         with lock:
             return cached(*key)
@@ -67,20 +67,102 @@ def once(make: Callable[..., Any]) -> Callable[..., Any]:
     return made
 
 
+@inlined
+def map_state(s: Array, z: Singles, matrix: Array, pairs: int, width: int = W) -> None:
+    """Apply the random linear map to the first rows of ``s``, by rows ``z`` of normals."""
+    n, scratch = matrix.shape
+    copy(row(s, n, 2 * pairs, width), z, 2 * pairs * width)
+    for i in range(0, n, 2):
+        y = row(s, scratch + i, 2, width)
+        for j in range(0, matrix.shape[1], COLUMNS):
+            a0, a1, a2, a3 = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
+            b0, b1 = matrix[i + 1, j], matrix[i + 1, j + 1]
+            b2, b3 = matrix[i + 1, j + 2], matrix[i + 1, j + 3]
+            x = row(s, j, COLUMNS, width)
+            if j == 0:
+                for k in range(width):
+                    x0, x1, x2, x3 = x[k], x[width + k], x[2 * width + k], x[3 * width + k]
+                    y[k] = a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
+                    y[width + k] = b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
+            else:
+                for k in range(width):
+                    x0, x1, x2, x3 = x[k], x[width + k], x[2 * width + k], x[3 * width + k]
+                    y[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
+                    y[width + k] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3
+    copy(row(s, 0, n, width), row(s, scratch, n, width), n * width)
+
+
+@inlined
+def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: StepArrays) -> int:
+    """Write the lanes that may touch a stop to ``index`` and return how many they are.
+
+    ``work``: two rows of scratch, the displacement after the step and the bend of its way.
+    """
+    after, bend = row(work, 0), row(work, 1)
+    for k in range(W):
+        near[k] = 0
+    for stop in range(step.stop_slot.size):
+        fill(work, 0.0, 2 * W)
+        for j in range(0, step.after.shape[1], COLUMNS):
+            a, b, x = step.after[stop], step.bend[stop], row(s, j, COLUMNS)
+            a0, a1, a2, a3 = a[j], a[j + 1], a[j + 2], a[j + 3]
+            b0, b1, b2, b3 = b[j], b[j + 1], b[j + 2], b[j + 3]
+            for k in range(W):
+                x0, x1, x2, x3 = x[k], x[W + k], x[2 * W + k], x[3 * W + k]
+                after[k] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3
+                bend[k] += b0 * abs(x0) + b1 * abs(x1) + b2 * abs(x2) + b3 * abs(x3)
+        q, reach = row(s, step.slot_mass[step.stop_slot[stop]]), step.reach[stop]
+        sign, clearance = step.stops[stop, 0], step.stops[stop, 1]
+        for k in range(W):
+            x0 = sign * q[k] if sign != 0.0 else abs(q[k])
+            x1 = sign * after[k] if sign != 0.0 else abs(after[k])
+            near[k] |= np.int64(max(x0, x1 + reach) + bend[k] >= clearance)
+    count = 0
+    for k in range(W):
+        index[count] = k
+        count += near[k]
+    for k in range(count, -(-count // NARROW) * NARROW):
+        index[k] = index[0]
+    return count
+
+
+@njit(inline="always")
+def small_steps(
+    s: Array, groups: Array, size: int, index: Integers, count: int, begins: Words, z: Singles,
+    halves: random.Halves, first: np.uint64, step: StepArrays, at_contact: int, pairs: int,
+    force: Any, slope: Any,
+) -> None:  # fmt: skip
+    """Copy the states of the lanes of ``index`` to groups, of ``size``, and advance them.
+
+    The first lane fills up the last group. ``first`` is the place of the first word of lane 0, and
+    ``begins`` (W,) scratch: how far from it those of each lane lie.
+    """
+    n, many = step.matrix.shape[0] // 2, -(-count // NARROW)
+    for k in range(many * NARROW):
+        begins[k] = (np.uint64(index[k]) << np.uint64(40)) * GOLDEN
+        for r in range(2 * n):
+            groups[(k // NARROW) * size + r * NARROW + k % NARROW] = s[r * W + index[k]]
+    for t in range(step.small):
+        for c in range(many):
+            for pair in range(pairs):
+                place = first + np.uint64(t * pairs + pair) * GOLDEN
+                for k in range(NARROW):
+                    word = random.mixed_word(place + begins[c * NARROW + k])
+                    halves[k] = np.uint32(word)
+                    halves[NARROW + k] = np.uint32(word >> np.uint64(32))
+                random.box_muller(z[2 * pair * NARROW : 2 * (pair + 1) * NARROW], halves, NARROW)
+            own = groups[c * size : (c + 1) * size]
+            forces.contact_forces(own, at_contact, step, force, slope, NARROW)
+            forces.kick_by_contact(own, at_contact, step, n, NARROW)
+            map_state(own, z, step.matrix, pairs, NARROW)
+
+
 @once
 def compiled_kernel(key: KernelKey) -> Any:
     """Return the kernel of ``key``; what a flag guards that is False, a constant, is left out."""
-    contact, observing, kick_first = bool(key.laws), key.observed, key.kick_first
-    damping, energy_damping = key.damping, key.energy_damping
-    momenta, energy, modes, moments = key.momenta, key.energy, key.modes, key.moments
-    traced, halved, modulated = key.traced, key.halved, key.modulated
-    pairs, substeps = key.pairs, key.substeps
-    apart = contact and not substeps  # kicks that are a stage of their own
-    sources = kernel_checksum(key.laws)
-    force: Any = compiled_laws(key.laws, "force") if contact else None
-    slope: Any = compiled_laws(key.laws, "slope") if contact else None
-    needed = contact and (energy or energy_damping)
-    potential: Any = compiled_laws(key.laws, "energy") if needed else None
+    laws, kick_first, damping, energy_damping, energy, moments, pairs, substeps = key
+    force, slope, potential = key.parts_of_laws()
+    sources = kernel_checksum(laws)
 
     @cached_njit()
     def advance(
@@ -93,102 +175,85 @@ def compiled_kernel(key: KernelKey) -> Any:
         Observes at the start of a step where ``(phase + step number) % stride == 0``, never with
         ``stride`` 0: adds to ``sums`` (blocks, moments·W) and ``counts`` (batches, bins) of the
         ``batch`` (blocks,) of each, which ascends by ones, and writes to ``trace`` (blocks,
-        samples·rows·W) from its second sample on.
-        Returns the checksum of its sources, a constant of the kernel: where it has changed, numba's
-        disk cache compiles anew.
+        samples·rows·W) from its second sample on. Returns the checksum of its sources: where it has
+        changed, numba's disk cache compiles anew.
         """
-        n, at, terms = step.matrix.shape[0] // 2, watch.at, step.terms
+        n, at = step.matrix.shape[0] // 2, watch.at
         matrix = step.long_matrix if substeps else step.matrix
-        s = aligned_rows(at.total)
-        V, H = row(s, at.work + 1), row(s, at.work + 2)  # of the state, where damping depends on H
+        s, number = aligned_rows(at.total), aligned_rows(1)
         z, words = aligned_rows(pairs).view(np.float32), aligned_rows(1).view(np.uint64)
-        index, second, number = np.zeros(W, np.int64), np.zeros(W, np.int64), aligned_rows(1)
+        index, second = np.zeros(W, np.int64), np.zeros(W, np.int64)
         if substeps:
-            group = at.total * NARROW
-            groups, chosen = aligned_rows(at.total), np.zeros(W, np.int64)
-            drawn, halves = (
-                aligned_rows(pairs).view(np.float32),
-                aligned_rows(pairs).view(np.uint32),
-            )
-            places_of = aligned_rows(pairs).view(np.uint64)
+            size, groups, chosen = at.total * NARROW, aligned_rows(at.total), np.zeros(W, np.int64)
+            begins, halves = aligned_rows(1).view(np.uint64), words.view(np.uint32)
         for b in range(x.shape[0]):
-            trajectory = np.uint64((first + b) * W)
             s[: 2 * n * W] = x[b]
             for t in range(steps):
-                watched = observing and stride > 0 and (phase + t) % stride == 0
+                watched = stride > 0 and (phase + t) % stride == 0
 
                 # Forces and energies at the state before the kick.
-                if contact and (apart or watched or energy_damping):
+                if not substeps or watched or energy_damping:
                     forces.contact_forces(s, at.contact, step, force, slope)
                 if energy_damping:
-                    forces.spring_energy(s, V, step)
-                    if contact:
-                        forces.add_contact(s, 0, at.work + 1, step, potential, False)
+                    forces.potential_energy(s, 0, at.work + 1, step, potential)
 
                 # First half of the damping terms, which ends in the middle of the kicks.
                 if damping and kick_first:
-                    for k in range(terms.target.size):
-                        forces.term_flow(s, at.work, step, k, energy_damping)
+                    forces.term_flows(s, at.work, step, False, energy_damping)
 
                 # Observation.
                 if watched:
-                    observed.observe(
-                        s, V, H, step, watch, contact, damping, energy_damping, momenta, energy,
-                        modes, moments, force, potential,
-                    )  # fmt: skip
-                    if moments:
-                        for m in range(watch.products.shape[0]):
-                            u, v = row(s, watch.products[m, 0]), row(s, watch.products[m, 1])
-                            add_product(row(sums[b], m), u, v, 1.0)
+                    forces.observe(
+                        s, step, watch, damping, energy_damping, energy, moments, force, potential
+                    )
+                    for m in range(watch.products.shape[0]):
+                        u, v = row(s, watch.products[m, 0]), row(s, watch.products[m, 1])
+                        add_product(row(sums[b], m), u, v, 1.0)
                     own = counts[batch[b] - batch[0]]
-                    observed.count_all(s, number, index, second, live[b], watch, own)
-                    if traced:
-                        for r in range(watch.traced.size):
-                            sample = (1 + t // stride) * watch.traced.size + r
-                            copy(row(trace[b], sample), row(s, watch.traced[r]))
+                    forces.count_all(s, number, index, second, live[b], watch, own)
+                    for r in range(watch.traced.size):
+                        sample = (1 + t // stride) * watch.traced.size + r
+                        copy(row(trace[b], sample), row(s, watch.traced[r]))
 
                 # Kicks, and the second half of the terms in reverse: a symmetric step.
-                if apart and kick_first:
+                if kick_first and not substeps:
                     forces.kick_by_contact(s, at.contact, step, n)
                 if damping and kick_first:
-                    add_matrix(s, n, 0, terms.springs, -1.0)
-                    for k in range(terms.target.size - 1, -1, -1):
-                        forces.term_flow(s, at.work, step, k, energy_damping)
+                    add_matrix(s, n, 0, step.terms.springs, -1.0)
+                    forces.term_flows(s, at.work, step, True, energy_damping)
                 if damping and not kick_first:  # of Euler's kind, from before the map
                     if energy_damping:
-                        forces.whole_energy(s, H, V, step)
-                    forces.damping_forces(s, 0, H, at.damping, at.work, step)
+                        forces.whole_energy(s, at.work, step)
+                    forces.damping_forces(s, 0, row(s, at.work + 2), at, step)
 
                 # The linear map; trajectories near a stop make small steps instead.
-                if substeps:
-                    near = linear.near_lanes(s, row(s, at.q, 2), index, chosen, step)
-                    linear.gather(groups, s, chosen, near, 2 * n, group)
-                    linear.places(places_of, chosen, near, pairs)
                 word = counter + np.uint64(t * step.words)
-                for half in range(1 + halved):  # of the time between two kicks
-                    for pair in range(pairs):
-                        to = z[2 * pair * W : 2 * (pair + 1) * W]
-                        own = word + np.uint64(half * pairs + pair)
-                        fill_normals(to, words, trajectory, own, offset)
-                    if modulated:
+                place = random.place_of((first + b) * W, word, offset)
+                if substeps:
+                    near = near_lanes(s, row(s, at.q, 2), index, chosen, step)
+                    small_steps(
+                        s, groups, size, chosen, near, begins, z, halves,
+                        place + np.uint64(pairs) * GOLDEN, step, at.contact, pairs, force, slope,
+                    )  # fmt: skip
+                for _ in range(step.maps):  # of the time between two kicks
+                    random.fill_normals(z, words, place, pairs)
+                    place += np.uint64(pairs) * GOLDEN
+                    if step.strength.size:
                         for k in range(z.size):
                             z[k] *= step.strength[t]
-                    linear.map_state(s, z, matrix, pairs)
+                    map_state(s, z, matrix, pairs)
                 if substeps:
-                    word += np.uint64(pairs)
-                    place = ((trajectory << np.uint64(40)) + word) * GOLDEN + offset
-                    linear.small_steps(
-                        groups, group, places_of, near, drawn, halves, place, step,
-                        at.contact, pairs, force, slope,
-                    )  # fmt: skip
-                    linear.scatter(s, groups, chosen, near, 2 * n, group)
+                    for k in range(near):
+                        for r in range(2 * n):
+                            lane = (k // NARROW) * size + r * NARROW + k % NARROW
+                            s[r * W + chosen[k]] = groups[lane]
 
                 # Kicks of a scheme that kicks after its map.
-                if apart and not kick_first:
+                if not kick_first:
                     forces.kick_by_contact(s, at.contact, step, n)
-                if damping and not kick_first:
-                    for i in range(n):
-                        add(row(s, n + i), row(s, at.damping + i), -step.dt)
+                    if damping:
+                        for i in range(n):
+                            add(row(s, n + i), row(s, at.damping + i), -step.dt)
             x[b] = s[: 2 * n * W]
         return sources
 

@@ -83,3 +83,15 @@ def add_product(target: Array, a: Array, b: Array, factor: float, width: int = W
     if factor != 0.0:
         for k in range(width):
             target[k] += factor * a[k] * b[k]
+
+
+@inlined
+def form_of(
+    target: Array, s: Array, first: int, form: Array, factor: float = 1.0, width: int = W
+) -> None:
+    """Write ``factor`` times xᵀ ``form`` x to a row, x being the rows of ``s`` from ``first``."""
+    fill(target, 0.0, width)
+    for i in range(form.shape[0]):
+        for j in range(form.shape[1]):
+            x, y = row(s, first + i, 1, width), row(s, first + j, 1, width)
+            add_product(target, x, y, factor * form[i, j], width)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fpk.numeric.arrays import Array
 from fpk.numeric.compiling import cached_njit, inlined
 from fpk.system.system import System
-from sim.step.arrays import LANES
+from sim.step.arrays import LANES, in_blocks
 from sim.step.schemes import factored
 from sim.step.step_size import temperature
 
@@ -30,8 +30,7 @@ START = 1 << 39
 """First counter, within a trajectory's words, of those that draw its initial state."""
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-"""2**64 over the golden ratio: from a word to the next, and from a seed to one of another
-simulation."""
+"""2**64 over the golden ratio: from a word to the next, and to the seed of another simulation."""
 
 u32, f32 = np.uint32, np.float32
 
@@ -86,40 +85,39 @@ def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
 
 
 @inlined
-def fill_normals(
-    rows: Singles, words: Words, trajectory: np.uint64, counter: np.uint64, offset: np.uint64
-) -> None:
-    """Write one Box-Muller pair a lane: a row of cosines, then a row of sines.
+def place_of(trajectory: int, counter: Any, offset: np.uint64) -> np.uint64:
+    """Return the place of a word of a trajectory in the sequence of the finalised seed."""
+    return ((np.uint64(trajectory) << np.uint64(40)) + np.uint64(counter)) * GOLDEN + offset
 
-    ``trajectory`` is that of the first lane, ``counter`` the word within it, ``offset`` the
-    finalised seed. ``words`` (LANES) is scratch.
+
+@inlined
+def fill_normals(
+    z: Singles, words: Words, place: np.uint64, pairs: int, width: int = LANES
+) -> None:
+    """Write ``pairs`` of rows of normals, from a word each of ``width`` trajectories on.
+
+    ``place`` is that of the first word of the first one; ``words`` (width,) is scratch.
     """
-    for lane in range(LANES):
-        place = ((trajectory + np.uint64(lane)) << np.uint64(40)) + counter
-        words[lane] = mixed_word(place * GOLDEN + offset)
-    box_muller(rows, words.view(np.uint32))
+    for pair in range(pairs):
+        for lane in range(width):
+            word = (np.uint64(lane) << np.uint64(40)) + np.uint64(pair)
+            words[lane] = mixed_word(place + word * GOLDEN)
+        box_muller(z[2 * pair * width : 2 * (pair + 1) * width], words.view(np.uint32), width)
 
 
 @cached_njit()
-def _fill_blocks(out: Singles, words: Words, counter: np.uint64, offset: np.uint64) -> None:
-    for block in range(out.shape[0]):
-        trajectory = np.uint64(block * LANES)
-        for pair in range(out.shape[1] // (2 * LANES)):
-            rows = out[block, 2 * LANES * pair : 2 * LANES * (pair + 1)]
-            fill_normals(rows, words, trajectory, counter + np.uint64(pair), offset)
+def _fill_blocks(out: Array, words: Words, counter: np.uint64, offset: np.uint64) -> None:
+    rows = np.empty(out.shape[0] * LANES, np.float32)
+    for first in range(0, out.shape[1], LANES):
+        fill_normals(rows, words, place_of(first, counter, offset), out.shape[0] // 2)
+        out[:, first : first + LANES] = rows.reshape(out.shape[0], LANES)
 
 
 def normals(seed: int, paths: int, counter: int, count: int) -> Array:
-    """Return (count, paths) standard normals: of every path those from word ``counter`` on.
-
-    The step number ``step`` of a scheme with ``pairs`` pairs reads from ``step · pairs``.
-    """
-    pairs = (count + 1) // 2
-    blocks = -(-paths // LANES)
-    out = np.empty((blocks, 2 * pairs * LANES), dtype=f32)
+    """Return (count, paths) standard normals: of every path those from word ``counter`` on."""
+    out = np.empty((count + count % 2, -(-paths // LANES) * LANES))
     _fill_blocks(out, np.empty(LANES, np.uint64), np.uint64(counter), mixed_seed(seed))
-    lanes = out.reshape(blocks, 2 * pairs, LANES).transpose(1, 0, 2)
-    return lanes.reshape(2 * pairs, -1)[:count, :paths].astype(np.float64)
+    return out[:count, :paths]
 
 
 def start_states(system: System, seed: int, blocks: int) -> Array:
@@ -134,7 +132,7 @@ def start_states(system: System, seed: int, blocks: int) -> Array:
     q = np.zeros_like(p)
     if system.damping_terms:
         q = start_displacements(system, kT, normals(seed, blocks * LANES, START + n, n))
-    return np.array(np.vstack([q, p]).reshape(2 * n, -1, LANES).transpose(1, 0, 2), order="C")
+    return in_blocks(np.vstack([q, p]).T)
 
 
 def start_displacements(system: System, kT: float, z: Array) -> Array:

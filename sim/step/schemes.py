@@ -21,18 +21,14 @@ from sim.step.arrays import COLUMNS
 
 @dataclass(frozen=True, eq=False)
 class LinearMap:
-    """The random linear map ``x' = propagator x + factor z`` of the state ``x = (q, p)``.
+    """The random linear map ``x' = propagator x + factor z``, x = (q, p), z standard normals."""
 
-    ``propagator`` (2n, 2n); ``factor`` (2n, r), r the rank of the covariance; ``z`` are r
-    independent standard normals.
-    """
-
-    propagator: Array
-    factor: Array
+    propagator: Array  # (2n, 2n)
+    factor: Array  # (2n, rank of the covariance)
 
     @property
     def matrix(self) -> Array:
-        """The map as one matrix for the kernel: (propagator, lower trapezoidal factor), padded."""
+        """The propagator and the lower trapezoidal factor in one, padded, for the kernel."""
         return padded(np.hstack([self.propagator, lower_trapezoidal(self.factor)]))
 
 
@@ -44,9 +40,9 @@ def padded(rows: Array) -> Array:
 def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
     """Return ``exp(A dt)`` and ``∫ exp(A s) b exp(Aᵀ s) ds`` over 0..dt.
 
-    Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978, 395), which contains
-    exp(−A h), for ``|A| h <= ½``; doubling ``h`` then adds positive covariances: nothing cancels.
-    In units, powers of 2, in which A is balanced and b about 1: any others are as good.
+    Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978, 395) for ``|A| h <= ½``, in
+    units in which A is balanced and b about 1; doubling ``h`` then adds positive covariances:
+    nothing cancels.
     """
     with np.errstate(invalid="ignore"):  # scipy makes a permutation of the scale, unasked
         balanced, (scale, _) = matrix_balance(drift, permute=False, separate=True)
@@ -70,8 +66,8 @@ def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, A
 def factored(covariance: Array) -> Array:
     """Return a factor L (m, rank) with L Lᵀ = ``covariance``, which may be singular.
 
-    Cholesky with pivoting of the matrix scaled to unit diagonal, so that variances of different
-    units and powers of the step count alike; what is left at a pivot of round-off is dropped.
+    Cholesky with pivoting, scaled to unit diagonal, so that variances of different units and powers
+    of the step count alike; what is left at a pivot of round-off is dropped.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
@@ -109,54 +105,45 @@ def exact_flow(system: System, dt: float) -> LinearMap:
 class Scheme:
     """One integrator of Eq. (6): kick by the contact force g, then a random linear map.
 
-    The kick is ``p_i -= h g_i (1 − w h² g_i'/m_i)`` with ``w = modified``; for ``kick_first``
-    False it comes after the map, by the force before it. Where it is first, observed is the state
-    in the middle of the kick, corrected by the processor for ``w > 0``.
-    ``weak_order`` is the order in h of stationary averages, contact forces being smooth enough;
-    ``linear_map(system, h)`` the rest of the step, without the springs if they are kicked, too.
-
     Damping terms act for h/2 before the kicks and, in reverse order, for h/2 after them; where the
-    kick is not first for h by Euler's rule. With ``small`` > 1 a step is a long one of so many
-    small ones (``sim.sample.plan``).
+    kick is not first for h by Euler's rule. Where it is first, observed is the state in the middle
+    of the kick, corrected by the processor.
     """
 
     name: str
-    weak_order: int
-    linear_map: Callable[[System, float], LinearMap]
-    modified: float = 0.0
-    kick_first: bool = True
+    weak_order: int  # in h, of stationary averages, contact forces being smooth enough
+    linear_map: Callable[[System, float], LinearMap]  # without the springs if they are kicked
+    modified: float = 0.0  # w of the kick p_i -= h g_i (1 − w h² g_i'/m_i)
+    kick_first: bool = True  # else it comes after the map, by the force before it
     springs_kicked: bool = False
-    small: int = 1
+    small: int = 1  # small steps in a long one, see ``sim.sample.plan``
 
 
 SCHEMES: dict[str, Scheme] = {}
 
 
-def register(scheme: Scheme) -> Scheme:
-    """Add an integrator to the registry and return it; a name is taken once."""
+def register(scheme: Scheme) -> None:
+    """Add an integrator to the registry; a name is taken once."""
     if scheme.name in SCHEMES:
         raise ValueError(f"scheme {scheme.name!r} is registered already")
     SCHEMES[scheme.name] = scheme
-    return scheme
 
 
 def euler_step(system: System, dt: float) -> LinearMap:
-    """Return Euler-Maruyama's ``x' = (1 + A h) x + σ √h z`` of the system without its contacts.
+    """Return ``x' = (1 + A h) x + σ √h z`` (Maruyama, Rend. Circ. Mat. Palermo 4, 1955, 48).
 
-    Of first order; drift and noise from the start of the step (Maruyama, Rend. Circ. Mat. Palermo
-    4, 1955, 48). It feeds energy to undamped vibration, ``(1 + h² ω²)`` in each step, and needs h
-    well below ``2 ζ/ω`` to have a stationary state at all.
+    It feeds energy to undamped vibration, ``(1 + h² ω²)`` in each step, and needs h well below
+    ``2 ζ/ω`` to have a stationary state at all.
     """
-    return LinearMap(
-        np.eye(2 * system.n) + dt * drift_matrix(system), factored(dt * diffusion_matrix(system))
-    )
+    propagator = np.eye(2 * system.n) + dt * drift_matrix(system)
+    return LinearMap(propagator, factored(dt * diffusion_matrix(system)))
 
 
 def drift_damp_drift(system: System, dt: float) -> LinearMap:
-    """Return A O A of BAOAB over ``dt``, exact damping and noise in O; the springs kick before it.
+    """Return A O A of BAOAB over ``dt``: half drift, exact damping and noise, half drift.
 
-    Half kick, half drift, O, half drift, half kick: the two half kicks that meet between steps are
-    one (Leimkuhler and Matthews, Appl. Math. Res. Express 2013, 34).
+    The two half kicks that meet between steps are one (Leimkuhler and Matthews, Appl. Math. Res.
+    Express 2013, 34).
     """
     n = system.n
     velocity = np.diag(1.0 / system.mass)
@@ -170,4 +157,4 @@ def drift_damp_drift(system: System, dt: float) -> LinearMap:
 
 register(Scheme("baoab", 2, drift_damp_drift, springs_kicked=True))
 register(Scheme("euler_maruyama", 1, euler_step, kick_first=False))
-EXACT_FLOW = register(Scheme("exact_flow", 4, exact_flow, modified=1.0 / 12.0))
+register(Scheme("exact_flow", 4, exact_flow, modified=1.0 / 12.0))

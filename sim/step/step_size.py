@@ -32,7 +32,7 @@ STEP_WITH_TERMS = 0.22
 square of the step, and is 1e-3 of the kinetic balance of a mass that both act on."""
 
 STEP_PER_RATE = 0.1
-"""Step times the steepest rate of the damping terms that is reached, see ``term_rate``."""
+"""Step times the steepest rate of the damping terms that is reached, see ``chosen_step``."""
 
 BIAS = 0.02
 """Factor of the bias at a stop, see ``step_for``: measured at 1 and 1.8 times the step of
@@ -40,24 +40,19 @@ BIAS = 0.02
 
 JOINT_BIAS = 0.1
 """Factor of the bias of a joint density at a stop, see ``step_for``: measured 0.06 of Hertz stops
-and 0.10 of bilinear ones at X = 0.1. Of these (sup |B₂|/2) max(u² e^(−u²/4)) = 0.12, B₂ Bernoulli's
-polynomial: the error of the trapezoidal rule with the nodes v h across the kink of the force, times
-the inverse sampling error at the velocity v = u √(kT/m)."""
+and 0.10 of bilinear ones at X = 0.1. The trapezoidal rule across the kink of the force gives these
+(sup |B₂|/2) max(u² e^(−u²/4)) = 0.12, B₂ Bernoulli's polynomial, v = u √(kT/m)."""
 
 CHANCE = exp(-100.0)
 """Probability that a state has more energy. Of 1e13 states one in 1e30 has it by chance; where the
 density is not Gibbs', and falls by e^−30 only instead of e^−100, none of them has."""
 
 STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8
-"""Wall time of a step of up to three masses, and of a sample, of one thread, in s, to a factor 2:
-the step that follows is longer by the fourth root of that."""
+"""Wall time, in s, to a factor 2, of a step of up to three masses and of a sample, by a thread."""
 
 
 def temperature(system: System) -> float:
-    """Return kT = Σ(N_ii/m_i) / Σ(c_ii/m_i), N = f D fᵀ: the mean of m v² by energy balance.
-
-    With damping terms it is the θ of ``equivalent_temperature``, and raises as that does.
-    """
+    """Return kT = Σ(N_ii/m_i) / Σ(c_ii/m_i), N = f D fᵀ, or ``equivalent_temperature``."""
     if system.damping_terms:
         return equivalent_temperature(system)
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
@@ -71,9 +66,8 @@ def contact_frequency(
     """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i); 0 if none.
 
     A mass that moves alone, the others following statically, has the potential
-    ``½ k_eff q² + U(q)`` with k_eff the Schur complement of K. It reaches ``REACHED`` kT, or one kT
-    of contact energy where the stop is too far for that, or ``energy`` where that is more. ``kT``
-    None: that of the stationary state.
+    ``½ k_eff q² + U(q)``. It reaches ``REACHED`` kT, or one kT of contact energy where the stop is
+    too far for that, or ``energy`` where that is more. ``kT`` None: the ``temperature``.
     """
     square, kT = 0.0, temperature(system) if kT is None else kT
     kT = kT if isfinite(kT) else 0.0  # of undamped motion ``energy`` alone counts
@@ -99,23 +93,6 @@ def highest_frequency(system: System) -> float:
     return float(natural_modes(system)[1][-1])
 
 
-def term_rate(system: System) -> float:
-    """Return the largest rate, per unit time, of a mass by its damping terms.
-
-    It is Σ (1 + power of v_i) |c̃_ij| v_j/(m_i v_i) where each coordinate alone, and H, has the
-    energy E = ``REACHED`` kT, or ``BEYOND_BALANCE`` times the last one at which damping and noise
-    balance: ``q_a² = 2 E (K⁻¹)_aa``, ``v_a² = 2 E/m_a``.
-    """
-    level = max(REACHED * temperature(system), BEYOND_BALANCE * system.fact(damping_balance).energy)
-    q, v = np.sqrt(2.0 * level * np.diag(system.compliance)), np.sqrt(2.0 * level / system.mass)
-    rates = np.zeros(system.n)
-    for term in system.damping_terms:
-        power = 1 + term.powers("v", system.n)[term.row]
-        size = abs(float(term.value(q, v, level))) * v[term.column] / v[term.row]
-        rates[term.row] += power * size / system.mass[term.row]
-    return float(np.max(rates))
-
-
 def sampling_interval(system: System) -> float:
     """Return the time between samples, 1/8 of the shortest natural period: closer ones repeat."""
     return 2.0 * pi / highest_frequency(system) / 8.0
@@ -124,13 +101,22 @@ def sampling_interval(system: System) -> float:
 def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None) -> float:
     """Return the step of ``exact_flow``; of a linear system any is exact: the sampling interval.
 
-    Damping terms need it short beside their own rates and the natural periods. ``energy`` and
-    ``kT`` are as of ``contact_frequency``.
+    Damping terms need it short beside the natural periods and beside their largest rate of a mass,
+    Σ (1 + power of v_i) |c̃_ij| v_j/(m_i v_i) where each coordinate alone, and H, has the energy of
+    ``REACHED`` and of ``BEYOND_BALANCE``.
     """
     frequency = contact_frequency(system, springs=True, energy=energy, kT=kT)
     steps, share = [sampling_interval(system)], STEP_PER_FREQUENCY
     if system.damping_terms:
-        steps += STEP_PER_RATE / term_rate(system), share / highest_frequency(system)
+        level = BEYOND_BALANCE * system.fact(damping_balance).energy
+        level = max(REACHED * temperature(system), level)
+        q, v = np.sqrt(2.0 * level * np.diag(system.compliance)), np.sqrt(2.0 * level / system.mass)
+        rates = np.zeros(system.n)
+        for term in system.damping_terms:
+            power = 1 + term.powers("v", system.n)[term.row]
+            size = abs(float(term.value(q, v, level))) * v[term.column] / v[term.row]
+            rates[term.row] += power * size / system.mass[term.row]
+        steps += STEP_PER_RATE / float(np.max(rates)), share / highest_frequency(system)
         share = STEP_WITH_TERMS
     return min(*steps, share / frequency) if frequency > 0.0 else min(steps)
 
@@ -138,9 +124,8 @@ def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None)
 def step_for(
     system: System, error: float, *, kT: float | None = None, observables: Sequence[Observable] = ()
 ) -> float:
-    """Return the step whose bias at the stops is a third of the relative sampling ``error`` of p.
+    """Return the step, up to ``chosen_step``, whose bias at the stops is a third of ``error`` of p.
 
-    It is no longer than ``chosen_step``. ``kT`` None: that of the stationary state.
     Within v h of a stop, v the thermal velocity, the force is not smooth over a step: of a force
     ``B x^e`` the bias of p(q) there is ``BIAS X^e`` of itself, ``X = h² e B (v h)^(e−1)/m`` the
     square of the phase that the contact adds in a step. In a density of q and p, or of one of them
@@ -183,9 +168,8 @@ def stability_limit(
 ) -> float:
     """Return 2/ω, where steps become unstable; ω of the contact, with the springs if they kick.
 
-    Of Euler's rule it is the least −2 Re λ/|λ|², 2 ζ/ω of a vibration, λ the eigenvalues of the
-    drift out of contact, where it may lose what it gains in contact; damping terms count as
-    constant damping that balances the noise.
+    Of Euler's rule it is the least −2 Re λ/|λ|², λ the eigenvalues of the drift out of contact;
+    damping terms count as constant damping that balances the noise.
     """
     if scheme.kick_first:
         square = contact_frequency(system, energy=energy, kT=kT) ** 2
@@ -205,8 +189,7 @@ def relaxation_time(system: System) -> float:
     With damping terms modes are taken for Gaussian at temperatures θ_m that balance,
     ``dθ_m/dt = S_m − P_m(θ)``: S_m the power of the noise, P_m that of all damping; an eigenvalue
     of ∂P/∂θ there is the decay rate of an energy. One temperature for all modes gives a second
-    estimate, 2n/P'(θ), and the longer one counts. Rare passages between coexisting states take
-    longer: ``burn_in`` and ``time`` are to allow for them.
+    estimate, 2n/P'(θ), and the longer one counts. Passages between coexisting states take longer.
     """
     if not system.damping_terms:
         return decay_time(system)
@@ -240,7 +223,7 @@ def modal_temperatures(system: System) -> Array:
 
 
 def modal_powers(system: System, temperatures: Array) -> Array:
-    """Return E P_m (Tᵀ c M⁻¹ p)_m, modes being independent Gaussians of ``temperatures`` (n,).
+    """Return E P_m (Tᵀ c M⁻¹ p)_m of modes, independent Gaussians of ``temperatures`` (n,).
 
     H^e of a term stands for E H^e of the Gibbs state of the same mean energy.
     """
@@ -263,13 +246,9 @@ def modal_powers(system: System, temperatures: Array) -> Array:
 
 
 def undamped_mode(system: System) -> bool:
-    """Return whether neither the constant damping nor any term acts on some mode.
-
-    Whether terms suffice is left to ``equivalent_temperature``, lost trajectories and identities.
-    """
+    """Return whether neither the constant damping nor any term acts on some mode."""
     shapes, omega = natural_modes(system)
-    constant = np.abs(np.einsum("im,ij,jm->m", shapes, system.damping, shapes))
-    reached = constant > ROUND_OFF * omega[-1]
+    reached = np.abs(np.diag(shapes.T @ system.damping @ shapes)) > ROUND_OFF * omega[-1]
     size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
     for term in system.damping_terms:
         reached |= size[term.row] * size[term.column] > ROUND_OFF
@@ -287,7 +266,6 @@ def loudest(system: System) -> System:
 def hottest(system: System) -> float:
     """Return the least T with N <= T c, as quadratic forms of v; inf where some v is not damped.
 
-    N = f D fᵀ, and c its symmetric part: of no damped linear motion is the mean of m v² larger.
     With damping terms it is the largest temperature of a mode, or that of all.
     """
     if system.damping_terms:
@@ -303,12 +281,11 @@ def hottest(system: System) -> float:
 
 
 def largest_reached(system: System, energy: float, time: float) -> Array:
-    """Return the largest |q| and |p| (2n,) of motions by the ``time`` since their start.
+    """Return the largest |q| and |p| (2n,) by the ``time`` since a start of up to ``energy``.
 
-    ``energy`` is the largest H at the start. The linear motion from there and that by the noise add
-    up, of which the second has 2n normal coordinates in units of √T: T is that of the ``hottest``
-    mode or, as energy comes from the noise alone, twice all that by then. Stops and springs only
-    take room away.
+    The linear motion from there and that by the noise add up, of which the second has 2n normal
+    coordinates in units of √T: T is that of the ``hottest`` mode or, as energy comes from the noise
+    alone, twice all that by then. Stops and springs only take room away.
     """
     T = system.fact(hottest)
     if system.damping_terms:

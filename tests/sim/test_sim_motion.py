@@ -10,10 +10,10 @@ from fpk.answer.observable import Coordinate
 from fpk.numeric.errors import NotApplicable
 from fpk.system.damping import DampingTerm
 from fpk.system.system import System
-from sim.sample.ensemble import ensemble_from
+from sim.sample.ensemble import Ensemble, ensemble_from
 from sim.sample.workers import workers_of
 from sim.step.arrays import LANES, in_blocks, in_rows
-from sim.step.kernel import KernelKey
+from sim.step.schemes import SCHEMES
 
 H = (Coordinate("H"),)
 
@@ -111,7 +111,8 @@ def test_lanes_that_are_kept_go_on_and_copies_part() -> None:
     assert np.all(later[0] != later[1])
 
 
-def test_what_is_not_traced_is_not_compiled() -> None:
-    assert not KernelKey().traced and not KernelKey().halved
+def test_without_a_start_nothing_is_traced() -> None:
+    ensemble = Ensemble(linear(), SCHEMES["exact_flow"], 0.5, 2 * LANES, 1, 1)
+    assert ensemble.last.shape == (2, 0, LANES) and ensemble.step.maps == 1
     blocks = in_blocks(np.arange(2.0 * LANES)[:, None])
     assert blocks.shape == (2, 1, LANES) and in_rows(blocks)[-1, 0] == 2.0 * LANES - 1.0

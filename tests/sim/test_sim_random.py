@@ -156,7 +156,7 @@ def test_chi_square_of_1e9_numbers() -> None:
 
 def test_the_loop_is_compiled_to_vector_instructions() -> None:
     fresh = njit(fastmath=FLAGS, error_model="numpy")(random._fill_blocks.py_func)
-    rows, words = np.empty((1, 2 * random.LANES), np.float32), np.empty(random.LANES, np.uint64)
+    rows, words = np.empty((2, random.LANES)), np.empty(random.LANES, np.uint64)
     fresh(rows, words, np.uint64(0), np.uint64(0))
     assembly = "".join(fresh.inspect_asm().values())
     if platform.machine() in ("x86_64", "AMD64"):

@@ -22,11 +22,10 @@ from sim.questions.averaged.square_root import SquareRootForm
 from sim.questions.passing import cubic_of, first_passage
 from sim.questions.rounds import on_shell
 from sim.questions.splitting import RareFailure, Splitting, rare_failure
-from sim.questions.splitting.kernel import LEVELS, draw_normals
-from sim.questions.splitting.problem import system_problem
-from sim.questions.splitting.run import mean_and_error, split
+from sim.questions.splitting.kernel import LEVELS
+from sim.questions.splitting.run import mean_and_error, split, system_problem
 from sim.sample.workers import workers_of
-from sim.step.random import GOLDEN, mixed_seed
+from sim.step.random import GOLDEN, fill_normals, mixed_seed
 from sim.step.schemes import exact_flow
 
 QUICK = Splitting(replicas=64, killed=4, repetitions=8, threads=1)
@@ -254,7 +253,7 @@ def place_of(seed, trajectory, counter):
 @njit
 def called_normals(at, pairs):
     z = np.zeros(2 * pairs, np.float32)
-    draw_normals(z, np.zeros(2, np.uint32), at, pairs)
+    fill_normals(z, np.zeros(1, np.uint64), at, pairs, 1)
     return z
 
 
@@ -285,7 +284,7 @@ def test_paths_are_those_of_plain_numpy(system, limit):
     paths, steps, seed = 12, 60, 5
     replicas = problem.replicas(paths, steps, seed, np.random.default_rng(0))
     states, shares = twin(system, limit, 12.0, steps, paths=paths, seed=seed)
-    rows, columns = (size - 1 for size in replicas.model[-1].table.shape[1:])
+    rows, columns = (size - 1 for size in replicas.model[-2].shape[1:])
     written = 1 + np.argmax(replicas.paths.level == replicas.best[:, None], axis=1)
     records = 0
     for i in range(paths):
@@ -293,7 +292,7 @@ def test_paths_are_those_of_plain_numpy(system, limit):
         for k in range(1, steps + 1):
             left = rows * np.sqrt(1.0 - k / steps)
             levels = []
-            for c, table in enumerate(replicas.model[-1].table):
+            for c, table in enumerate(replicas.model[-2]):
                 x = shares[k - 1, i, c] * columns
                 j, r = min(int(x), columns - 1), min(int(left), rows - 1)
                 a, b = x - j, left - r

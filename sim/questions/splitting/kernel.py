@@ -1,38 +1,84 @@
-"""The compiled paths of splitting: records, score, limits, and single trajectories of the system.
+"""The full system (6) towards a limit: starts, score, and compiled paths with their records.
 
-A trajectory is a block of one lane. The score is a share of the limit by which paths are ranked.
+A trajectory is a block of one lane. The score ranks paths by the share of the limit that they have
+reached and by the time that is left.
 """
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from fpk.answer.limit import Limit
+from fpk.answer.observable import Coordinate
+from fpk.answer.start import Start
 from fpk.numeric.arrays import Array, Integers
-from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
-from fpk.system.compiled_laws import compiled_laws, law_files, of_law
-from sim.questions.passing import (
-    NATS,
-    SOURCES,
-    Diffusion,
-    cubic_of,
-    distance_to,
-    first_passage,
-    form_of,
-)
+from fpk.numeric.compiling import cached_njit, inlined
+from fpk.system.compiled_laws import of_law
+from fpk.system.linear import natural_modes
+from fpk.system.system import System
+from sim.questions import limits, passing
+from sim.questions.rounds import drawn_states
+from sim.sample.plan import step_arrays, watched
+from sim.step import forces
 from sim.step.arrays import StepArrays, WatchArrays
-from sim.step.kernel import KERNEL, KernelKey, once
-from sim.step.lanes import kick, row
-from sim.step.parts import forces
-from sim.step.parts.linear import map_state
-from sim.step.parts.observed import observe
-from sim.step.random import GOLDEN, Halves, Singles, box_muller, mixed_seed, mixed_word
+from sim.step.kernel import KernelKey, kernel_checksum, map_state, once
+from sim.step.lanes import form_of, kick, row
+from sim.step.random import GOLDEN, fill_normals, mixed_seed, mixed_word, place_of
+from sim.step.schemes import SCHEMES
 
-FILES = tuple(dict.fromkeys((*KERNEL, *SOURCES, "sim/questions/splitting/kernel.py")))
-"""Files that the paths are compiled from."""
+ScoreFunction = Callable[[Array, Array], Array]
+"""ln P(failure within a time | energy), or any approximation of it: a function of energies (m,)
+below the limit, ascending, and times (k,) > 0, ascending, to (k, m)."""
+
 LEVELS = 2048
 """Levels of the score from 0 to failure: few enough that the records of a path stay short, each a
 factor of 1.01 to 1.05 of the probabilities from 1e-10 to 1e-40."""
+
+ROWS, COLUMNS = 128, 256
+"""Cells of the table over the root of the remaining time and over the share of the limit."""
+
+SHARES = np.maximum(np.arange(COLUMNS), 0.5) / COLUMNS
+"""Shares x of the limit at which scores are asked; the first stands for 0."""
+
+
+def least_action(
+    energies: Array, times: Array, *, limit: float, noise: float, decay: float
+) -> Array:
+    """Return minus the least action by which ``dH = (D' − γ H) dt + √(2 D' H) dB`` fails in time.
+
+    ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))`` with ``noise`` D' and ``decay`` γ, which may be
+    0 or negative: the exponent of the Gaussian transition of an oscillator's amplitude.
+    """
+    tau = times[:, None]
+    grown = tau if decay == 0.0 else -np.expm1(-decay * tau) / decay
+    short = np.sqrt(limit) - np.sqrt(energies) * np.exp(-0.5 * decay * tau)
+    return np.asarray(-np.square(np.maximum(short, 0.0)) / (noise * grown))
+
+
+def score_tables(scores: Sequence[ScoreFunction], energies: Sequence[Array], time: float) -> Array:
+    """Return levels (coordinates, rows + 1, columns + 1); ``energies`` are those at ``SHARES``.
+
+    x = column/columns is the share of the limit, and (row/rows)² that of the time which is left. A
+    score counts from its value at energy 0 with all of ``time`` left; no failure has a larger one
+    than energies just below it.
+    """
+    left, tables = time * (np.arange(1, ROWS + 1) / ROWS) ** 2, []
+    for score, energy in zip(scores, energies, strict=True):
+        table = np.zeros((ROWS + 1, COLUMNS + 1))
+        table[:, -1] = LEVELS
+        values = score(energy, left)
+        lowest = values[-1, 0]
+        if np.isfinite(lowest) and lowest < 0.0:
+            share = np.where(np.isnan(values), 0.0, 1.0 - values / lowest)
+            ascending = np.maximum.accumulate(np.clip(share, 0.0, 1.0), axis=1)
+            table[1:, :-1] = LEVELS * np.maximum.accumulate(ascending, axis=0)
+        else:  # the score cannot tell: x alone does
+            table[:, :-1] = LEVELS * np.arange(COLUMNS) / COLUMNS
+        tables.append(table)
+    return np.array(tables)
 
 
 class Paths(NamedTuple):
@@ -45,26 +91,11 @@ class Paths(NamedTuple):
     moved: Integers  # (replicas,), steps simulated so far
 
 
-class Score(NamedTuple):
-    """Levels over x, the share of the limit, and over the remaining time, both on square grids.
-
-    ``table`` (coordinates, rows + 1, columns + 1): x = column/columns, of remaining time the share
-    (row/rows)². Failure is x >= 1 of any coordinate, whatever the table says.
-    """
-
-    table: Array
-    steps: int
-
-
 class LimitArrays(NamedTuple):
-    """The limit of a first passage: of c modal energies or, with c = 1, of one displacement q_i.
-
-    E_f is the energy of failure. The score of a displacement depends on E_i/E_f, E_i the energy
-    that its motion has; ``reach`` gives it from the modal energies H_m (``problem.limit_arrays``).
-    """
+    """The limit of a first passage: of c energies or, with c = 1, of one displacement q_i."""
 
     values: Array  # (c,)
-    diffusion: Diffusion  # of the energies, none of a displacement
+    diffusion: passing.Diffusion  # of the energies, none of a displacement
     reach: Array  # (n,), √(H_m/E_f) times these add up to √(E_i/E_f) without contact
     energy: float  # E_f
     mass: int  # of the displacement, from 0
@@ -73,8 +104,7 @@ class LimitArrays(NamedTuple):
 class CompiledReplicas:
     """Paths of one repetition from ``states`` (N, d), with room for so many ``steps``.
 
-    A compiled ``function`` renews them by numbers, the ``model``. Every renewed path has a stream
-    of its own, of those that begin with the seed ``seed``.
+    A compiled ``function`` renews them by the numbers ``model``, each with a stream of its own.
     """
 
     def __init__(
@@ -109,9 +139,7 @@ def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
     while paths.level[parent, m] <= level:
         m += 1
     x[:] = paths.state[parent, m]
-    paths.state[i, 0] = x
-    paths.level[i, 0] = paths.level[parent, m]
-    paths.step[i, 0] = paths.step[parent, m]
+    record(paths, i, 0, x, paths.level[parent, m], paths.step[parent, m])
     return int(paths.step[i, 0])
 
 
@@ -123,172 +151,174 @@ def record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) 
 
 
 @inlined
-def level_of(score: Score, coordinate: int, x: float, step: int) -> int:
-    """Return the level of the share x of the limit after ``step`` steps, by bilinear tables."""
+def level_of(t: Array, x: float, elapsed: float) -> int:
+    """Return the level of the share x of the limit and of the time, by a table of ``score_table``.
+
+    Failure is x >= 1, whatever the table says.
+    """
     if not x < 1.0:
         return LEVELS if x >= 1.0 else 0
-    rows, columns = score.table.shape[1] - 1, score.table.shape[2] - 1
-    u, v = x * columns, np.sqrt(1.0 - step / score.steps) * rows
+    rows, columns = t.shape[0] - 1, t.shape[1] - 1
+    u, v = x * columns, np.sqrt(1.0 - elapsed) * rows
     j, k = min(int(u), columns - 1), min(int(v), rows - 1)
     a, b = u - j, v - k
-    t = score.table[coordinate]
     low = t[k, j] + a * (t[k, j + 1] - t[k, j])
     high = t[k + 1, j] + a * (t[k + 1, j + 1] - t[k + 1, j])
     return min(int(low + b * (high - low)), LEVELS - 1)
 
 
 @inlined
-def place(trajectory: int, counter: int, offset: np.uint64) -> np.uint64:
-    """Return the place of a word in the sequence of ``sim.step.random``."""
-    return ((np.uint64(trajectory) << np.uint64(40)) + np.uint64(counter)) * GOLDEN + offset
+def uniform(place: np.uint64) -> float:
+    """Return the uniform number in (0, 1) of the word at a place."""
+    return (np.float64(mixed_word(place) >> np.uint64(11)) + 0.5) * 2.0**-53
 
 
 @inlined
-def draw_normals(z: Singles, word: Halves, at: np.uint64, pairs: int) -> None:
-    """Write ``pairs`` pairs of normals from the words that begin at the place ``at``."""
-    words = word.view(np.uint64)
-    for pair in range(pairs):
-        words[0] = mixed_word(at + np.uint64(pair) * GOLDEN)
-        box_muller(z[2 * pair :], word, 1)
+def look(
+    seen: Array, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, law: Any,
+    of_q: bool,
+) -> None:  # fmt: skip
+    """Write, of each limit at the observed state, four numbers.
 
-
-@inlined
-def uniform(at: np.uint64) -> float:
-    """Return the uniform number in (0, 1) at a place."""
-    return (np.float64(mixed_word(at) >> np.uint64(11)) + 0.5) * 2.0**-53
-
-
-@inlined
-def reached_share(
-    s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, law: Any
-) -> float:
-    """Return √(E_i/E_f) of the displacement of one mass at the observed state."""
-    root, contact = 0.0, 0.0
-    for m in range(limit.reach.size):
-        root += limit.reach[m] * sqrt(s[watch.traced[m]])
-    for stop in range(step.stop_slot.size):
-        if step.slot_mass[step.stop_slot[stop]] == limit.mass:
-            sign, clearance, B, e, kind = forces.numbers_of(step, stop)
-            _, o = forces.overlap_of(s[watch.at.q + limit.mass], sign, clearance)
-            contact += B * of_law(law, kind, o, e)
-    return sqrt(root * root + contact / limit.energy)
-
-
-@inlined
-def see(
-    seen: Array, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, of_q: bool
-) -> None:
-    """Write the distance to each limit, and q, v of a displacement, or σ² and its growth."""
+    They are the distance to it; q and v of a displacement, or σ² and its growth; x = √(E/E_f).
+    """
+    at = watch.at
     if of_q:
-        mass = limit.mass
-        q, v = s[watch.at.q + mass], 2.0 * step.half_inverse_mass[mass] * s[watch.at.p + mass]
-        seen[0, 0], seen[0, 1], seen[0, 2] = limit.values[0] - abs(q), q, v
+        root, contact, mass = 0.0, 0.0, limit.mass
+        q, v = s[at.q + mass], 2.0 * step.half_inverse_mass[mass] * s[at.p + mass]
+        for m in range(limit.reach.size):
+            root += limit.reach[m] * sqrt(s[watch.traced[m]])
+        for stop in range(step.stop_slot.size):
+            if step.slot_mass[step.stop_slot[stop]] == mass:
+                sign, clearance, B, e, kind = forces.numbers_of(step, stop)
+                contact += B * of_law(law, kind, forces.overlap_of(q, sign, clearance)[1], e)
+        share = sqrt(root * root + contact / limit.energy)
+        seen[0, 0], seen[0, 1], seen[0, 2], seen[0, 3] = limit.values[0] - abs(q), q, v, share
     else:
         noise = limit.diffusion
         for m in range(limit.values.size):
-            variance, growth = seen[m, 1:2], seen[m, 2:3]
-            form_of(variance, s, watch.at.p, noise.variance[m], 1)
-            form_of(growth, s, watch.at.p, noise.growth[m], 1)
-            numbers = variance[0], growth[0], noise.at_rest[m]
-            seen[m, 0] = distance_to(limit.values[m], s[watch.traced[m]], *numbers)
-
-
-@inlined
-def passed(before: Array, seen: Array, limit: float, h: float, word: np.uint64, of_q: bool) -> bool:
-    """Return whether a limit is passed between two looks (3,), one step h apart, or at the second.
-
-    By an energy it is with the probability of a Brownian bridge, of the uniform number at ``word``.
-    """
-    if of_q:
-        return first_passage(cubic_of(before[1], before[2], seen[1], seen[2], h), limit) <= 1.0
-    exponent = 2.0 * before[0] * seen[0] / h
-    if before[0] <= 0.0 or seen[0] <= 0.0:
-        return True
-    return exponent < NATS and uniform(word) < exp(-exponent)
+            form_of(seen[m, 1:2], s, at.p, noise.variance[m], 1.0, 1)
+            form_of(seen[m, 2:3], s, at.p, noise.growth[m], 1.0, 1)
+            H, value = s[watch.traced[m]], limit.values[m]
+            seen[m, 0] = passing.distance_to(value, H, seen[m, 1], seen[m, 2], noise.at_rest[m])
+            seen[m, 3] = sqrt(max(H, 0.0) / value)
 
 
 @once
 def compiled_paths(key: KernelKey, kind: str) -> Any:
     """Return the function that renews paths; ``kind`` is that of the limit."""
-    pairs, damping, energy_damping = key.pairs, key.damping, key.energy_damping
-    energy, modes, contact, displacement = key.energy, key.modes, bool(key.laws), kind == "q"
-    sources = checksum([*(ROOT / name for name in FILES), *law_files(key.laws, ROOT)])
-    laws: Any = [
-        compiled_laws(key.laws, x) if contact else None for x in ("force", "slope", "energy")
-    ]
-    force, slope, law = laws
+    laws, _, damping, energy_damping, energy, _, pairs, _ = key
+    force, slope, law = key.parts_of_laws()
+    displacement, sources = kind == "q", kernel_checksum(laws)
 
     @cached_njit()
     def renew(
         dead: Integers, parents: Integers, level: int, first: int, offset: np.uint64,
-        step: StepArrays, watch: WatchArrays, limit: LimitArrays, score: Score, paths: Paths,
+        step: StepArrays, watch: WatchArrays, limit: LimitArrays, tables: Array, steps: int,
+        paths: Paths,
     ) -> int:  # fmt: skip
         """Replace the paths ``dead`` by ``parents`` up to where they exceed ``level``, then anew.
 
         ``first`` is the number of the stream of the first one. Recorded states lie in the middle of
         the damping and before the kick. Returns the checksum of its sources.
         """
-        n, h, at, terms = step.matrix.shape[0] // 2, step.dt, watch.at, step.terms
+        n, h, at = step.matrix.shape[0] // 2, step.dt, watch.at
         s, c = np.zeros(at.total), limit.values.size
-        x, V, H = s[: 2 * n], row(s, at.work + 1, 1, 1), row(s, at.work + 2, 1, 1)
-        z, word = np.zeros(2 * pairs, np.float32), np.zeros(2, np.uint32)
-        seen, before = np.zeros((c, 3)), np.zeros((c, 3))
+        x, z, words = s[: 2 * n], np.zeros(2 * pairs, np.float32), np.zeros(1, np.uint64)
+        seen, before = np.zeros((c, 4)), np.zeros((c, 4))
         for number in range(dead.size):
             i = dead[number]
             done = begin(paths, i, parents[number], level, x)
-            begun, top, records, words = done, paths.level[i, 0], 1, np.uint64(0)
+            begun, top, records, place = done, paths.level[i, 0], 1, np.uint64(0)
             if level < 0:  # the start is to be recorded anew
                 top, records = -1, 0
             while True:
                 # Up to the middle of the damping, where a start is in the middle of the kick, too.
                 forces.contact_forces(s, at.contact, step, force, slope, 1)
                 if energy_damping:
-                    forces.spring_energy(s, V, step, 1)
-                    forces.add_contact(s, 0, at.work + 1, step, law, False, 1)
+                    forces.potential_energy(s, 0, at.work + 1, step, law, 1)
                 if damping and done > begun:
-                    for k in range(terms.target.size):
-                        forces.term_flow(s, at.work, step, k, energy_damping, 1)
+                    forces.term_flows(s, at.work, step, False, energy_damping, 1)
                 if records == 0:
                     for slot in range(step.slot_mass.size):
                         r, g = n + step.slot_mass[slot], row(s, at.contact + 2 * slot, 2, 1)
                         kick(row(s, r, 1, 1), g, -0.5 * h, step.slot_shift[slot], 1)
                 before[:] = seen
-                observe(
-                    s, V, H, step, watch, contact, damping, energy_damping, True, energy, modes,
-                    False, force, law, 1,
-                )  # fmt: skip
-                see(seen, s, step, watch, limit, displacement)
+                forces.observe(
+                    s, step, watch, damping, energy_damping, energy, False, force, law, 1
+                )
+                look(seen, s, step, watch, limit, law, displacement)
                 if records == 0 or done > begun:
                     reached = -1
                     for m in range(c):
-                        gone, u = seen[m, 0] <= 0.0, words + np.uint64(pairs + m) * GOLDEN
-                        if done > begun:
-                            gone = passed(before[m], seen[m], limit.values[m], h, u, displacement)
-                        if displacement:
-                            share = reached_share(s, step, watch, limit, law)
-                        else:
-                            share = sqrt(max(s[watch.traced[m]], 0.0) / limit.values[m])
+                        gone, a, b = seen[m, 0] <= 0.0, before[m], seen[m]
+                        if done > begun and displacement:
+                            cubic = passing.cubic_of(a[1], a[2], b[1], b[2], h)
+                            gone = passing.first_passage(cubic, limit.values[m]) <= 1.0
+                        elif done > begun:  # of a Brownian bridge between both
+                            nats, u = 2.0 * a[0] * b[0] / h, place + np.uint64(pairs + m) * GOLDEN
+                            if a[0] <= 0.0:
+                                gone = True
+                            elif nats < passing.NATS and not gone:
+                                gone = uniform(u) < exp(-nats)
                         # What has not passed the limit has not failed, to round-off either.
-                        inside = min(level_of(score, m, share, done), LEVELS - 1)
+                        inside = min(level_of(tables[m], seen[m, 3], done / steps), LEVELS - 1)
                         reached = max(reached, LEVELS if gone else inside)
                     if reached > top:
                         top = reached
                         record(paths, i, records, x, top, done)
                         records += 1
-                if done >= score.steps or top >= LEVELS:
+                if done >= steps or top >= LEVELS:
                     break
 
                 # Kick, the other half of the damping in reverse, and the linear map.
                 forces.kick_by_contact(s, at.contact, step, n, 1)
                 if damping:
-                    for k in range(terms.target.size - 1, -1, -1):
-                        forces.term_flow(s, at.work, step, k, energy_damping, 1)
-                words = place(first + number, (done - begun) * (pairs + c), offset)
-                draw_normals(z, word, words, pairs)
-                map_state(s, z, step.matrix, pairs, 1, 1, 2)
+                    forces.term_flows(s, at.work, step, True, energy_damping, 1)
+                place = place_of(first + number, (done - begun) * (pairs + c), offset)
+                fill_normals(z, words, place, pairs, 1)
+                map_state(s, z, step.matrix, pairs, 1)
                 done += 1
             paths.best[i] = top
             paths.moved[i] += done - begun
         return sources
 
     return renew
+
+
+@dataclass(frozen=True, eq=False)
+class SystemProblem:
+    """Failure of ``system`` at ``limit`` before ``time``; see ``run.repetition``."""
+
+    system: System
+    limit: Limit
+    start: Start
+    time: float
+    dt: float
+    tables: Array  # of the score
+
+    def replicas(
+        self, count: int, steps: int, seed: int, stream: np.random.Generator
+    ) -> CompiledReplicas:
+        """Return ``count`` paths of ``steps`` steps from their starts, drawn from ``stream``.
+
+        Of |q_i| the score is of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the largest
+        |q_i| of free motion and k the static stiffness at mass i. E_i is not above H, and not below
+        its value E_f = ½ k a² + U_i(a) where |q_i| passes a. |q_i| itself would be a poor score:
+        the next peak of a path that has set out for it is no longer open.
+        """
+        system, limit, n = self.system, self.limit, self.system.n
+        at, reach, energy, mass = limits.energies_at(system, limit), np.zeros(n), 1.0, 0
+        if limit.kind == "q":
+            at, energy = np.array([limit.value]), float(np.min(at))
+            mass, (shapes, omega) = limit.observable(n)[0].row, natural_modes(system)
+            reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
+        scheme = SCHEMES["exact_flow"]
+        step = step_arrays(system, scheme, self.time / steps)
+        energies = limits.energies_of(limit, n) or [Coordinate("H", m) for m in range(n)]
+        key, watch = watched(system, scheme, step, (), (), energies)
+        starts = drawn_states(system, self.start, int(stream.integers(2**63)), count)
+        numbers = LimitArrays(at, passing.diffusion_of(system, limit), reach, energy, mass)
+        model = step, watch, numbers, self.tables, steps
+        renew = compiled_paths(key, limit.kind)
+        return CompiledReplicas(renew, model, np.hstack(starts), steps, seed)

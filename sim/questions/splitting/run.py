@@ -7,7 +7,7 @@ by a copy of a survivor up to the first time at which its score exceeds Z, and b
 there. For a Markov chain in discrete time and any score the probability has the mean P exactly.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import ceil, exp, hypot, inf, isfinite, log, nan
@@ -20,18 +20,20 @@ from fpk.answer.limit import Limit
 from fpk.answer.method import Progress, silent
 from fpk.answer.start import Start
 from fpk.numeric.arrays import Array
-from fpk.numeric.errors import InvalidInput, NotCertified
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.numeric.machine import usable_cores, working_time
 from fpk.system.modulation import require_constant_noise
 from fpk.system.system import System
+from sim.questions import limits
 from sim.questions.passage import most_events
-from sim.questions.rounds import Watch
-from sim.questions.splitting.kernel import LEVELS
-from sim.questions.splitting.problem import ScoreFunction, system_problem
+from sim.questions.rounds import Watch, drawn_states
+from sim.questions.splitting import kernel
+from sim.questions.splitting.kernel import LEVELS, SHARES, ScoreFunction, SystemProblem
 from sim.sample.checkpoint import checkpoint_of, interruptible
 from sim.sample.settings import check_settings
 from sim.sample.workers import workers_of
 from sim.step.random import stream_of
+from sim.step.step_size import chosen_step, temperature
 
 LEAST_REPETITIONS = 8
 """Repetitions below which their spread says too little of the error."""
@@ -85,13 +87,9 @@ class Splitting:
 
     def __post_init__(self) -> None:
         """Check every field."""
-        check_settings(
-            self,
-            ("dt", "tol", "seconds"),
-            ("replicas", 2, 8190),  # a seed has words for 2**24 pieces of paths
-            ("killed", 1, self.replicas - 1),
-            ("repetitions", LEAST_REPETITIONS, 2**20),
-        )
+        replicas = "replicas", 2, 8190  # a seed has words for 2**24 pieces of paths
+        others = ("killed", 1, self.replicas - 1), ("repetitions", LEAST_REPETITIONS, 2**20)
+        check_settings(self, ("dt", "tol", "seconds"), replicas, *others)
 
 
 @dataclass(frozen=True)
@@ -104,10 +102,8 @@ class RareFailure:
     scattered that their mean may be off by more than they show: take more replicas.
     ``upper_bound`` holds with 95 % confidence. Where the error is inf it is that of the paths from
     the start alone; so it is where no replica has failed: the probability is then given as 0, with
-    that bound as its error. ``sampling_error`` and ``bias_error`` are standard errors; ``extinct``
-    repetitions had no replica left.
-    ``levels`` is the mean number of levels, ``steps`` all that were simulated, ``seconds`` their
-    wall time. ``log_probability`` is right where the probability is too small to be a number. ::
+    that bound as its error. ``extinct`` repetitions had no replica left. ``log_probability`` is
+    right where the probability is too small to be a number. ::
 
         settings = Splitting(replicas=64, repetitions=8, seed=1)
         rare = rare_failure(system, parse_limit("H=2", 2), REST, 5.0, settings=settings)
@@ -118,41 +114,35 @@ class RareFailure:
     error: float
     upper_bound: float
     log_probability: float
-    sampling_error: float
+    sampling_error: float  # one standard error
     bias: float
-    bias_error: float
+    bias_error: float  # one standard error
     values: Array
     extinct: int
-    levels: float
+    levels: float  # mean number of levels
     dt: float
-    steps: int
-    seconds: float
+    steps: int  # all that were simulated
+    seconds: float  # their wall time
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
 
     @property
     def relative_error(self) -> float:
         """The error in units of the probability; inf where that is 0."""
-        return self.error / self.probability if self.probability > 0.0 else float("inf")
+        return self.error / self.probability if self.probability > 0.0 else inf
 
 
 def split(
-    replicas: Any,
-    failure: int,
-    killed: int,
-    stream: np.random.Generator,
-    over: Callable[[], bool] = lambda: False,
+    replicas: Any, failure: int, killed: int, stream: np.random.Generator, until: float = inf
 ) -> tuple[float, int, int]:
     """Return ln of the estimated probability that a path's score reaches ``failure``, and levels.
 
-    Third come the replicas that failed before any was killed: plain sampling. ``replicas`` are
-    paths with the largest levels ``best`` (replicas,) that their scores have reached, and
-    ``renew(dead, parents, level)``, as ``kernel.CompiledReplicas`` has them. ``killed`` is the
-    least number of them that each level kills; ties may make it more. The logarithm is −inf where
-    no replica is left, and not a number where it is ``over()`` before the last level.
+    Third come the replicas that failed before any was killed. ``replicas`` are as
+    ``CompiledReplicas``; each level kills ``killed`` of them at least, and ties. The logarithm is
+    −inf where no replica is left, not a number where it takes beyond the working time ``until``.
     """
     log_probability, levels = 0.0, 0
     failed = int(np.sum(replicas.best >= failure))
-    while not over():
+    while working_time() <= until:
         best = replicas.best
         level = int(np.partition(best, killed - 1)[killed - 1])
         if level >= failure:
@@ -164,6 +154,52 @@ def split(
         replicas.renew(dead, alive[stream.integers(alive.size, size=dead.size)], level)
         levels += 1
     return nan, levels, failed
+
+
+def system_problem(
+    system: System,
+    limit: Limit,
+    start: Start,
+    time: float,
+    *,
+    dt: float | None,
+    score: ScoreFunction | None,
+) -> SystemProblem:
+    """Return the problem with its step, chosen as in a plain simulation, and its score.
+
+    Raises as ``rare_failure``, and ``InvalidInput`` for a ``dt`` that is ``limits.TOO_LONG``.
+    """
+    if not np.any(system.noise_matrix):
+        raise NotApplicable("no noise reaches a mass: whether the limit is passed is no chance")
+    # A share of a random start may have failed at once.
+    states = () if start.kind == "noise" else drawn_states(system, start, 0, 64)
+    if states and np.all(limits.beyond(system, limit, *states)):
+        raise InvalidInput("start", str(start), f"must lie below the limit {limit}")
+    # By default the score of least action of each coordinate.
+    tops = limits.energies_at(system, limit)
+    if limit.kind == "modal":
+        noise = limits.modal_rates(system, limit, system.noise_matrix)
+        decay = limits.modal_rates(system, limit, system.damping)
+    else:
+        tops, kT = np.min(tops, keepdims=True), temperature(system)
+        noise = np.mean(np.diag(system.noise_matrix) / system.mass, keepdims=True)
+        decay = noise / kT if isfinite(kT) else np.zeros(1)
+    scores: list[ScoreFunction] = [
+        partial(kernel.least_action, limit=energy, noise=float(D), decay=float(c))
+        for energy, D, c in zip(tops, noise, decay, strict=True)
+    ]
+    if score is not None:
+        if len(scores) > 1:
+            raise InvalidInput("score", score, "must be left out where there are several limits")
+        scores = [score]
+    tables = kernel.score_tables(scores, [top * SHARES**2 for top in tops], time)
+    reach = limits.reach_of(system, limit, start, time)
+    soon = min(reach.limit, reach.start) if start.kind == "state" else reach.limit
+    longest = chosen_step(system, energy=reach.energy, kT=reach.kT)
+    longest = min(longest, limits.STEP_TO_LIMIT * soon, time / limits.STEPS_SINCE_START)
+    if dt is not None and dt > limits.TOO_LONG * longest:
+        raise InvalidInput("dt", dt, f"is too long to see a passage; use {longest:.2g}")
+    return SystemProblem(system, limit, start, time, dt or longest, tables)
 
 
 def rare_failure(
@@ -201,16 +237,13 @@ def repetition(
 ) -> tuple[int, int, tuple[float, ...]]:
     """Return one repetition at the step dt / 2**``fine``: its ``number``, ``fine``, its result.
 
-    That is the result of ``split`` and the steps made, with streams of its own. ``problem`` is a
-    dataclass as ``SystemProblem``, with ``time``, ``dt`` and ``replicas``. The repetition is not
-    finished, its probability not a number, where more than ``left`` seconds are needed.
+    That is the result of ``split``, within ``left`` seconds, and the steps made, with streams of
+    its own. ``problem`` is a dataclass as ``SystemProblem``.
     """
-    begin = working_time()
-    stream = stream_of(settings.seed, 2 * number + fine)
+    until, stream = working_time() + left, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
     replicas = problem.replicas(settings.replicas, steps, seed, stream)
-    over = lambda: working_time() - begin > left  # noqa: E731
-    result = split(replicas, LEVELS, settings.killed, stream, over)
+    result = split(replicas, LEVELS, settings.killed, stream, until)
     return number, fine, (*result, int(replicas.paths.moved.sum()))
 
 

@@ -1,0 +1,314 @@
+"""Contact, damping that depends on the state, and the observed state, lane by lane.
+
+Contact laws come as compiled functions, None where nothing touches. A damping term changes one
+momentum only, ``p_i' = −κ p_i^N`` with κ constant unless H is in it: a shift, an exponential, or
+``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. Where that base is not positive the flow has blown up: the
+momentum becomes NaN and the trajectory counts as lost. With H the rate is that in the middle of the
+step, from a predictor.
+
+The scratch rows from ``at.work`` are the rate of a term, V and H of the state, and two more.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.compiling import inlined
+from fpk.system.compiled_laws import of_law
+from sim.step.arrays import Rows, StepArrays, TermArrays, W, WatchArrays
+from sim.step.lanes import add, add_matrix, add_product, copy, fill, form_of, kick, multiply, row
+
+
+@inlined
+def numbers_of(step: StepArrays, stop: int) -> tuple[float, float, float, float, Any]:
+    """Return the sign, clearance, stiffness, exponent and law of one stop."""
+    s = step.stops[stop]
+    return s[0], s[1], s[2], s[3], np.int64(s[4])
+
+
+@inlined
+def overlap_of(q: float, sign: float, clearance: float) -> tuple[float, float]:
+    """Return the side on which the displacement ``q`` lies and its overlap with the stop there."""
+    d = sign if sign != 0.0 else np.copysign(1.0, q)
+    return d, max(d * q - clearance, 0.0)
+
+
+@inlined
+def contact_forces(
+    s: Array, g0: int, step: StepArrays, force: Any, slope: Any, width: int = W
+) -> None:
+    """Write g and g' of every slot at the displacements of the state to the rows from ``g0``."""
+    rows = 2 * step.slot_mass.size
+    fill(row(s, g0, rows, width), 0.0, rows * width)
+    for stop in range(step.stop_slot.size):
+        slot = step.stop_slot[stop]
+        q = row(s, step.slot_mass[slot], 1, width)
+        g = row(s, g0 + 2 * slot, 2, width)
+        sign, clearance, B, e, law = numbers_of(step, stop)
+        for k in range(width):
+            d, o = overlap_of(q[k], sign, clearance)
+            g[k] += d * B * of_law(force, law, o, e)
+            g[width + k] += B * of_law(slope, law, o, e) if o > 0.0 else 0.0
+
+
+@inlined
+def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W) -> None:
+    """Take the modified contact forces in the rows from ``g0`` times dt from the momenta."""
+    for slot in range(step.slot_mass.size):
+        p, g = row(s, n + step.slot_mass[slot], 1, width), row(s, g0 + 2 * slot, 2, width)
+        kick(p, g, step.dt, step.slot_shift[slot], width)
+
+
+@inlined
+def add_contact(
+    s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool, width: int = W
+) -> None:
+    """Add g at the displacements from row ``q0`` to the rows of its masses from ``to``.
+
+    If not ``forces`` it is U, by the laws' energy as ``law_part``, and all goes to row ``to``.
+    """
+    for stop in range(step.stop_slot.size):
+        i = step.slot_mass[step.stop_slot[stop]]
+        q, f = row(s, q0 + i, 1, width), row(s, to + i if forces else to, 1, width)
+        sign, clearance, B, e, law = numbers_of(step, stop)
+        for k in range(width):
+            d, o = overlap_of(q[k], sign, clearance)
+            size = d * B if forces else B
+            f[k] += size * of_law(law_part, law, o, e)
+
+
+@inlined
+def potential_energy(
+    s: Array, q0: int, to: int, step: StepArrays, potential: Any, width: int = W
+) -> None:
+    """Write V = ½ qᵀ K q + U(q) at the displacements from row ``q0`` to the row ``to``."""
+    form_of(row(s, to, 1, width), s, q0, step.stiffness_matrix, 0.5, width)
+    add_contact(s, q0, to, step, potential, False, width)
+
+
+@inlined
+def add_kinetic(H: Array, s: Array, p0: int, step: StepArrays, width: int = W) -> None:
+    """Add Σ p²/(2m) of the momenta from row ``p0``."""
+    for i in range(step.half_inverse_mass.size):
+        p = row(s, p0 + i, 1, width)
+        add_product(H, p, p, step.half_inverse_mass[i], width)
+
+
+@inlined
+def whole_energy(s: Array, work: int, step: StepArrays, width: int = W) -> None:
+    """Write H of the state from its V, both in the scratch rows."""
+    H = row(s, work + 2, 1, width)
+    copy(H, row(s, work + 1, 1, width), width)
+    add_kinetic(H, s, step.half_inverse_mass.size, step, width)
+
+
+@inlined
+def term_rate(
+    rate: Array, s: Array, first: int, terms: TermArrays, k: int, own: int, width: int = W
+) -> None:
+    """Write κ p^own of term k, without its H, at the state from row ``first`` on."""
+    fill(rate, terms.scale[k], width)
+    for f in range(terms.first[k], terms.first[k + 1] - terms.power[k] + own):
+        multiply(rate, row(s, first + terms.factor[f], 1, width), 1, width)
+
+
+@inlined
+def flow(p: Array, rate: Array, N: int, t: float, width: int = W) -> None:
+    """Replace p by the solution of ``p' = −rate p^N`` after ``t``; NaN after a blow-up."""
+    if N == 0:
+        for k in range(width):
+            p[k] -= t * rate[k]
+    elif N == 1:
+        for k in range(width):
+            p[k] *= np.exp(-t * rate[k])
+    elif N == 2:
+        for k in range(width):
+            base = 1.0 + t * rate[k] * p[k]
+            p[k] = p[k] / base if base > 0.0 else np.nan
+    elif N == 3:
+        for k in range(width):
+            base = 1.0 + 2.0 * t * rate[k] * p[k] * p[k]
+            p[k] = p[k] / np.sqrt(base) if base > 0.0 else np.nan
+    else:
+        for k in range(width):
+            power = 1.0
+            for _ in range(N - 1):
+                power *= p[k]
+            base = 1.0 + (N - 1) * t * rate[k] * power
+            p[k] = p[k] * base ** (-1.0 / (N - 1)) if base > 0.0 else np.nan
+
+
+@inlined
+def term_flows(
+    s: Array, work: int, step: StepArrays, backwards: bool, with_energy: bool, width: int = W
+) -> None:
+    """Advance the state by each term alone over half a step; with H^e, half-way from a predictor.
+
+    ``with_energy``, a constant: whether any term has H^e, which needs V of the state.
+    """
+    terms, rate, h = step.terms, row(s, work, 1, width), step.dt
+    for index in range(terms.target.size):
+        k = terms.target.size - 1 - index if backwards else index
+        p, N = row(s, terms.target[k], 1, width), terms.power[k]
+        term_rate(rate, s, 0, terms, k, 0, width)
+        if with_energy and terms.energy[k] > 0:
+            H, middle = row(s, work + 2, 1, width), row(s, work + 3, 1, width)
+            predicted = row(s, work + 4, 1, width)
+            whole_energy(s, work, step, width)
+            a = step.half_inverse_mass[terms.target[k] - step.half_inverse_mass.size]
+            copy(predicted, rate, width)
+            copy(middle, p, width)
+            multiply(predicted, H, terms.energy[k], width)
+            flow(middle, predicted, N, 0.25 * h, width)
+            add_product(H, middle, middle, a, width)
+            add_product(H, p, p, -a, width)
+            multiply(rate, H, terms.energy[k], width)
+        flow(p, rate, N, 0.5 * h, width)
+
+
+@inlined
+def damping_forces(
+    s: Array, first: int, H: Array, at: Rows, step: StepArrays, width: int = W
+) -> None:
+    """Write Σ_j c̃_ij v_j of the terms at the state from row ``first``, whose energy is ``H``."""
+    n, rate, terms = step.half_inverse_mass.size, row(s, at.work, 1, width), step.terms
+    fill(row(s, at.damping, n, width), 0.0, n * width)
+    for k in range(terms.target.size):
+        term_rate(rate, s, first, terms, k, terms.power[k], width)
+        multiply(rate, H, terms.energy[k], width)
+        add(row(s, at.damping + terms.target[k] - n, 1, width), rate, 1.0, width)
+
+
+@inlined
+def processed_by_terms(s: Array, at: Rows, shift: float, step: StepArrays, width: int = W) -> None:
+    """Change the observed (q*, p*) by the processor of the terms; H is that of the state.
+
+    ``q_i* = q_i − (h²/12) D_i/m_i``, ``p_i* = p_i + (h²/12) dD_i/dt`` along the flow of the springs
+    and of the contact with the other sign: docs/theory.md, "The step of the simulation".
+    """
+    terms, H = step.terms, row(s, at.work + 2, 1, width)
+    n, work = step.half_inverse_mass.size, at.work
+    fill(row(s, at.change, 3 * n, width), 0.0, 3 * n * width)
+    # (M⁻¹ p, −K q), the flow of the springs alone.
+    for i in range(n):
+        p = row(s, at.p + i, 1, width)
+        add(row(s, at.change + i, 1, width), p, 2.0 * step.half_inverse_mass[i], width)
+    add_matrix(s, at.change + n, at.q, step.stiffness_matrix, -1.0, width)
+    for slot in range(step.slot_mass.size):
+        force = row(s, at.change + n + step.slot_mass[slot], 1, width)
+        add(force, row(s, at.contact + 2 * slot, 1, width), 1.0, width)
+    damping_forces(s, at.q, H, at, step, width)
+    change, one = row(s, work, 1, width), row(s, work + 3, 1, width)
+    for k in range(terms.target.size):
+        # The rate of change of its force, without H, as each factor in turn changes.
+        fill(change, 0.0, width)
+        for moving in range(terms.first[k], terms.first[k + 1]):
+            fill(one, terms.scale[k], width)
+            for f in range(terms.first[k], terms.first[k + 1]):
+                first = at.change if f == moving else at.q
+                multiply(one, row(s, first + terms.factor[f], 1, width), 1, width)
+            add(change, one, 1.0, width)
+        multiply(change, H, terms.energy[k], width)
+        add(row(s, at.change + n + terms.target[k], 1, width), change, 1.0, width)
+    for i in range(n):
+        a = 2.0 * shift * step.half_inverse_mass[i]
+        add(row(s, at.q + i, 1, width), row(s, at.damping + i, 1, width), -a, width)
+        add(row(s, at.p + i, 1, width), row(s, at.change + 2 * n + i, 1, width), shift, width)
+
+
+@njit(inline="always")
+def observe(
+    s: Array, step: StepArrays, watch: WatchArrays, damping: bool, energy_damping: bool,
+    energy: bool, moments: bool, force: Any, potential: Any, width: int = W,
+) -> None:  # fmt: skip
+    """Write the observed state and all that is asked for of it to the rows of ``watch.at``.
+
+    That is q*, and p* in the middle of the kicks, corrected by the processor. Inlined before types
+    are inferred, so that nothing is compiled for a flag that is a constant False.
+    """
+    at, n, slots = watch.at, step.half_inverse_mass.size, step.slot_mass.size
+    copy(row(s, at.q, 2 * n, width), row(s, 0, 2 * n, width), 2 * n * width)
+    add_matrix(s, at.p, 0, watch.half_springs, -1.0, width)
+    for slot in range(slots):
+        i, shift = step.slot_mass[slot], step.slot_shift[slot]
+        g = row(s, at.contact + 2 * slot, 2, width)
+        add(row(s, at.q + i, 1, width), g, -shift, width)
+        p = row(s, at.p + i, 1, width)
+        kick(p, g, watch.half_kick, shift, width)
+        for k in range(width):
+            p[k] *= 1.0 + shift * g[width + k]
+    for i in range(n):
+        for slot in range(slots):
+            g = row(s, at.contact + 2 * slot, 1, width)
+            add(row(s, at.p + i, 1, width), g, watch.cross[i, slot], width)
+    if damping and watch.term_shift != 0.0:
+        if energy_damping:
+            whole_energy(s, at.work, step, width)
+        processed_by_terms(s, at, watch.term_shift, step, width)
+    whole = row(s, at.energy, 1, width)
+    if energy:
+        potential_energy(s, at.q, at.energy, step, potential, width)
+        add_kinetic(whole, s, at.p, step, width)
+    u = row(s, at.work, 1, width)
+    for m in range(watch.mode_q.shape[0]):
+        modal = row(s, at.modal + m, 1, width)
+        fill(modal, 0.0, width)
+        for first, shape in ((at.q, watch.mode_q), (at.p, watch.mode_p)):
+            fill(u, 0.0, width)
+            for r in range(n):
+                add(u, row(s, first + r, 1, width), shape[m, r], width)
+            add_product(modal, u, u, 0.5, width)
+    if moments:
+        fill(row(s, at.force, n, width), 0.0, n * width)
+        add_matrix(s, at.force, at.q, step.stiffness_matrix, 1.0, width)
+        add_contact(s, at.q, at.force, step, force, True, width)
+        if damping:
+            damping_forces(s, at.q, whole, at, step, width)
+
+
+@inlined
+def find_bins(
+    x: Array, number: Array, watch: WatchArrays, m: int, axis: int, index: Integers
+) -> None:
+    """Write the bin of every lane along one axis; the number of bins for outside and for NaN.
+
+    ``number`` is scratch: the bins of a piece count in full above it.
+    """
+    first, last = watch.piece[m, axis, 0], watch.piece[m, axis, 1]
+    fill(number, 0.0)
+    for piece in range(first, last):
+        p = watch.pieces[piece]
+        low, bins, scale = p[0], p[2], p[3]
+        if p[4] == 0.0:
+            for k in range(W):
+                number[k] += np.floor(min(max((x[k] - low) * scale, 0.0), bins))
+        else:
+            for k in range(W):
+                share = np.sqrt(np.sqrt(max((x[k] - low) * scale, 0.0)))
+                number[k] += np.floor(min(share * bins, bins))
+    low, high, bins = watch.pieces[first, 0], watch.pieces[last - 1, 1], watch.bins[m, axis]
+    for k in range(W):
+        inside = (x[k] >= low) & (x[k] < high)
+        # Rounding may take a value just below an end beyond it.
+        index[k] = np.int64(min(number[k], bins - 1.0)) if inside else np.int64(bins)
+
+
+@inlined
+def count_all(
+    s: Array, number: Array, index: Integers, second: Integers, live: int, watch: WatchArrays,
+    counts: Integers,
+) -> None:  # fmt: skip
+    """Add one to a bin of every histogram for each of the first ``live`` lanes."""
+    for m in range(watch.rows.shape[0]):
+        find_bins(row(s, watch.rows[m, 0]), number, watch, m, 0, index)
+        if watch.rows[m, 1] >= 0:
+            find_bins(row(s, watch.rows[m, 1]), number, watch, m, 1, second)
+            bins, columns = watch.bins[m, 0], watch.bins[m, 1]
+            for k in range(W):
+                inside = (index[k] < bins) & (second[k] < columns)
+                index[k] = index[k] * columns + second[k] if inside else bins * columns
+        own = counts[watch.start[m] :]
+        for k in range(live):
+            own[index[k]] += 1
