@@ -25,7 +25,7 @@ from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_plane
 from fpk.solvers.plane.time.operator import PlaneOperator, PlaneStart
 from fpk.solvers.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
-from fpk.solvers.plane.time.transient import Level, Seen, seen_on, transient_densities
+from fpk.solvers.plane.time.transient import Level, Seen, seen_at, transient_densities
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
@@ -157,9 +157,9 @@ def _energies(
     """
     (other_op, other), (op, g) = levels
 
-    def of(op: PlaneOperator, g: Array, H1: Array, H2: Array) -> Array:
-        """The density of unknowns g at all times, (energies, energies): H1 a column, H2 a row."""
-        return np.asarray(seen_on(op, "pair", g[k : k + 1], (H1.ravel(), H2.ravel()))[0])
+    def of(op: PlaneOperator, g: Array, *H: Array) -> Array:
+        """The density of unknowns g at all times on the grid of a column H1 and a row H2."""
+        return np.asarray(seen_at(op, "pair", g[k : k + 1], H)[0])
 
     pdf = partial(of, op, g.values)
     mass = float(g.values[k] @ op.matrices[2])

@@ -14,9 +14,12 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from fpk.numeric.arrays import SMALLEST, Array, Integers
 from fpk.numeric.errors import NotCertified
-from fpk.numeric.quadrature import gauss_legendre
+from fpk.numeric.piecewise import PiecewiseTensor, projection
+from fpk.numeric.quadrature import gauss_grid, gauss_legendre
 from fpk.solvers.plane.weight import Weight
 from fpk.system.process import Process
+
+Nodes = tuple[Array, Array]
 
 
 @lru_cache
@@ -93,25 +96,32 @@ def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
     return y, float(np.max(np.abs(matrix @ y)) / np.max(abs(matrix) @ np.abs(y)))
 
 
-def condensed_null_vector(
-    matrices: Array, counts: tuple[int, int], degree: int
-) -> tuple[Array, float]:
-    """Return the coefficients (elements, m) of the null vector of the assembled ``matrices``.
+def null_function(
+    process: Process, nodes: Nodes, degree: int, points: int, weight: Weight
+) -> tuple[PiecewiseTensor, float]:
+    """Return u of a stationary density p = w u on a tensor mesh, and its algebraic residual.
 
-    The matrices come in ``local_order``, the coefficients in that of their products. The unknowns
-    inside every element are eliminated first.
+    ``points`` are the Gauss points of an element along each axis.
     """
-    order, n = local_order(degree), 4 * degree
+    counts = (nodes[0].size - 1, nodes[1].size - 1)
+    (x, y), _ = gauss_grid(nodes, points=points)
+    matrices = element_matrices(flux_coefficients(process, x, y, weight)[1:], nodes, degree)
+    # The unknowns inside every element are eliminated first.
+    order, n, k = local_order(degree), 4 * degree, degree + 1
     fold = -np.linalg.solve(matrices[:, n:, n:], matrices[:, n:, :n])
     _, numbers = np.unique(local_numbers(counts, degree)[:, :n], return_inverse=True)
     numbers = numbers.reshape(-1, n)
     vertices = np.unique(numbers[:, [0, 1, degree + 1, degree + 2]])
     outer = assembled(matrices[:, :n, :n] + matrices[:, :n, n:] @ fold, numbers)
     y, residual = null_vector(outer, vertices)
-    coefficients = np.empty((len(matrices), order.size))
-    coefficients[:, order[:n]] = own = y[numbers]
-    coefficients[:, order[n:]] = (fold @ own[:, :, None])[:, :, 0]
-    return coefficients, residual
+    null = np.empty((len(matrices), k * k))
+    null[:, order[:n]] = own = y[numbers]
+    null[:, order[n:]] = (fold @ own[:, :, None])[:, :, 0]
+    # Shape functions as Legendre series.
+    values, _ = shape_functions(degree, 0.5 * (1.0 + gauss_legendre(points)[0]))
+    series = values @ projection(points - 1)[:k].T
+    u = (series.T @ null.reshape(-1, k, k) @ series).reshape(*counts, k, k)
+    return PiecewiseTensor(nodes, u), residual
 
 
 def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
@@ -140,13 +150,13 @@ def by_element(values: Array, counts: tuple[int, int]) -> Array:
 
 
 def flux_coefficients(
-    process: Process, H1: Array, H2: Array, weight: Weight | None, *, balanced: bool = False
+    process: Process, H1: Array, H2: Array, weight: Weight, *, balanced: bool = False
 ) -> Array:
     """Return w, w a_1, w a_2, w b_11, w b_12, w b_22 (6, ...) at energies that broadcast together.
 
-    With p = w u the flux is ``J_i = w (a_i u − ½ b_ij ∂_j u)``, a = s − ½ ∇·b + ½ b ∇ ln w; w = 1
-    without a ``weight``. Of a ``balanced`` one, without its floor the stationary density where no
-    probability flows, s − ½ ∇·b is ½ b ∇Φ: what is left of a is of the size of the floor.
+    With p = w u the flux is ``J_i = w (a_i u − ½ b_ij ∂_j u)``, a = s − ½ ∇·b + ½ b ∇ ln w. Of a
+    ``balanced`` weight, without its floor the stationary density where no probability flows,
+    s − ½ ∇·b is ½ b ∇Φ: what is left of a is of the size of the floor.
     """
     shape = np.broadcast_shapes(H1.shape, H2.shape)
     points = np.empty((*shape, 2))
@@ -156,16 +166,14 @@ def flux_coefficients(
     out[3], out[4], out[5] = b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]
     if not balanced:
         out[1:3] = (c.drift - 0.5 * c.divergence).T.reshape(2, *shape)
-    out[0] = 1.0
-    if weight is not None:
-        out[0] = weight(H1, H2)
-        # Without a floor w may underflow: floor/w is then 0/SMALLEST = 0, and w a = 0.
-        floor = weight.floor / np.maximum(out[0], SMALLEST)
-        share = -0.5 * floor if balanced else 0.5 - 0.5 * floor
-        first, second = (share * slope for slope in weight.slopes(H1, H2))
-        out[1] += out[3] * first + out[4] * second
-        out[2] += out[4] * first + out[5] * second
-        out[1:] *= out[0]
+    out[0] = weight(H1, H2)
+    # Without a floor w may underflow: floor/w is then 0/SMALLEST = 0, and w a = 0.
+    floor = weight.floor / np.maximum(out[0], SMALLEST)
+    share = -0.5 * floor if balanced else 0.5 - 0.5 * floor
+    first, second = (share * slope for slope in weight.slopes(H1, H2))
+    out[1] += out[3] * first + out[4] * second
+    out[2] += out[4] * first + out[5] * second
+    out[1:] *= out[0]
     return out
 
 

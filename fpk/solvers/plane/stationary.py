@@ -17,17 +17,10 @@ import numpy as np
 from fpk.answer.certificate import Measured, certify, outside
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.numeric.piecewise import PiecewiseTensor
-from fpk.solvers.plane.solution import (
-    ENRICHMENT,
-    ROUND_OFF,
-    PlaneSolution,
-    gauss_grid,
-    graded,
-    null_function,
-    solve_plane_on_mesh,
-    tails,
-    weighted,
-)
+from fpk.numeric.quadrature import gauss_grid, integral
+from fpk.solvers.line.elements import ENRICHMENT
+from fpk.solvers.plane.elements import null_function
+from fpk.solvers.plane.solution import ROUND_OFF, PlaneSolution, graded, solve_plane_on_mesh, tails
 from fpk.solvers.plane.weight import (
     BEYOND,
     NATS,
@@ -73,8 +66,20 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
     require_confined(process)
+    weight = flux_free_weight(process)
+
+    def attempts() -> Iterator[PlaneSolution]:
+        """Each made after the one before was not certified."""
+        balanced = detailed_balance(process, weight, tol=tol)
+        yield from () if balanced is None else (balanced,)
+        try:
+            yield from solve_with_weight(process, weight, tol=tol)
+            yield solve_by_elements(process, weight, tol=tol)
+        except NotCertified:
+            return
+
     best: PlaneSolution | None = None
-    for solution in _attempts(process, flux_free_weight(process), tol):
+    for solution in attempts():
         if solution.certificate.certified:
             return solution
         if best is None or not best.l1_error <= solution.l1_error:
@@ -82,18 +87,6 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     if best is None:
         raise NotCertified("neither a weight nor an affordable mesh gives the density")
     return best
-
-
-def _attempts(process: Process, weight: Weight, tol: float) -> Iterator[PlaneSolution]:
-    """Solutions, each made after the one before was not certified."""
-    balanced = detailed_balance(process, weight, tol=tol)
-    if balanced is not None:
-        yield balanced
-    try:
-        yield from solve_with_weight(process, weight, tol=tol)
-        yield solve_by_elements(process, weight, tol=tol)
-    except NotCertified:
-        return
 
 
 def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSolution | None:
@@ -111,44 +104,46 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
         return None
     points = 22  # of Gauss on each panel: e^(−32 t) is integrated to 4e-14
     for panels in (2, 4, 8, 16, 24):
-        (x, y), (v, area) = gauss_grid(graded(ends, panels), points)
-        w = weight(x[:, None], y)
-        mass = float(v @ w @ area)
-        (fewer_x, fewer_y), fewer = gauss_grid(graded(ends, panels), points - 2)
-        p = weight(fewer_x[:, None], fewer_y) / mass
-        mass_defect = abs(float(fewer[0] @ p @ fewer[1]) - 1.0)
+        H, grids = gauss_grid(graded(ends, panels), points=points)
+        w = weight(*H)
+        mass = integral(w, grids)
+        fewer_H, fewer = gauss_grid(graded(ends, panels), points=points - 2)
+        p = weight(*fewer_H) / mass
+        mass_defect = abs(integral(p, fewer) - 1.0)
         if mass_defect <= 1e-12:  # what is left of it is in the stated error
             break
     else:
         return None
-    at = np.stack(np.broadcast_arrays(x[:, None], y), axis=-1)
+    at = np.stack(np.broadcast_arrays(*H), axis=-1)
     c = process.coefficients(at.reshape(-1, 2))
-    slope = np.stack(weight.slopes(x[:, None], y), axis=-1).reshape(-1, 2)
+    slope = np.stack(weight.slopes(*H), axis=-1).reshape(-1, 2)
     flow = 2.0 * c.drift - c.divergence
     flux = np.einsum("nij,nj->ni", c.diffusion, slope) + flow
     missed = np.abs(divided_by_diffusion(flux, c.diffusion)).reshape(at.shape)
     missed[w < np.exp(-NATS) * w.max()] = 0.0
     # Twice, as p is normalised: a factor in one place is a factor everywhere else.
-    wrong = 2.0 * float(missed[..., 0].max(axis=1) @ v + missed[..., 1].max(axis=0) @ area)
+    along = zip((missed[..., 0].max(axis=1), missed[..., 1].max(axis=0)), grids, strict=True)
+    wrong = 2.0 * float(sum(most @ v for most, (_, v) in along))
     if not wrong <= 0.5 * tol:
         return None
     # Four parts of each panel: over a rise of 8 twelve Gauss points give e^(−8 t) to 3e-16, for
     # all that integrates p over its panels.
     nodes = graded(ends, 4 * panels)
     u = PiecewiseTensor(nodes, np.full((4 * panels,) * 2 + (1, 1), 1.0 / mass))
-    tail = float(tails(w / mass, (x, y), (v, area), points)[0].sum())
-    sizes = p * weight.terms(fewer_x[:, None], fewer_y)
-    rounding = ROUND_OFF * float(fewer[0] @ sizes @ fewer[1])
-    terms = np.abs(flow) * w.reshape(-1, 1)
+    beyond, _ = tails(w / mass, grids, points)
+    tail = float(beyond.sum())
     measured = Measured(
-        l1_error=wrong + 2.0 * tail + mass_defect + rounding,
+        l1_error=wrong
+        + 2.0 * tail
+        + mass_defect
+        + ROUND_OFF * integral(p * weight.terms(*fewer_H), fewer),
         mass_defect=mass_defect,
         minimum=float(w.min() / w.max()),
-        residual=float(np.max(np.abs(flux) * w.reshape(-1, 1)) / terms.max()),
+        residual=float(np.max(np.abs(flux).T * w.ravel()) / np.max(np.abs(flow).T * w.ravel())),
         tail_mass=tail,
     )
     relative, certificate = wrong + tail + mass_defect, certify(measured, tol=tol)
-    return PlaneSolution(process, u, u, weight, relative, measured, certificate)
+    return PlaneSolution(process, u, u, weight, beyond, relative, measured, certificate)
 
 
 def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterator[PlaneSolution]:
@@ -186,8 +181,8 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
 def finer(rung: int, missing: float, *, most: int) -> int:
     """Return the next of ``RUNGS`` where the error is ``missing`` times the tolerance.
 
-    As many rungs on as the missing digits take, ``most`` at the most and for an error that is not
-    finite; no rung beyond the highest degree is skipped to.
+    As many rungs on as the missing digits take, at the most ``most``, and no farther than the
+    highest degree on four panels.
     """
     digits = float(np.log10(max(missing, 1.0))) if np.isfinite(missing) else np.inf
     gain = ceil(min(digits / DIGITS, most))
@@ -208,8 +203,8 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
     # First on the whole mesh, to see how far p is known; then on the box in which it is.
     for _ in range(2):
         x, y = (np.linspace(0.0, end, SAMPLES) for end in ends)
-        both = solution.u, solution.enriched
-        p, better = (weighted(u, solution.weight, x[:, None], y) for u in both)
+        w = solution.weight(x[:, None], y)
+        p, better = (u(x[:, None], y) * w for u in (solution.u, solution.enriched))
         known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < KNOWN * better)
         known &= better > np.exp(-rise) * better.max()
         if not known.any():
@@ -231,27 +226,24 @@ def solve_by_elements(
     """Return the plain solution, w = 1, to the L1 tolerance ``tol``, refining the mesh.
 
     ``degree`` follows from ``tol`` unless given. Of the intervals, four along each axis at first,
-    those are halved whose highest modes exceed the share ``marked`` of the largest, all of them for
-    0; the mesh is lengthened where mass lies beyond: until the answer is certified, or the next
-    mesh has more than ``MAX_ENTRIES``. The ends of the first mesh are those of the ``weight``.
-    ``solved`` as of ``solve_plane_on_mesh``.
+    up to the ends of the ``weight``, those are halved whose highest modes exceed the share
+    ``marked`` of the largest, all of them for 0, and one is added where mass lies beyond: until the
+    answer is certified, or the next mesh has more than ``MAX_ENTRIES``. ``solved`` as of
+    ``solve_plane_on_mesh``.
 
     Raises ``NotCertified`` where the first mesh has more than ``MAX_ENTRIES``, or where the weight
     does not fall to 1e-2 ``tol`` at the energies it is known at.
     """
     if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
         degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))
-    points, solution = degree + ENRICHMENT, None
+    solution = None
     first, second = graded(weight.ends(-float(np.log(1e-2 * tol))), 4)
-    while (first.size - 1) * (second.size - 1) * (points + 1) ** 4 <= MAX_ENTRIES:
+    while (first.size - 1) * (second.size - 1) * (degree + ENRICHMENT + 1) ** 4 <= MAX_ENTRIES:
         solution = solve_plane_on_mesh(
             process, (first, second), degree, tol=tol, longer=True, solved=solved
         )
         if solution.certificate.certified:
             break
-        energies, weights = gauss_grid(solution.nodes, points)
-        p = solution.density(energies[0][:, None], energies[1])
-        beyond = tails(p, energies, weights, points)[0] > 0.1 * tol
         area = np.multiply.outer(np.diff(first), np.diff(second))
         size = np.abs(solution.u.coefficients) * area[:, :, None, None]
         highest = size[:, :, -2:].sum(axis=(1, 2, 3)), size[..., -2:].sum(axis=(0, 2, 3))
@@ -262,7 +254,7 @@ def solve_by_elements(
         )
         first, second = (
             np.append(x, 2.0 * x[-1] - x[-2]) if far else x
-            for x, far in zip((first, second), beyond, strict=True)
+            for x, far in zip((first, second), solution.beyond > 0.1 * tol, strict=True)
         )
     if solution is None:
         raise NotCertified(f"the tolerance {tol:.2g} takes more elements than are affordable")

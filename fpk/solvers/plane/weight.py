@@ -56,6 +56,11 @@ class Weight:
     scales: tuple[float, float]
     floor: float = FLOOR
 
+    @property
+    def plain(self) -> bool:
+        """Whether w = 1."""
+        return self.coefficients.size == 1
+
     def exponent(self, H1: Array, H2: Array) -> Array:
         """Return Φ."""
         return self._values(self.coefficients, H1, H2)
@@ -64,14 +69,10 @@ class Weight:
         """Return w."""
         return np.asarray(np.exp(-self.exponent(H1, H2)) + self.floor)
 
-    def slopes(self, H1: Array, H2: Array) -> tuple[Array, Array]:
+    def slopes(self, H1: Array, H2: Array) -> list[Array]:
         """Return ∂Φ/∂H1 and ∂Φ/∂H2, the slopes of −ln w but for the floor."""
-        first, second = (
-            self._values(np.asarray(polyder(self.coefficients, axis=axis), float), H1, H2)
-            / self.scales[axis]
-            for axis in (0, 1)
-        )
-        return first, second
+        each = (np.asarray(polyder(self.coefficients, axis=axis), float) for axis in (0, 1))
+        return [self._values(c, H1, H2) / s for c, s in zip(each, self.scales, strict=True)]
 
     def terms(self, H1: Array, H2: Array) -> Array:
         """Return the sum of the sizes of the terms of Φ, to which its round-off is relative."""
@@ -79,10 +80,10 @@ class Weight:
 
     def _values(self, coefficients: Array, H1: Array, H2: Array) -> Array:
         x, y = np.asarray(H1) / self.scales[0], np.asarray(H2) / self.scales[1]
-        if x.ndim == 2 and x.shape[1] == 1 and y.ndim == 1:
-            return np.asarray(polygrid2d(x[:, 0], y, coefficients))
-        first, second = np.broadcast_arrays(x, y)
-        return np.asarray(polyval2d(first, second, coefficients))
+        if x.ndim == 2 and x.shape[1] == 1 and y.shape[-1:] == (y.size,):
+            return np.asarray(polygrid2d(x.ravel(), y.ravel(), coefficients))
+        x, y = np.broadcast_arrays(x, y)
+        return np.asarray(polyval2d(x, y, coefficients))
 
     def ends(self, rise: float) -> tuple[float, float]:
         """Return the energies along each axis beyond which Φ > ``rise`` everywhere.
@@ -96,6 +97,10 @@ class Weight:
             float(RAYS[last(inside, axis) + 1]) * scale for axis, scale in enumerate(self.scales)
         )
         return first, second
+
+
+PLAIN = Weight(np.zeros((1, 1)), (1.0, 1.0))
+"""w = 1: the floor is below its round-off."""
 
 
 def flux_free_weight(process: Process) -> Weight:

@@ -16,17 +16,10 @@ from fpk.answer.observable import number_text
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotCertified
-from fpk.solvers.plane.elements import factorised
-from fpk.solvers.plane.solution import SAFETY, Nodes, PlaneSolution, graded
+from fpk.solvers.plane.elements import Nodes, factorised
+from fpk.solvers.plane.solution import SAFETY, PlaneSolution, graded
 from fpk.solvers.plane.time.exponential import KRYLOV, evolved, relative_residual
-from fpk.solvers.plane.time.operator import (
-    SHARE,
-    PlaneOperator,
-    PlaneStart,
-    far_ends,
-    operators,
-    reach,
-)
+from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators, reach
 
 FOLDS = 5.0
 """Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
@@ -72,24 +65,20 @@ class PlaneLimit:
     def nodes(self, stationary: PlaneSolution, rise: float, panels: int) -> Nodes:
         """Return nodes up to the limit, or to where −ln w exceeds ``rise``; more where it rises."""
         if self.total is not None:
-            corners = stationary.heights(*(self.total * np.eye(2)))
-            steep, across = float(corners.max()), abs(float(corners[1] - corners[0]))
-            angles = np.linspace(0.0, 0.5 * np.pi, 1 + max(panels, int(across / FOLDS)))
-            along = graded((self.total, 1.0), max(panels, int(steep / FOLDS)))[0]
-            return along, np.sin(angles) ** 2
-        limits = zip((self.first, self.second), far_ends(stationary, rise), strict=True)
+            corners = stationary.weight.exponent(*(self.total * np.eye(2)))
+            angles = max(panels, int(abs(corners[1] - corners[0]) / FOLDS))
+            along = graded((self.total, 1.0), max(panels, int(corners.max() / FOLDS)))[0]
+            return along, np.sin(np.linspace(0.0, 0.5 * np.pi, 1 + angles)) ** 2
+        limits = zip((self.first, self.second), stationary.far_ends(rise), strict=True)
         ends = [far if limit is None else limit for limit, far in limits]
-        rises = stationary.heights(*np.diag(ends))
-        first, second = (
-            graded((end, 1.0), max(panels, int(rise / FOLDS)))[0]
-            for end, rise in zip(ends, rises, strict=True)
-        )
-        return first, second
+        rises = stationary.weight.exponent(*np.diag(ends))
+        counts = [max(panels, int(rise / FOLDS)) for rise in rises]
+        return graded(ends, counts[0])[0], graded(ends, counts[1])[1]
 
 
 Level = tuple[PlaneOperator, Array, Array, float]
-"""An operator; mean, variance, rate and the reliability at all times, and their errors by round-off
-and by the exponential; and the largest residual."""
+"""An operator; mean, variance, rate and reliability at all times; their errors by round-off and by
+the exponential; the largest residual."""
 
 
 def first_passage(
@@ -111,8 +100,8 @@ def first_passage(
     come nearer so slowly that those left could not meet it, see ``_hopeless``.
     """
     height = start.height(stationary)
-    far = far_ends(stationary, reach(tol, height))
-    lowest = float(np.min(stationary.heights(*limit.edge(far))))
+    far = stationary.far_ends(reach(tol, height))
+    lowest = float(np.min(stationary.weight.exponent(*limit.edge(far))))
     given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
     words = ", ".join(map(number_text, given))
     if lowest > HIGHEST:
@@ -135,8 +124,8 @@ def first_passage(
         op, values, own, residual = fine
         edge = limit.edge(np.array([x[-1] for x in op.nodes]))
         # The relative error by coefficients, weight and start.
-        model = coefficients_error * (2.0 + 2.0 * float(np.min(stationary.heights(*edge))))
-        model += 2.0 * stationary.relative_error * stationary.balanced + start.l1_error
+        model = coefficients_error * (2.0 + 2.0 * float(stationary.weight.exponent(*edge).min()))
+        model += 2.0 * stationary.relative_error * (stationary.degree == 0) + start.l1_error
         size = np.append(np.abs(values[:3]), np.ones(times.size))
         errors = np.abs(values - coarse[1]) + own + model * size
         # The variance is the difference of two moments, each with the error of the coefficients.
@@ -149,7 +138,7 @@ def first_passage(
             errors[3:] + SHARE * np.max(errors[3:], initial=0.0),
             tol=tol,
             residual=float(np.max([residual, coarse[3]])),
-            settings={"unknowns": op.unknowns, "degree": op.degree},
+            settings={"unknowns": op.matrices[2].size, "degree": op.degree},
         )
         size[:3] = np.abs(coarse[1][:3])
         distances.append(float(np.max(np.abs(values - coarse[1]) / size)))
@@ -223,59 +212,51 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
 def relaxation_rates(
     stationary: PlaneSolution, count: int, *, tol: float, relative: float = 0.0
 ) -> Rates:
-    """Return the ``count`` eigenvalues of −L with the least real parts but 0.
+    """Return the ``count`` eigenvalues of −L with the least real parts but 0, Im λ >= 0.
 
     Levels rise until two of them agree to ``tol``, relative to each; the answer is that of the
     finer one. ``relative`` is the relative error of the coefficients. Raises ``NotCertified`` where
     the two finest levels have fewer unknowns than that.
     """
-
-    def nodes(rise: float, panels: int) -> Nodes:
-        return graded(far_ends(stationary, rise), panels)
-
-    process = stationary.process
     # A rate of the order of the slowest: b/H² of the energies at their scales, the lesser one.
-    scales = np.array(process.energy_scales)
-    b = process.coefficients(scales[None, :]).diffusion[0]
+    scales = np.array(stationary.process.energy_scales)
+    b = stationary.process.coefficients(scales[None, :]).diffusion[0]
     shift, sought, answer = float(np.min(np.diag(b) / scales**2)), 2 * count + 2, None
-    vectors = VECTORS[0] * sought + VECTORS[1]
-    levels = (
-        (op, *_eigenvalues(op, sought, vectors, shift))
-        for op in operators(stationary, nodes, tol=tol, height=HEIGHT)
-        if vectors < op.unknowns
-    )
-    for (_, coarse, _), (op, every, residual) in pairwise(levels):
-        values = every[:count]
+    vectors, levels = VECTORS[0] * sought + VECTORS[1], list[Complexes]()
+    for op in operators(
+        stationary,
+        lambda rise, panels: graded(stationary.far_ends(rise), panels),
+        tol=tol,
+        height=HEIGHT,
+    ):
+        A, M, shares = op.matrices
+        if vectors >= shares.size:
+            continue
+        factors = factorised((A - shift * M).tocsc())
+        inverse = LinearOperator(A.shape, matvec=factors.solve, dtype=float)
+        start: Array = np.random.default_rng(0).normal(size=shares.size)
+        growth, X = eigs(A, sought, M, shift, ncv=vectors, v0=start, tol=0.0, OPinv=inverse)
+        every = -growth
+        # A double eigenvalue, which is real, splits by the root of round-off.
+        every = np.where(np.abs(every.imag) <= 1e-9 * np.abs(every), every.real, every)
+        defect = np.asarray(A @ X + (M @ X) * every)
+        terms = np.asarray(abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(every))
+        residual = float(np.max(np.abs(defect)) / np.max(terms))
+        every = every[np.lexsort((every.imag, every.real))]
+        every = every[every.imag >= 0.0]
+        levels.append(np.delete(every, np.argmin(np.abs(every))))
+        if len(levels) < 2:
+            continue
+        coarse, values = levels[-2], levels[-1][:count]
         size = np.abs(values)
         errors = SAFETY * np.abs(coarse - values[:, None]).min(axis=1)
         # Round-off of an eigenvalue of the shifted inverse, relative to its largest.
         errors += 50.0 * EPS * (size + shift) ** 2 / shift
-        errors += (relative + 2.0 * stationary.relative_error * stationary.balanced) * size
-        settings = {"unknowns": op.unknowns, "degree": op.degree}
+        errors += (relative + 2.0 * stationary.relative_error * (stationary.degree == 0)) * size
+        settings = {"unknowns": shares.size, "degree": op.degree}
         answer = certified_rates(values, errors, tol=tol, residual=residual, settings=settings)
         if answer.certificate.certified:
             break
     if answer is None:
         raise NotCertified(f"{count} rates take more unknowns than are affordable")
     return answer
-
-
-def _eigenvalues(
-    op: PlaneOperator, sought: int, vectors: int, shift: float
-) -> tuple[Complexes, float]:
-    """Return the eigenvalues of −L but 0 with Im λ >= 0, and the residual of their equation."""
-    A, M, _ = op.matrices
-    factors = factorised((shift * M - A).tocsc())
-    inverse = LinearOperator(A.shape, matvec=lambda x: factors.solve(M @ x), dtype=float)
-    start: Array = np.random.default_rng(0).normal(size=A.shape[0])
-    s, X = eigs(inverse, k=sought, ncv=vectors, v0=start, tol=0.0)
-    values = 1.0 / s - shift
-    # A double eigenvalue, which is real, splits by the root of round-off.
-    values = np.where(np.abs(values.imag) <= 1e-9 * np.abs(values), values.real, values)
-    defect = np.asarray(A @ X + (M @ X) * values)
-    terms = np.asarray(abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(values))
-    residual = float(np.max(np.abs(defect)) / np.max(terms))
-    order = np.lexsort((values.imag, values.real))
-    order = order[(values.imag[order] >= 0.0)]
-    stationary = int(np.argmin(np.abs(values[order])))
-    return np.asarray(np.delete(values[order], stationary)), residual

@@ -1,6 +1,6 @@
 """Densities of two energies at times after a start, as they are seen, with their errors."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Literal
 
@@ -9,17 +9,11 @@ import numpy as np
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.evolution import LARGEST_ERROR, Transient
 from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
-from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.plane.solution import Nodes, PlaneSolution, gauss_grid, graded
+from fpk.numeric.quadrature import gauss_grid, panel_rule
+from fpk.solvers.plane.elements import Nodes
+from fpk.solvers.plane.solution import PlaneSolution, graded
 from fpk.solvers.plane.time.exponential import KRYLOV, Evolved, evolved
-from fpk.solvers.plane.time.operator import (
-    SHARE,
-    PlaneOperator,
-    PlaneStart,
-    far_ends,
-    operators,
-    reach,
-)
+from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators, reach
 
 Seen = Literal["pair", "first", "second", "sum"]
 """The coordinates in which a density of two energies is seen."""
@@ -33,57 +27,47 @@ Level = tuple[PlaneOperator, Evolved]
 """An operator, and its free unknowns at all times."""
 
 
-def seen_at(op: PlaneOperator, seen: Seen, g: Array, points: tuple[Array, ...]) -> Array:
-    """Return the densities (times, points) of unknowns g (times, unknowns) at points (points,)."""
+def seen_at(op: PlaneOperator, seen: Seen, g: Array, at: Sequence[Array]) -> Array:
+    """Return the densities (times, ...) of unknowns g (times, unknowns) at energies ``at``.
+
+    These are points (points,), or of a pair also the axes (m, 1) and (1, n) of a grid.
+    """
+    if seen in ("first", "second"):
+        axis = int(seen == "first")
+        y, v = (a.ravel() for a in panel_rule(op.nodes[axis], op.points))
+        if axis:
+            return np.asarray(seen_at(op, "pair", g, (at[0][:, None], y[None])) @ v)
+        return np.asarray(v @ seen_at(op, "pair", g, (y[:, None], at[0][None])))
     g = op.spread(g)
     if seen == "pair":
-        first, second = (op.along(k, H) for k, H in enumerate(points))
+        first, second = (op.along(k, H.ravel()) for k, H in enumerate(at))
+        if at[0].ndim == 2:
+            return np.asarray((first @ g @ second.T) * op.weight(*at))
         values = np.array([np.sum((first @ each) * second, axis=1) for each in g])
-        return np.asarray(values.reshape(len(g), -1) * op.weight_at(*points))
-    (energy,) = points
-    if seen == "sum":
-        # ∫ w φ_i(x) ψ_j(H − x) dx, cut where panels end.
-        rows = np.zeros((energy.size, *op.sizes))
-        for row, H in zip(rows, energy, strict=True):
-            low, high = max(0.0, H - op.nodes[1][-1]), min(H, op.nodes[0][-1])
-            if low < high:
-                cuts = np.concatenate([op.nodes[0], H - op.nodes[1]])
-                nodes = np.unique(np.clip(cuts, low, high))
-                x, v = (a.ravel() for a in panel_rule(nodes, op.points))
-                y, weighted = np.maximum(H - x, 0.0), v * op.weight_at(x, H - x)
-                row[...] = (op.along(0, x) * weighted[:, None]).T @ op.along(1, y)
-    else:
-        # ∫ w φ_i ψ_j over the other energy.
-        axis = int(seen == "second")
-        y, v = (a.ravel() for a in panel_rule(op.nodes[1 - axis], op.points))
-        own, other = op.along(axis, energy), op.along(1 - axis, y)
-        H1, H2 = (energy[:, None], y) if axis == 0 else (y, energy[:, None])
-        inner = (op.weight_at(H1, H2) * v) @ other
-        rows = own[:, :, None] * inner[:, None, :]
-        rows = rows if axis == 0 else np.swapaxes(rows, 1, 2)
+        return np.asarray(values.reshape(len(g), -1) * op.weight(*at))
+    # ∫ w φ_i(x) ψ_j(H − x) dx, cut where panels end.
+    rows = np.zeros((at[0].size, *op.sizes))
+    for row, H in zip(rows, at[0], strict=True):
+        low, high = max(0.0, H - op.nodes[1][-1]), min(H, op.nodes[0][-1])
+        if low < high:
+            cuts = np.concatenate([op.nodes[0], H - op.nodes[1]])
+            x, v = panel_rule(np.unique(np.clip(cuts, low, high)), op.points)
+            x, y = x.ravel(), np.maximum(H - x, 0.0).ravel()
+            row[...] = (op.along(0, x).T * (v.ravel() * op.weight(x, y))) @ op.along(1, y)
     return np.asarray(g.reshape(len(g), -1) @ rows.reshape(len(rows), -1).T)
 
 
-def seen_on(op: PlaneOperator, seen: Seen, g: Array, axes: tuple[Array, ...]) -> Array:
-    """Return the densities (times, *grid) of g (times, unknowns) on the grid of ``axes``."""
-    if seen != "pair":
-        return seen_at(op, seen, g, axes)
-    first, second = op.along(0, axes[0]), op.along(1, axes[1])
-    return np.asarray((first @ op.spread(g) @ second.T) * op.weight_at(axes[0][:, None], axes[1]))
-
-
-def seen_grid(op: PlaneOperator, seen: Seen) -> tuple[tuple[Array, ...], Array, list[float]]:
+def seen_grid(op: PlaneOperator, seen: Seen) -> tuple[Sequence[Array], Array, list[float]]:
     """Return axes of energies, weights of an integral on their grid, and the last energies."""
     ends = [float(x[-1]) for x in op.nodes]
-    if seen == "sum":
-        # Panels equidistant in √H.
+    if seen == "sum":  # panels equidistant in √H
         x, w = panel_rule(graded((sum(ends), 1.0), 12)[0], 8)
         return (x.ravel(),), w.ravel(), [sum(ends)]
-    axes, weights = gauss_grid(op.nodes, op.degree + 2)
+    axes, grids = gauss_grid(op.nodes, points=op.degree + 2)
     if seen == "pair":
-        return axes, np.multiply.outer(*weights).ravel(), ends
+        return axes, np.multiply.outer(grids[0][1], grids[1][1]).ravel(), ends
     k = int(seen == "second")
-    return (axes[k],), weights[k], [ends[k]]
+    return (grids[k][0],), grids[k][1], [ends[k]]
 
 
 def transient_densities(
@@ -99,17 +83,17 @@ def transient_densities(
     """Return the densities seen at ``times`` > 0, ascending, at points ``at`` (points,) each.
 
     Levels rise until two of them agree to ``tol`` in L1 and in units of the largest density; the
-    answer is that of the finer one, its error the distance to the coarser one. A time too short for
-    the last level is not certified. ``coefficients_error(t, *at)`` is the relative error of p by
-    that of the coefficients. With the answer come the last two levels, the finer one last.
+    error of the finer one is their distance. A time too short for the last level is not certified.
+    ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients. With the
+    answer come the last two levels, the finer one last.
     """
     for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
         (op, g), (other_op, other_g) = fine, coarse
         axes, area, ends = seen_grid(op, seen)
-        points = [x.ravel() for x in np.meshgrid(*axes, indexing="ij")]
+        points = [x.ravel() for x in np.broadcast_arrays(*axes)]
         solutions = (op, g.values), (other_op, other_g.values), (op, g.change)
         p, other, change = (
-            seen_on(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions
+            seen_at(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions
         )
         lost = np.abs(p - other) + np.abs(change)
         largest, distance = np.max(np.abs(p), axis=1), lost @ area
@@ -167,7 +151,7 @@ def _levels(
 
     def nodes(rise: float, panels: int) -> Nodes:
         longer = 1.0 + 0.03 * (rise - reach(tol, height))
-        return graded(np.maximum(far_ends(stationary, rise), least * longer), panels)
+        return graded(np.maximum(stationary.far_ends(rise), least * longer), panels)
 
     for op in operators(stationary, nodes, tol=tol, height=height, share=share):
         A, M, _ = op.matrices
