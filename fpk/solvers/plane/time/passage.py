@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, eigs
+from scipy.sparse.linalg import LinearOperator, aslinearoperator, eigs
 
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.answer.evolution import BEYOND_RANGE, Passage, certified_passage
@@ -232,11 +232,11 @@ def relaxation_rates(
         A, M, shares = op.matrices
         if vectors >= shares.size:
             continue
-        factors = factorised((A - shift * M).tocsc())
-        inverse = LinearOperator(A.shape, matvec=factors.solve, dtype=float)
+        factors = factorised((shift * M - A).tocsc())
+        inverse = LinearOperator(A.shape, matvec=factors.solve, dtype=float) @ aslinearoperator(M)
         start: Array = np.random.default_rng(0).normal(size=shares.size)
-        growth, X = eigs(A, sought, M, shift, ncv=vectors, v0=start, tol=0.0, OPinv=inverse)
-        every = -growth
+        s, X = eigs(inverse, k=sought, ncv=vectors, v0=start, tol=0.0)
+        every = 1.0 / s - shift
         # A double eigenvalue, which is real, splits by the root of round-off.
         every = np.where(np.abs(every.imag) <= 1e-9 * np.abs(every), every.real, every)
         defect = np.asarray(A @ X + (M @ X) * every)
