@@ -1,6 +1,6 @@
 """Densities of displacements and momenta from those of the modal energies, Eq. (35)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial, reduce
 from math import prod
 
@@ -82,7 +82,8 @@ def state_density(
         K, M = np.pad(np.ceil(band * box / np.pi).astype(int), (0, 2 - count))
         k, m = np.mgrid[0 : K + 1, -M : M + 1]
         waves = np.stack([k.ravel(), m.ravel()][:count], axis=1) @ phases
-        # E Π_m J0(√H_m size_m), and its error: that of each group times p of the others.
+        # E Π_m J0(√H_m size_m), and the transform of its error: that of each group times p of the
+        # others.
         size = np.hypot(waves @ U, waves @ W)
         p, error = np.ones(len(size)), np.zeros(len(size))
         for group in groups:
@@ -138,6 +139,14 @@ def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
         net_flux=worst(c.net_flux for c in checks),
         failures=tuple(dict.fromkeys(words for c in checks for words in c.failures)),
     )
+
+
+def product_of(factors: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return the product of numbers with errors, and its error."""
+    value, error = np.ones(1), np.zeros(1)
+    for x, e in factors:
+        value, error = value * x, error * (np.abs(x) + e) + np.abs(value) * e
+    return value, error
 
 
 def _of_group(group: Density, size: Array) -> Array:

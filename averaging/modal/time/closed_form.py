@@ -8,7 +8,7 @@ coordinates x = V z have E e^(i s·x) = Π exp(−½ θ_t s·C s) Λ_n(a √(s·
 independent energies, Λ_n(z) = Γ(n) (2/z)^(n−1) J_(n−1)(z). For n = 1 that is J0 of a uniform phase.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from math import pi, prod
@@ -18,7 +18,7 @@ from scipy.special import hyp0f1, j0
 
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.characteristic import fourier_sum
+from averaging.modal.characteristic import fourier_sum, product_of
 from averaging.time.start import limited_modes, observed_modes
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Rates, certified_rates
@@ -159,14 +159,6 @@ def _convolved(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Array]
         totals.append((H[:, 0] * ((p * r) @ w), H[:, 0] * ((p * r_error + p_error * r) @ w)))
     (coarse, _), (fine, own) = totals
     return fine, own + np.abs(fine - coarse)
-
-
-def product_of(factors: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Return the product of numbers with errors, and its error."""
-    value, error = np.ones(1), np.zeros(1)
-    for x, e in factors:
-        value, error = value * x, error * (np.abs(x) + e) + np.abs(value) * e
-    return value, error
 
 
 def _surviving(parts: Sequence[Passing], times: Array, tol: float) -> tuple[Array, Array]:
