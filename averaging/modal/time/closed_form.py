@@ -52,21 +52,17 @@ of temperature 1."""
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
-    """Return products of the densities of modal energies, or the convolution of two of them.
-
-    Of displacements and momenta, what follows from them with independent uniform phases, (35).
-    ``asked`` is settled by ``settled_energies``.
-    """
+    """Return the densities of one or two modal energies, of the sum of two, or of (q, p), (35)."""
     observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
     modulation = asked.system.modulation
     if {c.kind for c in observable} <= {"q", "p"}:
         # The shares of the modes in displacements and momenta: (q, p) = S (ω Q, P).
-        shapes = modes.state_shapes[state_rows(observable, modes.n)]
-        orbits = []
-        for m, H in enumerate(start.energies.tolist()):
-            S = shapes[:, [m, m + modes.n]]
-            orbits.append((_mode(modes, m, modulation), H, S @ S.T))
-        return orbit_transient(orbits, asked)
+        S = modes.state_shapes[state_rows(observable, modes.n)].reshape(len(observable), 2, modes.n)
+        shares = np.einsum("ixm,jxm->mij", S, S)
+        orbits = zip(start.energies.tolist(), shares, strict=True)
+        return orbit_transient(
+            [(_mode(modes, m, modulation), *of) for m, of in enumerate(orbits)], asked
+        )
     checked_times(times, positive=start.noise is None)
     rows = observed_modes(observable)
     parts = [
@@ -137,10 +133,7 @@ def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) ->
 
 
 def _alike(modes: ModalAnalysis, modulation: Modulation | None = None) -> SquareRoot | None:
-    """The sum of modes of equal decay and temperature, with what they differ by as an error.
-
-    That is up to 1e-12 of these, beyond their round-off.
-    """
+    """The sum of modes of equal decay and temperature but for 1e-12, which counts as an error."""
     one, c, d = _mode(modes, 0, modulation), np.diag(modes.modal_damping), modes.noise
     unlike = float(max(np.ptp(c) / c[0], np.ptp(d) / d[0]))
     if unlike > 1e-12 + 4.0 * modes.relative_error:
@@ -149,7 +142,7 @@ def _alike(modes: ModalAnalysis, modulation: Modulation | None = None) -> Square
 
 
 def _convolved(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Array]:
-    """∫p_1(x) p_2(H − x) dx, and its error, panels graded to both ends."""
+    """∫p_1(x) p_2(H − x) dx, and its error, by panels graded to both ends."""
     H = np.maximum(energy, 0.0)[:, None]
     nodes = np.sin(np.linspace(0.0, 0.5 * np.pi, SUM_PANELS + 1)) ** 2
     totals = []
@@ -195,29 +188,28 @@ def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number
 def orbit_transient(parts: Sequence[Orbit], asked: Asked) -> Transient:
     """Return the densities at times > 0 of one or two coordinates, the sum of ``parts``.
 
-    From the start of each part, or the stationary state under the noise of the start. Raises
+    From the start of each part, or the stationary state under the noise of ``asked``. Raises
     ``NotApplicable`` where an orbit is too thin for ``MOST_WAVES``.
     """
     noise, times, at = asked.start.noise, asked.times, asked.at
     checked_times(times, positive=noise is None)
-    values, errors = np.empty((2, times.size, at[0].size))
-    largest, least = 0.0, 0.0
-    for k, t in enumerate(times.tolist()):
-        values[k], errors[k], height = _density(parts, noise, t, at)
-        largest = max(largest, float(errors[k].max(initial=0.0)) / height)
-        least = min(least, float(values[k].min(initial=0.0)) / height)
+    each = [_density(parts, noise, t, at) for t in times.tolist()]
+    values = np.array([p for p, _, _ in each]).reshape(times.size, -1)
+    errors = np.zeros(values.shape) + np.array([floor for _, floor, _ in each])[:, None]
     # Of waves on a box the mean is 1 exactly: the mass is that of the box, but for what is beyond.
-    tail = 2.0 * len(at) * EPS
+    tail, largest = 2.0 * len(at) * EPS, max((floor / top for _, floor, top in each), default=0.0)
+    least = min((float(p.min(initial=0.0)) / top for p, _, top in each), default=0.0)
     measured = Measured(largest + tail, tail, least, None, tail, absolute_error=largest)
-    return Transient(
-        times, values, errors + SMALLEST, "numerical", certify(measured, tol=asked.tol),
+    settings, certificate = (
         {"equation": "characteristic function"},
-    )  # fmt: skip
+        certify(measured, tol=asked.tol),
+    )
+    return Transient(times, values, errors + SMALLEST, "numerical", certificate, settings)
 
 
 def _density(
     parts: Sequence[Orbit], noise: float | None, t: float, at: tuple[Array, ...]
-) -> tuple[Array, Array, float]:
+) -> tuple[Array, float, float]:
     """p at the points, its error, and the height of the Gaussian of the same covariance.
 
     In coordinates y whose Gaussian part is standard normal, as a Fourier series on a box: from its
@@ -264,11 +256,10 @@ def _density(
     model = 4.0 * relative * gauss * (1.0 + square + (1.0 + elapsed) * argued)
     condition = float(np.linalg.cond(factor)) ** 2
     floor = float(np.sum(EPS * condition * rounded + model)) + 4.0 * count * EPS
-    pad = 0, 2 - count
-    phases = np.pad(pi * whitened / box[:, None], pad)
+    phases = np.pad(pi * whitened / box[:, None], (0, 2 - count))
     chunks = np.array_split(np.array(at), 1 + at[0].size * sum(wave.shape) // CHUNK, axis=1)
     p = np.concatenate([fourier_sum(phases, wave[None], *chunk)[0] for chunk in chunks])
     jacobian = abs(float(np.linalg.det(whitened)))
     total = np.eye(count) + sum(orbit / (2.0 * n) for n, orbit in orbits)
     height = (2.0 * pi) ** (-0.5 * count) * jacobian / np.sqrt(float(np.linalg.det(total)))
-    return p * jacobian, np.full(p.shape, floor * jacobian), height
+    return p * jacobian, floor * jacobian, height

@@ -22,7 +22,6 @@ from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.plane.elements import null_function
 from fpk.solvers.plane.solution import ROUND_OFF, PlaneSolution, graded, solve_plane_on_mesh, tails
 from fpk.solvers.plane.weight import (
-    BEYOND,
     NATS,
     RISE,
     RISE_PER_DEGREE,
@@ -31,6 +30,7 @@ from fpk.solvers.plane.weight import (
     fitted_weight,
     flux_free_weight,
     last,
+    reach,
 )
 from fpk.system.ends import require_confined
 from fpk.system.process import Process
@@ -99,7 +99,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     """
     weight = replace(weight, floor=0.0)
     try:
-        ends = weight.ends(max(NATS, -float(np.log(BEYOND * tol))))
+        ends = weight.ends(max(NATS, reach(tol)))
     except NotCertified:
         return None
     points = 22  # of Gauss on each panel: e^(−32 t) is integrated to 4e-14
@@ -152,12 +152,12 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
     Ends where the weight does not fall off, the error no longer falls, or after the last rung.
     """
     rung, least, stalled, best = 0, np.inf, 0, weight
-    rise = -float(np.log(BEYOND * tol))
-    reach = max(rise, 25.0)  # the first weight may be far from p
+    rise = reach(tol)
+    farthest = max(rise, 25.0)  # the first weight may be far from p
     while rung < len(RUNGS) and stalled < 2:
         panels, degree = RUNGS[rung]
         try:
-            nodes = graded(weight.ends(reach), panels)
+            nodes = graded(weight.ends(farthest), panels)
         except NotCertified:
             return
         solution = solve_plane_on_mesh(process, nodes, degree, tol=tol, weight=weight, longer=True)
@@ -166,8 +166,8 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         gained = error < 0.3 * least
         # A mass beyond that is a millionth of the error is not known so well.
         if outside(solution.measured) > 0.1 * max(tol, 1e-6 * error) or not gained:
-            rise = reach + RISE
-        reach = rise
+            rise = farthest + RISE
+        farthest = rise
         if gained:
             best, better, least = weight, weight_of(solution), error
         # On the first rung an error above ten times that says too little of p.

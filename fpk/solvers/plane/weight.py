@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polygrid2d, polyval2d
+from scipy.integrate import cumulative_trapezoid
 from scipy.linalg import solve_triangular
 
 from fpk.numeric.arrays import EPS, ROUND_OFF, Array, Flags, Integers
@@ -53,7 +54,7 @@ class Weight:
     """
 
     coefficients: Array
-    scales: tuple[float, float]
+    scales: tuple[float, ...]
     floor: float = FLOOR
 
     @property
@@ -93,14 +94,21 @@ class Weight:
         inside = polygrid2d(RAYS, RAYS, self.coefficients) < rise
         if inside[-1].any() or inside[:, -1].any():
             raise NotCertified(f"the weight falls by less than exp(−{rise:.0f})")
-        first, second = (
-            float(RAYS[last(inside, axis) + 1]) * scale for axis, scale in enumerate(self.scales)
-        )
-        return first, second
+        first, second = (float(RAYS[last(inside, axis) + 1]) for axis in (0, 1))
+        return first * self.scales[0], second * self.scales[1]
 
 
 PLAIN = Weight(np.zeros((1, 1)), (1.0, 1.0))
 """w = 1: the floor is below its round-off."""
+
+
+def reach(tol: float, height: float = 0.0, level: int = 0) -> float:
+    """Return the rise of −ln w from its least value beyond which p is negligible.
+
+    From a start at which −ln w is ``height`` a density reaches w e^height at the most, up to a
+    factor.
+    """
+    return height - float(np.log(BEYOND * tol)) + level * RISE
 
 
 def flux_free_weight(process: Process) -> Weight:
@@ -115,14 +123,10 @@ def flux_free_weight(process: Process) -> Weight:
     c = process.coefficients(points * scales)
     slopes = divided_by_diffusion(2.0 * c.drift - c.divergence, c.diffusion)
     first, second = (slopes * scales).T.reshape(2, PROBE.size, PROBE.size)
-
-    def integral(slope: Array) -> Array:
-        steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(PROBE)[:, None]
-        return np.concatenate([np.zeros_like(slope[:1]), np.cumsum(steps, axis=0)])
-
     # The mean of the integrals along two paths, first one energy, then the other.
-    along = integral(first), integral(second.T).T
-    log_p = 0.5 * (along[0][:, :1] + along[1] + along[1][:1] + along[0])
+    a = cumulative_trapezoid(first, PROBE, axis=0, initial=0)
+    b = cumulative_trapezoid(second, PROBE, axis=1, initial=0)
+    log_p = 0.5 * (a[:, :1] + b + b[:1] + a)
     # p H1 H2, the density of the logarithms of the energies.
     log_mass = log_p + np.log(np.multiply.outer(PROBE, PROBE))
     weight = None
@@ -139,20 +143,20 @@ def flux_free_weight(process: Process) -> Weight:
         ]
         right = -root * first[:m, :n] * ends[0], -root * second[:m, :n] * ends[1]
         candidates = fits(np.reshape(columns, (-1, len(powers))), np.ravel(right), powers)
-        weight = _chosen(candidates, (float(ends[0] * scales[0]), float(ends[1] * scales[1])))
+        weight = _chosen(candidates, tuple((ends * scales).tolist()))
     # 40 times the scales: within them RAYS see Φ rise by ``NATS``.
-    far = 40.0 * scales
-    return weight or Weight(np.array([[0.0, 40.0], [40.0, 0.0]]), (float(far[0]), float(far[1])))
+    return weight or Weight(np.array([[0.0, 40.0], [40.0, 0.0]]), tuple((40.0 * scales).tolist()))
 
 
-def divided_by_diffusion(flow: Array, b: Array) -> Array:
+def divided_by_diffusion(flow: Array, diffusion: Array) -> Array:
     """Return b⁻¹ ``flow`` (points, 2); raises ``NotCertified`` where b is singular."""
-    determinant = b[:, 0, 0] * b[:, 1, 1] - b[:, 0, 1] ** 2
+    (a, b), (_, c) = np.moveaxis(diffusion, 0, -1)
+    determinant = a * c - b**2
     if not np.all(determinant > 0.0):
         raise NotCertified("some combination of the two energies gets no noise")
-    first = b[:, 1, 1] * flow[:, 0] - b[:, 0, 1] * flow[:, 1]
-    second = b[:, 0, 0] * flow[:, 1] - b[:, 0, 1] * flow[:, 0]
-    return np.stack([first, second], axis=1) / determinant[:, None]
+    first, second = flow.T
+    slopes = np.stack([c * first - b * second, a * second - b * first], axis=1)
+    return np.asarray(slopes / determinant[:, None])
 
 
 def fitted_weight(
@@ -168,19 +172,14 @@ def fitted_weight(
     Beyond the grid, and where Φ exceeds ``rise``, how far ln p is known to fall, Φ must rise along
     every ray from the origin.
     """
-    scales = float(grid[0][-1]), float(grid[1][-1])
-    i, j = np.nonzero(known)
+    scales, (i, j) = (float(grid[0][-1]), float(grid[1][-1])), np.nonzero(known)
+    x, y = grid[0][i], grid[1][j]
     target = log_p[known].max() - log_p[known]
-    root, powers = (
-        np.exp(-0.5 * target / IMPORTANCE),
-        _powers(min(HIGHEST, int(rise / RISE_PER_DEGREE))),
-    )
-    first, second = powers.T
-    x, y = grid[0][i] / scales[0], grid[1][j] / scales[1]
-    columns = root[:, None] * _monomials(x, first) * _monomials(y, second)
-    least = np.inf
+    root, powers = np.exp(-0.5 * target / IMPORTANCE), _powers(int(rise / RISE_PER_DEGREE))
+    columns = _monomials(x / scales[0], powers[:, 0]) * _monomials(y / scales[1], powers[:, 1])
+    columns, least = root[:, None] * columns, np.inf
     if present is not None:
-        misfit = target - present.exponent(grid[0][i], grid[1][j])
+        misfit = target - present.exponent(x, y)
         misfit -= np.average(misfit, weights=root**2)
         least = float(np.linalg.norm(root * misfit) / np.linalg.norm(root * target))
     return _chosen(fits(columns, root * target, powers), scales, rise, least)
@@ -193,8 +192,9 @@ def last(inside: Flags, axis: int) -> int:
 
 @lru_cache
 def _powers(degree: int) -> Integers:
-    """Pairs of powers up to a total degree, in its order, (coefficients, 2)."""
-    return np.array([(i, total - i) for total in range(degree + 1) for i in range(total + 1)])
+    """Pairs of powers up to a total ``degree``, or ``HIGHEST``, in its order, (coefficients, 2)."""
+    totals = range(min(degree, HIGHEST) + 1)
+    return np.array([(i, total - i) for total in totals for i in range(total + 1)])
 
 
 def _monomials(x: Array, powers: Integers, *, slope: bool = False) -> Array:
@@ -223,7 +223,7 @@ def fits(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array
 
 def _chosen(
     fits: Iterator[tuple[Array, float]],
-    scales: tuple[float, float],
+    scales: tuple[float, ...],
     rise: float = np.inf,
     least: float = np.inf,
 ) -> Weight | None:

@@ -27,7 +27,7 @@ from fpk.solvers.plane.elements import (
     shape_functions,
 )
 from fpk.solvers.plane.solution import PlaneSolution, gauss_points
-from fpk.solvers.plane.weight import BEYOND, PLAIN, RISE, Weight
+from fpk.solvers.plane.weight import PLAIN, RISE, Weight, reach
 from fpk.system.process import Process
 
 LEVELS = ((3, 7), (4, 9), (5, 11), (6, 13), (8, 14), (11, 15))
@@ -217,15 +217,6 @@ class PlaneStart:
             y, p = (at[0].ravel(), at[1].ravel()), v[:, None] * w * op.jacobian(*at)
             p *= self.density.density(*op.energies(*at))
         return op.gathered((op.along(0, y[0]).T @ p @ op.along(1, y[1])).ravel())
-
-
-def reach(tol: float, height: float, level: int = 0) -> float:
-    """Return the rise of −ln w from its least value beyond which p is negligible.
-
-    From a start at which −ln w is ``height`` a density reaches w e^height at the most, up to a
-    factor.
-    """
-    return height - float(np.log(BEYOND * tol)) + level * RISE
 
 
 def operators(

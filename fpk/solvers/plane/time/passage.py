@@ -19,7 +19,8 @@ from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.solvers.plane.elements import Nodes, factorised
 from fpk.solvers.plane.solution import SAFETY, PlaneSolution, graded
 from fpk.solvers.plane.time.exponential import KRYLOV, evolved, relative_residual
-from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators, reach
+from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators
+from fpk.solvers.plane.weight import reach
 
 FOLDS = 5.0
 """Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root

@@ -13,7 +13,8 @@ from fpk.numeric.quadrature import gauss_grid, panel_rule
 from fpk.solvers.plane.elements import Nodes
 from fpk.solvers.plane.solution import PlaneSolution, graded
 from fpk.solvers.plane.time.exponential import KRYLOV, Evolved, evolved
-from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators, reach
+from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators
+from fpk.solvers.plane.weight import reach
 
 Seen = Literal["pair", "first", "second", "sum"]
 """The coordinates in which a density of two energies is seen."""
