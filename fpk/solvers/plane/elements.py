@@ -36,11 +36,11 @@ def axis_numbers(elements: int, degree: int) -> Integers:
     return np.hstack([vertex, bubbles])
 
 
-def local_numbers(counts: tuple[int, int], degree: int) -> Integers:
+def local_numbers(nodes: Nodes, degree: int) -> Integers:
     """Return the global numbers (elements, m) of each element's functions, in ``local_order``."""
-    first, second = (axis_numbers(count, degree) for count in counts)
-    flat = first[:, None, :, None] * (counts[1] * degree + 1) + second[None, :, None, :]
-    return flat.reshape(counts[0] * counts[1], -1)[:, local_order(degree)]
+    first, second = (axis_numbers(x.size - 1, degree) for x in nodes)
+    flat = first[:, None, :, None] * (len(second) * degree + 1) + second[None, :, None, :]
+    return flat.reshape(len(first) * len(second), -1)[:, local_order(degree)]
 
 
 def assembled(matrices: Array, numbers: Integers) -> csc_array:
@@ -55,17 +55,13 @@ def factorised(
 ) -> SuperLU:
     """Return the LU factors in a symmetric ordering, with pivots on the diagonal.
 
-    The matrices are of the form ∫ w (...): with w over many orders of magnitude such an elimination
-    does not depend on how rows and columns are scaled. The residual of every solution is measured.
-    Raises ``NotCertified`` with the words of ``refusal`` where the matrix is singular.
+    With w over many orders of magnitude in the integrals such an elimination does not depend on how
+    rows and columns are scaled. Raises ``NotCertified`` with the words of ``refusal`` where the
+    matrix is singular.
     """
+    symmetric = {"SymmetricMode": True}
     try:
-        return splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        return splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
     except RuntimeError:  # what SuperLU raises for a singular matrix
         raise NotCertified(refusal) from None
 
@@ -74,8 +70,7 @@ def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
     """Return the null vector of a matrix whose columns add up to 0, and its relative residual.
 
     The vertex functions sum to one: the equation of one of the ``vertices`` is redundant, and its
-    value is held at 1; at the vertex of the largest value, as a small one costs its digits. The
-    residual is relative to the terms that cancel.
+    value is held at 1, at the vertex of the largest value, as a small one costs its digits.
     """
     held, starts, rows = int(vertices[0]), matrix.indptr, matrix.indices
     for _ in range(2):
@@ -103,13 +98,12 @@ def null_function(
 
     ``points`` are the Gauss points of an element along each axis.
     """
-    counts = (nodes[0].size - 1, nodes[1].size - 1)
     (x, y), _ = gauss_grid(nodes, points=points)
     matrices = element_matrices(flux_coefficients(process, x, y, weight)[1:], nodes, degree)
     # The unknowns inside every element are eliminated first.
     order, n, k = local_order(degree), 4 * degree, degree + 1
     fold = -np.linalg.solve(matrices[:, n:, n:], matrices[:, n:, :n])
-    _, numbers = np.unique(local_numbers(counts, degree)[:, :n], return_inverse=True)
+    _, numbers = np.unique(local_numbers(nodes, degree)[:, :n], return_inverse=True)
     numbers = numbers.reshape(-1, n)
     vertices = np.unique(numbers[:, [0, 1, degree + 1, degree + 2]])
     outer = assembled(matrices[:, :n, :n] + matrices[:, :n, n:] @ fold, numbers)
@@ -120,7 +114,7 @@ def null_function(
     # Shape functions as Legendre series.
     values, _ = shape_functions(degree, 0.5 * (1.0 + gauss_legendre(points)[0]))
     series = values @ projection(points - 1)[:k].T
-    u = (series.T @ null.reshape(-1, k, k) @ series).reshape(*counts, k, k)
+    u = (series.T @ null.reshape(-1, k, k) @ series).reshape(nodes[0].size - 1, -1, k, k)
     return PiecewiseTensor(nodes, u), residual
 
 
@@ -139,10 +133,7 @@ def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
 
 
 def by_element(values: Array, counts: tuple[int, int]) -> Array:
-    """Return values (…, points along H1, along H2) element by element (…, elements, q, q).
-
-    The elements, ``counts`` along each axis, run along H2 fastest.
-    """
+    """Return values (…, along H1, along H2) by element (…, elements, q, q), along H2 fastest."""
     *more, first, second = values.shape
     blocks = values.reshape(*more, counts[0], first // counts[0], counts[1], second // counts[1])
     blocks = np.moveaxis(blocks, -3, -2)
@@ -181,9 +172,8 @@ def flux_coefficients(
 def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array, Integers]:
     """Weighted products of test and trial functions at Gauss points, (points, (degree+1)²) each.
 
-    Order: value·value, slope·value, value·slope, slope·slope (test first), on the unit interval.
-    Then the positions of the entries of an element matrix in ``local_order``, where rows are pairs
-    (i, j) of test and trial functions along H1, columns those along H2.
+    value·value, slope·value, value·slope, slope·slope, test first, on the unit interval; then the
+    places of an element matrix in ``local_order``, rows (i, j) along H1, columns along H2.
     """
     t, w = gauss_legendre(points)
     phi, dphi = shape_functions(degree, 0.5 * (1.0 + t))
@@ -204,10 +194,10 @@ def _lengths(nodes: tuple[Array, Array]) -> tuple[tuple[int, int], Array, Array]
 
 
 def element_matrices(coefficients: Array, nodes: tuple[Array, Array], degree: int) -> Array:
-    """Return the element matrices (elements, m, m), m = (degree+1)², test functions first.
+    """Return the element matrices (elements, m, m), test functions first, in ``local_order``.
 
     ``coefficients`` (5, along H1, along H2) are w a and w b of ``flux_coefficients`` on the grid of
-    the Gauss points. The local number of φ_i ψ_k is i(degree+1)+k; they come in ``local_order``.
+    the Gauss points. The local number of φ_i ψ_k is i(degree+1)+k.
     """
     counts, h1, h2 = _lengths(nodes)
     a1, a2, b11, b12, b22 = by_element(coefficients, counts)
@@ -230,10 +220,7 @@ def element_matrices(coefficients: Array, nodes: tuple[Array, Array], degree: in
 
 
 def mass_matrices(weights: Array, nodes: tuple[Array, Array], degree: int) -> Array:
-    """Return ∫ w φ_i φ_j of each element (elements, m, m), in ``local_order``.
-
-    ``weights`` (along H1, along H2) is w on the grid of the Gauss points.
-    """
+    """Return ∫ w φ_i φ_j (elements, m, m), in ``local_order``, of w at Gauss points."""
     counts, h1, h2 = _lengths(nodes)
     w, m = by_element(weights, counts), (degree + 1) ** 2
     vv, *_, places = _products(degree, w.shape[-1])

@@ -41,13 +41,13 @@ chance, too, as their difference crosses zero."""
 class PlaneOperator:
     """``M ∂g/∂t = A g`` with tensor elements of one ``degree`` between ``nodes`` of coordinates y.
 
-    y = (H1, H2), or, ``collapsed``, (H, H1/H) with H = H1 + H2: of the triangle H < H_f. Where
-    H = 0 that map is singular and the weak form is not: b ~ H, so that ∫ ½ b ∇u·∇u dH of a u that
-    depends on the share H1/H alone is finite. ``balanced`` is that of ``flux_coefficients``.
-    ``absorbing`` says at which last nodes, of the first and of the second coordinate, g = 0: first
-    passage. There one vertex function, that where w is largest, gives way to the sum of all of
-    them, which is 1 but beside the limit: its matrix entries are integrals beside the limit, as
-    small as the failure rate, and computed as such, not as a difference of large ones.
+    y = (H1, H2), or, ``collapsed``, (H, H1/H) with H = H1 + H2: of the triangle H < H_f. At H = 0
+    that map is singular and the weak form is not, as b ~ H. ``balanced`` is that of
+    ``flux_coefficients``. ``absorbing`` says at which last nodes, of the first and of the second
+    coordinate, g = 0: first passage. There one vertex function, that where w is largest, gives way
+    to the sum of all of them, which is 1 but beside the limit: its matrix entries are integrals
+    beside the limit, as small as the failure rate, and computed as such, not as a difference of
+    large ones.
     """
 
     process: Process
@@ -74,10 +74,7 @@ class PlaneOperator:
         return first + 0.0 * second if self.collapsed else np.ones_like(first + second)
 
     def pulled_back(self, first: Array, second: Array, of_energies: Array) -> Array:
-        """Return |∂H/∂y| times w, G w a and G w b Gᵀ (6, ...), G = ∂y/∂H, from those of energies.
-
-        With them the weak form of ``flux_coefficients`` holds in y.
-        """
+        """Return |∂H/∂y| times w, G w a and G w b Gᵀ (6, ...), G = ∂y/∂H: the weak form in y."""
         if not self.collapsed:
             return of_energies
         w, a1, a2, b11, b12, b22 = of_energies
@@ -114,8 +111,8 @@ class PlaneOperator:
     def _functions(self) -> tuple[csc_array, csc_array, int]:
         """Trial and test functions as coefficients (all shape functions, unknowns), the pinned one.
 
-        The unknowns are those not held at zero by an absorbing end. The vertex functions add up to
-        1, and 1 tested by A is 0: the sum of the free ones is tested as 1 less the held ones.
+        The vertex functions add up to 1, and 1 tested by A is 0: the sum of the free ones is tested
+        as 1 less those held at zero by an absorbing end.
         """
         vertices, at_ends = self._vertices, np.zeros(self.sizes, dtype=bool)
         at_ends[self.counts[0]] |= self.absorbing[0]
@@ -139,7 +136,7 @@ class PlaneOperator:
     def matrices(self) -> tuple[csc_array, csc_array, Array]:
         """A and M of the free unknowns, and ∫ w φ of their functions."""
         (x, y), ((_, v), (_, u)) = gauss_grid(self.nodes, points=self.points)
-        at, numbers = self.energies(x, y), local_numbers(self.counts, self.degree)
+        at, numbers = self.energies(x, y), local_numbers(self.nodes, self.degree)
         parts = flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
         w, *coefficients = self.pulled_back(x, y, parts)
         A = assembled(element_matrices(np.stack(coefficients), self.nodes, self.degree), numbers)
@@ -189,10 +186,7 @@ class PlaneOperator:
 
 @dataclass(frozen=True, eq=False)
 class PlaneStart:
-    """Where two energies begin: at ``energies`` (2,), or with a ``density``.
-
-    This is the stationary one under ``factor`` times the noise.
-    """
+    """Energies (2,) of the start, or the stationary ``density`` under ``factor`` times the noise."""
 
     energies: Array | None = None
     density: PlaneSolution | None = None
@@ -231,9 +225,8 @@ def operators(
 ) -> Iterator[PlaneOperator]:
     """Yield operators, each finer than the last, on ``nodes(rise, panels)``.
 
-    The weight, that of the ``stationary`` density, is to the power ``share`` <= 1, and flat where
-    −ln w would exceed the rise by ``RISE``: in the corner of a mesh it may do so by hundreds, and
-    elements over which it rises by 40 have singular matrices.
+    Their weight is the ``stationary`` one to the power ``share`` <= 1, and flat where −ln w would
+    exceed the rise by ``RISE``: elements over which it rises by 40 have singular matrices.
     """
     weight, balanced = stationary.weight, not stationary.degree and share == 1.0
     weight = replace(weight, coefficients=share * weight.coefficients)
