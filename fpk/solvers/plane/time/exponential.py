@@ -23,10 +23,9 @@ MOST = 160
 
 
 class Evolved(NamedTuple):
-    """g at times (times, unknowns), its change by the last ``GROWN`` dimensions, and residuals.
+    """g at times (times, unknowns), its change by the last ``GROWN`` dimensions, its round-off.
 
-    ``rounding`` (times,) estimates the relative round-off in the norm ∫ w g²; ``residual`` is the
-    largest of the linear systems relative to the terms that cancel in it.
+    That is relative (times,) in the norm ∫ w g²; ``residual`` is the largest of the linear systems.
     """
 
     values: Array
@@ -36,10 +35,7 @@ class Evolved(NamedTuple):
 
 
 def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Array) -> float:
-    """Return the largest entry of ``right − matrix x`` over the largest of its terms.
-
-    ``sizes`` is |matrix|.
-    """
+    """Return the largest entry of ``right − matrix x`` over the largest term, sizes |matrix|."""
     defect = np.abs(right - matrix @ x)
     return float(np.max(defect) / (np.max(np.abs(right)) + np.max(sizes @ np.abs(x))))
 
@@ -47,8 +43,8 @@ def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Arra
 def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float) -> Evolved:
     """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of its norm ∫ w g².
 
-    The reduced matrix is that of (M − γA)⁻¹ M, whose eigenvalues give the slow rates to
-    round-off/γ: at times as large as those of rare failure their digits are there.
+    The eigenvalues of the reduced (M − γA)⁻¹ M give the slow rates to round-off/γ: at times as
+    large as those of rare failure their digits are there.
     """
     start = factorised(M).solve(dual)
     residuals, parts, first = [relative_residual(M, abs(M), start, dual)], [], 0
@@ -56,9 +52,9 @@ def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float
         last = int(np.searchsorted(times, RATIO * times[first], side="right"))
         parts.append(_of_group(A, M, start, times[first:last], tol))
         first = last
-    values, change, rounding = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    residuals += [part.residual for part in parts]
-    return Evolved(values, change, rounding, float(np.max(residuals)))
+    *arrays, own = zip(*parts, strict=True)
+    values, change, rounding = map(np.concatenate, arrays)
+    return Evolved(values, change, rounding, float(np.max([*residuals, *own])))
 
 
 def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float) -> Evolved:
