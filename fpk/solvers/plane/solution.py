@@ -95,11 +95,7 @@ class PlaneSolution:
 
 
 def graded(ends: Sequence[float] | Array, panels: int) -> Nodes:
-    """Return nodes from 0 to the ``ends``, equidistant in √H, the amplitude.
-
-    Where one energy is large the other one's damping may be, and p changes within a layer along the
-    axis.
-    """
+    """Return nodes from 0 to the ``ends``, equidistant in √H, as p has layers along the axes."""
     share = np.linspace(0.0, 1.0, panels + 1) ** 2
     return ends[0] * share, ends[1] * share
 
@@ -111,11 +107,10 @@ def gauss_points(nodes: Nodes, degree: int, weight: Weight) -> int:
 
 
 def tails(p: Array, grids: list[tuple[Array, Array]], points: int) -> tuple[Array, Array]:
-    """Return the mass beyond each far edge (2,) from p on a grid of Gauss points, and an energy.
+    """Return the mass beyond each far edge (2,) from p on a grid of Gauss points, and e-folds (2,).
 
-    ``points`` of each axis belong to the last panel. There the marginal is continued at half its
-    logarithmic slope, as the slope may drop with the energy; the mass is infinite where it does not
-    fall. The energies (2,) are those over which the marginals fall by the factor e.
+    On the last ``points`` of each axis the marginal is continued at half its logarithmic slope, as
+    the slope may drop with the energy; the mass is infinite where it does not fall.
     """
     beyond, e_fold = np.zeros(2), np.zeros(2)
     (x, v), (y, w) = grids
@@ -143,13 +138,10 @@ def solve_plane_on_mesh(
     """Return the finite element solution p = w u with u of ``degree`` on a tensor mesh.
 
     If ``longer``, each axis of the mesh of the enriched solution is longer, until its marginal has
-    fallen by another e², unless the mass beyond is round-off or the marginal does not fall: the
-    estimate then contains 1 − e⁻² = 86 % of the cost of ending the mesh. Where probability
-    circulates, zero flux at the far edges is wrong by more than the mass beyond. For convergence
-    studies both are on one mesh. ``solved`` is ``null_function`` or another function of its
-    arguments.
-
-    Raises ``NotCertified`` where the equations have no unique solution.
+    fallen by another e², unless the mass beyond is round-off: the estimate then contains
+    1 − e⁻² = 86 % of the cost of ending the mesh, which is more than the mass beyond where
+    probability circulates. ``solved`` is a function like ``null_function``. Raises ``NotCertified``
+    where the equations have no unique solution.
     """
 
     def of_mass_one(mesh: Nodes, degree: int, count: int) -> tuple[PiecewiseTensor, float]:

@@ -3,9 +3,7 @@
 One discretisation on a ladder of rungs: p = w u, w a weight near p, u of high degree on a few
 panels. In the norm that the weak form weights by w ≈ p an error ε of u is one of ε √p of p, so that
 p stays positive far below the tolerance. Where that does not get to the tolerance, w = 1 on more
-elements: the smaller the smallest p that must be right, the more of them. Any w gives the same p,
-so that neither rests on a guess. Under detailed balance, where no probability flows, the weight is
-the density: p = w/∫w.
+elements. Under detailed balance, where no probability flows, the weight is the density: p = w/∫w.
 """
 
 from collections.abc import Callable, Iterator
@@ -92,22 +90,21 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
 def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSolution | None:
     """Return p = w/∫w if the flux of w vanishes, as far as the error ``tol`` is concerned.
 
-    Zero flux is ``∇ ln p = b⁻¹ (2s − ∇·b)``; the integral along each axis of what −∇ ln w misses of
-    it bounds how far ln p is off. There p does not count: behind a barrier a small difference in
-    its slope moves mass from one side to the other. Returned is None where the bound is more than
-    half the tolerance, or where w varies too fast for 24 panels along each axis, 3e5 points.
+    The integral along each axis of what −∇ ln w misses of b⁻¹ (2s − ∇·b) bounds how far ln p is
+    off, whatever p is there: behind a barrier a small difference in its slope moves mass from one
+    side to the other. Returned is None where that is more than half the tolerance, or where w
+    varies too fast for 24 panels along each axis.
     """
     weight = replace(weight, floor=0.0)
     try:
         ends = weight.ends(max(NATS, reach(tol)))
     except NotCertified:
         return None
-    points = 22  # of Gauss on each panel: e^(−32 t) is integrated to 4e-14
     for panels in (2, 4, 8, 16, 24):
-        H, grids = gauss_grid(graded(ends, panels), points=points)
+        H, grids = gauss_grid(graded(ends, panels), points=22)  # e^(−32 t) to 4e-14
         w = weight(*H)
         mass = integral(w, grids)
-        fewer_H, fewer = gauss_grid(graded(ends, panels), points=points - 2)
+        fewer_H, fewer = gauss_grid(graded(ends, panels), points=20)
         p = weight(*fewer_H) / mass
         mass_defect = abs(integral(p, fewer) - 1.0)
         if mass_defect <= 1e-12:  # what is left of it is in the stated error
@@ -130,7 +127,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     # all that integrates p over its panels.
     nodes = graded(ends, 4 * panels)
     u = PiecewiseTensor(nodes, np.full((4 * panels,) * 2 + (1, 1), 1.0 / mass))
-    beyond, _ = tails(w / mass, grids, points)
+    beyond, _ = tails(w / mass, grids, 22)
     tail = float(beyond.sum())
     measured = Measured(
         l1_error=wrong
@@ -193,8 +190,7 @@ def finer(rung: int, missing: float, *, most: int) -> int:
 def weight_of(solution: PlaneSolution) -> Weight | None:
     """Return a weight fitted to −ln p where p is known, None where no fit is much better.
 
-    An error ε of p in the norm weighted by w ≈ p is one of ε √p: relative to p it is below
-    ``KNOWN`` as far as p > (ε/KNOWN)² of its maximum.
+    An error ε √p of p is below ``KNOWN`` of it as far as p > (ε/KNOWN)² of its maximum.
     """
     rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / KNOWN))
     if not rise > 2.0 * RISE_PER_DEGREE:

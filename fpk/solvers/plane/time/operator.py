@@ -186,7 +186,7 @@ class PlaneOperator:
 
 @dataclass(frozen=True, eq=False)
 class PlaneStart:
-    """``energies`` (2,) at the start, or the stationary ``density`` of ``factor`` times the noise."""
+    """Energies (2,) that begin, or the stationary ``density`` under ``factor`` times the noise."""
 
     energies: Array | None = None
     density: PlaneSolution | None = None

@@ -5,6 +5,7 @@ L E[T²] = −2 T: the transpose of the operator of the density.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -93,12 +94,11 @@ def first_passage(
 ) -> Passage:
     """Return the first passage of ``limit``, with the reliability at ascending ``times`` >= 0.
 
-    Levels rise until two of them agree to ``tol``, relative to mean, variance and rate; the answer
-    is that of the finer one. What a density at the start has beyond the limit fails at 0.
-    ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
-    limit whose mean time is beyond double precision, or that takes more than ``MOST_UNKNOWNS``.
-    Levels end early where they are nearer to each other than the error that no level lowers, or
-    come nearer so slowly that those left could not meet it, see ``_hopeless``.
+    Levels rise until two of them agree to ``tol``, relative to mean, variance and rate, or where
+    the rest is ``_hopeless``; the answer is that of the finer one. What a density at the start has
+    beyond the limit fails at 0. ``coefficients_error`` is the relative error of the coefficients.
+    Raises ``InvalidInput`` for a limit whose mean time is beyond double precision, or that takes
+    more than ``MOST_UNKNOWNS``.
     """
     height = start.height(stationary)
     far = stationary.far_ends(reach(tol, height))
@@ -109,7 +109,7 @@ def first_passage(
         raise InvalidInput("limit", words, BEYOND_RANGE)
     finer = operators(
         stationary,
-        lambda rise, panels: limit.nodes(stationary, rise, panels),
+        partial(limit.nodes, stationary),
         tol=tol,
         height=max(height, lowest),
         absorbing=limit.absorbing,
@@ -180,7 +180,7 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
     if not mean > 0.0:
         remedy = "the elements do not see so narrow a density; start from rest or louder noise"
         raise InvalidInput("start", "stationary", remedy)
-    # A multiple of the change by a step of iterative refinement, and 1e-14 always.
+    # By the change of a step of iterative refinement, and 1e-14 always.
     relative = ROUNDINGS * abs(float(dual @ change)) / mean + 1e-14
     # The least λ of K u = λ M u is real and simple; 1/λ is of the order of the longest mean time.
     # Of a rare failure, far below all other rates, two Arnoldi vectors would do.
@@ -188,18 +188,13 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
     inverse = LinearOperator(A.shape, matvec=lambda u: backward.solve(M @ u) / longest, dtype=float)
     (largest,) = eigs(inverse, k=1, ncv=8, v0=T / longest, tol=0.0, return_eigenvectors=False)
     rate = 1.0 / (largest.real * longest)
-    survival, lost = np.full(times.size, float(np.nan)), np.zeros(times.size)
-    at_zero = times <= 0.0
-    if start.density is None:
-        survival[at_zero] = 1.0
-    else:
+    # E T <= t + P(T > t) max E T: where failure is rare that is enough. At 0 it is not needed.
+    top, at_zero = float(op.largest(T)), times <= 0.0
+    bound = np.where(at_zero, 0.0, (top - mean + times) / top + relative)
+    late = bound > KRYLOV * tol
+    survival, lost = np.ones(times.size), np.where(late, 0.0, bound)
+    if start.density is not None:
         survival[at_zero] = float(dual @ factorised(M).solve(shares))
-    # E T <= t + P(T > t) max E T: where failure is rare that is enough.
-    top = float(op.largest(T))
-    bound = (top - mean + times) / top + relative
-    early = ~at_zero & (bound <= KRYLOV * tol)
-    survival[early], lost[early] = 1.0, bound[early]
-    late = ~at_zero & ~early
     if np.any(late):
         u = evolved(-transposed, M, shares, times[late], tol=KRYLOV * tol)
         survival[late] = u.values @ dual
@@ -215,11 +210,11 @@ def relaxation_rates(
 ) -> Rates:
     """Return the ``count`` eigenvalues of −L with the least real parts but 0, Im λ >= 0.
 
-    Levels rise until two of them agree to ``tol``, relative to each; the answer is that of the
-    finer one. ``relative`` is the relative error of the coefficients. Raises ``NotCertified`` where
-    the two finest levels have fewer unknowns than that.
+    Levels rise until two of them agree to ``tol``, relative to each. ``relative`` is the relative
+    error of the coefficients. Raises ``NotCertified`` where the two finest levels have fewer
+    unknowns than that.
     """
-    # A rate of the order of the slowest: b/H² of the energies at their scales, the lesser one.
+    # A rate of the order of the slowest: the lesser b/H² of the energies at their scales.
     scales = np.array(stationary.process.energy_scales)
     b = stationary.process.coefficients(scales[None, :]).diffusion[0]
     shift, sought, answer = float(np.min(np.diag(b) / scales**2)), 2 * count + 2, None
