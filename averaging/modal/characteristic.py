@@ -20,13 +20,12 @@ POINTS = 24
 FIRST_BAND = 8.0
 """Highest wave number of the first attempt, in units of 1/rms: φ of a Gaussian is e^-32 there."""
 WIDER = 2.0**0.5
-"""Factor by which the highest wave number s grows from one attempt to the next. The norm of φ
-beyond s is taken for 1/(√2 − 1) of that between s/√2 and s, as where |φ| falls as s^-2."""
+"""Factor from one highest wave number s to the next. The norm of φ beyond s is taken for
+1/(√2 − 1) of that between s/√2 and s, as where |φ| falls as s^-2."""
 MAX_WAVES = 40_000
 """Largest number of waves; the estimate of what further ones would add goes into the error."""
 PHASE = {1: 30.0, 2: 16.0}
-"""Largest phase of a wave over one panel, in radians, by the number of coordinates: the rules of
-``fpk.answer.density`` (20 and 12 points) integrate such a wave to 1e-9."""
+"""Largest phase over a panel by the number of coordinates: 20 and 12 points integrate to 1e-9."""
 HALF_PANELS = (4.0, 400.0)
 """Least and largest number of panels of an axis on either side of 0."""
 
@@ -34,9 +33,8 @@ HALF_PANELS = (4.0, 400.0)
 def fourier_sum(phases: Array, coefficients: Array, x: Array, y: Array | float = 0.0) -> Array:
     """Return Σ_km coefficients_km exp(i (k a_0 + m a_1)) where |a| <= π, else 0, a = ``phases`` x.
 
-    ``phases`` (2, 2) is lower triangular. ``coefficients`` (functions, k = 0 .. K, m = −M .. M)
-    have k and −k in one; of one coordinate M = 0. Of points that broadcast together, the answer is
-    (functions, ...).
+    ``phases`` (2, 2) is lower triangular; ``coefficients`` (functions, k = 0 .. K, m = −M .. M)
+    have k and −k in one. Points broadcast together; the answer is (functions, ...).
     """
     K, M = np.array(coefficients.shape[1:]) // [1, 2] - [1, 0]
     (u, i), (v, j) = (np.unique(z, return_inverse=True) for z in (x, y))
@@ -61,9 +59,9 @@ def state_density(
     An observed x is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m), with X = T Q (14) and p_i = m_i Ẋ_i, and
     the phases are independent and uniform:
     ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``, smooth at H = 0 as J0 is even.
-    As the support is bounded, a Fourier series on it has no aliasing error; what lies beyond the
-    band is estimated from its outermost ring, by Parseval's equation. The transform does not
-    increase an L1 error. Coordinates are made uncorrelated first: one band does for both.
+    A Fourier series on the bounded support has no aliasing error; what lies beyond the band is
+    estimated from its outermost ring. The transform does not increase an L1 error. Coordinates are
+    made uncorrelated first: one band does for both.
     """
     count = len(observable)
     rows = np.sqrt(2.0) * modes.state_shapes[state_rows(observable, modes.n)]
@@ -125,10 +123,7 @@ def state_density(
 
 
 def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
-    """Return what was measured on several independent densities, for one that depends on them all.
-
-    Its smallest value is its own: a fault of a part's smallest value is one of the failures.
-    """
+    """Return what was measured on independent densities, for one that depends on them all."""
     checks = [part.certificate for part in parts]
     return Measured(
         l1_error=sum(part.l1_error for part in parts) + added,

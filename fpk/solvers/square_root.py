@@ -34,21 +34,17 @@ MORE = 8
 CANCELLED = 1e3
 """Error in roundings beyond which a transform or P(T <= t) is sought in another way."""
 STEEPEST, NEGLIGIBLE = 1e5, 1e-20
-"""Largest s x_f/c of Chernoff's bound: 1F1 ~ e^(2 √(s x_f/c)) is within double precision; a bound
-below which P(T <= t) is given as 0."""
+"""Largest s x_f/c of Chernoff's bound, 1F1 ~ e^(2 √(s x_f/c)); where it is less P(T <= t) is 0."""
 NEAR = (0.02, 40.0)
-"""Least x_0/x_f and largest x_f − x_0 of starts for which a series that cancels is replaced: from
-farther ones hardly any motion fails so early."""
+"""Least x_0/x_f and largest x_f − x_0 of starts from which some fail while a series cancels."""
 WIDTHS = 40.0
 """Standard deviations above the mean within which a density is integrated: e^(−√2·40) is beyond."""
 MOST_TERMS = 20_000
-"""Terms of a series of 1F1, or of a continued fraction, beyond which it is left to the finite
-elements."""
+"""Terms of a series of 1F1, or of a continued fraction, beyond which it is given up."""
 BESSEL = 50.0
 """Error of scipy's ``ive`` in roundings, and of the power series beside it."""
 FEW = 60.0
-"""x y below which the Bessel function is summed as a power series, of 40 powers: 60^41/41!² is
-1e-26, beside a sum of 1 or more."""
+"""x y below which 40 powers give the Bessel function: 60^41/41!² is 1e-26."""
 LEAST_SIZE = 4.0
 """Least |a|: about the relaxation rates, small negative a, 1F1 has zeros near the real x."""
 RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14

@@ -38,17 +38,15 @@ DECAY_PANELS, DECAY_POINTS = 80, (14, 18)
 EARLY, SETTLED = 1e-13, 60.0
 """The first and the last of these times, in units of the mean time of rare failures."""
 REACH = 9.0
-"""Standard deviations, of the coordinates and of the waves, beyond which a Gaussian, e^(−40) of its
-maximum, is less than round-off."""
+"""Standard deviations, of coordinates and waves, beyond which a Gaussian is below round-off."""
 MOST_WAVES = {1: 400_000, 2: 1_000_000}
 """Largest number of waves, by the number of coordinates: seconds for each time."""
 DensityOf = Callable[[Array], tuple[Array, Array]]
 Passing = tuple[SquareRoot, float, float]
 """The process of an energy, its limit, and where it begins."""
 Orbit = tuple[SquareRoot, float, Array]
-"""One of the independent energies whose orbits add up to the coordinates: its process, where it
-begins, and the covariance C (count, count) of its share of the coordinates in the stationary state
-of temperature 1."""
+"""An independent energy, where it begins, and the covariance C (count, count) of its share of the
+coordinates in the stationary state of temperature 1."""
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:

@@ -15,14 +15,12 @@ from fpk.solvers.plane.weight import PLAIN, Weight
 from fpk.system.process import Process
 
 SAFETY = 3.0
-"""Factor on the distance to the enriched solution: it holds where that one has at the most 2/3 of
-the error. In random processes (tests/fpk/test_fpk_plane_random.py) the error is at the most 2.1
-times the distance, once in 3,000, and 1.4 times in all others."""
+"""Factor on the distance to the enriched solution. In random processes the error is at the most 2.1
+times the distance, once in 3,000, and 1.4 times in all others (test_fpk_plane_random.py)."""
 ROUND_OFF = 4e-16
 """Relative round-off of a sum of shape functions, per square of their degree."""
 WEIGHT_POINTS = 20
-"""Further points of integrals with a weight, which is no polynomial, shared by the panels; the
-enriched solution has two more on each, so that the error estimate contains what they miss."""
+"""Further points of integrals with a weight, which is no polynomial, shared by the panels."""
 
 
 @dataclass(frozen=True, eq=False)

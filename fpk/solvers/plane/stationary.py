@@ -34,15 +34,12 @@ from fpk.system.ends import require_confined
 from fpk.system.process import Process
 
 RUNGS = ((2, 6), (2, 10), *((4, p) for p in range(8, 19)), *((n, 18) for n in range(5, 9)))
-"""Panels along each axis and degree of the attempts. Those on two panels cost little, and give the
-weight; of higher degree over so long panels the equations lose digits to round-off. From four on
-the degree is raised first: a digit costs less so."""
+"""Panels along each axis and degree of the attempts: on two long panels higher degrees lose digits
+to round-off; from four on a digit costs less by the degree."""
 DIGITS = 0.6
-"""Digits of the error that a rung of the ladder gains: 0.4 to 0.85, measured for circulating van
-der Pol damping and mixtures of exponentials."""
+"""Digits of the error that a rung of the ladder gains: 0.4 to 0.85 were measured."""
 COARSE = 1e-4
-"""Error above which a better weight is tried on the same rung, or five rungs on, first: it gains
-more."""
+"""Error above which a better weight is tried first, on the same rung or five rungs on."""
 KNOWN = 0.1
 """Relative error of p up to which ln p is fitted."""
 SAMPLES = 32

@@ -1,12 +1,12 @@
 """The weight w = exp(−Φ) of p = w u: Φ a polynomial of both energies, close to −ln p.
 
-Any weight gives the same p, as the equation is solved for w u; the closer w is to p, the fewer
-unknowns u takes, and the farther out p stays positive. The first weight is fitted to the slopes of
-ln p that zero flux would give, later ones to solutions.
+Any weight gives the same p; the closer w is to it, the fewer unknowns u takes, and the farther out
+p stays positive. The first weight is fitted to the slopes of ln p that zero flux would give, later
+ones to solutions.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -19,31 +19,25 @@ from fpk.numeric.errors import NotCertified
 from fpk.system.process import Process
 
 PROBE = np.logspace(-2.0, 3.0, 26)
-"""Energies of a probe along each axis, in units of the process's scales: five per decade, and the
-first one for the axis itself, where b is singular."""
+"""Energies of a probe, in units of the process's scales; the first for the axis, b singular."""
 NATS = -float(np.log(EPS))
 """Fall of ln p, 36, beyond which the density is below round-off of its largest value."""
 BEYOND = 1e-3
 """Fraction of the tolerance that w falls to at the far edges of the first mesh."""
 RISE = 3.0
-"""Rise of −ln w from the far edges of one mesh to those of the next longer one, whose difference
-then contains what ending the mesh costs."""
+"""Rise of −ln w to the ends of the next mesh: the difference shows what ending it costs."""
 HIGHEST = 6
-"""Highest total degree of Φ. Damping of degree k in the energies gives k + 1 under detailed
-balance."""
+"""Highest total degree of Φ: under detailed balance one above the damping's in the energies."""
 GAIN = 0.5
 """Factor by which a higher degree must lower the misfit: high degrees extrapolate badly."""
 IMPORTANCE = 10.0
-"""Rise of Φ over which a point's share in the sum of squares falls to 1/e: w matters most where p
-is large, but u = p/w should stay of order one far out, too."""
+"""Rise of Φ over which a point's share in a fit falls to 1/e: more than that of p, by far."""
 RISE_PER_DEGREE = 2.8
 """Rise of −ln p that a fit must cover per degree: Φ is extrapolated far beyond it."""
 RAYS = np.concatenate([np.linspace(0.0, 1.0, 49), np.geomspace(1.04, 30.0, 48)])
-"""Coordinates of the grid on which Φ is checked, in units of the fitted box: up to the last of them
-it must rise along every ray."""
+"""Coordinates, in units of the fitted box, up to which Φ must rise along every ray."""
 FLOOR = float(np.exp(-44.0))
-"""Added to w, so that no element matrix is singular: 8e-20, and u ≥ −1e5 there keeps
-p ≥ −1e-14 of its maximum."""
+"""Added to w, so that no element matrix is singular: p ≥ −1e-14 of its maximum for u ≥ −1e5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +58,11 @@ class Weight:
 
     def exponent(self, H1: Array, H2: Array) -> Array:
         """Return Φ."""
-        return self._values(self.coefficients, H1, H2)
+        x, y = np.asarray(H1) / self.scales[0], np.asarray(H2) / self.scales[1]
+        if x.ndim == 2 and x.shape[1] == 1 and y.shape[-1:] == (y.size,):
+            return np.asarray(polygrid2d(x.ravel(), y.ravel(), self.coefficients))
+        x, y = np.broadcast_arrays(x, y)
+        return np.asarray(polyval2d(x, y, self.coefficients))
 
     def __call__(self, H1: Array, H2: Array) -> Array:
         """Return w."""
@@ -72,19 +70,16 @@ class Weight:
 
     def slopes(self, H1: Array, H2: Array) -> list[Array]:
         """Return ∂Φ/∂H1 and ∂Φ/∂H2, the slopes of −ln w but for the floor."""
-        each = (np.asarray(polyder(self.coefficients, axis=axis), float) for axis in (0, 1))
-        return [self._values(c, H1, H2) / s for c, s in zip(each, self.scales, strict=True)]
+        each = (
+            replace(self, coefficients=polyder(self.coefficients, axis=k).astype(float))
+            for k in (0, 1)
+        )
+        return [w.exponent(H1, H2) / s for w, s in zip(each, self.scales, strict=True)]
 
     def terms(self, H1: Array, H2: Array) -> Array:
         """Return the sum of the sizes of the terms of Φ, to which its round-off is relative."""
-        return self._values(np.abs(self.coefficients), np.abs(H1), np.abs(H2))
-
-    def _values(self, coefficients: Array, H1: Array, H2: Array) -> Array:
-        x, y = np.asarray(H1) / self.scales[0], np.asarray(H2) / self.scales[1]
-        if x.ndim == 2 and x.shape[1] == 1 and y.shape[-1:] == (y.size,):
-            return np.asarray(polygrid2d(x.ravel(), y.ravel(), coefficients))
-        x, y = np.broadcast_arrays(x, y)
-        return np.asarray(polyval2d(x, y, coefficients))
+        sizes = replace(self, coefficients=np.abs(self.coefficients))
+        return sizes.exponent(np.abs(H1), np.abs(H2))
 
     def ends(self, rise: float) -> tuple[float, float]:
         """Return the energies along each axis beyond which Φ > ``rise`` everywhere.
@@ -103,20 +98,15 @@ PLAIN = Weight(np.zeros((1, 1)), (1.0, 1.0))
 
 
 def reach(tol: float, height: float = 0.0, level: int = 0) -> float:
-    """Return the rise of −ln w from its least value beyond which p is negligible.
-
-    From a start at which −ln w is ``height`` a density reaches w e^height at the most, up to a
-    factor.
-    """
+    """Return the rise of −ln w beyond which p is negligible from a start at that ``height``."""
     return height - float(np.log(BEYOND * tol)) + level * RISE
 
 
 def flux_free_weight(process: Process) -> Weight:
     """Return w fitted to the slopes that zero flux everywhere gives, ∇ ln p = b⁻¹ (2s − ∇·b).
 
-    Where probability circulates they are no gradient, and Φ is the nearest potential. Where they or
-    the fit do not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified`` where b is
-    singular off the axes.
+    Where they or the fit do not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified``
+    where b is singular off the axes.
     """
     scales = np.array(process.energy_scales)
     points = np.stack(np.broadcast_arrays(PROBE[:, None], PROBE), axis=-1).reshape(-1, 2)
@@ -169,8 +159,7 @@ def fitted_weight(
 ) -> Weight | None:
     """Return w fitted to ``log_p`` where it is ``known`` on a grid, None where no fit falls off.
 
-    Beyond the grid, and where Φ exceeds ``rise``, how far ln p is known to fall, Φ must rise along
-    every ray from the origin.
+    ``rise`` is how far ln p is known to fall; a fit must be much better than the ``present`` one.
     """
     scales, (i, j) = (float(grid[0][-1]), float(grid[1][-1])), np.nonzero(known)
     x, y = grid[0][i], grid[1][j]
@@ -206,8 +195,8 @@ def _monomials(x: Array, powers: Integers, *, slope: bool = False) -> Array:
 def fits(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array, float]]:
     """Yield the least-squares fit of ``right`` for each total degree, with its relative misfit.
 
-    ``columns`` belong to ``powers`` by rising degree, so that the leading blocks of one triangular
-    factor hold every fit. Ends where columns are linearly dependent.
+    Of ``columns`` by rising degree one triangular factor holds every fit. Ends where they are
+    linearly dependent.
     """
     R = np.asarray(np.linalg.qr(np.column_stack([columns, right]), mode="r"))
     total = powers.sum(axis=1)

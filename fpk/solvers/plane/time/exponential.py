@@ -11,9 +11,8 @@ from fpk.solvers.plane.elements import factorised
 RATIO = 30.0
 """Largest over smallest time of one Krylov space."""
 POLE = 0.03
-"""Shift γ over the largest time. A rational function of one pole approximates e^(−x) on the whole
-half-axis with an error that falls by (√2 − 1) a degree (Andersson 1981), of a pole of this order,
-so that the number of solves does not depend on the mesh."""
+"""Shift γ over the largest time. A rational function of one such pole approximates e^(−x) on the
+whole half-axis with an error that falls by (√2 − 1) a degree (Andersson 1981), on any mesh."""
 KRYLOV = 1e-2
 """Fraction of the tolerance of an answer to which e^(tA) is computed."""
 GROWN = 8

@@ -33,8 +33,7 @@ from fpk.system.process import Process
 LEVELS = ((3, 7), (4, 9), (5, 11), (6, 13), (8, 14), (11, 15))
 """Panels along each axis and degree: about two digits more from one to the next."""
 SHARE = 0.1
-"""Share of the largest difference of two levels, anywhere, that is in every error: levels agree by
-chance, too, as their difference crosses zero."""
+"""Share of the largest difference of two levels, anywhere, in every error: it may cross zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +107,7 @@ class PlaneOperator:
         return np.asarray(first[:, None] * self.sizes[1] + second)
 
     @cached_property
-    def _functions(self) -> tuple[csc_array, csc_array, int]:
+    def functions(self) -> tuple[csc_array, csc_array, int]:
         """Trial and test functions as coefficients (all shape functions, unknowns), the pinned one.
 
         The vertex functions add up to 1, and 1 tested by A is 0: the sum of the free ones is tested
@@ -141,7 +140,7 @@ class PlaneOperator:
         w, *coefficients = self.pulled_back(x, y, parts)
         A = assembled(element_matrices(np.stack(coefficients), self.nodes, self.degree), numbers)
         M = assembled(mass_matrices(w, self.nodes, self.degree), numbers)
-        S, N, k = self._functions
+        S, N, k = self.functions
         A = N.T @ A @ N
         if any(self.absorbing):
             # A times 1, ∫ w a·∇φ, is not taken as a sum that cancels.
@@ -170,13 +169,9 @@ class PlaneOperator:
         np.put_along_axis(values, axis_numbers(nodes.size - 1, k)[panel], phi, axis=1)
         return values
 
-    def gathered(self, rows: Array) -> Array:
-        """Return functionals (..., all shape functions) as those of the free unknowns."""
-        return np.asarray(rows @ self._functions[0])
-
     def spread(self, g: Array) -> Array:
         """Return the coefficients (..., *sizes) of all shape functions from free unknowns."""
-        return np.asarray(g @ self._functions[0].T).reshape(*g.shape[:-1], *self.sizes)
+        return np.asarray(g @ self.functions[0].T).reshape(*g.shape[:-1], *self.sizes)
 
     def largest(self, g: Array) -> Array:
         """Return the largest size (...) of functions at the vertices of the mesh."""
@@ -210,7 +205,8 @@ class PlaneStart:
             at, ((_, v), (_, w)) = gauss_grid(op.nodes, points=op.points)
             y, p = (at[0].ravel(), at[1].ravel()), v[:, None] * w * op.jacobian(*at)
             p *= self.density.density(*op.energies(*at))
-        return op.gathered((op.along(0, y[0]).T @ p @ op.along(1, y[1])).ravel())
+        rows = op.along(0, y[0]).T @ p @ op.along(1, y[1])
+        return np.asarray(rows.ravel() @ op.functions[0])
 
 
 def operators(

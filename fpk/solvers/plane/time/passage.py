@@ -24,15 +24,13 @@ from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, op
 from fpk.solvers.plane.weight import reach
 
 FOLDS = 5.0
-"""Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
-of its exponential."""
+"""Largest mean rise of −ln w over a panel: the elimination loses the root of its exponential."""
 HIGHEST = 300.0
 """Largest rise of −ln w up to a limit: E T² of the order of e^600 is within double precision."""
 MOST_UNKNOWNS = 300_000
 """Unknowns of the largest level, of 3 GB; two levels are needed for an answer with an error."""
 VECTORS = (4, 30)
-"""Arnoldi vectors: so many times those sought, and so many more. Rates of the same size are common,
-of modes that decay alike, and a small space may miss one."""
+"""Arnoldi vectors: so many times those sought, and more: few may miss one of several like rates."""
 HEIGHT = 8.0
 """Rise of −ln w by which meshes are longer than for densities: modes grow with the energy."""
 
@@ -79,8 +77,7 @@ class PlaneLimit:
 
 
 Level = tuple[PlaneOperator, Array, Array, float]
-"""An operator; mean, variance, rate and reliability at all times; their errors by round-off and by
-the exponential; the largest residual."""
+"""An operator; mean, variance, rate, reliability at all times; their numerical errors; residual."""
 
 
 def first_passage(

@@ -19,11 +19,9 @@ from fpk.solvers.plane.weight import reach
 Seen = Literal["pair", "first", "second", "sum"]
 """The coordinates in which a density of two energies is seen."""
 HEIGHT = 12.0
-"""Largest rise of −ln w up to a start: errors of p grow by the root of its exponential, here 400.
-A start higher up gets a flatter weight."""
+"""Largest rise of −ln w up to a start, by whose root errors grow: higher up w is flatter."""
 GIVEN_UP = (13, 0.5)
-"""Degree from which on an L1 distance larger than that ends the search: the last level resolves
-times a quarter as long, and no shorter ones."""
+"""Degree from which on a larger L1 distance ends the search: the time is too short to resolve."""
 Level = tuple[PlaneOperator, Evolved]
 """An operator, and its free unknowns at all times."""
 
