@@ -132,21 +132,17 @@ class ModalAnalysis:
         """
         index = list(range(self.n) if modes is None else modes)
         d, rates = self.noise[index], self.averaged.rates(index)
-        one = len(index) == 1
 
         def coefficients(energies: Array) -> Coefficients:
             H = energies.reshape(-1, d.size)
             b = 2.0 * d * H
             dissipation = (-rates(H) * H).reshape(energies.shape)
             zero = np.zeros_like(energies)
-            known = (zero, zero) if one else ()
-            return Coefficients(
-                d + dissipation,
-                b.reshape(energies.shape) if one else b[:, :, None] * np.eye(d.size),
-                2.0 * d + zero,
-                dissipation,
-                *known,
-            )
+            drift, slope = d + dissipation, 2.0 * d + zero
+            if d.size == 1:
+                b = b.reshape(energies.shape)
+                return Coefficients(drift, b, slope, dissipation, zero, zero)
+            return Coefficients(drift, b[:, :, None] * np.eye(d.size), slope, dissipation)
 
         return Process(coefficients, tuple(float(theta) for theta in self.temperature[index]))
 
@@ -262,9 +258,8 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
         if a >= n
     )
     counts = (np.indices(flow.shape[1:])[..., None] == np.arange(n)).sum(axis=0)
-    flow = flow / np.moveaxis(
-        factorial(counts).prod(axis=-1, keepdims=True) * (1.0 + counts), -1, 0
-    )
+    shares = factorial(counts).prod(axis=-1, keepdims=True) * (1.0 + counts)
+    flow = flow / np.moveaxis(shares, -1, 0)
     return np.asarray(np.multiply.outer(flow, np.ones((n,) * term.energy)))
 
 

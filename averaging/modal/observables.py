@@ -157,8 +157,7 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
     def joint(x: Array, y: Array) -> tuple[Array, Array]:
         if len(parts) == 1:
             return parts[0].at(x, y)
-        (p, p_error), (r, r_error) = parts[0].at(x), parts[1].at(y)
-        return p * r, p_error * np.abs(r) + np.abs(p) * r_error
+        return product_of([parts[0].at(x), parts[1].at(y)])
 
     def along(energy: Array) -> Array:
         """∫joint(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
@@ -174,11 +173,12 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
             sums.append(np.einsum("hkt,hktc->hc", length * w, values))
         return np.concatenate(sums)
 
-    def truncation(lengths: Array, coefficients: Array) -> Array:
-        """L1 norm of the last two terms of p on each panel."""
-        return np.asarray(lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1))
-
-    both = fit(along, nodes, 0.5 * share / nodes.size, estimate=truncation)
+    both = fit(
+        along,
+        nodes,
+        0.5 * share / nodes.size,
+        estimate=lambda lengths, series: lengths * np.abs(series[:, -2:, 0]).sum(axis=1),
+    )
     assert both.error is not None
     local = 2.0 * both.error / np.diff(both.nodes)
 
@@ -199,9 +199,8 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
 def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
     """Return (34) as the Gaussian state that it is, of independent ω Q_i and P_i of variance θ_i.
 
-    With M* = 1: ``cov q = T diag(θ_i/ω_i²) Tᵀ``, ``cov p = M T diag(θ_i) Tᵀ M``, Eqs. (20), (35);
-    displacements and momenta are not correlated. The residual is the largest flux of e^(−H/θ)/θ in
-    the energy process (19) of a mode, up to 40 θ.
+    With M* = 1: ``cov q = T diag(θ_i/ω_i²) Tᵀ``, ``cov p = M T diag(θ_i) Tᵀ M``, Eqs. (20), (35).
+    The residual is the largest flux of e^(−H/θ)/θ in the energy process (19) of a mode.
     """
     theta = modes.temperature
 

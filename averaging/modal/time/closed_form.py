@@ -115,7 +115,7 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
     """Return the ``count`` slowest rates but 0: sums of multiples of c*_ii."""
     rates = np.zeros(1)
     for m in range(modes.n):
-        multiples = np.append(0.0, _mode(modes, m).rates(count, tol=1.0).values.real)
+        multiples = _mode(modes, m).c * np.arange(count + 1.0)
         rates = np.sort(np.add.outer(rates, multiples).ravel())[: count + 1]
     errors = (modes.relative_error + 4.0 * EPS) * rates[1:]
     return certified_rates(rates[1:], errors, tol=tol)
