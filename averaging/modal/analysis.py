@@ -196,10 +196,9 @@ def modal_analysis(system: System) -> ModalAnalysis:
 
 
 def averaged_damping(system: System, shapes: Array, omega: Array) -> AveragedDamping:
-    """Return the averages over independent uniform phases of the modes, X = T Q (14).
+    """Return the averages over independent uniform phases of the modes T (n, n) of ``omega`` (n,).
 
-    ``shapes`` T (n, n) with Tᵀ M T = 1, ``omega`` (n,). Raises ``NotApplicable`` where the
-    polynomials would have too many coefficients.
+    Raises ``NotApplicable`` where the polynomials would have too many coefficients.
     """
     n, terms = omega.size, system.damping_terms
     degree = max((term.degree // 2 for term in terms), default=0)
@@ -266,9 +265,8 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
 def balanced_energies(system: System, damping: AveragedDamping, noise: Array) -> Array:
     """Return the means (n,) at which independent exponential energies balance: E γ_m H_m = d_m.
 
-    A scale for meshes and bandwidths: no answer rests on it. From ten times the equivalent
-    temperature a high one of several balances is reached. Raises ``NotApplicable`` for a mode whose
-    energy grows for ever.
+    No answer rests on this scale. It is a high one of several balances. Raises ``NotApplicable``
+    for a mode whose energy grows for ever.
     """
     try:
         guess = equivalent_temperature(system)

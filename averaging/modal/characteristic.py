@@ -56,12 +56,10 @@ def state_density(
 ) -> Density:
     """Return the density of one or two displacements and momenta from that of the energies.
 
-    An observed x is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m), with X = T Q (14) and p_i = m_i Ẋ_i, and
-    the phases are independent and uniform:
-    ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``, smooth at H = 0 as J0 is even.
-    A Fourier series on the bounded support has no aliasing error; what lies beyond the band is
-    estimated from its outermost ring. The transform does not increase an L1 error. Coordinates are
-    made uncorrelated first: one band does for both.
+    An observed x is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m), X = T Q (14) and p_i = m_i Ẋ_i, with
+    independent uniform phases: ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``. A
+    Fourier series on the bounded support has no aliasing error; what lies beyond the band is
+    estimated from its outermost ring. The transform does not increase an L1 error.
     """
     count = len(observable)
     rows = np.sqrt(2.0) * modes.state_shapes[state_rows(observable, modes.n)]

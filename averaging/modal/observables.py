@@ -48,8 +48,8 @@ def modal_densities(
 ) -> tuple[Density, ...]:
     """Return the densities of modal energies, their sum, displacements and momenta.
 
-    Groups of modes are solved to a share of ``tol`` such that an observable that depends on all of
-    them meets it. With constant damping the closed forms are Gaussian.
+    Groups of modes are solved to a share of ``tol`` such that an observable of all of them meets
+    it. With constant damping the closed forms are Gaussian.
     """
     closed, groups = modes.constant and solver == "closed-form", modes.averaged.groups
     energies, behind = list[bool](), list[list[Group]]()
@@ -87,8 +87,7 @@ def solved_group(
 ) -> Density:
     """Return the density of the energies of one or two modes on which no other acts.
 
-    It is solved for to the L1 error ``share`` and judged by the tolerance ``tol``. The round-off of
-    γ θ/d counts by 1 + H/θ of each energy.
+    To the L1 error ``share``, judged by ``tol``. The round-off of γ θ/d counts by 1 + H/θ each.
     """
     process, theta = modes.process(group), modes.temperature[list(group)]
     p: PlaneSolution | StationarySolution | ZeroFluxDensity
@@ -146,7 +145,7 @@ def _product(observable: Observable, parts: Sequence[Density], tol: float) -> De
 def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -> Density:
     """The density of H1 + H2 from p(H1, H2), or from those of two independent energies.
 
-    It is expanded panel by panel, halved until its last coefficients fall below the L1 ``share``.
+    Its panels are halved until the last coefficients fall below the L1 ``share``.
     """
     panels = tuple(x for part in parts for x in part.panels)
     end = panels[0][-1] + panels[1][-1]

@@ -24,9 +24,8 @@ MAX_CANDIDATES = 500
 def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
     """Raise ``NotApplicable`` where a resonance forbids to average over the phases of the modes.
 
-    With constant damping only the neglected correlation of two modes matters. With damping terms
-    the flow into mode m that goes with the phase Σ l_i φ_i makes H_m swing by twice its amplitude
-    over the detuning.
+    With constant damping the neglected correlation of two modes matters. With damping terms the
+    flow into mode m at the phase Σ l_i φ_i makes H_m swing by twice it over the detuning.
     """
     correlation = correlations(modes)
     i, j = np.unravel_index(np.argmax(correlation), correlation.shape)
@@ -61,10 +60,10 @@ def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
 def correlations(modes: ModalAnalysis) -> Array:
     """Return the largest stationary correlation of each two modes that averaging neglects (n, n).
 
-    ``S = 2 D_ij − c_ij θ_j − c_ji θ_i`` drives the cross terms of the Lyapunov equation. With
-    Δ = ω_i² − ω_j², w = c_ii ω_j² + c_jj ω_i² and N = Δ² + (c_ii + c_jj) w they are, to first order
-    in S, ``E Q_i V_j = S Δ/N``, ``E Q_i Q_j = S (c_ii + c_jj)/N`` and ``E V_i V_j = S w/N``. Where
-    damping and noise meet (8) S vanishes and a resonance is harmless.
+    With S = 2 D_ij − c_ij θ_j − c_ji θ_i, Δ = ω_i² − ω_j², w = c_ii ω_j² + c_jj ω_i² and
+    N = Δ² + (c_ii + c_jj) w the cross terms of the Lyapunov equation are, to first order in S,
+    E Q_i V_j = S Δ/N, E Q_i Q_j = S (c_ii + c_jj)/N and E V_i V_j = S w/N. Where damping and noise
+    meet (8) S vanishes and a resonance is harmless.
     """
     c, theta, omega = modes.modal_damping, modes.temperature, modes.natural_frequency
     rate = np.diag(c)

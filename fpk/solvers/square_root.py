@@ -75,8 +75,7 @@ class SquareRoot:
     ) -> Transient:
         """Return the densities at ``times`` from the energy ``start`` or from louder ``noise``.
 
-        From an energy it is noncentral χ² of 2n degrees, Econometrica 53 (1985) 385; the stationary
-        density under a multiple of the noise, a gamma density, stays one.
+        They are half a noncentral χ² of 2n degrees, Econometrica 53 (1985) 385, or gamma ones.
         """
         each = times.tolist()
         values, errors = np.array([self.density(start, noise, t, at) for t in each]).swapaxes(0, 1)
@@ -118,8 +117,7 @@ class SquareRoot:
     def passage(self, limit: float, start: float, times: Array, *, tol: float) -> Passage:
         """Return the first passage of ``limit`` from a ``start`` below it.
 
-        E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d; moments are its derivatives at
-        s = 0. Raises as ``rate`` and ``failure`` do.
+        E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d; moments are its derivatives at 0.
         """
         require_constant_noise(self.modulation)
         rate, xf = self.rate(limit), limit * self.c / self.d
@@ -180,8 +178,8 @@ class SquareRoot:
     ) -> tuple[Array, Array]:
         """Return P(T <= t) at ``times`` by inverse transform, and its error.
 
-        Where times are too short it is 0 within Chernoff's bound e^(st) E e^(−sT), of positive
-        terms. Raises ``NotApplicable`` where that exceeds ``tol``.
+        At too short times it is 0 within Chernoff's bound e^(st) E e^(−sT), or ``NotApplicable``
+        where that exceeds ``tol``.
         """
         x0, xf = start * self.c / self.d, limit * self.c / self.d
         p, error = np.zeros((2, times.size))

@@ -161,8 +161,7 @@ def _surviving(parts: Sequence[Passing], times: Array, tol: float) -> tuple[Arra
 def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number, Number]:
     """Mean and variance of the least of independent times: ∫S dt and ∫2t S dt, S the product.
 
-    Before the first time S lies between its value then and 1; after the last it is a multiple of
-    e^(−rate t).
+    Before the first time S lies between its value and 1; after the last S ~ e^(−rate t).
     """
     ends = np.array([EARLY, SETTLED]) / rate
     nodes = np.log(np.geomspace(ends[0], ends[1], DECAY_PANELS + 1))
@@ -186,8 +185,7 @@ def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number
 def orbit_transient(parts: Sequence[Orbit], asked: Asked) -> Transient:
     """Return the densities at times > 0 of one or two coordinates, the sum of ``parts``.
 
-    From the start of each part, or the stationary state under the noise of ``asked``. Raises
-    ``NotApplicable`` where an orbit is too thin for ``MOST_WAVES``.
+    Raises ``NotApplicable`` where an orbit is too thin for ``MOST_WAVES``.
     """
     noise, times, at = asked.start.noise, asked.times, asked.at
     checked_times(times, positive=noise is None)
@@ -210,8 +208,8 @@ def _density(
 ) -> tuple[Array, float, float]:
     """p at the points, its error, and the height of the Gaussian of the same covariance.
 
-    In coordinates y whose Gaussian part is standard normal, as a Fourier series on a box: from its
-    copies, and from waves beyond ``REACH``, comes less than round-off each.
+    As a Fourier series on a box of coordinates whose Gaussian part is standard normal: copies of it
+    and waves beyond ``REACH`` are below round-off.
     """
     count = len(at)
     scales = [process.scales(start, noise, t) for process, start, _ in parts]

@@ -87,7 +87,7 @@ def _by_modes(
 ) -> Array:
     """The relative error of p by that of the modes, at energies ``rows`` of a pair, or their sum.
 
-    It counts in units of the means (2,) that the noise has fed into the modes from rest by ``t``.
+    In units of the means that the noise has fed into the modes from rest by ``t``.
     """
     spread = modes.temperature * -np.expm1(-2.0 * modes.half_bandwidth * t)
     each = spread[rows] if rows else [spread[pair].min()]
@@ -97,11 +97,10 @@ def _by_modes(
 
 
 def _state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
-    """Return the densities of one or two of (q, p) of two modes.
+    """Return the densities of one or two of (q, p) of two modes, of independent uniform phases.
 
-    The phases are independent and uniform, whatever the energies, which are solved for to half of
-    the tolerance, with the distance of two levels as their error. The certificate is that of the
-    worst time; a time too short for the operator is not certified, its errors infinite.
+    The energies are solved for to half of the tolerance, with the distance of two levels as their
+    error. A time too short for the operator is not certified, its errors infinite.
     """
     times, at, tol = asked.times, asked.at, asked.tol
     pair, stationary, start = _posed(modes, range(modes.n), asked.start, tol)

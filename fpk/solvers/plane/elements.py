@@ -55,9 +55,8 @@ def factorised(
 ) -> SuperLU:
     """Return the LU factors in a symmetric ordering, with pivots on the diagonal.
 
-    With w over many orders of magnitude in the integrals such an elimination does not depend on how
-    rows and columns are scaled. Raises ``NotCertified`` with the words of ``refusal`` where the
-    matrix is singular.
+    So the scales of rows and columns do not matter, with w over many orders of magnitude. Raises
+    ``NotCertified`` with the words of ``refusal`` where the matrix is singular.
     """
     symmetric = {"SymmetricMode": True}
     try:
@@ -94,10 +93,7 @@ def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
 def null_function(
     process: Process, nodes: Nodes, degree: int, points: int, weight: Weight
 ) -> tuple[PiecewiseTensor, float]:
-    """Return u of a stationary density p = w u on a tensor mesh, and its algebraic residual.
-
-    ``points`` are the Gauss points of an element along each axis.
-    """
+    """Return u of a stationary density p = w u by Gauss ``points`` an axis, and its residual."""
     (x, y), _ = gauss_grid(nodes, points=points)
     matrices = element_matrices(flux_coefficients(process, x, y, weight)[1:], nodes, degree)
     # The unknowns inside every element are eliminated first.
@@ -121,8 +117,8 @@ def null_function(
 def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
     """Return the hierarchical shape functions and derivatives (degree + 1, points) at t in [0, 1].
 
-    The first two belong to the left and right vertex, the others vanish there: integrals of
-    Legendre polynomials, (P_j − P_(j−2))/√(4j − 2), of the scale of scikit-fem's.
+    The first two belong to the left and right vertex; the others, (P_j − P_(j−2))/√(4j − 2) of
+    Legendre polynomials, as scikit-fem's, vanish there.
     """
     P = legvander(2.0 * t - 1.0, degree).T
     j = np.arange(2.0, degree + 1.0)[:, None]
@@ -146,8 +142,7 @@ def flux_coefficients(
     """Return w, w a_1, w a_2, w b_11, w b_12, w b_22 (6, ...) at energies that broadcast together.
 
     With p = w u the flux is ``J_i = w (a_i u − ½ b_ij ∂_j u)``, a = s − ½ ∇·b + ½ b ∇ ln w. Of a
-    ``balanced`` weight, without its floor the stationary density where no probability flows,
-    s − ½ ∇·b is ½ b ∇Φ: what is left of a is of the size of the floor.
+    ``balanced`` weight, but for its floor the density without flux, s − ½ ∇·b is ½ b ∇Φ.
     """
     shape = np.broadcast_shapes(H1.shape, H2.shape)
     points = np.empty((*shape, 2))
@@ -173,7 +168,7 @@ def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array, Int
     """Weighted products of test and trial functions at Gauss points, (points, (degree+1)²) each.
 
     value·value, slope·value, value·slope, slope·slope, test first, on the unit interval; then the
-    places of an element matrix in ``local_order``, rows (i, j) along H1, columns along H2.
+    places of a matrix in ``local_order`` among rows (i, j) along H1 and columns along H2.
     """
     t, w = gauss_legendre(points)
     phi, dphi = shape_functions(degree, 0.5 * (1.0 + t))
@@ -196,8 +191,7 @@ def _lengths(nodes: tuple[Array, Array]) -> tuple[tuple[int, int], Array, Array]
 def element_matrices(coefficients: Array, nodes: tuple[Array, Array], degree: int) -> Array:
     """Return the element matrices (elements, m, m), test functions first, in ``local_order``.
 
-    ``coefficients`` (5, along H1, along H2) are w a and w b of ``flux_coefficients`` on the grid of
-    the Gauss points. The local number of φ_i ψ_k is i(degree+1)+k.
+    ``coefficients`` (5, along H1, along H2) are w a and w b on the grid of the Gauss points.
     """
     counts, h1, h2 = _lengths(nodes)
     a1, a2, b11, b12, b22 = by_element(coefficients, counts)

@@ -27,9 +27,9 @@ WEIGHT_POINTS = 20
 class PlaneSolution:
     """Density p(H1, H2) = w u, what was measured on it, and its certificate.
 
-    u is a continuous piecewise polynomial; ``enriched`` is that of a higher degree, with which the
-    error estimate compares it. ``beyond`` (2,) is the mass beyond each far edge; ``relative_error``
-    of p comes from it and from the integral of p.
+    The error estimate compares the piecewise polynomial u with ``enriched``, of a higher degree.
+    ``beyond`` (2,) is the mass beyond each far edge; ``relative_error`` of p comes from it and from
+    the integral of p.
     """
 
     process: Process
@@ -108,7 +108,7 @@ def tails(p: Array, grids: list[tuple[Array, Array]], points: int) -> tuple[Arra
     """Return the mass beyond each far edge (2,) from p on a grid of Gauss points, and e-folds (2,).
 
     On the last ``points`` of each axis the marginal is continued at half its logarithmic slope, as
-    the slope may drop with the energy; the mass is infinite where it does not fall.
+    that may drop; the mass is infinite where it does not fall.
     """
     beyond, e_fold = np.zeros(2), np.zeros(2)
     (x, v), (y, w) = grids
@@ -135,11 +135,11 @@ def solve_plane_on_mesh(
 ) -> PlaneSolution:
     """Return the finite element solution p = w u with u of ``degree`` on a tensor mesh.
 
-    If ``longer``, each axis of the mesh of the enriched solution is longer, until its marginal has
+    If ``longer``, each axis of the enriched solution's mesh is longer, until its marginal has
     fallen by another e², unless the mass beyond is round-off: the estimate then contains
-    1 − e⁻² = 86 % of the cost of ending the mesh, which is more than the mass beyond where
-    probability circulates. ``solved`` is a function like ``null_function``. Raises ``NotCertified``
-    where the equations have no unique solution.
+    1 − e⁻² = 86 % of the cost of ending the mesh, more than that mass where probability circulates.
+    ``solved`` is like ``null_function``. Raises ``NotCertified`` for equations without a single
+    solution.
     """
 
     def of_mass_one(mesh: Nodes, degree: int, count: int) -> tuple[PiecewiseTensor, float]:

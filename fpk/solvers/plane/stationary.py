@@ -51,12 +51,9 @@ MAX_ENTRIES = 2e7
 def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     """Return the stationary density of two energies to the L1 tolerance ``tol``.
 
-    No boundary condition is imposed: at H_i = 0 the diffusion across vanishes, and zero flux is
-    natural there and far out. If no attempt is certified, the one of the least error estimate is
-    returned, not certified.
-
-    Raises ``NotCertified`` where the density does not fall off, ``InvalidInput`` for a process
-    that has not two energies.
+    Zero flux is natural far out and at H_i = 0, where the diffusion across vanishes. If no attempt
+    is certified, that of the least error estimate is returned. Raises ``NotCertified`` where the
+    density does not fall off, ``InvalidInput`` for a process that has not two energies.
     """
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
@@ -88,9 +85,8 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     """Return p = w/∫w if the flux of w vanishes, as far as the error ``tol`` is concerned.
 
     The integral along each axis of what −∇ ln w misses of b⁻¹ (2s − ∇·b) bounds how far ln p is
-    off, whatever p is there: behind a barrier a small difference in its slope moves mass from one
-    side to the other. Returned is None where that is more than half the tolerance, or where w
-    varies too fast for 24 panels along each axis.
+    off, whatever p is there: behind a barrier a small slope moves mass from side to side. None
+    where that is more than half the tolerance, or w varies too fast for 24 panels along each axis.
     """
     weight = replace(weight, floor=0.0)
     try:
@@ -141,10 +137,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
 
 
 def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterator[PlaneSolution]:
-    """Yield solutions on more and more unknowns, each with a better weight.
-
-    Ends where the weight does not fall off, the error no longer falls, or after the last rung.
-    """
+    """Yield solutions on more unknowns and with better weights, while these lower the error."""
     rung, least, stalled, best = 0, np.inf, 0, weight
     rise = reach(tol)
     farthest = max(rise, 25.0)  # the first weight may be far from p
@@ -175,8 +168,7 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
 def finer(rung: int, missing: float, *, most: int) -> int:
     """Return the next of ``RUNGS`` where the error is ``missing`` times the tolerance.
 
-    As many rungs on as the missing digits take, at the most ``most``, and no farther than the
-    highest degree on four panels.
+    By its digits, at the most ``most`` rungs on and up to the highest degree on four panels.
     """
     digits = float(np.log10(max(missing, 1.0))) if np.isfinite(missing) else np.inf
     gain = ceil(min(digits / DIGITS, most))
@@ -220,12 +212,9 @@ def solve_by_elements(
 
     ``degree`` follows from ``tol`` unless given. Of the intervals, four along each axis at first,
     up to the ends of the ``weight``, those are halved whose highest modes exceed the share
-    ``marked`` of the largest, all of them for 0, and one is added where mass lies beyond: until the
-    answer is certified, or the next mesh has more than ``MAX_ENTRIES``. ``solved`` as of
-    ``solve_plane_on_mesh``.
-
-    Raises ``NotCertified`` where the first mesh has more than ``MAX_ENTRIES``, or where the weight
-    does not fall to 1e-2 ``tol`` at the energies it is known at.
+    ``marked`` of the largest, and one is added where mass lies beyond: until the answer is
+    certified, or the next mesh has more than ``MAX_ENTRIES``. ``solved`` is like ``null_function``.
+    Raises ``NotCertified`` where the first mesh has more, or for a weight that does not fall off.
     """
     if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
         degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))

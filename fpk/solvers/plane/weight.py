@@ -82,10 +82,7 @@ class Weight:
         return sizes.exponent(np.abs(H1), np.abs(H2))
 
     def ends(self, rise: float) -> tuple[float, float]:
-        """Return the energies along each axis beyond which Φ > ``rise`` everywhere.
-
-        Raises ``NotCertified`` where Φ does not rise so far within ``RAYS``.
-        """
+        """Return the energies beyond which Φ > ``rise``; ``NotCertified`` outside ``RAYS``."""
         inside = polygrid2d(RAYS, RAYS, self.coefficients) < rise
         if inside[-1].any() or inside[:, -1].any():
             raise NotCertified(f"the weight falls by less than exp(−{rise:.0f})")
@@ -157,10 +154,7 @@ def fitted_weight(
     *,
     present: Weight | None = None,
 ) -> Weight | None:
-    """Return w fitted to ``log_p`` where it is ``known`` on a grid, None where no fit falls off.
-
-    ``rise`` is how far ln p is known to fall; a fit must be much better than the ``present`` one.
-    """
+    """Return w fitted to ``log_p``, which is ``known`` to fall by ``rise``, if it is better."""
     scales, (i, j) = (float(grid[0][-1]), float(grid[1][-1])), np.nonzero(known)
     x, y = grid[0][i], grid[1][j]
     target = log_p[known].max() - log_p[known]
@@ -195,8 +189,7 @@ def _monomials(x: Array, powers: Integers, *, slope: bool = False) -> Array:
 def fits(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array, float]]:
     """Yield the least-squares fit of ``right`` for each total degree, with its relative misfit.
 
-    Of ``columns`` by rising degree one triangular factor holds every fit. Ends where they are
-    linearly dependent.
+    One triangular factor holds all; they end where ``columns`` are linearly dependent.
     """
     R = np.asarray(np.linalg.qr(np.column_stack([columns, right]), mode="r"))
     total = powers.sum(axis=1)

@@ -42,8 +42,7 @@ def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Arra
 def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float) -> Evolved:
     """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of its norm ∫ w g².
 
-    The eigenvalues of the reduced (M − γA)⁻¹ M give the slow rates to round-off/γ: at times as
-    large as those of rare failure their digits are there.
+    The eigenvalues of (M − γA)⁻¹ M give slow rates to round-off/γ, at large times to their digits.
     """
     start = factorised(M).solve(dual)
     residuals, parts, first = [relative_residual(M, abs(M), start, dual)], [], 0

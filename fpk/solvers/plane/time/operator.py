@@ -3,8 +3,6 @@
 With p = w g, w a weight near the stationary density, the weak forms of ∂p/∂t = L* p and of the
 backward ∂u/∂t = L u are ``M ∂g/∂t = A g`` and ``M ∂u/∂t = Aᵀ u`` with
 ``A_ij = ∫ w (a φ_j − ½ b ∇φ_j)·∇φ_i``, ``a = s − ½ ∇·b + ½ b ∇ ln w`` and ``M_ij = ∫ w φ_i φ_j``.
-At H_i = 0, where the diffusion across vanishes, zero flux is natural; w is no approximation: any
-weight gives the same p.
 """
 
 from collections.abc import Callable, Iterator
@@ -41,12 +39,11 @@ class PlaneOperator:
     """``M ∂g/∂t = A g`` with tensor elements of one ``degree`` between ``nodes`` of coordinates y.
 
     y = (H1, H2), or, ``collapsed``, (H, H1/H) with H = H1 + H2: of the triangle H < H_f. At H = 0
-    that map is singular and the weak form is not, as b ~ H. ``balanced`` is that of
-    ``flux_coefficients``. ``absorbing`` says at which last nodes, of the first and of the second
-    coordinate, g = 0: first passage. There one vertex function, that where w is largest, gives way
-    to the sum of all of them, which is 1 but beside the limit: its matrix entries are integrals
-    beside the limit, as small as the failure rate, and computed as such, not as a difference of
-    large ones.
+    that map is singular and the weak form is not, as b ~ H. ``balanced`` as of
+    ``flux_coefficients``. ``absorbing`` says at which last nodes, along y_1 and y_2, g = 0: first
+    passage. There one vertex function, that where w is largest, gives way to the sum of all of
+    them, 1 but beside the limit: its matrix entries, as small as the failure rate, are then no
+    difference of large ones.
     """
 
     process: Process
@@ -222,7 +219,7 @@ def operators(
     """Yield operators, each finer than the last, on ``nodes(rise, panels)``.
 
     Their weight is the ``stationary`` one to the power ``share`` <= 1, and flat where −ln w would
-    exceed the rise by ``RISE``: elements over which it rises by 40 have singular matrices.
+    exceed the rise by ``RISE``, as elements over which it rises by 40 have singular matrices.
     """
     weight, balanced = stationary.weight, not stationary.degree and share == 1.0
     weight = replace(weight, coefficients=share * weight.coefficients)

@@ -91,11 +91,10 @@ def first_passage(
 ) -> Passage:
     """Return the first passage of ``limit``, with the reliability at ascending ``times`` >= 0.
 
-    Levels rise until two of them agree to ``tol``, relative to mean, variance and rate, or where
-    the rest is ``_hopeless``; the answer is that of the finer one. What a density at the start has
-    beyond the limit fails at 0. ``coefficients_error`` is the relative error of the coefficients.
-    Raises ``InvalidInput`` for a limit whose mean time is beyond double precision, or that takes
-    more than ``MOST_UNKNOWNS``.
+    Levels rise until two agree to ``tol``, relative to mean, variance and rate, or more are
+    ``_hopeless``. What a density at the start has beyond the limit fails at 0.
+    ``coefficients_error`` is relative. Raises ``InvalidInput`` for a limit whose mean time is
+    beyond double precision, or that takes more than ``MOST_UNKNOWNS``.
     """
     height = start.height(stationary)
     far = stationary.far_ends(reach(tol, height))
@@ -148,8 +147,7 @@ def first_passage(
 def _hopeless(distances: list[float], left: int, tol: float) -> bool:
     """Whether ``left`` levels more gain nothing, or cannot come to ``tol``, by their distances.
 
-    Even if each gained the square of what the last did: modes whose rates differ by 1e20 lose half
-    of the error a level, and the last levels take a minute.
+    Even if each gained the square of what the last did: the last levels take a minute.
     """
     if distances[-1] <= tol or len(distances) < 2 or not left:
         return distances[-1] <= 0.1 * tol
@@ -207,9 +205,8 @@ def relaxation_rates(
 ) -> Rates:
     """Return the ``count`` eigenvalues of −L with the least real parts but 0, Im λ >= 0.
 
-    Levels rise until two of them agree to ``tol``, relative to each. ``relative`` is the relative
-    error of the coefficients. Raises ``NotCertified`` where the two finest levels have fewer
-    unknowns than that.
+    Levels rise until two of them agree to ``tol``, relative to each; ``relative`` is the error of
+    the coefficients. Raises ``NotCertified`` where the two finest have too few unknowns.
     """
     # A rate of the order of the slowest: the lesser b/H² of the energies at their scales.
     scales = np.array(stationary.process.energy_scales)

@@ -81,10 +81,9 @@ def transient_densities(
 ) -> tuple[Transient, tuple[Level, Level]]:
     """Return the densities seen at ``times`` > 0, ascending, at points ``at`` (points,) each.
 
-    Levels rise until two of them agree to ``tol`` in L1 and in units of the largest density; the
-    error of the finer one is their distance. A time too short for the last level is not certified.
-    ``coefficients_error(t, *at)`` is the relative error of p by that of the coefficients. With the
-    answer come the last two levels, the finer one last.
+    Levels rise until two agree to ``tol`` in L1 and in units of the largest density; their distance
+    is the error. A time too short for the last level is not certified. ``coefficients_error(t,
+    *at)`` is the relative error of p by the coefficients. The last two levels come with the answer.
     """
     for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
         (op, g), (other_op, other_g) = fine, coarse
