@@ -19,8 +19,8 @@ from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.solvers.plane.elements import Nodes, factorised
 from fpk.solvers.plane.solution import SAFETY, PlaneSolution, graded
-from fpk.solvers.plane.time.exponential import KRYLOV, evolved, relative_residual
 from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators
+from fpk.solvers.plane.time.transient import KRYLOV, evolved, relative_residual
 from fpk.solvers.plane.weight import reach
 
 FOLDS = 5.0
