@@ -76,9 +76,6 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
     gamma = POLE * float(times[-1])
     matrix = (M - gamma * A).tocsc()
     factors, sizes = factorised(matrix), abs(matrix)
-    # Whether A x and Aᵀ x agree up to round-off for an x of random signs.
-    x = np.random.default_rng(0).choice([-1.0, 1.0], A.shape[0])
-    symmetric = bool(np.max(np.abs(A @ x - A.T @ x)) <= 1e-13 * np.max(np.abs(A.data)))
     V, MV = np.empty((MOST, start.size)), np.empty((MOST, start.size))
     H, residuals, norm = np.zeros((MOST, MOST)), [0.0], float(np.sqrt(start @ (M @ start)))
     V[0], MV[0] = start / norm, (M @ start) / norm
@@ -95,9 +92,9 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
         H[k, k - 1] = size = float(np.sqrt(v @ Mv))
         fewer = k if size <= 1e-12 * before else k - GROWN  # round-off: the space is complete
         if fewer == k or (k + 1 >= 3 * GROWN and (k + 1) % GROWN == 0):
-            more, rounding, norms = _reduced(H[:k, :k], times, gamma, symmetric)
+            more, rounding, norms = _reduced(H[:k, :k], times, gamma)
             change = more.copy()
-            change[:, :fewer] -= _reduced(H[:fewer, :fewer], times, gamma, symmetric)[0]
+            change[:, :fewer] -= _reduced(H[:fewer, :fewer], times, gamma)[0]
             if float(np.max(np.linalg.norm(change, axis=1) / norms)) <= tol or k + GROWN >= MOST:
                 break
         V[k], MV[k] = v / size, Mv / size
@@ -105,16 +102,10 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
     return Evolved(values, lost, rounding / norms, float(np.max(residuals)))
 
 
-def _reduced(H: Array, times: Array, gamma: float, symmetric: bool) -> tuple[Array, Array, Array]:
+def _reduced(H: Array, times: Array, gamma: float) -> tuple[Array, Array, Array]:
     """e^(tA) of the first basis vector (times, m), A = (1 − S⁻¹)/γ, its round-off and norms."""
-    condition = 1.0
-    if symmetric:
-        s, X = np.linalg.eigh(0.5 * (H + H.T))
-        first = X[0]
-    else:
-        s, X = np.linalg.eig(H)
-        condition = float(np.linalg.cond(X))
-        first = np.linalg.solve(X, np.eye(len(H))[0])
+    s, X = np.linalg.eig(H)
+    condition, first = float(np.linalg.cond(X)), np.linalg.solve(X, np.eye(len(H))[0])
     # Of s below 1e-3 the factor e^(t(1 − 1/s)/γ) is e^−1100 by t/γ > 1/(RATIO · POLE) = 1.1.
     live = np.abs(s) > 1e-3
     rate = (1.0 - 1.0 / s[live]) / gamma
