@@ -133,7 +133,7 @@ def measured_cases():
 
 def expanded(solution) -> str:
     """Return what is a polynomial: nothing where p = C w, else u or p on each of the panels."""
-    if solution.weight is None:
+    if solution.weight.plain:
         return "p"
     return "u" if solution.degree else "–"
 

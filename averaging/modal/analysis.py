@@ -32,11 +32,11 @@ UNBOUNDED = 1e8
 
 @dataclass(frozen=True, eq=False)
 class AveragedDamping:
-    """Γ_mk(H) with ⟨F_m Q̇_k⟩ = Γ_mk(H) H_k, where F are the modal damping forces.
+    """Γ_mk(H) with ⟨F_m Q̇_k⟩ = Γ_mk(H) H_k, F the modal damping forces; γ_m = Γ_mm is a rate.
 
-    The damping rate of mode m is γ_m = Γ_mm. Row r is the monomial Π_j H_factors[r, j] with the
-    energies counted from 1 and H_0 = 1; row 0 is the constant. ``factors`` (rows, degree),
-    ``values`` (rows, n, n) the coefficients, ``sizes`` the sums of absolute values behind them.
+    Row r is the monomial Π_j H_factors[r, j] with the energies counted from 1 and H_0 = 1; row 0 is
+    the constant. ``factors`` (rows, degree), ``values`` (rows, n, n) the coefficients, ``sizes``
+    the sums of absolute values behind them.
     """
 
     factors: Integers
@@ -84,14 +84,13 @@ def _monomials(factors: Integers, energies: Array) -> Array:
 class ModalAnalysis:
     """Modes of K T = M T ω², ascending, of unit modal mass, with damping and noise.
 
-    ``X = T Q`` (14), so that ``P = Tᵀ p = Q̇`` are the modal momenta. ``mode_shapes`` T (n, n), one
-    mode a column, Tᵀ M T = 1; ``state_shapes`` S (2n, 2n), so that (q, p) = S (ω Q, P);
-    ``natural_frequency`` ω (n,) in radians per time, K* = ω²; ``modal_noise`` D* = Tᵀ f D fᵀ T
-    (n, n), E[W*_i W*_j'] = 2 D*_ij δ. ``modal_damping`` c* = Tᵀ c T (n, n); where the damping
-    depends on the state it is the constant one of statistical linearisation,
-    c*_mk = E[F_m Q̇_k]/E Q̇_k². ``averaged`` is the damping averaged over the phases;
-    ``constant`` says that it does not depend on the state. ``relative_error`` estimates the
-    relative round-off of damping and noise.
+    ``X = T Q`` (14) and ``P = Tᵀ p = Q̇``. ``mode_shapes`` T (n, n), one mode a column, Tᵀ M T = 1;
+    ``state_shapes`` S (2n, 2n), so that (q, p) = S (ω Q, P); ``natural_frequency`` ω (n,) in
+    radians per time, K* = ω²; ``modal_noise`` D* = Tᵀ f D fᵀ T (n, n), E[W*_i W*_j'] = 2 D*_ij δ.
+    ``modal_damping`` c* = Tᵀ c T (n, n), or where the damping depends on the state that of
+    statistical linearisation, c*_mk = E[F_m Q̇_k]/E Q̇_k². ``averaged`` is the damping averaged over
+    the phases; ``constant`` says that it does not depend on the state. ``relative_error`` estimates
+    the relative round-off of damping and noise.
     """
 
     mode_shapes: Array
@@ -126,29 +125,24 @@ class ModalAnalysis:
     def process(self, modes: Sequence[int] | None = None) -> Process:
         """Return dH_i = s_i dt + σ_il dB_l of some modes on which no other acts, or of all of them.
 
-        ``s_i = d_i − γ_i(H) H_i``, ``b_ii = 2 d_i H_i``, ``b_ij = 0``, Eqs. (17), (33), with
-        γ_i = c*_ii where the damping is constant. Corrections: (33) prints s_i without noise and
-        mass, b_ii without H_i and with D₂ for D₁ in b₂₂; (18) prints P_i/M_j P_j and a noise term
-        without masses. The density of states is the period, a constant; at the entrance H = 0,
-        where 2 s(0)/b' = 1, p is finite and positive. Resonance: ``averaging.modal.resonance``.
+        ``s_i = d_i − γ_i(H) H_i``, ``b_ii = 2 d_i H_i``, ``b_ij = 0``, (17), (33). Corrections:
+        (33) prints s_i without noise and mass, b_ii without H_i and with D₂ for D₁ in b₂₂; (18)
+        prints P_i/M_j P_j and a noise term without masses. The density of states is the period, a
+        constant; at H = 0, where 2 s(0)/b' = 1, p is finite and positive.
         """
         index = list(range(self.n) if modes is None else modes)
         d, rates = self.noise[index], self.averaged.rates(index)
-        one = len(index) == 1
 
         def coefficients(energies: Array) -> Coefficients:
             H = energies.reshape(-1, d.size)
             b = 2.0 * d * H
             dissipation = (-rates(H) * H).reshape(energies.shape)
             zero = np.zeros_like(energies)
-            known = (zero, zero) if one else ()
-            return Coefficients(
-                d + dissipation,
-                b.reshape(energies.shape) if one else b[:, :, None] * np.eye(d.size),
-                2.0 * d + zero,
-                dissipation,
-                *known,
-            )
+            drift, slope = d + dissipation, 2.0 * d + zero
+            if d.size == 1:
+                b = b.reshape(energies.shape)
+                return Coefficients(drift, b, slope, dissipation, zero, zero)
+            return Coefficients(drift, b[:, :, None] * np.eye(d.size), slope, dissipation)
 
         return Process(coefficients, tuple(float(theta) for theta in self.temperature[index]))
 
@@ -202,10 +196,9 @@ def modal_analysis(system: System) -> ModalAnalysis:
 
 
 def averaged_damping(system: System, shapes: Array, omega: Array) -> AveragedDamping:
-    """Return the averages over independent uniform phases of the modes, X = T Q (14).
+    """Return the averages over independent uniform phases of the modes T (n, n) of ``omega`` (n,).
 
-    ``shapes`` T (n, n) with Tᵀ M T = 1, ``omega`` (n,). Raises ``NotApplicable`` where the
-    polynomials would have too many coefficients.
+    Raises ``NotApplicable`` where the polynomials would have too many coefficients.
     """
     n, terms = omega.size, system.damping_terms
     degree = max((term.degree // 2 for term in terms), default=0)
@@ -219,9 +212,11 @@ def averaged_damping(system: System, shapes: Array, omega: Array) -> AveragedDam
         """Rows and Γ_mk (rows, n, n): c*_mk of the constant damping, and each damping term's."""
         rows, values = [np.zeros((1, degree), dtype=np.int64)], [(T.T @ damping @ T)[None]]
         for term in terms:
-            modes, flow = _velocity_average(term, T, omega)
-            rows.append(np.pad(modes, ((0, 0), (degree - modes.shape[1], 0))))
-            values.append(sign(term.coefficient) * T[term.row][:, None] * flow[:, None, :])
+            flow = _velocity_average(term, T, omega)
+            modes = np.indices(flow.shape[1:]).reshape(flow.ndim - 1, flow[0].size).T + 1
+            rows.append(np.pad(np.sort(modes, axis=1), ((0, 0), (degree - modes.shape[1], 0))))
+            flow = sign(term.coefficient) * flow.reshape(n, -1).T
+            values.append(T[term.row][:, None] * flow[:, None, :])
         factors, row = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
         total = np.zeros((len(factors), n, n))
         np.add.at(total, row.ravel(), np.concatenate(values))
@@ -232,10 +227,9 @@ def averaged_damping(system: System, shapes: Array, omega: Array) -> AveragedDam
     return AveragedDamping(factors, np.where(np.abs(values) > ROUND_OFF * sizes, values, 0), sizes)
 
 
-def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> tuple[Integers, Array]:
-    """⟨Π q_a^. Π v_a^. v_j H^energy Q̇_k⟩/H_k as a polynomial in the energies.
+def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
+    """⟨Π q_a^. Π v_a^. v_j H^energy Q̇_k⟩/H_k, its coefficients (k, modes of each factor H_m ..).
 
-    Returned are the modes of each monomial, from 1, ascending, and its values (rows, n).
     With Q_m = √(2 H_m)/ω_m cos φ_m and Q̇_m = −√(2 H_m) sin φ_m, exponential energies of means θ_m
     make the modes Gaussian, and E Π H_m^α_m = Π α_m! θ_m^α_m: the phase average has the
     coefficients of the Gaussian moment, a polynomial in θ by Isserlis' theorem, divided by Π α_m!.
@@ -257,30 +251,22 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> tuple[I
     powers = [*term.powers("q", n), *term.powers("v", n)]
     powers[n + term.column] += 1
     factors = tuple(a for a, power in enumerate(powers) for _ in range(power))
-    parts = [
-        np.multiply.outer(moment(factors[:i] + factors[i + 1 :]), shapes[a - n])
+    flow = sum(
+        np.multiply.outer(shapes[a - n], moment(factors[:i] + factors[i + 1 :]))
         for i, a in enumerate(factors)
         if a >= n
-    ]
-    count = parts[0].ndim - 1
-    degree = count + term.energy
-    modes = np.indices((n,) * degree).reshape(degree, n**degree).T
-    counts = (modes[:, :count, None] == np.arange(n)).sum(axis=1)
-    flow = np.repeat(np.sum(parts, axis=0).reshape(-1, n), n**term.energy, axis=0)
-    flow /= factorial(counts).prod(axis=1, keepdims=True) * (1.0 + counts)
-    modes, row = np.unique(np.sort(modes, axis=1), axis=0, return_inverse=True)
-    total = np.zeros((len(modes), n))
-    np.add.at(total, row.ravel(), flow)
-    return modes + 1, total
+    )
+    counts = (np.indices(flow.shape[1:])[..., None] == np.arange(n)).sum(axis=0)
+    shares = factorial(counts).prod(axis=-1, keepdims=True) * (1.0 + counts)
+    flow = flow / np.moveaxis(shares, -1, 0)
+    return np.asarray(np.multiply.outer(flow, np.ones((n,) * term.energy)))
 
 
 def balanced_energies(system: System, damping: AveragedDamping, noise: Array) -> Array:
     """Return the means (n,) at which independent exponential energies balance: E γ_m H_m = d_m.
 
-    The iteration starts from ten times the equivalent temperature, so that of several balances a
-    high one is reached. A scale for meshes and bandwidths: no answer rests on it.
-
-    Raises ``NotApplicable`` for a mode whose energy grows for ever.
+    No answer rests on this scale. It is a high one of several balances. Raises ``NotApplicable``
+    for a mode whose energy grows for ever.
     """
     try:
         guess = equivalent_temperature(system)

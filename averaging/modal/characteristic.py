@@ -1,6 +1,6 @@
 """Densities of displacements and momenta from those of the modal energies, Eq. (35)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial, reduce
 from math import prod
 
@@ -20,13 +20,12 @@ POINTS = 24
 FIRST_BAND = 8.0
 """Highest wave number of the first attempt, in units of 1/rms: φ of a Gaussian is e^-32 there."""
 WIDER = 2.0**0.5
-"""Factor by which the highest wave number s grows from one attempt to the next. The norm of φ
-beyond s is taken for 1/(√2 − 1) of that between s/√2 and s, as where |φ| falls as s^-2."""
+"""Factor from one highest wave number s to the next. The norm of φ beyond s is taken for
+1/(√2 − 1) of that between s/√2 and s, as where |φ| falls as s^-2."""
 MAX_WAVES = 40_000
 """Largest number of waves; the estimate of what further ones would add goes into the error."""
 PHASE = {1: 30.0, 2: 16.0}
-"""Largest phase of a wave over one panel, in radians, by the number of coordinates: the rules of
-``fpk.answer.density`` (20 and 12 points) integrate such a wave to 1e-9."""
+"""Largest phase over a panel by the number of coordinates: 20 and 12 points integrate to 1e-9."""
 HALF_PANELS = (4.0, 400.0)
 """Least and largest number of panels of an axis on either side of 0."""
 
@@ -34,9 +33,8 @@ HALF_PANELS = (4.0, 400.0)
 def fourier_sum(phases: Array, coefficients: Array, x: Array, y: Array | float = 0.0) -> Array:
     """Return Σ_km coefficients_km exp(i (k a_0 + m a_1)) where |a| <= π, else 0, a = ``phases`` x.
 
-    ``phases`` (2, 2) is lower triangular. ``coefficients`` (functions, k = 0 .. K, m = −M .. M)
-    have k and −k in one; of one coordinate M = 0. Of points that broadcast together, the answer is
-    (functions, ...).
+    ``phases`` (2, 2) is lower triangular; ``coefficients`` (functions, k = 0 .. K, m = −M .. M)
+    have k and −k in one. Points broadcast together; the answer is (functions, ...).
     """
     K, M = np.array(coefficients.shape[1:]) // [1, 2] - [1, 0]
     (u, i), (v, j) = (np.unique(z, return_inverse=True) for z in (x, y))
@@ -58,12 +56,10 @@ def state_density(
 ) -> Density:
     """Return the density of one or two displacements and momenta from that of the energies.
 
-    An observed x is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m), with X = T Q (14) and p_i = m_i Ẋ_i, and
-    the phases are independent and uniform:
-    ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``, smooth at H = 0 as J0 is even.
-    As the support is bounded, a Fourier series on it has no aliasing error; what lies beyond the
-    band is estimated from its outermost ring, by Parseval's equation. The transform does not
-    increase an L1 error. Coordinates are made uncorrelated first: one band does for both.
+    An observed x is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m), X = T Q (14) and p_i = m_i Ẋ_i, with
+    independent uniform phases: ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``. A
+    Fourier series on the bounded support has no aliasing error; what lies beyond the band is
+    estimated from its outermost ring. The transform does not increase an L1 error.
     """
     count = len(observable)
     rows = np.sqrt(2.0) * modes.state_shapes[state_rows(observable, modes.n)]
@@ -82,7 +78,8 @@ def state_density(
         K, M = np.pad(np.ceil(band * box / np.pi).astype(int), (0, 2 - count))
         k, m = np.mgrid[0 : K + 1, -M : M + 1]
         waves = np.stack([k.ravel(), m.ravel()][:count], axis=1) @ phases
-        # E Π_m J0(√H_m size_m), and its error: that of each group times p of the others.
+        # E Π_m J0(√H_m size_m), and the transform of its error: that of each group times p of the
+        # others.
         size = np.hypot(waves @ U, waves @ W)
         p, error = np.ones(len(size)), np.zeros(len(size))
         for group in groups:
@@ -124,10 +121,7 @@ def state_density(
 
 
 def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
-    """Return what was measured on several independent densities, for one that depends on them all.
-
-    Its smallest value is its own: a fault of a part's smallest value is one of the failures.
-    """
+    """Return what was measured on independent densities, for one that depends on them all."""
     checks = [part.certificate for part in parts]
     return Measured(
         l1_error=sum(part.l1_error for part in parts) + added,
@@ -138,6 +132,14 @@ def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
         net_flux=worst(c.net_flux for c in checks),
         failures=tuple(dict.fromkeys(words for c in checks for words in c.failures)),
     )
+
+
+def product_of(factors: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return the product of numbers with errors, and its error."""
+    value, error = np.ones(1), np.zeros(1)
+    for x, e in factors:
+        value, error = value * x, error * (np.abs(x) + e) + np.abs(value) * e
+    return value, error
 
 
 def _of_group(group: Density, size: Array) -> Array:

@@ -4,7 +4,7 @@ The modal energies fall into groups that the damping couples; each is solved onc
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial, reduce
+from functools import cache, partial, reduce
 from math import prod
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from averaging.closed_form import closed_form
 from averaging.gaussian_state import Gaussian
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.characteristic import POINTS, joined, state_density
+from averaging.modal.characteristic import POINTS, joined, product_of, state_density
 from averaging.zero_flux import (
     ZeroFluxDensity,
     density_of_energies,
@@ -48,35 +48,30 @@ def modal_densities(
 ) -> tuple[Density, ...]:
     """Return the densities of modal energies, their sum, displacements and momenta.
 
-    Each group of modes that the damping couples is solved once, to a share of ``tol`` such that
-    an observable that depends on all of them meets it. With constant damping the closed forms are
-    Gaussian.
+    Groups of modes are solved to a share of ``tol`` such that an observable of all of them meets
+    it. With constant damping the closed forms are Gaussian.
     """
     closed, groups = modes.constant and solver == "closed-form", modes.averaged.groups
-
-    def of_energies(observable: Observable) -> bool:
-        """Whether modal energies are asked for: not their sum, nor displacements or momenta."""
-        return all(c.kind == "H" and c.index is not None for c in observable)
-
-    def behind(observable: Observable) -> list[Group]:
-        """The groups whose energies an observable depends on, in its own order."""
-        if not of_energies(observable):
-            return list(groups)
-        index = tuple(c.row for c in observable)
-        if modes.constant and solver in BY_ELEMENTS:
-            return [index]  # (19) in two energies, though the density factors
-        return list(dict.fromkeys(next(group for group in groups if m in group) for m in index))
-
+    energies, behind = list[bool](), list[list[Group]]()
+    for observable in observables:
+        energies.append(all(c.kind == "H" and c.index is not None for c in observable))
+        index = tuple(c.row for c in observable) if energies[-1] else range(modes.n)
+        if energies[-1] and modes.constant and solver in BY_ELEMENTS:
+            behind.append([tuple(index)])  # (19) in two energies, though the density factors
+        else:
+            behind.append(list(dict.fromkeys(g for m in index for g in groups if m in g)))
     # An observable of all groups adds errors of its own.
-    parts = max((len(behind(o)) * (1 if of_energies(o) else 2) for o in observables), default=1)
-    needed = {g for o in observables if of_energies(o) or not closed for g in behind(o)}
-    solved = {g: solved_group(modes, g, solver, share=tol / parts, tol=tol) for g in needed}
+    parts = max((len(b) * (2 - own) for own, b in zip(energies, behind, strict=True)), default=1)
 
-    def density(observable: Observable) -> Density:
-        if closed and not of_energies(observable):
+    @cache
+    def solved(group: Group) -> Density:
+        return solved_group(modes, group, solver, share=tol / parts, tol=tol)
+
+    def density(observable: Observable, of_energies: bool, behind: list[Group]) -> Density:
+        if closed and not of_energies:
             return gaussian_modes(modes).density(observable, tol=tol)
-        of_groups = [solved[group] for group in behind(observable)]
-        if of_energies(observable):
+        of_groups = [solved(group) for group in behind]
+        if of_energies:
             return _product(observable, of_groups, tol)
         if observable[0].kind == "H":
             # p(H) = ∫p(H1, H − H1) dH1 within a group, and convolutions between groups.
@@ -84,7 +79,7 @@ def modal_densities(
             return reduce(of_sum, (p if len(p.panels) == 1 else of_sum(p) for p in of_groups))
         return state_density(modes, of_groups, observable, tol=tol)
 
-    return tuple(density(observable) for observable in observables)
+    return tuple(map(density, observables, energies, behind))
 
 
 def solved_group(
@@ -92,8 +87,7 @@ def solved_group(
 ) -> Density:
     """Return the density of the energies of one or two modes on which no other acts.
 
-    It is solved for to the L1 error ``share`` and judged by the tolerance ``tol``. The relative
-    round-off of the modes, that of γ θ/d, counts by 1 + H/θ of each energy.
+    To the L1 error ``share``, judged by ``tol``. The round-off of γ θ/d counts by 1 + H/θ each.
     """
     process, theta = modes.process(group), modes.temperature[list(group)]
     p: PlaneSolution | StationarySolution | ZeroFluxDensity
@@ -120,48 +114,38 @@ def _product(observable: Observable, parts: Sequence[Density], tol: float) -> De
     if parts[0].observable == observable:
         return parts[0]
     panels = {c: x for part in parts for c, x in zip(part.observable, part.panels, strict=True)}
-    hidden = len(panels) > len(observable)
 
-    def marginals(which: str, energies: Sequence[Array], points: int) -> list[Array]:
+    def marginals(which: str, energies: Sequence[Array]) -> list[Array]:
         """The densities of the groups, or their errors, integrated over energies not asked for."""
         given, factors = dict(zip(observable, energies, strict=True)), []
         for part in parts:
             function: Callable[..., Array] = getattr(part, which)
-            if out := [c for c in part.observable if c not in given]:
-                x, w = (a.ravel() for a in panel_rule(panels[out[0]], points))
+            if hidden := [c for c in part.observable if c not in given]:
+                x, w = (a.ravel() for a in panel_rule(panels[hidden[0]], 2 * POINTS))
                 at = (given[c][..., None] if c in given else x for c in part.observable)
                 factors.append(np.asarray(function(*at) @ w))
             else:
                 factors.append(function(*(given[c] for c in part.observable)))
         return factors
 
-    def pdf(*energies: Array) -> Array:
-        return np.asarray(prod(marginals("pdf", energies, 2 * POINTS)))
-
-    def rule_error(p: Array, *energies: Array) -> Array:
-        return np.asarray(np.abs(p - prod(marginals("pdf", energies, POINTS))))
-
     def pointwise(*energies: Array) -> Array:
-        p = marginals("pdf", energies, 2 * POINTS)
-        errors = marginals("pointwise", energies, 2 * POINTS)
-        total = sum(e * prod(p[:k] + p[k + 1 :]) for k, e in enumerate(errors))
-        return np.asarray(total + rule_error(pdf(*energies), *energies) if hidden else total)
+        both = (marginals(which, energies) for which in ("pdf", "pointwise"))
+        return product_of(zip(*both, strict=True))[1]
 
     return certified_density(
         observable,
         tuple(panels[c] for c in observable),
-        pdf,
+        lambda *energies: np.asarray(prod(marginals("pdf", energies))),
         pointwise,
         measured=joined(parts),
         tol=tol,
-        added_error=rule_error if hidden else None,
     )
 
 
 def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -> Density:
     """The density of H1 + H2 from p(H1, H2), or from those of two independent energies.
 
-    It is expanded panel by panel, halved until its last coefficients fall below the L1 ``share``.
+    Its panels are halved until the last coefficients fall below the L1 ``share``.
     """
     panels = tuple(x for part in parts for x in part.panels)
     end = panels[0][-1] + panels[1][-1]
@@ -172,8 +156,7 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
     def joint(x: Array, y: Array) -> tuple[Array, Array]:
         if len(parts) == 1:
             return parts[0].at(x, y)
-        (p, p_error), (r, r_error) = parts[0].at(x), parts[1].at(y)
-        return p * r, p_error * np.abs(r) + np.abs(p) * r_error
+        return product_of([parts[0].at(x), parts[1].at(y)])
 
     def along(energy: Array) -> Array:
         """∫joint(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
@@ -189,11 +172,12 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
             sums.append(np.einsum("hkt,hktc->hc", length * w, values))
         return np.concatenate(sums)
 
-    def truncation(lengths: Array, coefficients: Array) -> Array:
-        """L1 norm of the last two terms of p on each panel."""
-        return np.asarray(lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1))
-
-    both = fit(along, nodes, 0.5 * share / nodes.size, estimate=truncation)
+    both = fit(
+        along,
+        nodes,
+        0.5 * share / nodes.size,
+        estimate=lambda lengths, series: lengths * np.abs(series[:, -2:, 0]).sum(axis=1),
+    )
     assert both.error is not None
     local = 2.0 * both.error / np.diff(both.nodes)
 
@@ -214,9 +198,8 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
 def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
     """Return (34) as the Gaussian state that it is, of independent ω Q_i and P_i of variance θ_i.
 
-    With M* = 1: ``cov q = T diag(θ_i/ω_i²) Tᵀ``, ``cov p = M T diag(θ_i) Tᵀ M``, Eqs. (20), (35);
-    displacements and momenta are not correlated. The residual is the largest flux of e^(−H/θ)/θ in
-    the energy process (19) of a mode, up to 40 θ.
+    With M* = 1: ``cov q = T diag(θ_i/ω_i²) Tᵀ``, ``cov p = M T diag(θ_i) Tᵀ M``, Eqs. (20), (35).
+    The residual is the largest flux of e^(−H/θ)/θ in the energy process (19) of a mode.
     """
     theta = modes.temperature
 

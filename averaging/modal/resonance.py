@@ -13,12 +13,10 @@ from fpk.system.damping import gaussian_moment
 from fpk.system.system import System
 
 ORDER = 4
-"""Σ|l_i| up to which resonances are searched. Averages of v_i v_j hold the frequencies
-ω_i ± ω_j, order 2; damping that is quadratic in the state multiplies them to order 4."""
+"""Σ|l_i| up to which resonances are searched: that of v_i v_j times damping quadratic in it."""
 MAX_NEGLECTED = 0.1
 """Largest correlation of two modes, and largest relative swing of an energy, that averaging may
-neglect: p(q_i, p_j) is then off by up to about 2/π of it in L1, p(q_i) by the order of its product
-with bandwidth/detuning."""
+neglect: p(q_i, p_j) is off by 2/π of it in L1, p(q_i) by its product with bandwidth/detuning."""
 MAX_CANDIDATES = 500
 """Largest number of resonances that are examined, those of least detuning."""
 
@@ -26,9 +24,8 @@ MAX_CANDIDATES = 500
 def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
     """Raise ``NotApplicable`` where a resonance forbids to average over the phases of the modes.
 
-    With constant damping only the correlation of two modes that is neglected matters. Damping terms
-    excite resonances of higher order: the part of the energy flow into mode m that goes with the
-    phase Σ l_i φ_i makes H_m swing by twice its amplitude over the detuning.
+    With constant damping the neglected correlation of two modes matters. With damping terms the
+    flow into mode m at the phase Σ l_i φ_i makes H_m swing by twice it over the detuning.
     """
     correlation = correlations(modes)
     i, j = np.unravel_index(np.argmax(correlation), correlation.shape)
@@ -63,12 +60,10 @@ def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
 def correlations(modes: ModalAnalysis) -> Array:
     """Return the largest stationary correlation of each two modes that averaging neglects (n, n).
 
-    Displacements and velocities count. ``S = 2 D_ij − c_ij θ_j − c_ji θ_i`` drives the cross terms
-    of the Lyapunov equation. With Δ = ω_i² − ω_j², w = c_ii ω_j² + c_jj ω_i² and
-    N = Δ² + (c_ii + c_jj) w they are, to first order in S, ``E Q_i V_j = S Δ/N``,
-    ``E Q_i Q_j = S (c_ii + c_jj)/N`` and ``E V_i V_j = S w/N``: of relative order
-    bandwidth/detuning between displacement and velocity, its square otherwise. For equal
-    temperatures with D_ij = θ c_ij (symmetric part) S vanishes and a resonance is harmless.
+    With S = 2 D_ij − c_ij θ_j − c_ji θ_i, Δ = ω_i² − ω_j², w = c_ii ω_j² + c_jj ω_i² and
+    N = Δ² + (c_ii + c_jj) w the cross terms of the Lyapunov equation are, to first order in S,
+    E Q_i V_j = S Δ/N, E Q_i Q_j = S (c_ii + c_jj)/N and E V_i V_j = S w/N. Where damping and noise
+    meet (8) S vanishes and a resonance is harmless.
     """
     c, theta, omega = modes.modal_damping, modes.temperature, modes.natural_frequency
     rate = np.diag(c)
@@ -105,8 +100,8 @@ def resonances(
 ) -> list[tuple[Integers, float]]:
     """Return integers l and detunings |Σ l_i ω_i| <= ``limit``, least first, and the least anyhow.
 
-    Σ|l_i| is one of ``sizes``, at most the even ``order``. Every such l is the difference of two
-    vectors of half that order, whose frequencies are sorted, so that many modes cost little.
+    Σ|l_i| is one of ``sizes``, at most the even ``order``: every such l is the difference of two
+    vectors of half that order with sorted frequencies, so that many modes cost little.
     """
     unit = np.eye(omega.size, dtype=np.int64)
     units = np.vstack([unit, -unit, 0 * unit[:1]])
@@ -132,9 +127,8 @@ def resonances(
 def flow_amplitudes(system: System, modes: ModalAnalysis, integers: Integers) -> Array:
     """Return the real amplitudes (n,) of the flows F_m Q̇_m that go with e^{i Σ l_k φ_k}.
 
-    The modes are taken Gaussian at their balance, ``Q_k = √(2θ_k)/ω_k Re z_k`` and
-    ``Q̇_k = −√(2θ_k) Im z_k`` with E|z_k|² = 1: the amplitude is the projection
-    E[F_m Q̇_m Π z̄_k^l_k]/√(Π |l_k|!), for l_k < 0 with z. With i Q̇ in the place of Q̇ all
+    Of Gaussian modes, ``Q_k = √(2θ_k)/ω_k Re z_k`` and ``Q̇_k = −√(2θ_k) Im z_k`` with E|z_k|² = 1,
+    it is E[F_m Q̇_m Π z̄_k^l_k]/√(Π |l_k|!), for l_k < 0 with z. With i Q̇ in the place of Q̇ all
     second moments are real and Isserlis' theorem holds as it stands; H is taken at its mean.
     """
     n, T, root = modes.n, modes.mode_shapes, np.sqrt(modes.temperature)

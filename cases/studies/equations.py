@@ -24,7 +24,8 @@ from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.solvers import operator
 from fpk.solvers.line.stationary import solve_on_mesh
 from fpk.solvers.operator import null_vectors, solve_by_scikit_fem
-from fpk.solvers.plane.solution import graded, null_function, solve_plane_on_mesh
+from fpk.solvers.plane.elements import null_function
+from fpk.solvers.plane.solution import graded, solve_plane_on_mesh
 from fpk.solvers.plane.weight import flux_free_weight
 from fpk.solvers.probe import probed
 from fpk.system.escape import require_held

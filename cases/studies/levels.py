@@ -151,7 +151,7 @@ def refined_levels(
         unknowns = (
             POINTS[0] * elements if isinstance(solution, ZeroFluxDensity) else solution.unknowns
         )
-        plain = isinstance(solution, PlaneSolution) and solution.weight is None
+        plain = isinstance(solution, PlaneSolution) and solution.weight.plain
         words = f"{setting.settings}, w = 1" if plain else setting.settings
         level = Level(
             settings=words,

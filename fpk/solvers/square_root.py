@@ -34,23 +34,17 @@ MORE = 8
 CANCELLED = 1e3
 """Error in roundings beyond which a transform or P(T <= t) is sought in another way."""
 STEEPEST, NEGLIGIBLE = 1e5, 1e-20
-"""Largest s x_f/c of Chernoff's bound: 1F1 ~ e^(2 √(s x_f/c)) is within double precision; a bound
-below which P(T <= t) is given as 0."""
+"""Largest s x_f/c of Chernoff's bound, 1F1 ~ e^(2 √(s x_f/c)); where it is less P(T <= t) is 0."""
 NEAR = (0.02, 40.0)
-"""Least x_0/x_f and largest x_f − x_0 of starts for which a series that cancels is replaced: from
-farther ones hardly any motion fails so early."""
+"""Least x_0/x_f and largest x_f − x_0 of starts from which some fail while a series cancels."""
 WIDTHS = 40.0
 """Standard deviations above the mean within which a density is integrated: e^(−√2·40) is beyond."""
 MOST_TERMS = 20_000
-"""Terms of a series of 1F1, or of a continued fraction, beyond which it is left to the finite
-elements."""
+"""Terms of a series of 1F1, or of a continued fraction, beyond which it is given up."""
 BESSEL = 50.0
 """Error of scipy's ``ive`` in roundings, and of the power series beside it."""
 FEW = 60.0
-"""x y below which the Bessel function is summed as a power series, of 40 powers: 60^41/41!² is
-1e-26, beside a sum of 1 or more."""
-LARGE = 1e4
-"""Argument of a Bessel function, over the square of its order, beyond which it is asymptotic."""
+"""x y below which 40 powers give the Bessel function: 60^41/41!² is 1e-26."""
 LEAST_SIZE = 4.0
 """Least |a|: about the relaxation rates, small negative a, 1F1 has zeros near the real x."""
 RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14
@@ -79,15 +73,13 @@ class SquareRoot:
     def transient(
         self, start: float, noise: float | None, times: Array, at: Array, *, tol: float
     ) -> Transient:
-        """Return the densities at ``times`` after the energy ``start``, or a stationary state.
+        """Return the densities at ``times`` from the energy ``start`` or from louder ``noise``.
 
-        The latter, under the multiple ``noise`` of the noise, stays a gamma density. From an energy
-        H_0 it is noncentral χ² of 2n degrees: Cox, Ingersoll and Ross, Econometrica 53 (1985) 385.
+        They are half a noncentral χ² of 2n degrees, Econometrica 53 (1985) 385, or gamma ones.
         """
         each = times.tolist()
-        judged = [self.judged(start, noise, t) for t in each]
         values, errors = np.array([self.density(start, noise, t, at) for t in each]).swapaxes(0, 1)
-        error, mass, least = np.max(judged, axis=0).tolist()
+        error, mass, least = np.max([self.judged(start, noise, t) for t in each], axis=0).tolist()
         measured = Measured(error, mass, -least, None, None)
         return Transient(times, values, errors, "numerical", certify(measured, tol=tol))
 
@@ -111,10 +103,7 @@ class SquareRoot:
         return float(w @ error), abs(float(w @ p) - 1.0), -float(p.min() / p.max())
 
     def scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
-        """Return θ_t and the mean that is left of the start: H is half a noncentral χ² of 2n.
-
-        Raises ``InvalidInput`` for an energy on which no noise has acted.
-        """
+        """Return θ_t and what is left of the start, or raise ``InvalidInput`` before any noise."""
         left, theta = exp(-self.c * t), self.d / self.c
         grown = -theta * expm1(-self.c * t)
         if self.modulation is not None:
@@ -128,17 +117,14 @@ class SquareRoot:
     def passage(self, limit: float, start: float, times: Array, *, tol: float) -> Passage:
         """Return the first passage of ``limit`` from a ``start`` below it.
 
-        E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d. Moments are its derivatives at
-        s = 0, power series of positive terms. Raises ``InvalidInput`` and ``NotApplicable`` as
-        ``rate`` and ``failure`` do.
+        E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d; moments are its derivatives at 0.
         """
         require_constant_noise(self.modulation)
         rate, xf = self.rate(limit), limit * self.c / self.d
         starts = np.linspace(0.0, limit, STARTS)
         x, k = np.append(starts, start) * self.c / self.d, np.arange(1.0, series_terms(xf) + 1.0)
-        # Of 1F1(a; n; x_f) the terms x_f^k/(k (n)_k), and 1 − (x/x_f)^k, without a difference of
-        # large numbers. The coefficient of a is A_1 = Σ x^k/(k (n)_k), that of a² is
-        # A_2 = Σ x^k (1 + … + 1/(k−1))/(k (n)_k).
+        # The coefficient of a in 1F1 is A_1 = Σ x^k/(k (n)_k), that of a² is
+        # A_2 = Σ x^k (1 + … + 1/(k−1))/(k (n)_k): A(x_f) − A(x) without a difference of them.
         terms = np.cumprod(xf / (self.n + k - 1.0)) / k
         with np.errstate(divide="ignore"):
             less = -np.expm1(k * np.log(x / xf)[:, None])
@@ -152,28 +138,27 @@ class SquareRoot:
             variance = (a * b - c) * unit * unit / self.c**2
             variance_error = (relative + 2.0 * lost) * (a * b + c) * unit * unit / self.c**2
         mean = first / self.c
-        curves = mean, (relative + lost) * mean, variance, variance_error
-        own = [float(curve[-1]) for curve in curves]
+        curves = np.stack([mean, (relative + lost) * mean, variance, variance_error])
+        own = curves[:, -1].tolist()
         return certified_passage(
             (Number(*own[:2]), Number(*own[2:]), rate),
             times,
             *self.failure(limit, start, times, tol=tol),
             tol=tol,
-            starts=StartCurve(starts, *(curve[:-1] for curve in curves)),
+            starts=StartCurve(starts, *curves[:, :-1]),
         )
 
     def rate(self, limit: float) -> Number:
         """Return the failure rate, c times the least a with 1F1(−a; n; x_f) = 0.
 
-        By Newton's method, which rises to the root of a convex curve. Raises ``InvalidInput`` where
-        the mean time to the limit is beyond double precision.
+        Raises ``InvalidInput`` where the mean time to the limit is beyond double precision.
         """
         xf = limit * self.c / self.d
         if not xf <= FARTHEST:
             raise InvalidInput("limit", limit, BEYOND_RANGE)
         k = np.arange(1.0, series_terms(xf) + 1.0)
         a, relative = 0.0, 4.0 * EPS * (k.size + 2.0)
-        for _ in range(100):
+        for _ in range(100):  # Newton's method rises to the root of a convex curve
             # Terms of 1F1(−a; n; x) − 1 and of its derivative in a, of which the first has a left
             # out: it may be as small as 1e-290.
             factors = k[:-1] - a
@@ -193,15 +178,13 @@ class SquareRoot:
     ) -> tuple[Array, Array]:
         """Return P(T <= t) at ``times`` by inverse transform, and its error.
 
-        At short times the series of 1F1 cancel, which a continued fraction does not. Where times
-        are too short for both it is 0 within Chernoff's bound e^(st) E e^(−sT), of positive terms.
-        Raises ``NotApplicable`` where that exceeds ``tol``.
+        At too short times it is 0 within Chernoff's bound e^(st) E e^(−sT), or ``NotApplicable``
+        where that exceeds ``tol``.
         """
         x0, xf = start * self.c / self.d, limit * self.c / self.d
         p, error = np.zeros((2, times.size))
         if not np.any(times > 0.0):
             return p, error
-        # Chernoff's bound, with positive terms only.
         a = np.geomspace(1.0, STEEPEST / xf, 60)
         ratio, relative = self._transform(a.astype(complex), x0, xf)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -245,7 +228,7 @@ class SquareRoot:
         return ratio, relative
 
     def _lost(self, xf: float) -> float:
-        """Relative error of mean times and rates, which rise by e^(x_f) at most, by c and d."""
+        """Relative error by c and d of mean times and rates, which rise by e^(x_f) at most."""
         return (3.0 + 2.0 * xf) * self.relative_error
 
 
@@ -254,24 +237,22 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
 
     As a density of x it is that of half a noncentral χ² of 2n degrees, noncentrality 2y.
     """
-    few = x * y < FEW
+    few, root, other = x * y < FEW, np.sqrt(x), sqrt(y)
     # Σ (x y)^k/(k! (n)_k), of positive terms.
-    k = np.arange(1.0, 41.0)
-    steps = np.where(few, x * y, 0.0)[..., None] / (k * (n + k - 1.0))
-    series = 1.0 + np.cumprod(steps, axis=-1).sum(axis=-1)
-    # e^(−z) I_(n−1)(z): scipy's has no value at very large z, where Abramowitz and Stegun (9.7.1)
-    # has a next term below 1/LARGE^4.
-    z, mu = 2.0 * np.sqrt(x) * np.sqrt(y), 4.0 * (n - 1) ** 2
-    large = z > LARGE * n**2
-    near, w = ive(n - 1, np.where(large, 1.0, z)), np.where(large, 8.0 * z, 1.0)
-    tail = 1.0 - (mu - 1.0) / w * (1.0 - (mu - 9.0) / (2.0 * w) * (1.0 - (mu - 25.0) / (3.0 * w)))
-    far = np.log(np.where(large, tail, 1.0)) - 0.5 * np.log(np.where(large, 2.0 * pi * z, 1.0))
+    powers, series = x[few] * y, np.ones(np.count_nonzero(few))
+    for k in range(40, 0, -1):
+        series = 1.0 + series * powers / (k * (n + k - 1.0))
+    z, mu = 2.0 * root * other, 4.0 * (n - 1) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
-        by_series = xlogy(n - 1, x) - x - y + np.log(series) - gammaln(n)
-        root, other = np.sqrt(x), np.sqrt(y)
-        ratio = 0.0 if n == 1 else (n - 1) * np.log(root / other)
-        by_bessel = np.where(large, far, np.log(near)) + ratio - (root - other) ** 2
-    value = np.where(few, by_series, by_bessel)
+        # ln of e^(−z) I_(n−1)(z), which scipy does not give at very large z: there by Abramowitz
+        # and Stegun (9.7.1), whose next term is below round-off.
+        value, w = np.log(ive(n - 1, z)), 8.0 * z
+        tail = 1.0 - (mu - 9.0) / (2.0 * w) * (1.0 - (mu - 25.0) / (3.0 * w))
+        far = np.log1p(-(mu - 1.0) / w * tail) - 0.5 * np.log(2.0 * pi * z)
+        value = np.where(np.isnan(value), far, value)
+        value += (n - 1) * np.log(root / other) if n > 1 else 0.0
+    value -= (root - other) ** 2
+    value[few] = xlogy(n - 1, x[few]) - x[few] - y + np.log(series) - gammaln(n)
     # Of an exponent, relative errors of its parts are errors of ln p.
     parts = np.where(few, x + y, np.abs(root - other) * (root + other))
     steep = np.where(x > 0.0, (n - 1) * np.abs(np.log(np.maximum(x, SMALLEST))), 0.0)
@@ -279,10 +260,7 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
 
 
 def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
-    """Return 1F1(a; n; x) at complex ``a`` (points,), x >= 0, by its series, and its error.
-
-    The error is infinite where ``MOST_TERMS`` are too few or overflow.
-    """
+    """Return 1F1(a; n; x >= 0) at ``a`` (points,), and its error, inf beyond ``MOST_TERMS``."""
     term, total = np.ones_like(a), np.ones_like(a)
     size = np.ones(a.size)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -300,9 +278,8 @@ def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
 def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Complexes, Array]:
     """Return ln 1F1(a; n; low)/1F1(a; n; high), 0 < low < high, and its error, at ``a`` (points,).
 
-    It is −∫ 1F1'/1F1 dx, in which nothing cancels however large a is, away from the negative axis.
-    The slope is Gauss's continued fraction, DLMF (13.5.1). The error is infinite for |a| below
-    ``LEAST_SIZE``, and where that would need more than ``MOST_TERMS`` terms.
+    It is −∫ 1F1'/1F1 dx by Gauss's continued fraction, DLMF (13.5.1), in which nothing cancels away
+    from the negative axis. The error is infinite below ``LEAST_SIZE`` and beyond ``MOST_TERMS``.
     """
     nodes = [low]
     while nodes[-1] < high:  # zeros of 1F1 are of angles beyond a radian, or an imaginary part of π
@@ -322,5 +299,5 @@ def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Com
 
 
 def series_terms(x: float) -> int:
-    """Terms of a power series like that of e^x, up to round-off."""
+    """Return the number of terms of a power series like e^x, up to round-off."""
     return int(x + 12.0 * sqrt(x)) + 60

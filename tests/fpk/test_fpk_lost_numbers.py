@@ -14,7 +14,7 @@ from fpk.solvers.line.time import resolvent
 from fpk.solvers.line.time.elements import degree_for, meshed
 from fpk.solvers.line.time.transition import Source
 from fpk.solvers.plane.solution import graded
-from fpk.solvers.plane.time import exponential, passage
+from fpk.solvers.plane.time import passage, transient
 from fpk.solvers.plane.time.operator import PlaneOperator, PlaneStart
 
 TIMES = np.array([1.0, 100.0])
@@ -47,15 +47,15 @@ def test_of_krylov_spaces(monkeypatch, k):
     made = []
     residual = nan_at(k)
     monkeypatch.setattr(
-        exponential, "relative_residual", lambda *_: made.append(residual()) or made[-1]
+        transient, "relative_residual", lambda *_: made.append(residual()) or made[-1]
     )
-    answer = exponential.evolved(A, M, dual, TIMES, tol=1e-6)
+    answer = transient.evolved(A, M, dual, TIMES, tol=1e-6)
     assert len(made) > 4 and np.isnan(answer.residual)
 
 
 def test_of_a_reliability(monkeypatch):
     def without(*asked, **how):
-        return exponential.evolved(*asked, **how)._replace(residual=np.nan)
+        return transient.evolved(*asked, **how)._replace(residual=np.nan)
 
     monkeypatch.setattr(passage, "evolved", without)
     answer = passage.first_passage(

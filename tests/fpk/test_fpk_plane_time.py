@@ -13,10 +13,9 @@ from fpk.numeric.errors import InvalidInput
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.plane.solution import graded
 from fpk.solvers.plane.stationary import solve_plane
-from fpk.solvers.plane.time.exponential import evolved
 from fpk.solvers.plane.time.operator import PlaneOperator, PlaneStart
 from fpk.solvers.plane.time.passage import PlaneLimit, _hopeless, first_passage, relaxation_rates
-from fpk.solvers.plane.time.transient import transient_densities
+from fpk.solvers.plane.time.transient import evolved, transient_densities
 
 
 def density(process):

@@ -8,7 +8,7 @@ coordinates x = V z have E e^(i s·x) = Π exp(−½ θ_t s·C s) Λ_n(a √(s·
 independent energies, Λ_n(z) = Γ(n) (2/z)^(n−1) J_(n−1)(z). For n = 1 that is J0 of a uniform phase.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from math import pi, prod
@@ -18,7 +18,7 @@ from scipy.special import hyp0f1, j0
 
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.characteristic import fourier_sum
+from averaging.modal.characteristic import fourier_sum, product_of
 from averaging.time.start import limited_modes, observed_modes
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Rates, certified_rates
@@ -38,35 +38,29 @@ DECAY_PANELS, DECAY_POINTS = 80, (14, 18)
 EARLY, SETTLED = 1e-13, 60.0
 """The first and the last of these times, in units of the mean time of rare failures."""
 REACH = 9.0
-"""Standard deviations, of the coordinates and of the waves, beyond which a Gaussian, e^(−40) of its
-maximum, is less than round-off."""
+"""Standard deviations, of coordinates and waves, beyond which a Gaussian is below round-off."""
 MOST_WAVES = {1: 400_000, 2: 1_000_000}
 """Largest number of waves, by the number of coordinates: seconds for each time."""
 DensityOf = Callable[[Array], tuple[Array, Array]]
 Passing = tuple[SquareRoot, float, float]
 """The process of an energy, its limit, and where it begins."""
 Orbit = tuple[SquareRoot, float, Array]
-"""One of the independent energies whose orbits add up to the coordinates: its process, where it
-begins, and the covariance C (count, count) of its share of the coordinates in the stationary state
-of temperature 1."""
+"""An independent energy, where it begins, and the covariance C (count, count) of its share of the
+coordinates in the stationary state of temperature 1."""
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
-    """Return products of the densities of modal energies, or the convolution of two of them.
-
-    Of displacements and momenta, what follows from them with independent uniform phases, (35).
-    ``asked`` is settled by ``settled_energies``.
-    """
+    """Return the densities of one or two modal energies, of the sum of two, or of (q, p), (35)."""
     observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
     modulation = asked.system.modulation
     if {c.kind for c in observable} <= {"q", "p"}:
         # The shares of the modes in displacements and momenta: (q, p) = S (ω Q, P).
-        shapes = modes.state_shapes[state_rows(observable, modes.n)]
-        orbits = []
-        for m, H in enumerate(start.energies.tolist()):
-            S = shapes[:, [m, m + modes.n]]
-            orbits.append((_mode(modes, m, modulation), H, S @ S.T))
-        return orbit_transient(orbits, asked)
+        S = modes.state_shapes[state_rows(observable, modes.n)].reshape(len(observable), 2, modes.n)
+        shares = np.einsum("ixm,jxm->mij", S, S)
+        orbits = zip(start.energies.tolist(), shares, strict=True)
+        return orbit_transient(
+            [(_mode(modes, m, modulation), *of) for m, of in enumerate(orbits)], asked
+        )
     checked_times(times, positive=start.noise is None)
     rows = observed_modes(observable)
     parts = [
@@ -121,7 +115,7 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
     """Return the ``count`` slowest rates but 0: sums of multiples of c*_ii."""
     rates = np.zeros(1)
     for m in range(modes.n):
-        multiples = np.append(0.0, _mode(modes, m).rates(count, tol=1.0).values.real)
+        multiples = _mode(modes, m).c * np.arange(count + 1.0)
         rates = np.sort(np.add.outer(rates, multiples).ravel())[: count + 1]
     errors = (modes.relative_error + 4.0 * EPS) * rates[1:]
     return certified_rates(rates[1:], errors, tol=tol)
@@ -137,10 +131,7 @@ def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) ->
 
 
 def _alike(modes: ModalAnalysis, modulation: Modulation | None = None) -> SquareRoot | None:
-    """The sum of modes of equal decay and temperature, with what they differ by as an error.
-
-    That is up to 1e-12 of these, beyond their round-off.
-    """
+    """The sum of modes of equal decay and temperature but for 1e-12, which counts as an error."""
     one, c, d = _mode(modes, 0, modulation), np.diag(modes.modal_damping), modes.noise
     unlike = float(max(np.ptp(c) / c[0], np.ptp(d) / d[0]))
     if unlike > 1e-12 + 4.0 * modes.relative_error:
@@ -149,7 +140,7 @@ def _alike(modes: ModalAnalysis, modulation: Modulation | None = None) -> Square
 
 
 def _convolved(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Array]:
-    """∫p_1(x) p_2(H − x) dx, and its error, panels graded to both ends."""
+    """∫p_1(x) p_2(H − x) dx, and its error, by panels graded to both ends."""
     H = np.maximum(energy, 0.0)[:, None]
     nodes = np.sin(np.linspace(0.0, 0.5 * np.pi, SUM_PANELS + 1)) ** 2
     totals = []
@@ -161,14 +152,6 @@ def _convolved(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Array]
     return fine, own + np.abs(fine - coarse)
 
 
-def product_of(factors: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Return the product of numbers with errors, and its error."""
-    value, error = np.ones(1), np.zeros(1)
-    for x, e in factors:
-        value, error = value * x, error * (np.abs(x) + e) + np.abs(value) * e
-    return value, error
-
-
 def _surviving(parts: Sequence[Passing], times: Array, tol: float) -> tuple[Array, Array]:
     """P(T > t) of the first of independent passages, and its error."""
     failures = (mode.failure(a, H, times, tol=tol) for mode, a, H in parts)
@@ -178,8 +161,7 @@ def _surviving(parts: Sequence[Passing], times: Array, tol: float) -> tuple[Arra
 def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number, Number]:
     """Mean and variance of the least of independent times: ∫S dt and ∫2t S dt, S the product.
 
-    Before the first time S lies between its value then and 1; after the last it is a multiple of
-    e^(−rate t).
+    Before the first time S lies between its value and 1; after the last S ~ e^(−rate t).
     """
     ends = np.array([EARLY, SETTLED]) / rate
     nodes = np.log(np.geomspace(ends[0], ends[1], DECAY_PANELS + 1))
@@ -203,33 +185,31 @@ def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number
 def orbit_transient(parts: Sequence[Orbit], asked: Asked) -> Transient:
     """Return the densities at times > 0 of one or two coordinates, the sum of ``parts``.
 
-    From the start of each part, or the stationary state under the noise of the start. Raises
-    ``NotApplicable`` where an orbit is too thin for ``MOST_WAVES``.
+    Raises ``NotApplicable`` where an orbit is too thin for ``MOST_WAVES``.
     """
     noise, times, at = asked.start.noise, asked.times, asked.at
     checked_times(times, positive=noise is None)
-    values, errors = np.empty((2, times.size, at[0].size))
-    largest, least = 0.0, 0.0
-    for k, t in enumerate(times.tolist()):
-        values[k], errors[k], height = _density(parts, noise, t, at)
-        largest = max(largest, float(errors[k].max(initial=0.0)) / height)
-        least = min(least, float(values[k].min(initial=0.0)) / height)
+    each = [_density(parts, noise, t, at) for t in times.tolist()]
+    values = np.array([p for p, _, _ in each]).reshape(times.size, -1)
+    errors = np.zeros(values.shape) + np.array([floor for _, floor, _ in each])[:, None]
     # Of waves on a box the mean is 1 exactly: the mass is that of the box, but for what is beyond.
-    tail = 2.0 * len(at) * EPS
+    tail, largest = 2.0 * len(at) * EPS, max((floor / top for _, floor, top in each), default=0.0)
+    least = min((float(p.min(initial=0.0)) / top for p, _, top in each), default=0.0)
     measured = Measured(largest + tail, tail, least, None, tail, absolute_error=largest)
-    return Transient(
-        times, values, errors + SMALLEST, "numerical", certify(measured, tol=asked.tol),
+    settings, certificate = (
         {"equation": "characteristic function"},
-    )  # fmt: skip
+        certify(measured, tol=asked.tol),
+    )
+    return Transient(times, values, errors + SMALLEST, "numerical", certificate, settings)
 
 
 def _density(
     parts: Sequence[Orbit], noise: float | None, t: float, at: tuple[Array, ...]
-) -> tuple[Array, Array, float]:
+) -> tuple[Array, float, float]:
     """p at the points, its error, and the height of the Gaussian of the same covariance.
 
-    In coordinates y whose Gaussian part is standard normal, as a Fourier series on a box: from its
-    copies, and from waves beyond ``REACH``, comes less than round-off each.
+    As a Fourier series on a box of coordinates whose Gaussian part is standard normal: copies of it
+    and waves beyond ``REACH`` are below round-off.
     """
     count = len(at)
     scales = [process.scales(start, noise, t) for process, start, _ in parts]
@@ -272,11 +252,10 @@ def _density(
     model = 4.0 * relative * gauss * (1.0 + square + (1.0 + elapsed) * argued)
     condition = float(np.linalg.cond(factor)) ** 2
     floor = float(np.sum(EPS * condition * rounded + model)) + 4.0 * count * EPS
-    pad = 0, 2 - count
-    phases = np.pad(pi * whitened / box[:, None], pad)
+    phases = np.pad(pi * whitened / box[:, None], (0, 2 - count))
     chunks = np.array_split(np.array(at), 1 + at[0].size * sum(wave.shape) // CHUNK, axis=1)
     p = np.concatenate([fourier_sum(phases, wave[None], *chunk)[0] for chunk in chunks])
     jacobian = abs(float(np.linalg.det(whitened)))
     total = np.eye(count) + sum(orbit / (2.0 * n) for n, orbit in orbits)
     height = (2.0 * pi) ** (-0.5 * count) * jacobian / np.sqrt(float(np.linalg.det(total)))
-    return p * jacobian, np.full(p.shape, floor * jacobian), height
+    return p * jacobian, floor * jacobian, height

@@ -14,9 +14,12 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from fpk.numeric.arrays import SMALLEST, Array, Integers
 from fpk.numeric.errors import NotCertified
-from fpk.numeric.quadrature import gauss_legendre
+from fpk.numeric.piecewise import PiecewiseTensor, projection
+from fpk.numeric.quadrature import gauss_grid, gauss_legendre
 from fpk.solvers.plane.weight import Weight
 from fpk.system.process import Process
+
+Nodes = tuple[Array, Array]
 
 
 @lru_cache
@@ -33,11 +36,11 @@ def axis_numbers(elements: int, degree: int) -> Integers:
     return np.hstack([vertex, bubbles])
 
 
-def local_numbers(counts: tuple[int, int], degree: int) -> Integers:
+def local_numbers(nodes: Nodes, degree: int) -> Integers:
     """Return the global numbers (elements, m) of each element's functions, in ``local_order``."""
-    first, second = (axis_numbers(count, degree) for count in counts)
-    flat = first[:, None, :, None] * (counts[1] * degree + 1) + second[None, :, None, :]
-    return flat.reshape(counts[0] * counts[1], -1)[:, local_order(degree)]
+    first, second = (axis_numbers(x.size - 1, degree) for x in nodes)
+    flat = first[:, None, :, None] * (len(second) * degree + 1) + second[None, :, None, :]
+    return flat.reshape(len(first) * len(second), -1)[:, local_order(degree)]
 
 
 def assembled(matrices: Array, numbers: Integers) -> csc_array:
@@ -52,17 +55,12 @@ def factorised(
 ) -> SuperLU:
     """Return the LU factors in a symmetric ordering, with pivots on the diagonal.
 
-    The matrices are of the form ∫ w (...): with w over many orders of magnitude such an elimination
-    does not depend on how rows and columns are scaled. The residual of every solution is measured.
-    Raises ``NotCertified`` with the words of ``refusal`` where the matrix is singular.
+    So the scales of rows and columns do not matter, with w over many orders of magnitude. Raises
+    ``NotCertified`` with the words of ``refusal`` where the matrix is singular.
     """
+    symmetric = {"SymmetricMode": True}
     try:
-        return splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        return splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
     except RuntimeError:  # what SuperLU raises for a singular matrix
         raise NotCertified(refusal) from None
 
@@ -71,8 +69,7 @@ def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
     """Return the null vector of a matrix whose columns add up to 0, and its relative residual.
 
     The vertex functions sum to one: the equation of one of the ``vertices`` is redundant, and its
-    value is held at 1; at the vertex of the largest value, as a small one costs its digits. The
-    residual is relative to the terms that cancel.
+    value is held at 1, at the vertex of the largest value, as a small one costs its digits.
     """
     held, starts, rows = int(vertices[0]), matrix.indptr, matrix.indices
     for _ in range(2):
@@ -93,32 +90,35 @@ def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
     return y, float(np.max(np.abs(matrix @ y)) / np.max(abs(matrix) @ np.abs(y)))
 
 
-def condensed_null_vector(
-    matrices: Array, counts: tuple[int, int], degree: int
-) -> tuple[Array, float]:
-    """Return the coefficients (elements, m) of the null vector of the assembled ``matrices``.
-
-    The matrices come in ``local_order``, the coefficients in that of their products. The unknowns
-    inside every element are eliminated first.
-    """
-    order, n = local_order(degree), 4 * degree
+def null_function(
+    process: Process, nodes: Nodes, degree: int, points: int, weight: Weight
+) -> tuple[PiecewiseTensor, float]:
+    """Return u of a stationary density p = w u by Gauss ``points`` an axis, and its residual."""
+    (x, y), _ = gauss_grid(nodes, points=points)
+    matrices = element_matrices(flux_coefficients(process, x, y, weight)[1:], nodes, degree)
+    # The unknowns inside every element are eliminated first.
+    order, n, k = local_order(degree), 4 * degree, degree + 1
     fold = -np.linalg.solve(matrices[:, n:, n:], matrices[:, n:, :n])
-    _, numbers = np.unique(local_numbers(counts, degree)[:, :n], return_inverse=True)
+    _, numbers = np.unique(local_numbers(nodes, degree)[:, :n], return_inverse=True)
     numbers = numbers.reshape(-1, n)
     vertices = np.unique(numbers[:, [0, 1, degree + 1, degree + 2]])
     outer = assembled(matrices[:, :n, :n] + matrices[:, :n, n:] @ fold, numbers)
     y, residual = null_vector(outer, vertices)
-    coefficients = np.empty((len(matrices), order.size))
-    coefficients[:, order[:n]] = own = y[numbers]
-    coefficients[:, order[n:]] = (fold @ own[:, :, None])[:, :, 0]
-    return coefficients, residual
+    null = np.empty((len(matrices), k * k))
+    null[:, order[:n]] = own = y[numbers]
+    null[:, order[n:]] = (fold @ own[:, :, None])[:, :, 0]
+    # Shape functions as Legendre series.
+    values, _ = shape_functions(degree, 0.5 * (1.0 + gauss_legendre(points)[0]))
+    series = values @ projection(points - 1)[:k].T
+    u = (series.T @ null.reshape(-1, k, k) @ series).reshape(nodes[0].size - 1, -1, k, k)
+    return PiecewiseTensor(nodes, u), residual
 
 
 def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
     """Return the hierarchical shape functions and derivatives (degree + 1, points) at t in [0, 1].
 
-    The first two belong to the left and right vertex, the others vanish there: integrals of
-    Legendre polynomials, (P_j − P_(j−2))/√(4j − 2), of the scale of scikit-fem's.
+    The first two belong to the left and right vertex; the others, (P_j − P_(j−2))/√(4j − 2) of
+    Legendre polynomials, as scikit-fem's, vanish there.
     """
     P = legvander(2.0 * t - 1.0, degree).T
     j = np.arange(2.0, degree + 1.0)[:, None]
@@ -129,10 +129,7 @@ def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
 
 
 def by_element(values: Array, counts: tuple[int, int]) -> Array:
-    """Return values (…, points along H1, along H2) element by element (…, elements, q, q).
-
-    The elements, ``counts`` along each axis, run along H2 fastest.
-    """
+    """Return values (…, along H1, along H2) by element (…, elements, q, q), along H2 fastest."""
     *more, first, second = values.shape
     blocks = values.reshape(*more, counts[0], first // counts[0], counts[1], second // counts[1])
     blocks = np.moveaxis(blocks, -3, -2)
@@ -140,13 +137,12 @@ def by_element(values: Array, counts: tuple[int, int]) -> Array:
 
 
 def flux_coefficients(
-    process: Process, H1: Array, H2: Array, weight: Weight | None, *, balanced: bool = False
+    process: Process, H1: Array, H2: Array, weight: Weight, *, balanced: bool = False
 ) -> Array:
     """Return w, w a_1, w a_2, w b_11, w b_12, w b_22 (6, ...) at energies that broadcast together.
 
-    With p = w u the flux is ``J_i = w (a_i u − ½ b_ij ∂_j u)``, a = s − ½ ∇·b + ½ b ∇ ln w; w = 1
-    without a ``weight``. Of a ``balanced`` one, without its floor the stationary density where no
-    probability flows, s − ½ ∇·b is ½ b ∇Φ: what is left of a is of the size of the floor.
+    With p = w u the flux is ``J_i = w (a_i u − ½ b_ij ∂_j u)``, a = s − ½ ∇·b + ½ b ∇ ln w. Of a
+    ``balanced`` weight, but for its floor the density without flux, s − ½ ∇·b is ½ b ∇Φ.
     """
     shape = np.broadcast_shapes(H1.shape, H2.shape)
     points = np.empty((*shape, 2))
@@ -156,16 +152,14 @@ def flux_coefficients(
     out[3], out[4], out[5] = b[..., 0, 0], b[..., 0, 1], b[..., 1, 1]
     if not balanced:
         out[1:3] = (c.drift - 0.5 * c.divergence).T.reshape(2, *shape)
-    out[0] = 1.0
-    if weight is not None:
-        out[0] = weight(H1, H2)
-        # Without a floor w may underflow: floor/w is then 0/SMALLEST = 0, and w a = 0.
-        floor = weight.floor / np.maximum(out[0], SMALLEST)
-        share = -0.5 * floor if balanced else 0.5 - 0.5 * floor
-        first, second = (share * slope for slope in weight.slopes(H1, H2))
-        out[1] += out[3] * first + out[4] * second
-        out[2] += out[4] * first + out[5] * second
-        out[1:] *= out[0]
+    out[0] = weight(H1, H2)
+    # Without a floor w may underflow: floor/w is then 0/SMALLEST = 0, and w a = 0.
+    floor = weight.floor / np.maximum(out[0], SMALLEST)
+    share = -0.5 * floor if balanced else 0.5 - 0.5 * floor
+    first, second = (share * slope for slope in weight.slopes(H1, H2))
+    out[1] += out[3] * first + out[4] * second
+    out[2] += out[4] * first + out[5] * second
+    out[1:] *= out[0]
     return out
 
 
@@ -173,9 +167,8 @@ def flux_coefficients(
 def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array, Integers]:
     """Weighted products of test and trial functions at Gauss points, (points, (degree+1)²) each.
 
-    Order: value·value, slope·value, value·slope, slope·slope (test first), on the unit interval.
-    Then the positions of the entries of an element matrix in ``local_order``, where rows are pairs
-    (i, j) of test and trial functions along H1, columns those along H2.
+    value·value, slope·value, value·slope, slope·slope, test first, on the unit interval; then the
+    places of a matrix in ``local_order`` among rows (i, j) along H1 and columns along H2.
     """
     t, w = gauss_legendre(points)
     phi, dphi = shape_functions(degree, 0.5 * (1.0 + t))
@@ -196,10 +189,9 @@ def _lengths(nodes: tuple[Array, Array]) -> tuple[tuple[int, int], Array, Array]
 
 
 def element_matrices(coefficients: Array, nodes: tuple[Array, Array], degree: int) -> Array:
-    """Return the element matrices (elements, m, m), m = (degree+1)², test functions first.
+    """Return the element matrices (elements, m, m), test functions first, in ``local_order``.
 
-    ``coefficients`` (5, along H1, along H2) are w a and w b of ``flux_coefficients`` on the grid of
-    the Gauss points. The local number of φ_i ψ_k is i(degree+1)+k; they come in ``local_order``.
+    ``coefficients`` (5, along H1, along H2) are w a and w b on the grid of the Gauss points.
     """
     counts, h1, h2 = _lengths(nodes)
     a1, a2, b11, b12, b22 = by_element(coefficients, counts)
@@ -222,10 +214,7 @@ def element_matrices(coefficients: Array, nodes: tuple[Array, Array], degree: in
 
 
 def mass_matrices(weights: Array, nodes: tuple[Array, Array], degree: int) -> Array:
-    """Return ∫ w φ_i φ_j of each element (elements, m, m), in ``local_order``.
-
-    ``weights`` (along H1, along H2) is w on the grid of the Gauss points.
-    """
+    """Return ∫ w φ_i φ_j (elements, m, m), in ``local_order``, of w at Gauss points."""
     counts, h1, h2 = _lengths(nodes)
     w, m = by_element(weights, counts), (degree + 1) ** 2
     vv, *_, places = _products(degree, w.shape[-1])

@@ -3,9 +3,7 @@
 One discretisation on a ladder of rungs: p = w u, w a weight near p, u of high degree on a few
 panels. In the norm that the weak form weights by w ≈ p an error ε of u is one of ε √p of p, so that
 p stays positive far below the tolerance. Where that does not get to the tolerance, w = 1 on more
-elements: the smaller the smallest p that must be right, the more of them. Any w gives the same p,
-so that neither rests on a guess. Under detailed balance, where no probability flows, the weight is
-the density: p = w/∫w.
+elements. Under detailed balance, where no probability flows, the weight is the density: p = w/∫w.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,19 +15,11 @@ import numpy as np
 from fpk.answer.certificate import Measured, certify, outside
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.numeric.piecewise import PiecewiseTensor
-from fpk.solvers.plane.solution import (
-    ENRICHMENT,
-    ROUND_OFF,
-    PlaneSolution,
-    gauss_grid,
-    graded,
-    null_function,
-    solve_plane_on_mesh,
-    tails,
-    weighted,
-)
+from fpk.numeric.quadrature import gauss_grid, integral
+from fpk.solvers.line.elements import ENRICHMENT
+from fpk.solvers.plane.elements import null_function
+from fpk.solvers.plane.solution import ROUND_OFF, PlaneSolution, graded, solve_plane_on_mesh, tails
 from fpk.solvers.plane.weight import (
-    BEYOND,
     NATS,
     RISE,
     RISE_PER_DEGREE,
@@ -38,20 +28,18 @@ from fpk.solvers.plane.weight import (
     fitted_weight,
     flux_free_weight,
     last,
+    reach,
 )
 from fpk.system.ends import require_confined
 from fpk.system.process import Process
 
 RUNGS = ((2, 6), (2, 10), *((4, p) for p in range(8, 19)), *((n, 18) for n in range(5, 9)))
-"""Panels along each axis and degree of the attempts. Those on two panels cost little, and give the
-weight; of higher degree over so long panels the equations lose digits to round-off. From four on
-the degree is raised first: a digit costs less so."""
+"""Panels along each axis and degree of the attempts: on two long panels higher degrees lose digits
+to round-off; from four on a digit costs less by the degree."""
 DIGITS = 0.6
-"""Digits of the error that a rung of the ladder gains: 0.4 to 0.85, measured for circulating van
-der Pol damping and mixtures of exponentials."""
+"""Digits of the error that a rung of the ladder gains: 0.4 to 0.85 were measured."""
 COARSE = 1e-4
-"""Error above which a better weight is tried on the same rung, or five rungs on, first: it gains
-more."""
+"""Error above which a better weight is tried first, on the same rung or five rungs on."""
 KNOWN = 0.1
 """Relative error of p up to which ln p is fitted."""
 SAMPLES = 32
@@ -63,18 +51,27 @@ MAX_ENTRIES = 2e7
 def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     """Return the stationary density of two energies to the L1 tolerance ``tol``.
 
-    No boundary condition is imposed: at H_i = 0 the diffusion across vanishes, and zero flux is
-    natural there and far out. If no attempt is certified, the one of the least error estimate is
-    returned, not certified.
-
-    Raises ``NotCertified`` where the density does not fall off, ``InvalidInput`` for a process
-    that has not two energies.
+    Zero flux is natural far out and at H_i = 0, where the diffusion across vanishes. If no attempt
+    is certified, that of the least error estimate is returned. Raises ``NotCertified`` where the
+    density does not fall off, ``InvalidInput`` for a process that has not two energies.
     """
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
     require_confined(process)
+    weight = flux_free_weight(process)
+
+    def attempts() -> Iterator[PlaneSolution]:
+        """Each made after the one before was not certified."""
+        balanced = detailed_balance(process, weight, tol=tol)
+        yield from () if balanced is None else (balanced,)
+        try:
+            yield from solve_with_weight(process, weight, tol=tol)
+            yield solve_by_elements(process, weight, tol=tol)
+        except NotCertified:
+            return
+
     best: PlaneSolution | None = None
-    for solution in _attempts(process, flux_free_weight(process), tol):
+    for solution in attempts():
         if solution.certificate.certified:
             return solution
         if best is None or not best.l1_error <= solution.l1_error:
@@ -84,85 +81,70 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     return best
 
 
-def _attempts(process: Process, weight: Weight, tol: float) -> Iterator[PlaneSolution]:
-    """Solutions, each made after the one before was not certified."""
-    balanced = detailed_balance(process, weight, tol=tol)
-    if balanced is not None:
-        yield balanced
-    try:
-        yield from solve_with_weight(process, weight, tol=tol)
-        yield solve_by_elements(process, weight, tol=tol)
-    except NotCertified:
-        return
-
-
 def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSolution | None:
     """Return p = w/∫w if the flux of w vanishes, as far as the error ``tol`` is concerned.
 
-    Zero flux is ``∇ ln p = b⁻¹ (2s − ∇·b)``; the integral along each axis of what −∇ ln w misses of
-    it bounds how far ln p is off. There p does not count: behind a barrier a small difference in
-    its slope moves mass from one side to the other. Returned is None where the bound is more than
-    half the tolerance, or where w varies too fast for 24 panels along each axis, 3e5 points.
+    The integral along each axis of what −∇ ln w misses of b⁻¹ (2s − ∇·b) bounds how far ln p is
+    off, whatever p is there: behind a barrier a small slope moves mass from side to side. None
+    where that is more than half the tolerance, or w varies too fast for 24 panels along each axis.
     """
     weight = replace(weight, floor=0.0)
     try:
-        ends = weight.ends(max(NATS, -float(np.log(BEYOND * tol))))
+        ends = weight.ends(max(NATS, reach(tol)))
     except NotCertified:
         return None
-    points = 22  # of Gauss on each panel: e^(−32 t) is integrated to 4e-14
     for panels in (2, 4, 8, 16, 24):
-        (x, y), (v, area) = gauss_grid(graded(ends, panels), points)
-        w = weight(x[:, None], y)
-        mass = float(v @ w @ area)
-        (fewer_x, fewer_y), fewer = gauss_grid(graded(ends, panels), points - 2)
-        p = weight(fewer_x[:, None], fewer_y) / mass
-        mass_defect = abs(float(fewer[0] @ p @ fewer[1]) - 1.0)
+        H, grids = gauss_grid(graded(ends, panels), points=22)  # e^(−32 t) to 4e-14
+        w = weight(*H)
+        mass = integral(w, grids)
+        fewer_H, fewer = gauss_grid(graded(ends, panels), points=20)
+        p = weight(*fewer_H) / mass
+        mass_defect = abs(integral(p, fewer) - 1.0)
         if mass_defect <= 1e-12:  # what is left of it is in the stated error
             break
     else:
         return None
-    at = np.stack(np.broadcast_arrays(x[:, None], y), axis=-1)
+    at = np.stack(np.broadcast_arrays(*H), axis=-1)
     c = process.coefficients(at.reshape(-1, 2))
-    slope = np.stack(weight.slopes(x[:, None], y), axis=-1).reshape(-1, 2)
+    slope = np.stack(weight.slopes(*H), axis=-1).reshape(-1, 2)
     flow = 2.0 * c.drift - c.divergence
     flux = np.einsum("nij,nj->ni", c.diffusion, slope) + flow
     missed = np.abs(divided_by_diffusion(flux, c.diffusion)).reshape(at.shape)
     missed[w < np.exp(-NATS) * w.max()] = 0.0
     # Twice, as p is normalised: a factor in one place is a factor everywhere else.
-    wrong = 2.0 * float(missed[..., 0].max(axis=1) @ v + missed[..., 1].max(axis=0) @ area)
+    along = zip((missed[..., 0].max(axis=1), missed[..., 1].max(axis=0)), grids, strict=True)
+    wrong = 2.0 * float(sum(most @ v for most, (_, v) in along))
     if not wrong <= 0.5 * tol:
         return None
     # Four parts of each panel: over a rise of 8 twelve Gauss points give e^(−8 t) to 3e-16, for
     # all that integrates p over its panels.
     nodes = graded(ends, 4 * panels)
     u = PiecewiseTensor(nodes, np.full((4 * panels,) * 2 + (1, 1), 1.0 / mass))
-    tail = float(tails(w / mass, (x, y), (v, area), points)[0].sum())
-    sizes = p * weight.terms(fewer_x[:, None], fewer_y)
-    rounding = ROUND_OFF * float(fewer[0] @ sizes @ fewer[1])
-    terms = np.abs(flow) * w.reshape(-1, 1)
+    beyond, _ = tails(w / mass, grids, 22)
+    tail = float(beyond.sum())
     measured = Measured(
-        l1_error=wrong + 2.0 * tail + mass_defect + rounding,
+        l1_error=wrong
+        + 2.0 * tail
+        + mass_defect
+        + ROUND_OFF * integral(p * weight.terms(*fewer_H), fewer),
         mass_defect=mass_defect,
         minimum=float(w.min() / w.max()),
-        residual=float(np.max(np.abs(flux) * w.reshape(-1, 1)) / terms.max()),
+        residual=float(np.max(np.abs(flux).T * w.ravel()) / np.max(np.abs(flow).T * w.ravel())),
         tail_mass=tail,
     )
     relative, certificate = wrong + tail + mass_defect, certify(measured, tol=tol)
-    return PlaneSolution(process, u, u, weight, relative, measured, certificate)
+    return PlaneSolution(process, u, u, weight, beyond, relative, measured, certificate)
 
 
 def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterator[PlaneSolution]:
-    """Yield solutions on more and more unknowns, each with a better weight.
-
-    Ends where the weight does not fall off, the error no longer falls, or after the last rung.
-    """
+    """Yield solutions on more unknowns and with better weights, while these lower the error."""
     rung, least, stalled, best = 0, np.inf, 0, weight
-    rise = -float(np.log(BEYOND * tol))
-    reach = max(rise, 25.0)  # the first weight may be far from p
+    rise = reach(tol)
+    farthest = max(rise, 25.0)  # the first weight may be far from p
     while rung < len(RUNGS) and stalled < 2:
         panels, degree = RUNGS[rung]
         try:
-            nodes = graded(weight.ends(reach), panels)
+            nodes = graded(weight.ends(farthest), panels)
         except NotCertified:
             return
         solution = solve_plane_on_mesh(process, nodes, degree, tol=tol, weight=weight, longer=True)
@@ -171,8 +153,8 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         gained = error < 0.3 * least
         # A mass beyond that is a millionth of the error is not known so well.
         if outside(solution.measured) > 0.1 * max(tol, 1e-6 * error) or not gained:
-            rise = reach + RISE
-        reach = rise
+            rise = farthest + RISE
+        farthest = rise
         if gained:
             best, better, least = weight, weight_of(solution), error
         # On the first rung an error above ten times that says too little of p.
@@ -186,8 +168,7 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
 def finer(rung: int, missing: float, *, most: int) -> int:
     """Return the next of ``RUNGS`` where the error is ``missing`` times the tolerance.
 
-    As many rungs on as the missing digits take, ``most`` at the most and for an error that is not
-    finite; no rung beyond the highest degree is skipped to.
+    By its digits, at the most ``most`` rungs on and up to the highest degree on four panels.
     """
     digits = float(np.log10(max(missing, 1.0))) if np.isfinite(missing) else np.inf
     gain = ceil(min(digits / DIGITS, most))
@@ -198,8 +179,7 @@ def finer(rung: int, missing: float, *, most: int) -> int:
 def weight_of(solution: PlaneSolution) -> Weight | None:
     """Return a weight fitted to −ln p where p is known, None where no fit is much better.
 
-    An error ε of p in the norm weighted by w ≈ p is one of ε √p: relative to p it is below
-    ``KNOWN`` as far as p > (ε/KNOWN)² of its maximum.
+    An error ε √p of p is below ``KNOWN`` of it as far as p > (ε/KNOWN)² of its maximum.
     """
     rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / KNOWN))
     if not rise > 2.0 * RISE_PER_DEGREE:
@@ -208,8 +188,8 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
     # First on the whole mesh, to see how far p is known; then on the box in which it is.
     for _ in range(2):
         x, y = (np.linspace(0.0, end, SAMPLES) for end in ends)
-        both = solution.u, solution.enriched
-        p, better = (weighted(u, solution.weight, x[:, None], y) for u in both)
+        w = solution.weight(x[:, None], y)
+        p, better = (u(x[:, None], y) * w for u in (solution.u, solution.enriched))
         known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < KNOWN * better)
         known &= better > np.exp(-rise) * better.max()
         if not known.any():
@@ -231,27 +211,21 @@ def solve_by_elements(
     """Return the plain solution, w = 1, to the L1 tolerance ``tol``, refining the mesh.
 
     ``degree`` follows from ``tol`` unless given. Of the intervals, four along each axis at first,
-    those are halved whose highest modes exceed the share ``marked`` of the largest, all of them for
-    0; the mesh is lengthened where mass lies beyond: until the answer is certified, or the next
-    mesh has more than ``MAX_ENTRIES``. The ends of the first mesh are those of the ``weight``.
-    ``solved`` as of ``solve_plane_on_mesh``.
-
-    Raises ``NotCertified`` where the first mesh has more than ``MAX_ENTRIES``, or where the weight
-    does not fall to 1e-2 ``tol`` at the energies it is known at.
+    up to the ends of the ``weight``, those are halved whose highest modes exceed the share
+    ``marked`` of the largest, and one is added where mass lies beyond: until the answer is
+    certified, or the next mesh has more than ``MAX_ENTRIES``. ``solved`` is like ``null_function``.
+    Raises ``NotCertified`` where the first mesh has more, or for a weight that does not fall off.
     """
     if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
         degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))
-    points, solution = degree + ENRICHMENT, None
+    solution = None
     first, second = graded(weight.ends(-float(np.log(1e-2 * tol))), 4)
-    while (first.size - 1) * (second.size - 1) * (points + 1) ** 4 <= MAX_ENTRIES:
+    while (first.size - 1) * (second.size - 1) * (degree + ENRICHMENT + 1) ** 4 <= MAX_ENTRIES:
         solution = solve_plane_on_mesh(
             process, (first, second), degree, tol=tol, longer=True, solved=solved
         )
         if solution.certificate.certified:
             break
-        energies, weights = gauss_grid(solution.nodes, points)
-        p = solution.density(energies[0][:, None], energies[1])
-        beyond = tails(p, energies, weights, points)[0] > 0.1 * tol
         area = np.multiply.outer(np.diff(first), np.diff(second))
         size = np.abs(solution.u.coefficients) * area[:, :, None, None]
         highest = size[:, :, -2:].sum(axis=(1, 2, 3)), size[..., -2:].sum(axis=(0, 2, 3))
@@ -262,7 +236,7 @@ def solve_by_elements(
         )
         first, second = (
             np.append(x, 2.0 * x[-1] - x[-2]) if far else x
-            for x, far in zip((first, second), beyond, strict=True)
+            for x, far in zip((first, second), solution.beyond > 0.1 * tol, strict=True)
         )
     if solution is None:
         raise NotCertified(f"the tolerance {tol:.2g} takes more elements than are affordable")

@@ -1,16 +1,17 @@
 """The weight w = exp(−Φ) of p = w u: Φ a polynomial of both energies, close to −ln p.
 
-Any weight gives the same p, as the equation is solved for w u; the closer w is to p, the fewer
-unknowns u takes, and the farther out p stays positive. The first weight is fitted to the slopes of
-ln p that zero flux would give, later ones to solutions.
+Any weight gives the same p; the closer w is to it, the fewer unknowns u takes, and the farther out
+p stays positive. The first weight is fitted to the slopes of ln p that zero flux would give, later
+ones to solutions.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polygrid2d, polyval2d
+from scipy.integrate import cumulative_trapezoid
 from scipy.linalg import solve_triangular
 
 from fpk.numeric.arrays import EPS, ROUND_OFF, Array, Flags, Integers
@@ -18,31 +19,25 @@ from fpk.numeric.errors import NotCertified
 from fpk.system.process import Process
 
 PROBE = np.logspace(-2.0, 3.0, 26)
-"""Energies of a probe along each axis, in units of the process's scales: five per decade, and the
-first one for the axis itself, where b is singular."""
+"""Energies of a probe, in units of the process's scales; the first for the axis, b singular."""
 NATS = -float(np.log(EPS))
 """Fall of ln p, 36, beyond which the density is below round-off of its largest value."""
 BEYOND = 1e-3
 """Fraction of the tolerance that w falls to at the far edges of the first mesh."""
 RISE = 3.0
-"""Rise of −ln w from the far edges of one mesh to those of the next longer one, whose difference
-then contains what ending the mesh costs."""
+"""Rise of −ln w to the ends of the next mesh: the difference shows what ending it costs."""
 HIGHEST = 6
-"""Highest total degree of Φ. Damping of degree k in the energies gives k + 1 under detailed
-balance."""
+"""Highest total degree of Φ: under detailed balance one above the damping's in the energies."""
 GAIN = 0.5
 """Factor by which a higher degree must lower the misfit: high degrees extrapolate badly."""
 IMPORTANCE = 10.0
-"""Rise of Φ over which a point's share in the sum of squares falls to 1/e: w matters most where p
-is large, but u = p/w should stay of order one far out, too."""
+"""Rise of Φ over which a point's share in a fit falls to 1/e: more than that of p, by far."""
 RISE_PER_DEGREE = 2.8
 """Rise of −ln p that a fit must cover per degree: Φ is extrapolated far beyond it."""
 RAYS = np.concatenate([np.linspace(0.0, 1.0, 49), np.geomspace(1.04, 30.0, 48)])
-"""Coordinates of the grid on which Φ is checked, in units of the fitted box: up to the last of them
-it must rise along every ray."""
+"""Coordinates, in units of the fitted box, up to which Φ must rise along every ray."""
 FLOOR = float(np.exp(-44.0))
-"""Added to w, so that no element matrix is singular: 8e-20, and u ≥ −1e5 there keeps
-p ≥ −1e-14 of its maximum."""
+"""Added to w, so that no element matrix is singular: p ≥ −1e-14 of its maximum for u ≥ −1e5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,71 +48,72 @@ class Weight:
     """
 
     coefficients: Array
-    scales: tuple[float, float]
+    scales: tuple[float, ...]
     floor: float = FLOOR
+
+    @property
+    def plain(self) -> bool:
+        """Whether w = 1."""
+        return self.coefficients.size == 1
 
     def exponent(self, H1: Array, H2: Array) -> Array:
         """Return Φ."""
-        return self._values(self.coefficients, H1, H2)
+        x, y = np.asarray(H1) / self.scales[0], np.asarray(H2) / self.scales[1]
+        if x.ndim == 2 and x.shape[1] == 1 and y.shape[-1:] == (y.size,):
+            return np.asarray(polygrid2d(x.ravel(), y.ravel(), self.coefficients))
+        x, y = np.broadcast_arrays(x, y)
+        return np.asarray(polyval2d(x, y, self.coefficients))
 
     def __call__(self, H1: Array, H2: Array) -> Array:
         """Return w."""
         return np.asarray(np.exp(-self.exponent(H1, H2)) + self.floor)
 
-    def slopes(self, H1: Array, H2: Array) -> tuple[Array, Array]:
+    def slopes(self, H1: Array, H2: Array) -> list[Array]:
         """Return ∂Φ/∂H1 and ∂Φ/∂H2, the slopes of −ln w but for the floor."""
-        first, second = (
-            self._values(np.asarray(polyder(self.coefficients, axis=axis), float), H1, H2)
-            / self.scales[axis]
-            for axis in (0, 1)
+        each = (
+            replace(self, coefficients=polyder(self.coefficients, axis=k).astype(float))
+            for k in (0, 1)
         )
-        return first, second
+        return [w.exponent(H1, H2) / s for w, s in zip(each, self.scales, strict=True)]
 
     def terms(self, H1: Array, H2: Array) -> Array:
         """Return the sum of the sizes of the terms of Φ, to which its round-off is relative."""
-        return self._values(np.abs(self.coefficients), np.abs(H1), np.abs(H2))
-
-    def _values(self, coefficients: Array, H1: Array, H2: Array) -> Array:
-        x, y = np.asarray(H1) / self.scales[0], np.asarray(H2) / self.scales[1]
-        if x.ndim == 2 and x.shape[1] == 1 and y.ndim == 1:
-            return np.asarray(polygrid2d(x[:, 0], y, coefficients))
-        first, second = np.broadcast_arrays(x, y)
-        return np.asarray(polyval2d(first, second, coefficients))
+        sizes = replace(self, coefficients=np.abs(self.coefficients))
+        return sizes.exponent(np.abs(H1), np.abs(H2))
 
     def ends(self, rise: float) -> tuple[float, float]:
-        """Return the energies along each axis beyond which Φ > ``rise`` everywhere.
-
-        Raises ``NotCertified`` where Φ does not rise so far within ``RAYS``.
-        """
+        """Return the energies beyond which Φ > ``rise``; ``NotCertified`` outside ``RAYS``."""
         inside = polygrid2d(RAYS, RAYS, self.coefficients) < rise
         if inside[-1].any() or inside[:, -1].any():
             raise NotCertified(f"the weight falls by less than exp(−{rise:.0f})")
-        first, second = (
-            float(RAYS[last(inside, axis) + 1]) * scale for axis, scale in enumerate(self.scales)
-        )
-        return first, second
+        first, second = (float(RAYS[last(inside, axis) + 1]) for axis in (0, 1))
+        return first * self.scales[0], second * self.scales[1]
+
+
+PLAIN = Weight(np.zeros((1, 1)), (1.0, 1.0))
+"""w = 1: the floor is below its round-off."""
+
+
+def reach(tol: float, height: float = 0.0, level: int = 0) -> float:
+    """Return the rise of −ln w beyond which p is negligible from a start at that ``height``."""
+    return height - float(np.log(BEYOND * tol)) + level * RISE
 
 
 def flux_free_weight(process: Process) -> Weight:
     """Return w fitted to the slopes that zero flux everywhere gives, ∇ ln p = b⁻¹ (2s − ∇·b).
 
-    Where probability circulates they are no gradient, and Φ is the nearest potential. Where they or
-    the fit do not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified`` where b is
-    singular off the axes.
+    Where they or the fit do not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified``
+    where b is singular off the axes.
     """
     scales = np.array(process.energy_scales)
     points = np.stack(np.broadcast_arrays(PROBE[:, None], PROBE), axis=-1).reshape(-1, 2)
     c = process.coefficients(points * scales)
     slopes = divided_by_diffusion(2.0 * c.drift - c.divergence, c.diffusion)
     first, second = (slopes * scales).T.reshape(2, PROBE.size, PROBE.size)
-
-    def integral(slope: Array) -> Array:
-        steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(PROBE)[:, None]
-        return np.concatenate([np.zeros_like(slope[:1]), np.cumsum(steps, axis=0)])
-
     # The mean of the integrals along two paths, first one energy, then the other.
-    along = integral(first), integral(second.T).T
-    log_p = 0.5 * (along[0][:, :1] + along[1] + along[1][:1] + along[0])
+    a = cumulative_trapezoid(first, PROBE, axis=0, initial=0)
+    b = cumulative_trapezoid(second, PROBE, axis=1, initial=0)
+    log_p = 0.5 * (a[:, :1] + b + b[:1] + a)
     # p H1 H2, the density of the logarithms of the energies.
     log_mass = log_p + np.log(np.multiply.outer(PROBE, PROBE))
     weight = None
@@ -134,20 +130,20 @@ def flux_free_weight(process: Process) -> Weight:
         ]
         right = -root * first[:m, :n] * ends[0], -root * second[:m, :n] * ends[1]
         candidates = fits(np.reshape(columns, (-1, len(powers))), np.ravel(right), powers)
-        weight = _chosen(candidates, (float(ends[0] * scales[0]), float(ends[1] * scales[1])))
+        weight = _chosen(candidates, tuple((ends * scales).tolist()))
     # 40 times the scales: within them RAYS see Φ rise by ``NATS``.
-    far = 40.0 * scales
-    return weight or Weight(np.array([[0.0, 40.0], [40.0, 0.0]]), (float(far[0]), float(far[1])))
+    return weight or Weight(np.array([[0.0, 40.0], [40.0, 0.0]]), tuple((40.0 * scales).tolist()))
 
 
-def divided_by_diffusion(flow: Array, b: Array) -> Array:
+def divided_by_diffusion(flow: Array, diffusion: Array) -> Array:
     """Return b⁻¹ ``flow`` (points, 2); raises ``NotCertified`` where b is singular."""
-    determinant = b[:, 0, 0] * b[:, 1, 1] - b[:, 0, 1] ** 2
+    (a, b), (_, c) = np.moveaxis(diffusion, 0, -1)
+    determinant = a * c - b**2
     if not np.all(determinant > 0.0):
         raise NotCertified("some combination of the two energies gets no noise")
-    first = b[:, 1, 1] * flow[:, 0] - b[:, 0, 1] * flow[:, 1]
-    second = b[:, 0, 0] * flow[:, 1] - b[:, 0, 1] * flow[:, 0]
-    return np.stack([first, second], axis=1) / determinant[:, None]
+    first, second = flow.T
+    slopes = np.stack([c * first - b * second, a * second - b * first], axis=1)
+    return np.asarray(slopes / determinant[:, None])
 
 
 def fitted_weight(
@@ -158,24 +154,15 @@ def fitted_weight(
     *,
     present: Weight | None = None,
 ) -> Weight | None:
-    """Return w fitted to ``log_p`` where it is ``known`` on a grid, None where no fit falls off.
-
-    Beyond the grid, and where Φ exceeds ``rise``, how far ln p is known to fall, Φ must rise along
-    every ray from the origin.
-    """
-    scales = float(grid[0][-1]), float(grid[1][-1])
-    i, j = np.nonzero(known)
+    """Return w fitted to ``log_p``, which is ``known`` to fall by ``rise``, if it is better."""
+    scales, (i, j) = (float(grid[0][-1]), float(grid[1][-1])), np.nonzero(known)
+    x, y = grid[0][i], grid[1][j]
     target = log_p[known].max() - log_p[known]
-    root, powers = (
-        np.exp(-0.5 * target / IMPORTANCE),
-        _powers(min(HIGHEST, int(rise / RISE_PER_DEGREE))),
-    )
-    first, second = powers.T
-    x, y = grid[0][i] / scales[0], grid[1][j] / scales[1]
-    columns = root[:, None] * _monomials(x, first) * _monomials(y, second)
-    least = np.inf
+    root, powers = np.exp(-0.5 * target / IMPORTANCE), _powers(int(rise / RISE_PER_DEGREE))
+    columns = _monomials(x / scales[0], powers[:, 0]) * _monomials(y / scales[1], powers[:, 1])
+    columns, least = root[:, None] * columns, np.inf
     if present is not None:
-        misfit = target - present.exponent(grid[0][i], grid[1][j])
+        misfit = target - present.exponent(x, y)
         misfit -= np.average(misfit, weights=root**2)
         least = float(np.linalg.norm(root * misfit) / np.linalg.norm(root * target))
     return _chosen(fits(columns, root * target, powers), scales, rise, least)
@@ -188,8 +175,9 @@ def last(inside: Flags, axis: int) -> int:
 
 @lru_cache
 def _powers(degree: int) -> Integers:
-    """Pairs of powers up to a total degree, in its order, (coefficients, 2)."""
-    return np.array([(i, total - i) for total in range(degree + 1) for i in range(total + 1)])
+    """Pairs of powers up to a total ``degree``, or ``HIGHEST``, in its order, (coefficients, 2)."""
+    totals = range(min(degree, HIGHEST) + 1)
+    return np.array([(i, total - i) for total in totals for i in range(total + 1)])
 
 
 def _monomials(x: Array, powers: Integers, *, slope: bool = False) -> Array:
@@ -201,8 +189,7 @@ def _monomials(x: Array, powers: Integers, *, slope: bool = False) -> Array:
 def fits(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array, float]]:
     """Yield the least-squares fit of ``right`` for each total degree, with its relative misfit.
 
-    ``columns`` belong to ``powers`` by rising degree, so that the leading blocks of one triangular
-    factor hold every fit. Ends where columns are linearly dependent.
+    One triangular factor holds all; they end where ``columns`` are linearly dependent.
     """
     R = np.asarray(np.linalg.qr(np.column_stack([columns, right]), mode="r"))
     total = powers.sum(axis=1)
@@ -218,7 +205,7 @@ def fits(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array
 
 def _chosen(
     fits: Iterator[tuple[Array, float]],
-    scales: tuple[float, float],
+    scales: tuple[float, ...],
     rise: float = np.inf,
     least: float = np.inf,
 ) -> Weight | None:

@@ -3,8 +3,6 @@
 With p = w g, w a weight near the stationary density, the weak forms of ∂p/∂t = L* p and of the
 backward ∂u/∂t = L u are ``M ∂g/∂t = A g`` and ``M ∂u/∂t = Aᵀ u`` with
 ``A_ij = ∫ w (a φ_j − ½ b ∇φ_j)·∇φ_i``, ``a = s − ½ ∇·b + ½ b ∇ ln w`` and ``M_ij = ∫ w φ_i φ_j``.
-At H_i = 0, where the diffusion across vanishes, zero flux is natural; w is no approximation: any
-weight gives the same p.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,8 +12,10 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csc_array, eye_array
 
-from fpk.numeric.arrays import Array, Flags, Integers
+from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.quadrature import gauss_grid
 from fpk.solvers.plane.elements import (
+    Nodes,
     assembled,
     axis_numbers,
     element_matrices,
@@ -24,34 +24,32 @@ from fpk.solvers.plane.elements import (
     mass_matrices,
     shape_functions,
 )
-from fpk.solvers.plane.solution import ENRICHMENT, WEIGHT_POINTS, Nodes, PlaneSolution, gauss_grid
-from fpk.solvers.plane.weight import BEYOND, RISE, Weight
+from fpk.solvers.plane.solution import PlaneSolution, gauss_points
+from fpk.solvers.plane.weight import PLAIN, RISE, Weight, reach
 from fpk.system.process import Process
 
 LEVELS = ((3, 7), (4, 9), (5, 11), (6, 13), (8, 14), (11, 15))
 """Panels along each axis and degree: about two digits more from one to the next."""
 SHARE = 0.1
-"""Share of the largest difference of two levels, anywhere, that is in every error: levels agree by
-chance, too, as their difference crosses zero."""
+"""Share of the largest difference of two levels, anywhere, in every error: it may cross zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneOperator:
     """``M ∂g/∂t = A g`` with tensor elements of one ``degree`` between ``nodes`` of coordinates y.
 
-    y = (H1, H2), or, ``collapsed``, (H, H1/H) with H = H1 + H2: of the triangle H < H_f. Where
-    H = 0 that map is singular and the weak form is not: b ~ H, so that ∫ ½ b ∇u·∇u dH of a u that
-    depends on the share H1/H alone is finite. ``balanced`` is that of ``flux_coefficients``.
-    ``absorbing`` says at which last nodes, of the first and of the second coordinate, g = 0: first
+    y = (H1, H2), or, ``collapsed``, (H, H1/H) with H = H1 + H2: of the triangle H < H_f. At H = 0
+    that map is singular and the weak form is not, as b ~ H. ``balanced`` as of
+    ``flux_coefficients``. ``absorbing`` says at which last nodes, along y_1 and y_2, g = 0: first
     passage. There one vertex function, that where w is largest, gives way to the sum of all of
-    them, which is 1 but beside the limit: its matrix entries are integrals beside the limit, as
-    small as the failure rate, and computed as such, not as a difference of large ones.
+    them, 1 but beside the limit: its matrix entries, as small as the failure rate, are then no
+    difference of large ones.
     """
 
     process: Process
     nodes: Nodes
     degree: int
-    weight: Weight | None = None
+    weight: Weight = PLAIN
     balanced: bool = False
     absorbing: tuple[bool, bool] = (False, False)
     collapsed: bool = False
@@ -72,10 +70,7 @@ class PlaneOperator:
         return first + 0.0 * second if self.collapsed else np.ones_like(first + second)
 
     def pulled_back(self, first: Array, second: Array, of_energies: Array) -> Array:
-        """Return |∂H/∂y| times w, G w a and G w b Gᵀ (6, ...), G = ∂y/∂H, from those of energies.
-
-        With them the weak form of ``flux_coefficients`` holds in y.
-        """
+        """Return |∂H/∂y| times w, G w a and G w b Gᵀ (6, ...), G = ∂y/∂H: the weak form in y."""
         if not self.collapsed:
             return of_energies
         w, a1, a2, b11, b12, b22 = of_energies
@@ -90,8 +85,7 @@ class PlaneOperator:
     @property
     def points(self) -> int:
         """Gauss points per panel."""
-        extra = 0 if self.weight is None else WEIGHT_POINTS // min(self.counts)
-        return self.degree + ENRICHMENT + extra
+        return gauss_points(self.nodes, self.degree, self.weight)
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -101,88 +95,63 @@ class PlaneOperator:
     @property
     def sizes(self) -> tuple[int, int]:
         """Shape functions along each axis: those of the vertices first."""
-        first, second = (count * self.degree + 1 for count in self.counts)
-        return first, second
-
-    @property
-    def unknowns(self) -> int:
-        """Number of shape functions not held at zero by an absorbing end."""
-        return int(np.count_nonzero(~self._held))
-
-    @cached_property
-    def _held(self) -> Flags:
-        """Whether a shape function (all of them) is held at zero by an absorbing end."""
-        held = np.zeros(self.sizes, dtype=bool)
-        held[self.counts[0]] |= self.absorbing[0]
-        held[:, self.counts[1]] |= self.absorbing[1]
-        return held.ravel()
+        return self.counts[0] * self.degree + 1, self.counts[1] * self.degree + 1
 
     @cached_property
     def _vertices(self) -> Integers:
-        """The shape functions (of all of them) that belong to a vertex."""
+        """The shape functions (of all of them) that belong to a vertex, one row along H2 each."""
         first, second = (np.arange(count + 1) for count in self.counts)
-        return (first[:, None] * self.sizes[1] + second).ravel()
+        return np.asarray(first[:, None] * self.sizes[1] + second)
 
     @cached_property
-    def _pinned(self) -> int | None:
-        """The free unknown that gives way to the sum of the vertex functions, if any is held."""
+    def functions(self) -> tuple[csc_array, csc_array, int]:
+        """Trial and test functions as coefficients (all shape functions, unknowns), the pinned one.
+
+        The vertex functions add up to 1, and 1 tested by A is 0: the sum of the free ones is tested
+        as 1 less those held at zero by an absorbing end.
+        """
+        vertices, at_ends = self._vertices, np.zeros(self.sizes, dtype=bool)
+        at_ends[self.counts[0]] |= self.absorbing[0]
+        at_ends[:, self.counts[1]] |= self.absorbing[1]
+        held = at_ends.ravel()
+        free = np.flatnonzero(~held)
+        trial: csc_array = eye_array(held.size, format="csc")[:, free]
         if not any(self.absorbing):
-            return None
-        vertices = self._vertices[~self._held[self._vertices]]
-        if self.weight is not None:
-            i, j = np.unravel_index(vertices, self.sizes)
-            H1, H2 = self.energies(self.nodes[0][i], self.nodes[1][j])
-            vertices = vertices[np.argsort(self.weight.exponent(H1, H2), kind="stable")]
-        return int(np.count_nonzero(~self._held[: vertices[0]]))
-
-    def _pinned_column(self, rows: Integers) -> csc_array:
-        """1 in ``rows`` (of all shape functions) of the pinned unknown's column."""
-        places = rows, np.full(rows.size, self._pinned)
-        return csc_array((np.ones(rows.size), places), shape=(self._held.size, self.unknowns))
-
-    @cached_property
-    def _functions(self) -> csc_array:
-        """The functions of the free unknowns, as coefficients (all shape functions, unknowns)."""
-        free: csc_array = eye_array(self._held.size, format="csc")[:, np.flatnonzero(~self._held)]
-        if self._pinned is None:
-            return free
-        free.data[self._pinned] = 0.0
-        vertices = self._vertices[~self._held[self._vertices]]
-        return csc_array(free + self._pinned_column(vertices))
+            return trial, trial, 0
+        rise = self.weight.exponent(*self.energies(self.nodes[0][:, None], self.nodes[1]))
+        rise[held[vertices]] = np.inf
+        k = int(np.searchsorted(free, vertices.flat[np.argmin(rise)]))
+        trial.data[k] = 0.0
+        own, every = (
+            csc_array((np.ones(rows.size), (rows, np.full(rows.size, k))), shape=trial.shape)
+            for rows in (vertices[~held[vertices]], vertices.ravel())
+        )
+        return csc_array(trial + own), csc_array(trial + own - every), k
 
     @cached_property
     def matrices(self) -> tuple[csc_array, csc_array, Array]:
         """A and M of the free unknowns, and ∫ w φ of their functions."""
-        (x, y), (v, u) = gauss_grid(self.nodes, self.points)
-        at = self.energies(x[:, None], y)
+        (x, y), ((_, v), (_, u)) = gauss_grid(self.nodes, points=self.points)
+        at, numbers = self.energies(x, y), local_numbers(self.nodes, self.degree)
         parts = flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
-        w, *coefficients = self.pulled_back(x[:, None], y, parts)
-        numbers = local_numbers(self.counts, self.degree)
+        w, *coefficients = self.pulled_back(x, y, parts)
         A = assembled(element_matrices(np.stack(coefficients), self.nodes, self.degree), numbers)
         M = assembled(mass_matrices(w, self.nodes, self.degree), numbers)
-        S, k = self._functions, self._pinned
-        N, of_one = S, np.zeros(self.unknowns)
-        if k is not None:
-            # The vertex functions add up to 1, and 1 tested by A is 0: the sum of the free ones is
-            # 1 − the held ones. A times 1, ∫ w a·∇φ, is not taken as a sum that cancels.
-            N = S - self._pinned_column(self._vertices)
-            first, second = (self.along(axis, z) for axis, z in enumerate((x, y)))
-            slopes = [self.along(axis, z, slope=True) for axis, z in enumerate((x, y))]
+        S, N, k = self.functions
+        A = N.T @ A @ N
+        if any(self.absorbing):
+            # A times 1, ∫ w a·∇φ, is not taken as a sum that cancels.
+            first, second = (self.along(axis, z.ravel()) for axis, z in enumerate((x, y)))
+            slopes = [self.along(axis, z.ravel(), slope=True) for axis, z in enumerate((x, y))]
             area = v[:, None] * u
             flux = slopes[0].T @ (area * coefficients[0]) @ second
             flux += first.T @ (area * coefficients[1]) @ slopes[1]
             of_one = N.T @ flux.ravel()
-        rows = np.flatnonzero(of_one)
-        added = csc_array(
-            (of_one[rows], (rows, np.full(rows.size, k or 0))), shape=(S.shape[1],) * 2
-        )
-        one = np.zeros(self._held.size)
+            rows = np.flatnonzero(of_one)
+            A += csc_array((of_one[rows], (rows, np.full(rows.size, k))), shape=A.shape)
+        one = np.zeros(len(M.indptr) - 1)
         one[self._vertices] = 1.0
-        return (N.T @ A @ N + added).tocsc(), (S.T @ M @ S).tocsc(), S.T @ (M @ one)
-
-    def weight_at(self, H1: Array, H2: Array) -> Array:
-        """Return w at energies that broadcast together."""
-        return np.ones_like(H1 + H2) if self.weight is None else self.weight(H1, H2)
+        return A.tocsc(), (S.T @ M @ S).tocsc(), S.T @ (M @ one)
 
     def along(self, axis: int, y: Array, *, slope: bool = False) -> Array:
         """Return the shape functions of one axis, or their slopes, at coordinates y; 0 outside."""
@@ -197,18 +166,9 @@ class PlaneOperator:
         np.put_along_axis(values, axis_numbers(nodes.size - 1, k)[panel], phi, axis=1)
         return values
 
-    def at(self, energies: Array) -> Array:
-        """Return the functions (unknowns,) of the free unknowns at energies (2,)."""
-        y = self.coordinates(*energies[:, None])
-        return self.gathered(np.outer(*(self.along(axis, z) for axis, z in enumerate(y))).ravel())
-
-    def gathered(self, rows: Array) -> Array:
-        """Return functionals (..., all shape functions) as those of the free unknowns."""
-        return np.asarray(rows @ self._functions)
-
     def spread(self, g: Array) -> Array:
         """Return the coefficients (..., *sizes) of all shape functions from free unknowns."""
-        return np.asarray(g @ self._functions.T).reshape(*g.shape[:-1], *self.sizes)
+        return np.asarray(g @ self.functions[0].T).reshape(*g.shape[:-1], *self.sizes)
 
     def largest(self, g: Array) -> Array:
         """Return the largest size (...) of functions at the vertices of the mesh."""
@@ -218,10 +178,7 @@ class PlaneOperator:
 
 @dataclass(frozen=True, eq=False)
 class PlaneStart:
-    """Where two energies begin: at ``energies`` (2,), or with a ``density``.
-
-    This is the stationary one under ``factor`` times the noise.
-    """
+    """Energies (2,) that begin, or the stationary ``density`` under ``factor`` times the noise."""
 
     energies: Array | None = None
     density: PlaneSolution | None = None
@@ -234,35 +191,19 @@ class PlaneStart:
 
     def height(self, stationary: PlaneSolution) -> float:
         """Return the rise of −ln w from its least value to the energies; 0 for a density."""
-        if self.energies is None:
-            return 0.0
-        return float(stationary.heights(*self.energies[:, None])[0])
+        return 0.0 if self.energies is None else float(stationary.weight.exponent(*self.energies))
 
     def dual(self, op: PlaneOperator) -> Array:
         """Return φ at the energies, or ∫ p_0 φ over the domain, of the free unknowns."""
         if self.density is None:
             assert self.energies is not None
-            return op.at(self.energies)
-        (x, y), (v, w) = gauss_grid(op.nodes, op.points)
-        p = self.density.density(*op.energies(x[:, None], y)) * op.jacobian(x[:, None], y)
-        rows = op.along(0, x).T @ (v[:, None] * p * w) @ op.along(1, y)
-        return op.gathered(rows.ravel())
-
-
-def reach(tol: float, height: float, level: int = 0) -> float:
-    """Return the rise of −ln w from its least value beyond which p is negligible.
-
-    From a start at which −ln w is ``height`` a density reaches w e^height at the most, up to a
-    factor.
-    """
-    return height - float(np.log(BEYOND * tol)) + level * RISE
-
-
-def far_ends(stationary: PlaneSolution, rise: float) -> Array:
-    """Return the energies (2,) beyond which −ln w exceeds ``rise``."""
-    if stationary.weight is None:
-        return np.array([x[-1] for x in stationary.nodes])
-    return np.array(stationary.weight.ends(rise))
+            y, p = op.coordinates(*self.energies[:, None]), np.ones((1, 1))
+        else:
+            at, ((_, v), (_, w)) = gauss_grid(op.nodes, points=op.points)
+            y, p = (at[0].ravel(), at[1].ravel()), v[:, None] * w * op.jacobian(*at)
+            p *= self.density.density(*op.energies(*at))
+        rows = op.along(0, y[0]).T @ p @ op.along(1, y[1])
+        return np.asarray(rows.ravel() @ op.functions[0])
 
 
 def operators(
@@ -277,17 +218,14 @@ def operators(
 ) -> Iterator[PlaneOperator]:
     """Yield operators, each finer than the last, on ``nodes(rise, panels)``.
 
-    The weight, that of the ``stationary`` density, is to the power ``share`` <= 1, and flat where
-    −ln w would exceed the rise by ``RISE``: in the corner of a mesh it may do so by hundreds, and
-    elements over which it rises by 40 have singular matrices.
+    Their weight is the ``stationary`` one to the power ``share`` <= 1, and flat where −ln w would
+    exceed the rise by ``RISE``, as elements over which it rises by 40 have singular matrices.
     """
-    weight, balanced = stationary.weight, stationary.balanced
-    if weight is not None and share < 1.0:
-        weight, balanced = replace(weight, coefficients=share * weight.coefficients), False
+    weight, balanced = stationary.weight, not stationary.degree and share == 1.0
+    weight = replace(weight, coefficients=share * weight.coefficients)
     for level, (panels, degree) in enumerate(LEVELS):
         rise = reach(tol, height, level)
-        floored = weight and replace(weight, floor=float(np.exp(-share * (rise + RISE))))
-        mesh = nodes(rise, panels)
+        floored = replace(weight, floor=float(np.exp(-share * (rise + RISE))))
         yield PlaneOperator(
-            stationary.process, mesh, degree, floored, balanced, absorbing, collapsed
+            stationary.process, nodes(rise, panels), degree, floored, balanced, absorbing, collapsed
         )

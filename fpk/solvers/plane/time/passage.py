@@ -5,10 +5,11 @@ L E[T²] = −2 T: the transpose of the operator of the density.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, eigs
+from scipy.sparse.linalg import LinearOperator, aslinearoperator, eigs
 
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.answer.evolution import BEYOND_RANGE, Passage, certified_passage
@@ -16,28 +17,20 @@ from fpk.answer.observable import number_text
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotCertified
-from fpk.solvers.plane.elements import factorised
-from fpk.solvers.plane.solution import SAFETY, Nodes, PlaneSolution, graded
-from fpk.solvers.plane.time.exponential import KRYLOV, evolved, relative_residual
-from fpk.solvers.plane.time.operator import (
-    SHARE,
-    PlaneOperator,
-    PlaneStart,
-    far_ends,
-    operators,
-    reach,
-)
+from fpk.solvers.plane.elements import Nodes, factorised
+from fpk.solvers.plane.solution import SAFETY, PlaneSolution, graded
+from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators
+from fpk.solvers.plane.time.transient import KRYLOV, evolved, relative_residual
+from fpk.solvers.plane.weight import reach
 
 FOLDS = 5.0
-"""Largest rise of −ln w over a panel, on average: over the last one the elimination loses the root
-of its exponential."""
+"""Largest mean rise of −ln w over a panel: the elimination loses the root of its exponential."""
 HIGHEST = 300.0
 """Largest rise of −ln w up to a limit: E T² of the order of e^600 is within double precision."""
 MOST_UNKNOWNS = 300_000
 """Unknowns of the largest level, of 3 GB; two levels are needed for an answer with an error."""
 VECTORS = (4, 30)
-"""Arnoldi vectors: so many times those sought, and so many more. Rates of the same size are common,
-of modes that decay alike, and a small space may miss one."""
+"""Arnoldi vectors: so many times those sought, and more: few may miss one of several like rates."""
 HEIGHT = 8.0
 """Rise of −ln w by which meshes are longer than for densities: modes grow with the energy."""
 
@@ -72,24 +65,19 @@ class PlaneLimit:
     def nodes(self, stationary: PlaneSolution, rise: float, panels: int) -> Nodes:
         """Return nodes up to the limit, or to where −ln w exceeds ``rise``; more where it rises."""
         if self.total is not None:
-            corners = stationary.heights(*(self.total * np.eye(2)))
-            steep, across = float(corners.max()), abs(float(corners[1] - corners[0]))
-            angles = np.linspace(0.0, 0.5 * np.pi, 1 + max(panels, int(across / FOLDS)))
-            along = graded((self.total, 1.0), max(panels, int(steep / FOLDS)))[0]
-            return along, np.sin(angles) ** 2
-        limits = zip((self.first, self.second), far_ends(stationary, rise), strict=True)
+            corners = stationary.weight.exponent(*(self.total * np.eye(2)))
+            angles = max(panels, int(abs(corners[1] - corners[0]) / FOLDS))
+            along = graded((self.total, 1.0), max(panels, int(corners.max() / FOLDS)))[0]
+            return along, np.sin(np.linspace(0.0, 0.5 * np.pi, 1 + angles)) ** 2
+        limits = zip((self.first, self.second), stationary.far_ends(rise), strict=True)
         ends = [far if limit is None else limit for limit, far in limits]
-        rises = stationary.heights(*np.diag(ends))
-        first, second = (
-            graded((end, 1.0), max(panels, int(rise / FOLDS)))[0]
-            for end, rise in zip(ends, rises, strict=True)
-        )
-        return first, second
+        rises = stationary.weight.exponent(*np.diag(ends))
+        counts = [max(panels, int(rise / FOLDS)) for rise in rises]
+        return graded(ends, counts[0])[0], graded(ends, counts[1])[1]
 
 
 Level = tuple[PlaneOperator, Array, Array, float]
-"""An operator; mean, variance, rate and the reliability at all times, and their errors by round-off
-and by the exponential; and the largest residual."""
+"""An operator; mean, variance, rate, reliability at all times; their numerical errors; residual."""
 
 
 def first_passage(
@@ -103,23 +91,21 @@ def first_passage(
 ) -> Passage:
     """Return the first passage of ``limit``, with the reliability at ascending ``times`` >= 0.
 
-    Levels rise until two of them agree to ``tol``, relative to mean, variance and rate; the answer
-    is that of the finer one. What a density at the start has beyond the limit fails at 0.
-    ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
-    limit whose mean time is beyond double precision, or that takes more than ``MOST_UNKNOWNS``.
-    Levels end early where they are nearer to each other than the error that no level lowers, or
-    come nearer so slowly that those left could not meet it, see ``_hopeless``.
+    Levels rise until two agree to ``tol``, relative to mean, variance and rate, or more are
+    ``_hopeless``. What a density at the start has beyond the limit fails at 0.
+    ``coefficients_error`` is relative. Raises ``InvalidInput`` for a limit whose mean time is
+    beyond double precision, or that takes more than ``MOST_UNKNOWNS``.
     """
     height = start.height(stationary)
-    far = far_ends(stationary, reach(tol, height))
-    lowest = float(np.min(stationary.heights(*limit.edge(far))))
+    far = stationary.far_ends(reach(tol, height))
+    lowest = float(np.min(stationary.weight.exponent(*limit.edge(far))))
     given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
     words = ", ".join(map(number_text, given))
     if lowest > HIGHEST:
         raise InvalidInput("limit", words, BEYOND_RANGE)
     finer = operators(
         stationary,
-        lambda rise, panels: limit.nodes(stationary, rise, panels),
+        partial(limit.nodes, stationary),
         tol=tol,
         height=max(height, lowest),
         absorbing=limit.absorbing,
@@ -135,8 +121,8 @@ def first_passage(
         op, values, own, residual = fine
         edge = limit.edge(np.array([x[-1] for x in op.nodes]))
         # The relative error by coefficients, weight and start.
-        model = coefficients_error * (2.0 + 2.0 * float(np.min(stationary.heights(*edge))))
-        model += 2.0 * stationary.relative_error * stationary.balanced + start.l1_error
+        model = coefficients_error * (2.0 + 2.0 * float(stationary.weight.exponent(*edge).min()))
+        model += 2.0 * stationary.relative_error * (stationary.degree == 0) + start.l1_error
         size = np.append(np.abs(values[:3]), np.ones(times.size))
         errors = np.abs(values - coarse[1]) + own + model * size
         # The variance is the difference of two moments, each with the error of the coefficients.
@@ -149,7 +135,7 @@ def first_passage(
             errors[3:] + SHARE * np.max(errors[3:], initial=0.0),
             tol=tol,
             residual=float(np.max([residual, coarse[3]])),
-            settings={"unknowns": op.unknowns, "degree": op.degree},
+            settings={"unknowns": op.matrices[2].size, "degree": op.degree},
         )
         size[:3] = np.abs(coarse[1][:3])
         distances.append(float(np.max(np.abs(values - coarse[1]) / size)))
@@ -161,8 +147,7 @@ def first_passage(
 def _hopeless(distances: list[float], left: int, tol: float) -> bool:
     """Whether ``left`` levels more gain nothing, or cannot come to ``tol``, by their distances.
 
-    Even if each gained the square of what the last did: modes whose rates differ by 1e20 lose half
-    of the error a level, and the last levels take a minute.
+    Even if each gained the square of what the last did: the last levels take a minute.
     """
     if distances[-1] <= tol or len(distances) < 2 or not left:
         return distances[-1] <= 0.1 * tol
@@ -190,7 +175,7 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
     if not mean > 0.0:
         remedy = "the elements do not see so narrow a density; start from rest or louder noise"
         raise InvalidInput("start", "stationary", remedy)
-    # A multiple of the change by a step of iterative refinement, and 1e-14 always.
+    # By the change of a step of iterative refinement, and 1e-14 always.
     relative = ROUNDINGS * abs(float(dual @ change)) / mean + 1e-14
     # The least λ of K u = λ M u is real and simple; 1/λ is of the order of the longest mean time.
     # Of a rare failure, far below all other rates, two Arnoldi vectors would do.
@@ -198,18 +183,13 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
     inverse = LinearOperator(A.shape, matvec=lambda u: backward.solve(M @ u) / longest, dtype=float)
     (largest,) = eigs(inverse, k=1, ncv=8, v0=T / longest, tol=0.0, return_eigenvectors=False)
     rate = 1.0 / (largest.real * longest)
-    survival, lost = np.full(times.size, float(np.nan)), np.zeros(times.size)
-    at_zero = times <= 0.0
-    if start.density is None:
-        survival[at_zero] = 1.0
-    else:
+    # E T <= t + P(T > t) max E T: where failure is rare that is enough. At 0 it is not needed.
+    top, at_zero = float(op.largest(T)), times <= 0.0
+    bound = np.where(at_zero, 0.0, (top - mean + times) / top + relative)
+    late = bound > KRYLOV * tol
+    survival, lost = np.ones(times.size), np.where(late, 0.0, bound)
+    if start.density is not None:
         survival[at_zero] = float(dual @ factorised(M).solve(shares))
-    # E T <= t + P(T > t) max E T: where failure is rare that is enough.
-    top = float(op.largest(T))
-    bound = (top - mean + times) / top + relative
-    early = ~at_zero & (bound <= KRYLOV * tol)
-    survival[early], lost[early] = 1.0, bound[early]
-    late = ~at_zero & ~early
     if np.any(late):
         u = evolved(-transposed, M, shares, times[late], tol=KRYLOV * tol)
         survival[late] = u.values @ dual
@@ -223,59 +203,50 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
 def relaxation_rates(
     stationary: PlaneSolution, count: int, *, tol: float, relative: float = 0.0
 ) -> Rates:
-    """Return the ``count`` eigenvalues of −L with the least real parts but 0.
+    """Return the ``count`` eigenvalues of −L with the least real parts but 0, Im λ >= 0.
 
-    Levels rise until two of them agree to ``tol``, relative to each; the answer is that of the
-    finer one. ``relative`` is the relative error of the coefficients. Raises ``NotCertified`` where
-    the two finest levels have fewer unknowns than that.
+    Levels rise until two of them agree to ``tol``, relative to each; ``relative`` is the error of
+    the coefficients. Raises ``NotCertified`` where the two finest have too few unknowns.
     """
-
-    def nodes(rise: float, panels: int) -> Nodes:
-        return graded(far_ends(stationary, rise), panels)
-
-    process = stationary.process
-    # A rate of the order of the slowest: b/H² of the energies at their scales, the lesser one.
-    scales = np.array(process.energy_scales)
-    b = process.coefficients(scales[None, :]).diffusion[0]
+    # A rate of the order of the slowest: the lesser b/H² of the energies at their scales.
+    scales = np.array(stationary.process.energy_scales)
+    b = stationary.process.coefficients(scales[None, :]).diffusion[0]
     shift, sought, answer = float(np.min(np.diag(b) / scales**2)), 2 * count + 2, None
-    vectors = VECTORS[0] * sought + VECTORS[1]
-    levels = (
-        (op, *_eigenvalues(op, sought, vectors, shift))
-        for op in operators(stationary, nodes, tol=tol, height=HEIGHT)
-        if vectors < op.unknowns
-    )
-    for (_, coarse, _), (op, every, residual) in pairwise(levels):
-        values = every[:count]
+    vectors, levels = VECTORS[0] * sought + VECTORS[1], list[Complexes]()
+    for op in operators(
+        stationary,
+        lambda rise, panels: graded(stationary.far_ends(rise), panels),
+        tol=tol,
+        height=HEIGHT,
+    ):
+        A, M, shares = op.matrices
+        if vectors >= shares.size:
+            continue
+        factors = factorised((shift * M - A).tocsc())
+        inverse = LinearOperator(A.shape, matvec=factors.solve, dtype=float) @ aslinearoperator(M)
+        start: Array = np.random.default_rng(0).normal(size=shares.size)
+        s, X = eigs(inverse, k=sought, ncv=vectors, v0=start, tol=0.0)
+        every = 1.0 / s - shift
+        # A double eigenvalue, which is real, splits by the root of round-off.
+        every = np.where(np.abs(every.imag) <= 1e-9 * np.abs(every), every.real, every)
+        defect = np.asarray(A @ X + (M @ X) * every)
+        terms = np.asarray(abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(every))
+        residual = float(np.max(np.abs(defect)) / np.max(terms))
+        every = every[np.lexsort((every.imag, every.real))]
+        every = every[every.imag >= 0.0]
+        levels.append(np.delete(every, np.argmin(np.abs(every))))
+        if len(levels) < 2:
+            continue
+        coarse, values = levels[-2], levels[-1][:count]
         size = np.abs(values)
         errors = SAFETY * np.abs(coarse - values[:, None]).min(axis=1)
         # Round-off of an eigenvalue of the shifted inverse, relative to its largest.
         errors += 50.0 * EPS * (size + shift) ** 2 / shift
-        errors += (relative + 2.0 * stationary.relative_error * stationary.balanced) * size
-        settings = {"unknowns": op.unknowns, "degree": op.degree}
+        errors += (relative + 2.0 * stationary.relative_error * (stationary.degree == 0)) * size
+        settings = {"unknowns": shares.size, "degree": op.degree}
         answer = certified_rates(values, errors, tol=tol, residual=residual, settings=settings)
         if answer.certificate.certified:
             break
     if answer is None:
         raise NotCertified(f"{count} rates take more unknowns than are affordable")
     return answer
-
-
-def _eigenvalues(
-    op: PlaneOperator, sought: int, vectors: int, shift: float
-) -> tuple[Complexes, float]:
-    """Return the eigenvalues of −L but 0 with Im λ >= 0, and the residual of their equation."""
-    A, M, _ = op.matrices
-    factors = factorised((shift * M - A).tocsc())
-    inverse = LinearOperator(A.shape, matvec=lambda x: factors.solve(M @ x), dtype=float)
-    start: Array = np.random.default_rng(0).normal(size=A.shape[0])
-    s, X = eigs(inverse, k=sought, ncv=vectors, v0=start, tol=0.0)
-    values = 1.0 / s - shift
-    # A double eigenvalue, which is real, splits by the root of round-off.
-    values = np.where(np.abs(values.imag) <= 1e-9 * np.abs(values), values.real, values)
-    defect = np.asarray(A @ X + (M @ X) * values)
-    terms = np.asarray(abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(values))
-    residual = float(np.max(np.abs(defect)) / np.max(terms))
-    order = np.lexsort((values.imag, values.real))
-    order = order[(values.imag[order] >= 0.0)]
-    stationary = int(np.argmin(np.abs(values[order])))
-    return np.asarray(np.delete(values[order], stationary)), residual

@@ -1,89 +1,168 @@
-"""Densities of two energies at times after a start, as they are seen, with their errors."""
+"""Densities of two energies at times after a start, as they are seen, with their errors.
 
-from collections.abc import Callable, Iterator
+The action of exp(t A) is that of shift-and-invert Krylov spaces, one for times of like size.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.evolution import LARGEST_ERROR, Transient
-from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
-from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.plane.solution import Nodes, PlaneSolution, gauss_grid, graded
-from fpk.solvers.plane.time.exponential import KRYLOV, Evolved, evolved
-from fpk.solvers.plane.time.operator import (
-    SHARE,
-    PlaneOperator,
-    PlaneStart,
-    far_ends,
-    operators,
-    reach,
-)
+from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array
+from fpk.numeric.quadrature import gauss_grid, panel_rule
+from fpk.solvers.plane.elements import Nodes, factorised
+from fpk.solvers.plane.solution import PlaneSolution, graded
+from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators
+from fpk.solvers.plane.weight import reach
 
 Seen = Literal["pair", "first", "second", "sum"]
 """The coordinates in which a density of two energies is seen."""
 HEIGHT = 12.0
-"""Largest rise of −ln w up to a start: errors of p grow by the root of its exponential, here 400.
-A start higher up gets a flatter weight."""
+"""Largest rise of −ln w up to a start, by whose root errors grow: higher up w is flatter."""
 GIVEN_UP = (13, 0.5)
-"""Degree from which on an L1 distance larger than that ends the search: the last level resolves
-times a quarter as long, and no shorter ones."""
+"""Degree from which on a larger L1 distance ends the search: the time is too short to resolve."""
+RATIO = 30.0
+"""Largest over smallest time of one Krylov space."""
+POLE = 0.03
+"""Shift γ over the largest time. A rational function of one such pole approximates e^(−x) on the
+whole half-axis with an error that falls by (√2 − 1) a degree (Andersson 1981), on any mesh."""
+KRYLOV = 1e-2
+"""Fraction of the tolerance of an answer to which e^(tA) is computed."""
+GROWN = 8
+"""Dimensions by which a space grows; the answer without the last ones gives the error."""
+MOST = 160
+"""Largest dimension."""
+
+
+class Evolved(NamedTuple):
+    """g at times (times, unknowns), its change by the last ``GROWN`` dimensions, its round-off.
+
+    That is relative (times,) in the norm ∫ w g²; ``residual`` is the largest of the linear systems.
+    """
+
+    values: Array
+    change: Array
+    rounding: Array
+    residual: float
+
+
+def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Array) -> float:
+    """Return the largest entry of ``right − matrix x`` over the largest term, sizes |matrix|."""
+    defect = np.abs(right - matrix @ x)
+    return float(np.max(defect) / (np.max(np.abs(right)) + np.max(sizes @ np.abs(x))))
+
+
+def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float) -> Evolved:
+    """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of its norm ∫ w g².
+
+    The eigenvalues of (M − γA)⁻¹ M give slow rates to round-off/γ, at large times to their digits.
+    """
+    start = factorised(M).solve(dual)
+    residuals, parts, first = [relative_residual(M, abs(M), start, dual)], [], 0
+    while first < times.size:
+        last = int(np.searchsorted(times, RATIO * times[first], side="right"))
+        parts.append(_of_group(A, M, start, times[first:last], tol))
+        first = last
+    *arrays, own = zip(*parts, strict=True)
+    values, change, rounding = map(np.concatenate, arrays)
+    return Evolved(values, change, rounding, float(np.max([*residuals, *own])))
+
+
+def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float) -> Evolved:
+    gamma = POLE * float(times[-1])
+    matrix = (M - gamma * A).tocsc()
+    factors, sizes = factorised(matrix), abs(matrix)
+    V, MV = np.empty((MOST, start.size)), np.empty((MOST, start.size))
+    H, residuals, norm = np.zeros((MOST, MOST)), [0.0], float(np.sqrt(start @ (M @ start)))
+    V[0], MV[0] = start / norm, (M @ start) / norm
+    for k in range(1, MOST):
+        v = factors.solve(MV[k - 1])
+        if k % GROWN == 1:
+            residuals.append(relative_residual(matrix, sizes, v, MV[k - 1]))
+        before = float(np.sqrt(v @ (M @ v)))
+        for _ in range(2):
+            along = MV[:k] @ v
+            H[:k, k - 1] += along
+            v = v - along @ V[:k]
+        Mv = M @ v
+        H[k, k - 1] = size = float(np.sqrt(v @ Mv))
+        fewer = k if size <= 1e-12 * before else k - GROWN  # round-off: the space is complete
+        if fewer == k or (k + 1 >= 3 * GROWN and (k + 1) % GROWN == 0):
+            more, rounding, norms = _reduced(H[:k, :k], times, gamma)
+            change = more.copy()
+            change[:, :fewer] -= _reduced(H[:fewer, :fewer], times, gamma)[0]
+            if float(np.max(np.linalg.norm(change, axis=1) / norms)) <= tol or k + GROWN >= MOST:
+                break
+        V[k], MV[k] = v / size, Mv / size
+    values, lost = norm * more @ V[:k], norm * change @ V[:k]
+    return Evolved(values, lost, rounding / norms, float(np.max(residuals)))
+
+
+def _reduced(H: Array, times: Array, gamma: float) -> tuple[Array, Array, Array]:
+    """e^(tA) of the first basis vector (times, m), A = (1 − S⁻¹)/γ, its round-off and norms."""
+    s, X = np.linalg.eig(H)
+    condition, first = float(np.linalg.cond(X)), np.linalg.solve(X, np.eye(len(H))[0])
+    # Of s below 1e-3 the factor e^(t(1 − 1/s)/γ) is e^−1100 by t/γ > 1/(RATIO · POLE) = 1.1.
+    live = np.abs(s) > 1e-3
+    rate = (1.0 - 1.0 / s[live]) / gamma
+    # No mode grows, but the numerical range of a small space leans into the right half plane.
+    rate = np.minimum(rate.real, 0.0) + 1j * rate.imag
+    values = ((np.exp(np.outer(times, rate)) * first[live]) @ X[:, live].T).real
+    # What has decayed has no error of its own.
+    norms = np.maximum(np.linalg.norm(values, axis=1), 1e-200)
+    # Eigenvectors are known to ε over the gaps of s, those of slow modes γ/t.
+    return values, EPS * condition * (1.0 + times / gamma), norms
+
+
 Level = tuple[PlaneOperator, Evolved]
 """An operator, and its free unknowns at all times."""
 
 
-def seen_at(op: PlaneOperator, seen: Seen, g: Array, points: tuple[Array, ...]) -> Array:
-    """Return the densities (times, points) of unknowns g (times, unknowns) at points (points,)."""
+def seen_at(op: PlaneOperator, seen: Seen, g: Array, at: Sequence[Array]) -> Array:
+    """Return the densities (times, ...) of unknowns g (times, unknowns) at energies ``at``.
+
+    These are points (points,), or of a pair also the axes (m, 1) and (1, n) of a grid.
+    """
+    if seen in ("first", "second"):
+        axis = int(seen == "first")
+        y, v = (a.ravel() for a in panel_rule(op.nodes[axis], op.points))
+        if axis:
+            return np.asarray(seen_at(op, "pair", g, (at[0][:, None], y[None])) @ v)
+        return np.asarray(v @ seen_at(op, "pair", g, (y[:, None], at[0][None])))
     g = op.spread(g)
     if seen == "pair":
-        first, second = (op.along(k, H) for k, H in enumerate(points))
+        first, second = (op.along(k, H.ravel()) for k, H in enumerate(at))
+        if at[0].ndim == 2:
+            return np.asarray((first @ g @ second.T) * op.weight(*at))
         values = np.array([np.sum((first @ each) * second, axis=1) for each in g])
-        return np.asarray(values.reshape(len(g), -1) * op.weight_at(*points))
-    (energy,) = points
-    if seen == "sum":
-        # ∫ w φ_i(x) ψ_j(H − x) dx, cut where panels end.
-        rows = np.zeros((energy.size, *op.sizes))
-        for row, H in zip(rows, energy, strict=True):
-            low, high = max(0.0, H - op.nodes[1][-1]), min(H, op.nodes[0][-1])
-            if low < high:
-                cuts = np.concatenate([op.nodes[0], H - op.nodes[1]])
-                nodes = np.unique(np.clip(cuts, low, high))
-                x, v = (a.ravel() for a in panel_rule(nodes, op.points))
-                y, weighted = np.maximum(H - x, 0.0), v * op.weight_at(x, H - x)
-                row[...] = (op.along(0, x) * weighted[:, None]).T @ op.along(1, y)
-    else:
-        # ∫ w φ_i ψ_j over the other energy.
-        axis = int(seen == "second")
-        y, v = (a.ravel() for a in panel_rule(op.nodes[1 - axis], op.points))
-        own, other = op.along(axis, energy), op.along(1 - axis, y)
-        H1, H2 = (energy[:, None], y) if axis == 0 else (y, energy[:, None])
-        inner = (op.weight_at(H1, H2) * v) @ other
-        rows = own[:, :, None] * inner[:, None, :]
-        rows = rows if axis == 0 else np.swapaxes(rows, 1, 2)
+        return np.asarray(values.reshape(len(g), -1) * op.weight(*at))
+    # ∫ w φ_i(x) ψ_j(H − x) dx, cut where panels end.
+    rows = np.zeros((at[0].size, *op.sizes))
+    for row, H in zip(rows, at[0], strict=True):
+        low, high = max(0.0, H - op.nodes[1][-1]), min(H, op.nodes[0][-1])
+        if low < high:
+            cuts = np.concatenate([op.nodes[0], H - op.nodes[1]])
+            x, v = panel_rule(np.unique(np.clip(cuts, low, high)), op.points)
+            x, y = x.ravel(), np.maximum(H - x, 0.0).ravel()
+            row[...] = (op.along(0, x).T * (v.ravel() * op.weight(x, y))) @ op.along(1, y)
     return np.asarray(g.reshape(len(g), -1) @ rows.reshape(len(rows), -1).T)
 
 
-def seen_on(op: PlaneOperator, seen: Seen, g: Array, axes: tuple[Array, ...]) -> Array:
-    """Return the densities (times, *grid) of g (times, unknowns) on the grid of ``axes``."""
-    if seen != "pair":
-        return seen_at(op, seen, g, axes)
-    first, second = op.along(0, axes[0]), op.along(1, axes[1])
-    return np.asarray((first @ op.spread(g) @ second.T) * op.weight_at(axes[0][:, None], axes[1]))
-
-
-def seen_grid(op: PlaneOperator, seen: Seen) -> tuple[tuple[Array, ...], Array, list[float]]:
+def seen_grid(op: PlaneOperator, seen: Seen) -> tuple[Sequence[Array], Array, list[float]]:
     """Return axes of energies, weights of an integral on their grid, and the last energies."""
     ends = [float(x[-1]) for x in op.nodes]
-    if seen == "sum":
-        # Panels equidistant in √H.
+    if seen == "sum":  # panels equidistant in √H
         x, w = panel_rule(graded((sum(ends), 1.0), 12)[0], 8)
         return (x.ravel(),), w.ravel(), [sum(ends)]
-    axes, weights = gauss_grid(op.nodes, op.degree + 2)
+    axes, grids = gauss_grid(op.nodes, points=op.degree + 2)
     if seen == "pair":
-        return axes, np.multiply.outer(*weights).ravel(), ends
+        return axes, np.multiply.outer(grids[0][1], grids[1][1]).ravel(), ends
     k = int(seen == "second")
-    return (axes[k],), weights[k], [ends[k]]
+    return (grids[k][0],), grids[k][1], [ends[k]]
 
 
 def transient_densities(
@@ -98,18 +177,17 @@ def transient_densities(
 ) -> tuple[Transient, tuple[Level, Level]]:
     """Return the densities seen at ``times`` > 0, ascending, at points ``at`` (points,) each.
 
-    Levels rise until two of them agree to ``tol`` in L1 and in units of the largest density; the
-    answer is that of the finer one, its error the distance to the coarser one. A time too short for
-    the last level is not certified. ``coefficients_error(t, *at)`` is the relative error of p by
-    that of the coefficients. With the answer come the last two levels, the finer one last.
+    Levels rise until two agree to ``tol`` in L1 and in units of the largest density; their distance
+    is the error. A time too short for the last level is not certified. ``coefficients_error(t,
+    *at)`` is the relative error of p by the coefficients. The last two levels come with the answer.
     """
     for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
         (op, g), (other_op, other_g) = fine, coarse
         axes, area, ends = seen_grid(op, seen)
-        points = [x.ravel() for x in np.meshgrid(*axes, indexing="ij")]
+        points = [x.ravel() for x in np.broadcast_arrays(*axes)]
         solutions = (op, g.values), (other_op, other_g.values), (op, g.change)
         p, other, change = (
-            seen_on(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions
+            seen_at(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions
         )
         lost = np.abs(p - other) + np.abs(change)
         largest, distance = np.max(np.abs(p), axis=1), lost @ area
@@ -167,7 +245,7 @@ def _levels(
 
     def nodes(rise: float, panels: int) -> Nodes:
         longer = 1.0 + 0.03 * (rise - reach(tol, height))
-        return graded(np.maximum(far_ends(stationary, rise), least * longer), panels)
+        return graded(np.maximum(stationary.far_ends(rise), least * longer), panels)
 
     for op in operators(stationary, nodes, tol=tol, height=height, share=share):
         A, M, _ = op.matrices
