@@ -1,8 +1,9 @@
 """Method ``phase-space``: the stationary FPK equation of the full system (6), deterministic."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
 from typing import Self
 
@@ -11,13 +12,7 @@ import numpy as np
 from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space.densities import density_of, identities, settings_of
-from averaging.phase_space.dynamics.questions import (
-    Answer,
-    correlation,
-    crossings,
-    relaxation,
-    spectrum,
-)
+from averaging.phase_space.dynamics import questions
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import finer, lowest
 from averaging.phase_space.equation.elimination import cost
@@ -153,28 +148,38 @@ class PhaseSpace(Theory):
     @answer
     def crossings(self, asked: Asked) -> Curve:
         """Return the upcrossings per unit time of q from the joint density of (q, p)."""
-        return self._curve(crossings, asked, CROSSINGS_TOL)
+        levels = partial(questions.about_levels, row=asked.row, at=asked.at)
+        return self._curve(asked, "crossings", CROSSINGS_TOL, apart=levels)
 
     @answer
     def spectrum(self, asked: Asked) -> Curve:
         """Return the power spectral density of q from the resolvent of the FPK operator."""
-        return self._curve(spectrum, asked, SPECTRUM_TOL)
+        return self._curve(asked, "spectrum", SPECTRUM_TOL)
 
     @answer
     def correlation(self, asked: Asked) -> Curve:
         """Return the autocovariance of q from the exponential of the FPK operator."""
-        return self._curve(correlation, asked, CORRELATION_TOL, signed=True)
+        return self._curve(asked, "correlation", CORRELATION_TOL, numbers=float)
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
         """Return the slowest eigenvalues of the expansion's FPK operator."""
         require_held(asked.system)
         frame, wanted = self._frame(asked.system), asked.tol or RELAXATION_TOL
+        options, momentum = self._options(asked.progress), (Coordinate("p", frame.contact),)
+        measure = partial(questions.relaxation, count=asked.count, work=options.work)
         with _breakdowns():
-            answer = relaxation(frame, asked.count, self._options(asked.progress), tol=wanted)
+            ladder, answer = questions.adapted(
+                frame,
+                [momentum],
+                measure,
+                options,
+                questions.nearest,
+                tol=wanted,
+                what="relaxation",
+            )
         values = np.asarray(answer.values, dtype=complex)
-        momentum = (Coordinate("p", frame.contact),)
-        stationary = density_of(answer.ladder, momentum, wanted).certificate
+        stationary = density_of(ladder, momentum, wanted).certificate
         measured = Measured(
             l1_error=answer.relative,
             mass_defect=stationary.mass_defect,
@@ -184,35 +189,39 @@ class PhaseSpace(Theory):
             failures=tuple(words for words in (answer.missing, answer.limit) if words),
         )
         certificate = certify(measured, tol=wanted)
-        return Rates(values, answer.errors, certificate, settings_of(answer.ladder))
+        return Rates(values, np.asarray(answer.errors), certificate, settings_of(ladder))
 
     def _curve(
         self,
-        route: Callable[..., Answer],
         asked: Asked,
+        name: str,
         default: float,
         *,
-        signed: bool = False,
+        apart: questions.Apart = questions.largest,
+        numbers: type = complex,
     ) -> Curve:
-        """Return the answer by ``route`` to the tolerance asked for, or else the ``default``.
-
-        One that is ``signed`` is within ± its scale.
-        """
-        tol, row = asked.tol or default, asked.row
+        """Return the answer that ``questions`` measures, to the tolerance asked or ``default``."""
+        tol, row, frame = asked.tol or default, asked.row, self._frame(asked.system)
+        measure = partial(getattr(questions, name), row=row, at=asked.at, tol=tol)
+        # A momentum, so that all levels of the stationary state are computed.
+        q, p = (Coordinate("q", row),), (Coordinate("p", row),)
+        options = self._options(asked.progress)
         with _breakdowns():
-            options = self._options(asked.progress)
-            answer = route(self._frame(asked.system), row, asked.at, options, tol=tol)
+            ladder, answer = questions.adapted(
+                frame, [q, p], measure, options, apart, tol=tol, what=name, numbers=numbers
+            )
         values, scale = np.asarray(answer.values, dtype=float), float(answer.scale)
         return certified_curve(
             values,
-            answer.errors,
+            np.asarray(answer.errors),
             scale=scale,
-            of=density_of(answer.ladder, (Coordinate("q", row),), inf),
+            of=density_of(ladder, q, inf),
             tol=tol,
             residual=answer.residual,
             failures=(answer.limit,) if answer.limit else (),
-            settings=settings_of(answer.ladder),
-            positive=scale - np.abs(values) if signed else None,
+            settings=settings_of(ladder),
+            # An autocovariance is within ± its scale.
+            positive=scale - np.abs(values) if name == "correlation" else None,
         )
 
     @answer
