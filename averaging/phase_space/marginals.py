@@ -5,6 +5,7 @@ from math import ceil
 
 import numpy as np
 
+from averaging.phase_space.equation.degrees import combined
 from averaging.phase_space.equation.elimination import Expansion
 from fpk.answer.observable import Coordinate, Observable
 from fpk.numeric.arrays import Array
@@ -147,7 +148,7 @@ def _projected(e: Expansion, directions: Array) -> Array:
     """
     space, total = e.space, len(e.levels) - 1
     in_panels = [e.of_panels(n) for n in range(total + 1)]
-    raising = [space.raising(direction) for direction in directions]
+    raising = [combined(space.up, direction) for direction in directions]
     out = np.zeros((*[total + 1] * len(raising), in_panels[0].shape[1]))
 
     def add(place: tuple[int, ...], v: Array) -> None:

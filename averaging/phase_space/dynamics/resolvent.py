@@ -13,6 +13,7 @@ import numpy as np
 
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.chain import Chain, chain_of
+from averaging.phase_space.equation.degrees import combined
 from averaging.phase_space.equation.elimination import Expansion, factored
 from averaging.phase_space.krylov import EVERY, RESIDUAL, VECTORS, krylov
 from averaging.phase_space.marginals import form_of, moments
@@ -69,7 +70,7 @@ def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
     q = Coordinate("q", row)
     (offset, slope, direction), (at, unit) = form_of(e, q), b.frame.place(q)
     offset -= unit * moments(e)[0][at]
-    values, up = b.at_points[0], space.raising(direction)
+    values, up = b.at_points[0], combined(space.up, direction)
     by_y = values.T @ ((b.weights * (offset + slope * b.points))[:, None] * values)
     density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])
     reference = np.zeros_like(density)

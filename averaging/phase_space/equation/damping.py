@@ -29,32 +29,22 @@ def reach(frame: Frame) -> int:
 
 
 def levels_per_stage(frame: Frame) -> int:
-    """Return how many levels a stage of the elimination has; level 0 is a stage of its own.
-
-    s >= r and 2 s >= r + 2, r = ``reach``: a stage meets the two below it and the one above.
-    """
+    """Levels of a stage, s >= r and 2 s >= r + 2, r = ``reach``; level 0 is a stage of its own."""
     return max(reach(frame), (reach(frame) + 3) // 2)
 
 
 def state(
     functions: Basis, C: Array, space: Space
 ) -> tuple[list[Polynomial], list[Polynomial], list[Polynomial]]:
-    """Return displacements r (y the first of them) and velocities v times √m, and the forces f.
-
-    They are matrices on the degrees of ``space``, exact but at its end.
-    """
+    """Return displacements (y, r), velocities v and forces f, exact but at the end of ``space``."""
     frame, reference = functions.frame, functions.reference
     n, place = frame.n, frame.order.index
     one: Matrix = sparse.eye_array(len(space.level), format="csr")
     z = [combined([up + up.T for up in space.up], row) for row in C]
     v: list[Polynomial] = [{(0, 0): x} for x in z[:n]]
-    r: list[Polynomial] = [
-        {(1, 0): one},
-        *(
-            {(0, 0): x + x0 * one, (1, 0): a * one}
-            for x, a, x0 in zip(z[n:], reference.slope, reference.offset, strict=True)
-        ),
-    ]
+    linear = zip(z[n:], reference.slope, reference.offset, strict=True)
+    r: list[Polynomial] = [{(1, 0): one}]
+    r += [{(0, 0): x + x0 * one, (1, 0): a * one} for x, a, x0 in linear]
     energy: Polynomial = {(0, 1): one}
     for i in range(n):
         energy = added(energy, product(v[i], v[i]), 0.5)
@@ -95,17 +85,14 @@ def added(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynomial:
 def damped(
     functions: Basis, C: Array
 ) -> tuple[Space, list[tuple[Matrix, list[list[Array | None]]]]]:
-    """Return the terms A ⊗ F of −Σ_ij C⁻¹_ji a_j⁺ f_i, and the degrees that A acts on.
-
-    F are matrices on functions of y by the parities of two levels, as in ``chain``.
-    """
+    """Return the degrees that A acts on, and the terms A ⊗ F of −Σ_ij C⁻¹_ji a_j⁺ f_i."""
     frame, degrees = functions.frame, functions.degrees
     beyond, d = reach(frame) + 1, 2 * frame.n - 1
     space = space_to(degrees.total + beyond, degrees.others + beyond, d)
     inverse: Array = np.asarray(np.linalg.inv(C), dtype=float)
     operator: Polynomial = {}
     for i, force in enumerate(state(functions, C, space)[2]):
-        up = space.raising(inverse[:, i])
+        up = combined(space.up, inverse[:, i])
         operator = added(operator, {powers: up @ X for powers, X in force.items()}, -1.0)
     values, _ = functions.at_points
     sets, terms = [values @ functions.of_level(n) for n in range(2)], []
@@ -120,5 +107,6 @@ def damped(
 
 def by_y(functions: Basis, powers: tuple[int, int]) -> Array:
     """Weights of the points times the powers of y and of U(y)."""
-    y, energy = functions.points, functions.frame.contact_energy(functions.points)
-    return np.asarray(functions.weights * y ** powers[0] * energy ** powers[1])
+    y = functions.points
+    energy = functions.frame.contact_energy(y) ** powers[1]
+    return np.asarray(functions.weights * y ** powers[0] * energy)

@@ -50,8 +50,8 @@ Solve = Callable[[Array], Array]
 class Expansion:
     """Coefficients of a solution: ``levels[n]`` is (degrees, functions) of level n.
 
-    ``basis`` has the functions of y, ``factor`` C, ``space`` the degrees. ``residual`` is that of
-    the equations, relative to the terms that cancel in them.
+    ``basis``, ``factor`` and ``space`` are those of the ``Chain``. ``residual`` is that of the
+    equations, relative to the terms that cancel in them.
     """
 
     basis: Basis
@@ -78,10 +78,9 @@ class Expansion:
     @property
     def rise(self) -> int:
         """By how much the degree in the others is to rise: 2, 1 or 0 where little is there."""
-        edge, square = self.space.counted == self.basis.degrees.others, 0.0
-        for n, u in enumerate(self.levels):
-            square += float(np.sum(u[edge[self.space.span(n)]] ** 2))
-        return sum(bool(square**0.5 > share * self.top) for share in (LARGE, NEGLIGIBLE))
+        sizes = np.concatenate([np.sum(u**2, axis=1) for u in self.levels])
+        edge = np.sqrt(np.sum(sizes[self.space.counted == self.basis.degrees.others]))
+        return int(edge > LARGE * self.top) + int(edge > NEGLIGIBLE * self.top)
 
 
 def cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]:
@@ -111,8 +110,8 @@ def expanded(
 
     The elimination is in single precision, half the time and memory of double, and without pairs
     unless damping terms make them large. Where its refinement does not converge it is done again in
-    double precision, with pairs, unless that takes more than ``memory`` bytes. ``step`` is called
-    with the share of the work that is done.
+    double precision, with pairs, unless that takes more than ``memory`` bytes. ``step`` as of
+    ``factored``.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(functions)
@@ -127,11 +126,7 @@ def expanded(
 
 
 def _refined(chain: Chain, solve: Solve, scale: float, *, paired: bool) -> tuple[Array, float]:
-    """Return the stationary solution and its residual, relative to the terms that cancel in it.
-
-    ``solve``, ``scale`` and ``paired`` are as of ``factored``. The equation of the mass, as it has
-    it, is added to those of the chain.
-    """
+    """Return the solution with the equation of the mass, as of ``factored``, and its residual."""
     matrix, one = chain.matrix, chain.basis.of_one
     given = scale * one
 
@@ -175,10 +170,9 @@ def factored(
 
     Returned are the function that solves them, and the factor before the mass in the equation of
     the function 1: 0 with a shift. Without one that equation, 0 = 0, is replaced by that of the
-    mass, ``one`` times the unknowns of level 0, of the size of the terms of 1: were it the largest
-    entry, their round-off would be a thousand times as large. Without ``paired`` pairs of stages
-    are left out, and the solution is that of other equations. ``step`` is called with the share of
-    the work done.
+    mass, of the size of the terms of 1: were it the largest entry, their round-off would be a
+    thousand times as large. Without ``paired`` what stages meet two below them is left out.
+    ``step`` is called with the share of the work done.
     """
     top = chain.top
     work = np.cumsum(np.diff(chain.ends, prepend=0)[::-1].astype(float) ** 3)
@@ -208,7 +202,7 @@ def factored(
     inverses.insert(0, np.asarray(np.linalg.inv(A), dtype=A.dtype))
 
     def solve(right: Array) -> Array:
-        parts = chain.split(right.astype(A.dtype, copy=False))
+        parts = np.split(right.astype(A.dtype, copy=False), chain.ends[:-1])
         # From the top down what each stage makes without those below it, and back up.
         alone = [inverses[top] @ parts[top]]
         for n in range(top - 1, -1, -1):
@@ -230,9 +224,8 @@ def factored(
 def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
 
-    Products are three times as fast as LAPACK's inverse in single precision. Cuts are between
-    degrees in the other masses: displacements without their velocities are not damped, and a
-    matrix that has only these in front is singular.
+    Cuts are between degrees in the other masses: displacements without their velocities are not
+    damped, and a matrix that has only these in front is singular.
     """
     size = A.shape[0]
     inside = [cut for cut in cuts if 0 < cut < size]
@@ -243,11 +236,8 @@ def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     right, below = first @ A[:half, half:], A[half:, :half] @ first
     rest = A[half:, half:] - A[half:, :half] @ right
     last = inverted(rest, [cut - half for cut in inside])
-    out = np.empty_like(A)
-    corner = last @ below
-    out[half:, half:] = last
-    out[half:, :half] = -corner
+    out, corner = np.empty_like(A), last @ below
+    out[half:, half:], out[half:, :half] = last, -corner
     np.matmul(right, -last, out=out[:half, half:])
-    out[:half, :half] = first
-    out[:half, :half] += right @ corner
+    np.add(first, right @ corner, out=out[:half, :half])
     return out
