@@ -53,10 +53,10 @@ class Elements:
     """Backward equation, L T = −1, L T₂ = −2 T, ∂u/∂t = L u, on a mesh.
 
     K of −L and M of 1 in L²(exp(−c H/D)), and vectors (unknowns,) of the weak form. Functions may
-    jump between panels of x, where the side that motion goes to decides, and are continuous in s;
-    they are divided by their norms, which are the coefficients ``one`` of the function 1. ``load``
-    tests 1, ``exit`` tests −L 1, which is lost at the limit: as K ``one`` it would be lost to
-    round-off where failure is rare. ``free`` are the places of the unknowns among all functions.
+    jump between panels of x, upwind, and are continuous in s; they are divided by their norms,
+    which are the coefficients ``one`` of the function 1. ``load`` tests 1, ``exit`` tests −L 1,
+    which is lost at the limit: as K ``one`` it would be lost to round-off where failure is rare.
+    ``free`` are the places of the unknowns among all functions.
     """
 
     mesh: Mesh
@@ -100,17 +100,12 @@ class Elements:
         """Coefficients of T up to a factor that is 1 but for round-off where failure is rare."""
         return self.solved(self.load)
 
-    def residual(self) -> float:
-        """Return the largest residual of T relative to the largest of its terms."""
-        defect = np.abs(self.load - self.K @ self.mean)
-        return float(np.max(defect) / np.max(abs(self.K) @ np.abs(self.mean)))
-
     def moments(self, start: Array) -> tuple[float, float, float]:
         """Return E T and E T² of the functional ``start``, and the mass that round-off lost.
 
-        All that starts fails in the end: y'(−L 1) = start'1 with the density y = K⁻ᵀ start of the
-        time spent. Where failure is rare K is nearly singular, and y is right up to a factor that
-        this identity gives back; how far it is off from 1 is the mass lost, relative to all.
+        Where failure is rare K is nearly singular, and the density of the time spent, y = K⁻ᵀ
+        start, is right up to a factor. All fails in the end, y'(−L 1) = start'1, gives it back; how
+        far it is off from 1 is the mass lost, relative to all.
         """
         y = self.solved(start, "T")
         kept = float(y @ self.exit) / float(start @ self.one)
@@ -154,21 +149,17 @@ class Elements:
     def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
         """Return P(T <= t) at ascending times > 0, and what the last vectors changed.
 
-        M F' = −K F + exit from F = 0 keeps the digits of what is small. Galerkin's method on the
-        Krylov space of (K + σM)⁻¹M from the function 1, which F tends to, orthonormal in M: neither
-        K + Kᵀ nor its projection is negative, and nothing grows. At H = E, where there are no
-        unknowns, F is 1, which adds a constant within the last panels.
+        M F' = −K F + exit from F = 0, by Galerkin's method on the Krylov space of (K + σM)⁻¹M from
+        the function 1, orthonormal in M: neither K + Kᵀ nor its projection is negative, and nothing
+        grows. At H = E, where there are no unknowns, F is 1, which adds a constant.
         """
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)
         change = before = last
         images = np.zeros((0, start.size))
-        for V, _, closed in krylov(
-            lambda x: self.shifted.solve(self.M @ x),
-            self.one[:, None],
-            VECTORS,
-            metric=self.M.__matmul__,
-        ):
+        solve, M = self.shifted.solve, self.M
+        spaces = krylov(lambda x: solve(M @ x), self.one[:, None], VECTORS, metric=M.__matmul__)
+        for V, _, closed in spaces:
             if len(V) % EVERY and not closed:
                 continue
             images = np.vstack([images, (self.K @ V[len(images) :].T).T])
@@ -193,8 +184,7 @@ class Elements:
 def shapes(degree: int, t: Array) -> tuple[Array, Array]:
     """Return values and slopes (points, degree + 1) at t of the polynomials of the Lobatto nodes.
 
-    Each belongs to a node: where the weight falls by e²⁰ over a panel, scaled hierarchical
-    polynomials lose all digits of rare failure to round-off.
+    Where the weight falls by e²⁰ over a panel hierarchical ones would lose all digits.
     """
     inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
     inverse = np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
