@@ -18,14 +18,7 @@ from averaging.phase_space.equation.degrees import finer, lowest
 from averaging.phase_space.equation.elimination import cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.passage.first_passage import first_passage
-from averaging.phase_space.refinement import (
-    MEMORY,
-    Ladder,
-    Options,
-    better,
-    ladder_of,
-    ladders,
-)
+from averaging.phase_space.refinement import MEMORY, Ladder, Options, better, ladder_of, ladders
 from averaging.theory import Theory
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Curve, Rates, certified_curve
@@ -120,6 +113,12 @@ class PhaseSpace(Theory):
         """Return the plan for ``system``; raise ``NotApplicable`` where the expansion is not."""
         frame = self._frame(system)
 
+        def refusal(observable: Observable) -> str | None:
+            name = observable_name(observable)
+            words = "the expansion gives densities of displacements and momenta, not of energies"
+            energy = any(c.kind == "H" for c in observable)
+            return f"{name}: {words}; ask for q, p or pairs of them" if energy else None
+
         def solve(
             observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
         ) -> Result:
@@ -143,7 +142,7 @@ class PhaseSpace(Theory):
                 beside=tuple(density_of(others, o, inf) for o in beside),
             )
 
-        return Plan(_refusal, lambda observables, p: solve(observables, (), p), solve)
+        return Plan(refusal, lambda observables, p: solve(observables, (), p), solve)
 
     @answer
     def crossings(self, asked: Asked) -> Curve:
@@ -240,10 +239,8 @@ class PhaseSpace(Theory):
     def _frame(self, system: System) -> Frame:
         """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""
         if system.n > MOST_MASSES:
-            raise NotApplicable(
-                f"{system.n} masses have {2 * system.n} coordinates; the expansion is for "
-                f"{2 * MOST_MASSES} at the most"
-            )
+            most = f"the expansion is for {2 * MOST_MASSES} at the most"
+            raise NotApplicable(f"{system.n} masses have {2 * system.n} coordinates; {most}")
         frame = contact_frame(system)
         about = gibbs_reference(frame)
         if system.damping_terms:
@@ -259,15 +256,6 @@ def _breakdowns() -> Iterator[None]:
         yield
     except np.linalg.LinAlgError as error:
         raise NotCertified(f"the expansion breaks down: {error}") from None
-
-
-def _refusal(observable: Observable) -> str | None:
-    if any(c.kind == "H" for c in observable):
-        return (
-            f"{observable_name(observable)}: the expansion gives densities of displacements and "
-            "momenta, not of energies; ask for q, p or pairs of them"
-        )
-    return None
 
 
 PhaseSpace.register(quick=False)

@@ -92,8 +92,8 @@ def adapted(
             # A ladder with a limit is yielded again, as there is no finer one.
             own, answer = found
             return own, replace(answer, limit="" if answer.relative <= tol else limit)
-        coarse = fine or measure(ladder.coarser, options.step(what, ladder.coarser.basis.degrees))
-        fine = measure(ladder.finest, options.step(what, ladder.finest.basis.degrees))
+        coarse = fine or measure(ladder.coarser, options.step(what, len(ladder.coarser.levels) - 1))
+        fine = measure(ladder.finest, options.step(what, len(ladder.finest.levels) - 1))
         distance = apart(ladder, fine, coarse)
         relative = float(np.max(distance / fine.scale))
         believed, error = falling(relative, believed, kept(frame))
