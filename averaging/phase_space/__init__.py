@@ -2,7 +2,7 @@
 
 ``equation`` has the expansion at given degrees: the system relative to the mass that meets stops
 (``frame``), functions of its displacement (``basis``), ``degrees`` in all else, the equations
-(``chain``, ``damping``) and their ``elimination``. ``refinement`` adapts degrees and reference to a
+(``chain``) and their ``elimination``. ``refinement`` adapts degrees and reference to a
 tolerance; ``marginals`` and ``densities`` follow from a solution, and questions in time by the
 resolvent (``dynamics``). ``passage`` is first passage of one mass, by finite elements.
 """

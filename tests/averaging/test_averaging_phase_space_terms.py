@@ -12,8 +12,7 @@ from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.densities import force_means
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.chain import chain_of
-from averaging.phase_space.equation.damping import levels_per_stage, reach
+from averaging.phase_space.equation.chain import chain_of, levels_per_stage, reach
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of

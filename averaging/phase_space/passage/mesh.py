@@ -6,6 +6,7 @@ from itertools import pairwise
 from math import asin, ceil, inf, pi, sqrt
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import brentq
 
 from averaging.phase_space.equation.frame import contact_frame
@@ -21,11 +22,13 @@ GRADED = 1.1
 PANEL, FINER = 1.6, 0.93
 """Panels of the first level in kicks of noise, and the ratio of those of successive levels."""
 LEAST, CLOSER = 0.15, 0.45
-"""The least panel at a glancing point in units of the speed where noise outdoes the pull."""
+"""The least panel at a glancing point in units of the speed where noise outdoes the pull, and the
+ratio of those of successive levels."""
 STOP = 1.5
 """Panels over their distance to a stop whose force is a fractional power of the overlap."""
-SAMPLES = 401
-"""Points at which the lengths of panels are sampled, on each half of an interval."""
+SAMPLES, NEAREST = 401, 1e-12
+"""Points at which the lengths of panels are sampled on each half of an interval, by equal ratios,
+and the distance of the nearest one to its end, over the half."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +36,8 @@ class Oscillator:
     """dq = v dt, m dv = −(c v + V'(q)) dt + √(2D) dB: Eq. (6) of one mass, v = p/m.
 
     ``potential`` V has its only minimum, 0, at q = 0; ``force`` is V'; ``even``: V(−q) = V(q).
-    ``stops`` are where V' is not smooth, as (q, side on which it is a fractional power; 0: on
-    neither). ``frequency`` is that of small motion between the stops.
+    ``stops`` are where V' is not smooth, as (q, side on which it is a fractional power, else 0).
+    ``frequency`` is that of small motion between the stops.
     """
 
     mass: float
@@ -82,7 +85,7 @@ class Oscillator:
         return min(cycle, float((6.0 * length**2 / self.diffusion) ** (1.0 / 3.0)))
 
     def kick(self, length: float) -> float:
-        """Return the change of v by noise in that time, or in that in which v is forgotten."""
+        """Return the change of v by noise in that time, or in the time that forgets v."""
         memory = 0.5 * self.mass / self.damping if self.damping else inf
         return sqrt(2.0 * self.diffusion * min(self.travel(length), memory))
 
@@ -99,18 +102,17 @@ def oscillator_of(system: System) -> Oscillator:
     noise = float(system.noise_matrix[0, 0])
     if not noise > 0.0:
         raise NotApplicable("there is no noise, and first passage is not random")
-    frame, stiffness, mass = contact_frame(system), system.stiffness_matrix[0, 0], system.mass[0]
+    frame, k, mass = contact_frame(system), system.stiffness_matrix[0, 0], float(system.mass[0])
+    stops = [(s, 0.0 if s.power == int(s.power) else s.sign) for s in system.stops]
     return Oscillator(
-        float(mass),
+        mass,
         float(system.damping[0, 0]),
         noise,
-        lambda q: np.asarray(0.5 * stiffness * q * q + system.contact_energy(0, q)),
-        lambda q: np.asarray(stiffness * q + frame.root * frame.contact_force(frame.root * q)),
-        tuple(
-            (s.sign * s.clearance, 0.0 if s.power == int(s.power) else s.sign) for s in system.stops
-        ),
+        lambda q: np.asarray(0.5 * k * q * q + system.contact_energy(0, q)),
+        lambda q: np.asarray(k * q + frame.root * frame.contact_force(frame.root * q)),
+        tuple((s.sign * s.clearance, side) for s, side in stops),
         frame.symmetric,
-        sqrt(stiffness / mass),
+        sqrt(k / mass),
     )
 
 
@@ -118,9 +120,9 @@ def oscillator_of(system: System) -> Oscillator:
 class Mesh:
     """Panels of x and s, with q = q(x) and v = s w(q), of polynomials of ``degree`` in both.
 
-    Within |q| < b: q = x and w = 1; s ends where velocities are cut off. Within H < E: q(x) is
-    ``centre`` + ``radius`` sin x and w = √(2 (E − V)/m), so that the limit is s = ±1. ``folded``:
-    x >= 0 only, and the state at (−q, −v) is that at (q, v).
+    Within |q| < b: q = x and w = 1. Within H < E: q(x) is ``centre`` + ``radius`` sin x and w =
+    √(2 (E − V)/m), so that the limit is s = ±1. ``folded``: x >= 0 only, and the state at (−q, −v)
+    is that at (q, v).
     """
 
     oscillator: Oscillator
@@ -163,8 +165,7 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
     It is graded to (±b, 0), where T rises as the root of v and the sixth root of b − |q|. On a side
     that the energy of its largest velocity does not reach it ends at the turning point.
     """
-    kick, step = o.kick(b), PANEL * FINER**level * o.kick(b)
-    ends = np.array([-b, b])
+    kick, step, ends = o.kick(b), PANEL * FINER**level * o.kick(b), np.array([-b, b])
     height, beyond = o.potential(ends), (BEYOND + 0.7 * level) * kick
     swift = max(sqrt(2.0 * float(height.min()) / o.mass), fastest)
     farthest = 0.5 * o.mass * (swift + beyond) ** 2
@@ -179,16 +180,16 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
 
     def across(v: Array) -> Array:
         longest = np.where(v < swift + 3.0 * kick, step, 2.0 * step)
-        return np.asarray(np.minimum(longest, GRADED * (v + float(least.min()))))
+        return np.asarray(np.minimum(longest, GRADED * (v + least.min())))
 
     def along(q: Array) -> Array:
-        graded = np.min([GRADED * np.abs(q - at) for at in ends[met]], axis=0)
-        return np.asarray(np.minimum(_smooth_step(o, q, step, swift, level), graded))
+        away = np.abs(np.subtract.outer(q, ends[met])) + least**3 / o.diffusion
+        smooth = _smooth_step(o, q, step, swift, level)
+        return np.asarray(np.minimum(smooth, GRADED * away.min(axis=1)))
 
-    s = _nodes([0.0, swift + beyond], across, {0.0: float(least.min())})
-    closest = dict(zip(ends[met].tolist(), (least**3 / o.diffusion).tolist(), strict=True))
+    s = _nodes([0.0, swift + beyond], across)
     first, last = 0.0 if o.even else float(ends[0]), float(ends[1])
-    x = _nodes([first, *(q for q, _ in o.stops if first < q < last), last], along, closest)
+    x = _nodes([first, *(q for q, _ in o.stops if first < q < last), last], along)
     return Mesh(o, x, np.concatenate([-s[:0:-1], s]), 5 + 2 * level, None, 0.0, b, o.even)
 
 
@@ -209,9 +210,8 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 
     inside = [asin((q - centre) / radius) for q, _ in o.stops if left < q < right]
     first, last = 0.0 if o.even else -0.5 * pi, 0.5 * pi
-    x = _nodes([first, *(a for a in inside if a > first), last], along, {})
-    s = np.linspace(0.0, 1.0, 1 + ceil(swift / step))
-    s = np.concatenate([-s[:0:-1], s])
+    x = _nodes([first, *(a for a in inside if a > first), last], along)
+    s = np.linspace(-1.0, 1.0, 1 + 2 * ceil(swift / step))
     return Mesh(o, x, s, 5 + 2 * level, energy, centre, radius, o.even)
 
 
@@ -232,24 +232,13 @@ def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int)
     return np.asarray(length)
 
 
-def _nodes(given: list[float], h: Callable[[Array], Array], closest: dict[float, float]) -> Array:
-    """Nodes about h(x) apart that hold those ``given``, with the least panel ``closest`` at some.
-
-    Samples of h are spaced by equal ratios towards such a node.
-    """
-    t, nodes = np.linspace(0.0, 1.0, SAMPLES), [np.array(given)]
+def _nodes(given: list[float], h: Callable[[Array], Array]) -> Array:
+    """Nodes about h(x) apart that hold those ``given``."""
+    near, nodes = np.append(0.0, np.geomspace(NEAREST, 1.0, SAMPLES)), [np.array(given)]
     for a, b in pairwise(sorted(set(given))):
-        middle, half = 0.5 * (a + b), 0.5 * (b - a)
-        near, far = (
-            least * (half / least) ** t if (least := closest.get(end, 0.0)) else half * t
-            for end in (a, b)
-        )
-        x = np.concatenate([(a + near)[a + near < middle], [middle], (b - far)[b - far > middle]])
-        x = np.unique(x)
-        density = 1.0 / h(x)
-        number = np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(x))
-        number = np.concatenate([[0.0], number])
-        count = max(1, ceil(number[-1]))
-        inside = np.interp(np.linspace(0.0, number[-1], count + 1), number, x)
+        half = 0.5 * (b - a)
+        x = np.unique(np.concatenate([a + half * near, b - half * near]))
+        number = cumulative_trapezoid(1.0 / h(x), x, initial=0)
+        inside = np.interp(np.linspace(0.0, number[-1], 1 + max(1, ceil(number[-1]))), number, x)
         nodes.append(inside[(inside > a) & (inside < b)])
     return np.unique(np.concatenate(nodes))
