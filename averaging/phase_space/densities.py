@@ -28,8 +28,8 @@ FEWER = 0.8
 def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     """Return the density of ``observable``; what ended the ladder fails beyond ``tol``.
 
-    The error at a point is the distance to the coarser solution about it, scaled as the L1 error
-    is, and what fewer points of integration change.
+    Its error at a point is the scaled distance to the coarser solution about it, and what fewer
+    points of integration change.
     """
     factor, error = ladder.factors[observable], ladder.errors[observable]
     panels, pdf = marginal(ladder.finest, observable)

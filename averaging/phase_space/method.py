@@ -229,12 +229,8 @@ class PhaseSpace(Theory):
         return first_passage(asked)
 
     def _options(self, progress: Progress = silent) -> Options:
-        return replace(
-            Options.of(self.memory, self.work),
-            threads=self.threads,
-            reference=self.reference,
-            progress=progress,
-        )
+        more = {"threads": self.threads, "reference": self.reference, "progress": progress}
+        return Options.of(self.memory, self.work, **more)
 
     def _frame(self, system: System) -> Frame:
         """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
@@ -79,9 +79,9 @@ class Options:
     progress: Progress = silent
 
     @classmethod
-    def of(cls, memory: float, work: float | None = None) -> Self:
+    def of(cls, memory: float, work: float | None = None, **more: Any) -> Self:
         """Return options; the work that goes with a memory is as N³ to N² of dense blocks."""
-        return cls(memory, WORK * (memory / MEMORY) ** 1.5 if work is None else work)
+        return cls(memory, WORK * (memory / MEMORY) ** 1.5 if work is None else work, **more)
 
     def refusal(self, size: float, work: float) -> str:
         """Say why a solution of these bytes and operations is not begun; empty where it may."""
@@ -117,11 +117,10 @@ class Ladder:
 
 def kept(frame: Frame) -> float:
     """Return the least share of one distance that the next one is believed to be."""
-    if frame.system.damping_terms:
-        return KEPT
     squares, modes = np.linalg.eigh(frame.stiffness)
     own = np.sum(modes * (frame.damping @ modes), axis=0)
-    return KEPT_WHERE_LIGHT if np.any(own < 2.0 * LIGHT * np.sqrt(squares)) else KEPT
+    light = not frame.system.damping_terms and np.any(own < 2.0 * LIGHT * np.sqrt(squares))
+    return KEPT_WHERE_LIGHT if light else KEPT
 
 
 def falling(last: float, earlier: float | None, share: float) -> tuple[float, float]:

@@ -33,10 +33,10 @@ SPACE = 1e-3
 class Answer:
     """Values (points,) of one solution; with their errors once ``adapted`` has judged them.
 
-    Errors follow from the distance of two solutions in ``compared`` (kinds, points). A tolerance is
-    relative to ``scale``. ``added`` is an error beside it, ``residual`` that of equations beyond
-    those of the densities. ``missing`` says which values may not be those asked for, ``limit`` why
-    there is no finer answer; both are empty where nothing is amiss.
+    Errors follow from the distance of two solutions in ``compared`` (kinds, points), with ``added``
+    beside it; a tolerance is relative to ``scale``. ``residual`` is that of equations beyond those
+    of the densities. ``missing`` says which values may not be those asked for, ``limit`` why there
+    is no finer answer; both are empty where nothing is amiss.
     """
 
     values: Array | Complexes
@@ -78,10 +78,9 @@ def adapted(
     """Return the first answer with a relative error of at most ``tol``, else the best one.
 
     ``measure`` is called once for each solution. ``numbers`` are those of the resolvent's
-    elimination, real or complex, ``what`` the words that progress is reported by. The error follows
-    from the largest relative distance as that of densities does, which meet the tolerance, too,
-    unless there is no finer solution. An earlier answer of a smaller error is kept if the later one
-    agrees within it.
+    elimination, ``what`` the words that progress is reported by. The error follows from the largest
+    relative distance as that of densities does, which meet the tolerance, too, unless there is no
+    finer solution. An earlier answer of a smaller error is kept if the later agrees within it.
     """
     found: tuple[Ladder, Answer] | None = None
     believed: float | None = None
@@ -137,10 +136,9 @@ def about_levels(ladder: Ladder, fine: Answer, coarse: Answer, *, row: int, at: 
 
 
 def crossing_rates(e: Expansion, row: int, at: Array) -> tuple[Array, Array]:
-    """Return ∫_0^∞ v f(a, p) dp for the levels a of ``at``, and ∫ v f(a, p) dp.
+    """Return the rates of upcrossing (Rice) ∫_0^∞ v f(a, p) dp of the levels a of ``at``.
 
-    The first is the rate of upcrossings (Rice); the second, all probability that flows past a
-    level, vanishes in a stationary state, and is an error of the first.
+    The second is ∫ v f(a, p) dp, which vanishes in a stationary state, and is an error of these.
     """
     axes, pdf = marginal(e, (Coordinate("q", row), Coordinate("p", row)))
     _, [(p, w)] = gauss_grid([np.union1d(axes[1], 0.0)])
@@ -187,7 +185,7 @@ def relaxation(e: Expansion, step: Step, *, count: int, work: float) -> Answer:
     Each stands as often as it occurs. ``work`` bounds the operations of all shifts.
     """
     parities = (True, False) if e.basis.mirrored else (False,)
-    parts = [generator(e, odd=odd, closed=True) for odd in parities]
+    parts = [generator(e, odd=odd) for odd in parities]
     # The largest natural frequency of the linear system with the covariances of the solution.
     n, (q, v) = e.basis.frame.n, np.split(moments(e)[1], 2)
     squares = np.linalg.eigvals(np.linalg.solve(q[:, :n], v[:, n:]))

@@ -21,11 +21,9 @@ from scipy import sparse
 from averaging.phase_space.equation.frame import Frame
 from fpk.numeric.arrays import Array
 
-LEAST = 0.5
-"""Least number of polynomials beyond a stop at high levels of a high degree in the velocity of the
-contact mass alone, as it is the stop that makes these, over the most."""
-LEAST_MIXED = 0.3
-"""Least number of them of any degrees, over the most."""
+LEAST, LEAST_MIXED = 0.5, 0.3
+"""Least number of polynomials beyond a stop, over the most: at levels of the velocity that the stop
+turns alone, and at any."""
 FEWER = 1.2
 """Polynomials beyond a stop that each degree in the other variables takes away."""
 
@@ -85,13 +83,10 @@ def fitting(frame: Frame) -> Degrees:
 
 def lowest(frame: Frame) -> Degrees:
     """Return the degrees of the first solution."""
-    n, terms = frame.n, bool(frame.system.damping_terms)
-    if n == 1:
-        # Without terms damping and noise of one mass are in proportion: the start is the solution.
-        return Degrees(16, 0, 18) if terms else Degrees(9, 0, 10)
-    if n == 2:
-        return Degrees(16, 6, 18) if terms else Degrees(17, 6, 18)
-    return Degrees(11, 4, 12)
+    if frame.system.damping_terms:
+        return {1: Degrees(16, 0, 18), 2: Degrees(16, 6, 18), 3: Degrees(11, 4, 12)}[frame.n]
+    # Without terms damping and noise of one mass are in proportion: the start is the solution.
+    return {1: Degrees(9, 0, 10), 2: Degrees(17, 6, 18), 3: Degrees(11, 4, 12)}[frame.n]
 
 
 def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
@@ -102,11 +97,9 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     """
     n, d = frame.n, degrees
     if frame.system.damping_terms:
-        if n == 1:
-            half = round(0.7 * d.total)
-            return Degrees(2 * half, 0, 2 * half + 2)
-        half = round(0.625 * d.total)
-        return Degrees(2 * half, round(0.75 * half), half + 10)
+        half = round((0.7 if n == 1 else 0.625) * d.total)
+        others, outer = (0, 2 * half + 2) if n == 1 else (round(0.75 * half), half + 10)
+        return Degrees(2 * half, others, outer)
     if n == 1:
         return Degrees(d.total + 8, 0, d.outer + 4)
     if n == 2:
@@ -120,9 +113,8 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
 class Space:
     """Degrees k, in ascending order of ``level``, ``others`` and ``counted`` (degrees,).
 
-    ``level`` is |k|, ``others`` the sum of the degrees in the others, ``counted`` what they count.
-    ``raising_others`` is a_i⁺ of each variable of the others on their products alone; a level has
-    the first of these.
+    These are |k|, the sum of the degrees in the others and what it counts. ``raising_others`` is
+    a_i⁺ of the others on their products alone, of which a level has the first.
     """
 
     level: Indices
@@ -136,10 +128,7 @@ class Space:
 
     @cached_property
     def up(self) -> tuple[Matrix, ...]:
-        """a_j⁺ of each variable (degrees, degrees), the contact velocity first.
-
-        What leads out of the degrees is left out; the transposed matrix is a_j.
-        """
+        """a_j⁺ of each variable within the degrees, the contact velocity first; transposed, a_j."""
         size, up = self.level.size, []
         spans = [self.span(n) for n in range(int(self.level[-1]) + 1)]
         for A in (None, *self.raising_others):
@@ -188,12 +177,12 @@ def space_to(total: int, most: int, d: int) -> Space:
     def conjugate(k: Product) -> Product:
         return tuple(x for pair in zip(k[1::2], k[::2], strict=True) for x in pair)
 
-    def order(k: Product) -> tuple[int, int, Product, bool]:
-        """By the sum, then by what counts; the conjugate of a product follows it."""
-        return sum(k), counted(k), max(k, conjugate(k)), k < conjugate(k)
-
     every = product(range(most + 1), repeat=d - 1)
-    products = sorted((k for k in every if counted(k) <= most), key=order)
+    # By the sum, then by what counts; the conjugate of a product follows it.
+    products = sorted(
+        (k for k in every if counted(k) <= most),
+        key=lambda k: (sum(k), counted(k), max(k, conjugate(k)), k < conjugate(k)),
+    )
     place, size = {k: row for row, k in enumerate(products)}, len(products)
     # Real and imaginary parts, times √2, of a product and its conjugate.
     to_real = sparse.eye_array(size, dtype=complex, format="lil")

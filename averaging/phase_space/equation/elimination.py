@@ -20,26 +20,23 @@ from fpk.numeric.arrays import Array, Integers
 
 ELIMINATED_IN: type = np.float32
 """Numbers of the first elimination, before any in double precision."""
-SMALL = 1e8
-"""Sum of the cubes of the levels' sizes up to which double precision takes no longer at once."""
 CONVERGED = 1e-12
 """Residual, relative to the terms that cancel, of a solution in double precision: it has 1e-15."""
 CORRECTED, VECTORS = 1e-4, 30
-"""Residual, relative to the one before, that a correction by a Krylov space leaves, in which single
-precision has not yet its say, and the vectors of the space at the most."""
+"""Residual, relative to the one before, that a correction by a Krylov space leaves in single
+precision, and the vectors of the space at the most."""
 WHILE_INVERTED, OF_EQUATIONS = 4.0, 5e3
 """Matrices of the largest level's size beside the inverses that are kept, and bytes that equations
-and Krylov vectors take for each unknown. Seven solutions of two and three masses took 12 to 36 %
-less memory than follows from both."""
+and Krylov vectors take for each unknown: seven solutions took 12 to 36 % less than both say."""
 LEAF = 200
 """Order of a matrix up to which LAPACK inverts it; above, by quarters: products are faster."""
 TOP_LEVELS = 4
 """Highest levels whose size is that of what the levels above them would have."""
 LARGE, NEGLIGIBLE = 0.5, 0.2
-"""Size of the highest degrees in the others, relative to that of the highest levels, from which the
-degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with other
-stops two degrees more changed densities by 0.03 or less of the change that ten levels more made at
-sizes below 0.2, by 0.25 or less below 0.5, and by 0.07 to 4.6 beyond."""
+"""Size of the highest degrees in the others over that of the highest levels from which the degree
+in the others rises by two, and by one. On Fig. 6 two degrees more changed densities by 0.03 or less
+of the change by ten levels more at sizes below 0.2, by 0.25 or less below 0.5, by up to 4.6 beyond.
+"""
 
 
 Solve = Callable[[Array], Array]
@@ -115,8 +112,7 @@ def expanded(
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(functions)
-    small = float(np.sum(np.diff(chain.ends, prepend=0).astype(float) ** 3)) < SMALL
-    for kind in (np.float64,) if small else (ELIMINATED_IN, np.float64):
+    for kind in (ELIMINATED_IN, np.float64):
         paired = kind is np.float64 or bool(frame.system.damping_terms)
         solve, scale = factored(chain, kind=kind, paired=paired, step=step)
         u, residual = _refined(chain, solve, scale, paired=paired)

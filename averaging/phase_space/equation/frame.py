@@ -75,9 +75,8 @@ class Reference:
     """The state that a solution is expanded about: Gaussian in z = (v, x), given y.
 
     ``slope`` a and ``offset`` x₀ (n − 1,) make x = r − a y − x₀; ``covariance`` S (2n − 1, 2n − 1)
-    is that of z. ln w(y) is −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``, the potential
-    of the force on the contact mass over S₁₁: with another temperature the contact force would not
-    cancel in the equations, and answers of high degree would be wrong.
+    is that of z. ln w(y) is −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``: the potential
+    of the force on the contact mass over S₁₁, so that the force cancels in the equations.
     """
 
     slope: Array

@@ -124,10 +124,7 @@ class Elements:
 
     @cached_property
     def sigma(self) -> float:
-        """Four times the frequency, less where damping outdoes it.
-
-        Krylov spaces shifted by two to eight times the frequency take equally many vectors.
-        """
+        """Four times the frequency, less where damping outdoes it; two to eight serve as well."""
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
         return 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
@@ -184,7 +181,7 @@ class Elements:
 def shapes(degree: int, t: Array) -> tuple[Array, Array]:
     """Return values and slopes (points, degree + 1) at t of the polynomials of the Lobatto nodes.
 
-    Where the weight falls by e²⁰ over a panel hierarchical ones would lose all digits.
+    Of hierarchical ones round-off takes all digits where the weight falls by e²⁰ over a panel.
     """
     inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
     inverse = np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
@@ -233,19 +230,16 @@ def elements(mesh: Mesh) -> Elements:
         kron(eye_array(panels), kron(np.eye(1, n, k), eye_array(size)), format="csr")
         for k in (0, n - 1)
     )
-    ends, _ = mesh.q(mesh.x)
-    ends, w = ends[:, None, None], mesh.w(ends)[:, None, None]
+    ends = mesh.q(mesh.x)[0][:, None, None]
+    w = mesh.w(ends)
     density = np.exp(-o.inverse_temperature * o.energy(ends, s * w))
     block = ((np.abs(s) * w * w * density * weight * hs[:, 0]) @ BB).reshape(-1, across, n, n)
     first = size * np.arange(panels + 1, dtype=np.int32)[:, None, None, None]
-    index = [
-        np.broadcast_to(first + at, block.shape).ravel()
-        for at in (of_s[:, :, None], of_s[:, None, :])
-    ]
-    forwards = (np.arange(across) >= across // 2)[:, None, None]
-    fluxes = [csr_array((np.ravel(block * way), index)) for way in (forwards, ~forwards)]
-    for flux in fluxes:
-        flux.eliminate_zeros()
+    index = [np.broadcast_to(first + at, block.shape) for at in (of_s[:, :, None], of_s[:, None])]
+    forwards, fluxes = np.arange(across) >= across // 2, []
+    for way in (forwards, ~forwards):
+        entries, places = block[:, way].ravel(), [at[:, way].ravel() for at in index]
+        fluxes.append(csr_array((entries, places), shape=2 * ((panels + 1) * size,)))
     # u − u of where motion goes: the next panel, the one before, or the limit, where u is 0.
     beyond = eye_array(panels * size, k=size, format="csr")
     before = beyond.T @ right

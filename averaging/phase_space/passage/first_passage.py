@@ -21,8 +21,7 @@ from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
 
 TOL, GLANCING_TOL = 1e-6, 1e-5
-"""Error wanted where none is asked for: of an energy; of a displacement, which takes ten times as
-many unknowns."""
+"""Error wanted where none is asked for: of an energy; of a displacement, which takes longer."""
 HIGHEST = 36.0
 """Largest fall of −ln p up to the limit: beyond it mean times are lost to round-off."""
 LEVELS = 6
@@ -30,8 +29,7 @@ LEVELS = 6
 MOST_UNKNOWNS = 110_000
 """Unknowns beyond which no level is solved: a minute and a gigabyte."""
 SAFETY = 3.0
-"""Factor on the distance of the last two levels: where levels converge the error of the finer one
-is a fifteenth of it or less, so that there is much to spare where they do not yet."""
+"""Factor on the distance of the last two levels; where they converge it is a fifteenth or less."""
 SHARE = 0.5
 """Share of the largest relative distance that is in each error: levels agree by chance, too."""
 States = tuple[Array, Array, Array]
@@ -106,11 +104,10 @@ def first_passage(asked: Asked) -> Passage:
 
 
 def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> States:
-    """Return the states of an energy with |q| < ``within``, each as long as motion stays in it.
+    """Return the states of an energy, each as long as motion stays in it, with |q| < ``within``.
 
     By ``points`` of Gauss on each piece between turning points, stops and limit: dt = dq/|v|,
-    smooth in θ, q = centre + radius sin θ. Weights add up to the part that is within the limit;
-    None: there is none of displacements.
+    smooth in θ, q = centre + radius sin θ. Weights add up to the part that is within the limit.
     """
     left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
     centre, radius = 0.5 * (left + right), 0.5 * (right - left)

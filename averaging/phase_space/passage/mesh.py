@@ -142,9 +142,7 @@ class Mesh:
 
     def w(self, q: Array) -> Array:
         """Return the unit of velocity at q."""
-        if self.energy is None:
-            return np.ones_like(q)
-        return self.oscillator.speed(q, self.energy)
+        return np.ones_like(q) if self.energy is None else self.oscillator.speed(q, self.energy)
 
     def coordinates(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return x and s of states (points,) within the limit."""
@@ -216,7 +214,7 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 
 
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
-    """Length over which a trajectory of the speed ``swift`` changes its velocity by ``step``.
+    """Length over which motion of the speed ``swift`` changes its velocity by ``step``.
 
     Beyond a stop of a fractional power it is at most the overlap that stops the speed ``step``.
     """
