@@ -21,7 +21,7 @@ GRADED = 1.1
 """Panels over their distance to a glancing point (q scales as v³ there) or a turning point."""
 PANEL, FINER = 1.6, 0.93
 """Panels of the first level in kicks of noise, and the ratio of those of successive levels."""
-LEAST, CLOSER = 0.15, 0.45
+LEAST, CLOSER = 0.1, 0.45
 """The least panel at a glancing point in units of the speed where noise outdoes the pull, and the
 ratio of those of successive levels."""
 STOP = 1.5
