@@ -110,7 +110,7 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
 def force_means(e: Expansion) -> tuple[Array, Array, Array]:
     """Return E v_i f_i and E r_i f_i (n,) of the forces f of damping terms, in the frame's order.
 
-    The third is the mean of f given y, times the density of y and the weights (n, points).
+    The third is E(f | y) times the density of y and the weights (n, points).
     """
     b = e.basis
     n, top = b.frame.n, 2 + reach(b.frame)

@@ -25,10 +25,7 @@ needs; the certificate holds what fewer than needed leave."""
 
 
 def moments(e: Expansion) -> tuple[Array, Array]:
-    """Return the mean (2n,) and covariance (2n, 2n) of (y, r, v), coordinates times √m.
-
-    They follow from the three lowest levels, and stand in the order of the frame.
-    """
+    """Return the mean (2n,) and covariance (2n, 2n) of (y, r, v), from the three lowest levels."""
     b, C, y, (one, two) = e.basis, e.factor, e.basis.points, e.space.first_and_second
     u0, u1, u2 = (b.weights * e.functions(level, y) for level in range(3))
     # Means of (y, v, x) and of their products; then of (y, r, v).
@@ -54,7 +51,7 @@ def marginal(
 ) -> tuple[tuple[Array, ...], Callable[..., Array]]:
     """Return panels and the density of one or two of (q, p), a function of one array per axis.
 
-    ``share`` is that of the points at which the contact displacement is integrated out.
+    ``share``: of the points at which the contact displacement is integrated out.
     """
     (mean, covariance), panels = moments(e), list[Array]()
     forms = [form_of(e, c) for c in observable]
@@ -135,8 +132,8 @@ def _density(
 def _projected(e: Expansion, directions: Array) -> Array:
     """Coefficients of He_n(e₁·ζ)/√n! (He_m(e₂·ζ)/√m!), (n + 1, …, functions of all panels).
 
-    All other directions are integrated out. A polynomial of level n is a combination v of those of
-    all k of the level, v = Σ_i e_i a_i⁺ v/√n of the level below.
+    A polynomial of level n is a combination v of all k of the level, v = Σ_i e_i a_i⁺ v/√n of the
+    level below.
     """
     in_panels = [e.of_panels(n) for n in range(len(e.levels))]
     raising = [combined(e.space.up, direction) for direction in directions]

@@ -101,9 +101,8 @@ class Options:
 class Ladder:
     """A solution, the coarser one before it, and the L1 error of each observable.
 
-    ``believed`` is the distance that an error follows from, ``factors`` the error over the distance
-    of the two solutions. ``limit`` says why no finer solution is made, empty where one may be.
-    ``solutions`` is how many were made.
+    ``believed`` is the distance that an error follows from, ``factors`` the error over their own
+    distance. ``limit`` says why no finer solution is made; ``solutions`` is how many were made.
     """
 
     finest: Expansion

@@ -180,10 +180,7 @@ def correlation(e: Expansion, step: Step, *, row: int, at: Array, tol: float) ->
 
 
 def relaxation(e: Expansion, step: Step, *, count: int, work: float) -> Answer:
-    """Return the ``count`` slowest eigenvalues λ of −L, Im λ >= 0; their scale is |λ|.
-
-    Each stands as often as it occurs. ``work`` bounds the operations of all shifts.
-    """
+    """Return the ``count`` slowest eigenvalues λ of −L, Im λ >= 0, each as often as it occurs."""
     parities = (True, False) if e.basis.mirrored else (False,)
     parts = [generator(e, odd=odd) for odd in parities]
     # The largest natural frequency of the linear system with the covariances of the solution.

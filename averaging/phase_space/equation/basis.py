@@ -20,8 +20,8 @@ DEEP = 75.0
 RULE_POINTS = 160
 """Gauss points of a panel: products of polynomials of degree 60 with w and the contact force."""
 SAME = 1e-3
-"""Distance of two stops, in widths of the support, below which there is no panel between them: what
-is not smooth at the second of them, (y − δ)^(5/2) in ln w, is 3e-8 there."""
+"""Distance of two stops, in widths of the support, below which there is no panel between them: of
+(y − δ)^(5/2) in ln w, which is not smooth, 3e-8 is lost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Panel:
     recurrence: Array
 
     def rule(self, count: int) -> tuple[Array, Array]:
-        """``count`` Gauss points y, in |y − anchor|^½ beyond a stop, and weights that integrate."""
+        """``count`` Gauss points y, in |y − anchor|^½ beyond a stop, and weights of dy."""
         x, weight = gauss_legendre(count)
         x, weight, length = 0.5 * (1.0 + x), 0.5 * weight, self.high - self.low
         if self.direction == 0:

@@ -194,10 +194,7 @@ def chain_of(functions: Basis) -> Chain:
 
 
 def _factor(F: Array, covariance: Array) -> Array:
-    """Return C of S = C Cᵀ, the other variables of ζ in pairs of one oscillator each.
-
-    The pairs are the planes in which the antisymmetric part of F' turns the others.
-    """
+    """Return C of S = C Cᵀ; the antisymmetric part of F' turns the others in pairs of variables."""
     C = np.asarray(np.linalg.cholesky(covariance), dtype=float)
     drift = np.linalg.solve(C, F @ C)[1:, 1:]
     _, vectors = np.linalg.eigh(0.5j * (drift - drift.T))
@@ -226,10 +223,7 @@ def _blocks(
 
 
 def _entries(to: Integers, of: Integers, factor: Array, F: Array) -> Entries:
-    """Return the entries of ``factor`` (pairs,) times F, from unknowns ``of`` to ``to`` and on.
-
-    F is (functions, functions), or (functions,) where it is diagonal.
-    """
+    """Entries of ``factor`` (pairs,) times F, diagonal if 1-D, from unknowns ``of`` to ``to``."""
     index = np.indices(F.shape, dtype=np.int32)
     row, column = (
         np.add.outer(x.astype(np.int32), i).ravel() for x, i in ((to, index[0]), (of, index[-1]))

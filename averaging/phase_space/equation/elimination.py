@@ -86,7 +86,7 @@ def cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]
     ``numbers`` are those of the elimination. Pairs of stages take as much again as the inverses.
     """
     degrees, d = functions.degrees, 2 * functions.frame.n - 1
-    _, _, ends = placed(functions, space_to(degrees.total, degrees.others, d))
+    *_, ends = placed(functions, space_to(degrees.total, degrees.others, d))
     size = np.diff(ends, prepend=0).astype(float)
     blocks = float(np.sum(size**2) + WHILE_INVERTED * np.max(size) ** 2)
     number = np.dtype(numbers).itemsize

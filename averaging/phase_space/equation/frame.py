@@ -114,7 +114,7 @@ def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
 
 
 def gibbs_reference(frame: Frame) -> Reference:
-    """Return the Gibbs state of the temperature tr D/tr c, or at which damping terms balance noise.
+    """Return the Gibbs state of T = tr D/tr c, or at which damping terms balance the noise.
 
     Raises ``NotApplicable`` where nothing is damped or no noise acts.
     """

@@ -18,11 +18,11 @@ from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 MORE_POINTS = 12
-"""Gauss points in each direction beyond the degree: over a panel of large velocities, and of a
-steep stop, the weight falls by up to e⁴⁰. With 4, K + Kᵀ had negative eigenvalues there."""
+"""Gauss points in each direction beyond the degree, as the weight falls by up to e⁴⁰ over a panel:
+with 4, K + Kᵀ had negative eigenvalues there."""
 PIVOTS = (1e-3, 1e-2, 1.0)
 """Least diagonal pivots relative to their columns, tried in this order: lower ones keep more of the
-symmetric ordering, and entries may grow by their inverse in each step."""
+symmetric ordering, but entries may grow."""
 GROWN = 1e-10
 """Residual of a solution, relative to the terms that cancel in it, by which entries have grown."""
 KRYLOV = 0.05
