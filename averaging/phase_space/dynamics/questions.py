@@ -182,7 +182,7 @@ def correlation(e: Expansion, step: Step, *, row: int, at: Array, tol: float) ->
 def relaxation(e: Expansion, step: Step, *, count: int, work: float) -> Answer:
     """Return the ``count`` slowest eigenvalues λ of −L, Im λ >= 0, each as often as it occurs."""
     parities = (True, False) if e.basis.mirrored else (False,)
-    parts = [generator(e, odd=odd) for odd in parities]
+    parts = [generator(e, odd=odd, closed=True) for odd in parities]
     # The largest natural frequency of the linear system with the covariances of the solution.
     n, (q, v) = e.basis.frame.n, np.split(moments(e)[1], 2)
     squares = np.linalg.eigvals(np.linalg.solve(q[:, :n], v[:, n:]))

@@ -37,9 +37,10 @@ Step = Callable[[float], None]
 """Called with the share of an elimination that is done."""
 
 
-def generator(e: Expansion, *, odd: bool) -> Chain:
-    """Return A on the functions of one parity."""
-    return chain_of(basis(e.basis.frame, e.basis.reference, e.basis.degrees, odd=odd))
+def generator(e: Expansion, *, odd: bool, closed: bool = False) -> Chain:
+    """Return A on the functions of one parity; ``closed`` as of ``chain_of``."""
+    b = e.basis
+    return chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
 
 
 def resolvent(A: Chain, shift: complex, step: Step) -> Callable[[Array], Array]:

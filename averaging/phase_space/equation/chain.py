@@ -45,7 +45,8 @@ class Chain:
     ``factor`` is C. Each degree of ``space`` has its functions of y at ``places`` (degrees, most
     functions) in a vector of all unknowns, −1 beyond its own; stage n ends at ``ends[n]`` there,
     its highest level in front. By ``matrix`` stage n meets itself and the stages n + 1, n − 1 and
-    n − 2.
+    n − 2. The highest level of each degree in the others meets itself by l₁ (∂* ∂)^½, too, which
+    stands for the levels above it.
     """
 
     basis: Basis
@@ -126,11 +127,11 @@ Between = Sequence[Sequence[Array | None]]
 where functions that both levels have stay as they are."""
 
 
-def chain_of(functions: Basis) -> Chain:
+def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     """Return the equations in the functions of a basis, about its reference.
 
-    Levels meet themselves by l₁ (∂* ∂)^½ of the functions that the level above lacks, which stands
-    for the levels that would have them: else the highest degrees in y are hardly damped, and A has
+    ``closed``: levels meet themselves by l₁ (∂* ∂)^½ of all functions that the level above lacks,
+    not only where there is none above: else the highest degrees in y are hardly damped, and A has
     slow eigenvalues that are none of L.
     """
     frame, reference, degrees = functions.frame, functions.reference, functions.degrees
@@ -182,7 +183,7 @@ def chain_of(functions: Basis) -> Chain:
         # What the level above n lacks of the functions that the one below n has.
         wanted = functions.counts[(n - 1) % 2][degrees.beyond(n - 1, m)]
         E = adjoint[n % 2][: table[n, m], table[n + 1, m] : wanted]
-        if E.size:
+        if E.size and (closed or not table[n + 1, m]):
             U, s, _ = np.linalg.svd(E, full_matrices=False)
             at = start[(space.level == n) & (space.others == m) & (count > 0)]
             root = np.full(at.size, -np.sqrt(n - m + 1.0))

@@ -21,14 +21,13 @@ GRADED = 1.1
 """Panels over their distance to a glancing point (q scales as v³ there) or a turning point."""
 PANEL, FINER = 1.6, 0.93
 """Panels of the first level in kicks of noise, and the ratio of those of successive levels."""
-LEAST, CLOSER = 0.1, 0.45
+LEAST, CLOSER = 0.15, 0.45
 """The least panel at a glancing point in units of the speed where noise outdoes the pull, and the
 ratio of those of successive levels."""
 STOP = 1.5
 """Panels over their distance to a stop whose force is a fractional power of the overlap."""
-SAMPLES, NEAREST = 401, 1e-12
-"""Points at which the lengths of panels are sampled on each half of an interval, by equal ratios,
-and the distance of the nearest one to its end, over the half."""
+SAMPLES = 401
+"""Points at which the lengths of panels are sampled, on each half of an interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,16 +177,16 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
 
     def across(v: Array) -> Array:
         longest = np.where(v < swift + 3.0 * kick, step, 2.0 * step)
-        return np.asarray(np.minimum(longest, GRADED * (v + least.min())))
+        return np.asarray(np.minimum(longest, GRADED * (v + float(least.min()))))
 
     def along(q: Array) -> Array:
-        away = np.abs(np.subtract.outer(q, ends[met])) + least**3 / o.diffusion
-        smooth = _smooth_step(o, q, step, swift, level)
-        return np.asarray(np.minimum(smooth, GRADED * away.min(axis=1)))
+        graded = np.min([GRADED * np.abs(q - at) for at in ends[met]], axis=0)
+        return np.asarray(np.minimum(_smooth_step(o, q, step, swift, level), graded))
 
-    s = _nodes([0.0, swift + beyond], across)
+    s = _nodes([0.0, swift + beyond], across, {0.0: float(least.min())})
+    closest = dict(zip(ends[met].tolist(), (least**3 / o.diffusion).tolist(), strict=True))
     first, last = 0.0 if o.even else float(ends[0]), float(ends[1])
-    x = _nodes([first, *(q for q, _ in o.stops if first < q < last), last], along)
+    x = _nodes([first, *(q for q, _ in o.stops if first < q < last), last], along, closest)
     return Mesh(o, x, np.concatenate([-s[:0:-1], s]), 5 + 2 * level, None, 0.0, b, o.even)
 
 
@@ -208,7 +207,7 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 
     inside = [asin((q - centre) / radius) for q, _ in o.stops if left < q < right]
     first, last = 0.0 if o.even else -0.5 * pi, 0.5 * pi
-    x = _nodes([first, *(a for a in inside if a > first), last], along)
+    x = _nodes([first, *(a for a in inside if a > first), last], along, {})
     s = np.linspace(-1.0, 1.0, 1 + 2 * ceil(swift / step))
     return Mesh(o, x, s, 5 + 2 * level, energy, centre, radius, o.even)
 
@@ -230,13 +229,22 @@ def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int)
     return np.asarray(length)
 
 
-def _nodes(given: list[float], h: Callable[[Array], Array]) -> Array:
-    """Nodes about h(x) apart that hold those ``given``."""
-    near, nodes = np.append(0.0, np.geomspace(NEAREST, 1.0, SAMPLES)), [np.array(given)]
+def _nodes(given: list[float], h: Callable[[Array], Array], closest: dict[float, float]) -> Array:
+    """Nodes about h(x) apart that hold those ``given``, with the least panel ``closest`` at some.
+
+    Samples of h are spaced by equal ratios towards such a node.
+    """
+    t, nodes = np.linspace(0.0, 1.0, SAMPLES), [np.array(given)]
     for a, b in pairwise(sorted(set(given))):
-        half = 0.5 * (b - a)
-        x = np.unique(np.concatenate([a + half * near, b - half * near]))
+        middle, half = 0.5 * (a + b), 0.5 * (b - a)
+        near, far = (
+            least * (half / least) ** t if (least := closest.get(end, 0.0)) else half * t
+            for end in (a, b)
+        )
+        x = np.concatenate([(a + near)[a + near < middle], [middle], (b - far)[b - far > middle]])
+        x = np.unique(x)
         number = cumulative_trapezoid(1.0 / h(x), x, initial=0)
-        inside = np.interp(np.linspace(0.0, number[-1], 1 + max(1, ceil(number[-1]))), number, x)
+        count = max(1, ceil(number[-1]))
+        inside = np.interp(np.linspace(0.0, number[-1], count + 1), number, x)
         nodes.append(inside[(inside > a) & (inside < b)])
     return np.unique(np.concatenate(nodes))
