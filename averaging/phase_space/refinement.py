@@ -125,9 +125,8 @@ def kept(frame: Frame) -> float:
 def falling(last: float, earlier: float | None, share: float) -> tuple[float, float]:
     """Return the distance of two solutions that is believed, and the error of the finer one.
 
-    ``last`` is their distance, ``earlier`` what was believed before, ``share`` as of ``kept``.
-    Distances d that fall by a factor r leave an error of d/(r − 1), which counts where it is more
-    than d: errors oscillate, so that one fast fall promises no other.
+    ``last`` is their distance, ``earlier`` the one believed before, ``share`` as of ``kept``.
+    Distances d that fall by a factor r leave d/(r − 1), which counts where it is more than d.
     """
     if earlier is None:
         return last, FIRST * SAFETY * last

@@ -150,10 +150,7 @@ def decays(
 
 
 def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
-    """Return eigenvalues λ of −A, and the |λ − iω| up to which all are among them, ω = ``at``.
-
-    Each as often as it occurs, up to ``BLOCK`` times, by Arnoldi's method with (iω − A)⁻¹.
-    """
+    """Eigenvalues λ of −A, each up to ``BLOCK`` times, and the |λ − i ``at``| of all found."""
     solve = resolvent(A, 1j * at if at else 0.0, step)
     random = np.random.default_rng(0).normal(size=(A.ends[-1], BLOCK))
     *_, (V, H, _) = krylov(solve, solve(random), VECTORS)
@@ -172,10 +169,10 @@ def slowest_rates(
 ) -> tuple[Complexes, str]:
     """Return eigenvalues λ of −A of all ``parts``, Im λ >= 0, in ascending order of Re λ.
 
-    The ``count`` slowest of all are the first ones, unless the words behind say what is missing.
-    Discs, at most ``most``, follow each other up the imaginary axis to the largest natural
-    frequency ``fastest`` and until no rate as slow can lie above: rates of a linear system are sums
-    of rates of its modes, so that Im λ/Re λ of none is more than that of a mode.
+    The first ``count`` are the slowest, unless the words behind say what is missing. Discs, at most
+    ``most``, follow each other up the imaginary axis to the largest natural frequency ``fastest``
+    and until no rate as slow can lie above: as rates of a linear system are sums of rates of its
+    modes, Im λ/Re λ of none is more than that of a mode.
     """
     rates, discs, at = np.zeros(0, dtype=complex), list[tuple[float, float]](), 0.0
     while True:

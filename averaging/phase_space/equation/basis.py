@@ -196,8 +196,8 @@ def _nested(
 ) -> tuple[Array, tuple[int, ...]]:
     """Return orthonormal functions on which ``rows`` vanish, and how many come with each count.
 
-    Sets of fewer polynomials are the front of the whole. ``fewer`` is how often the derivative in y
-    is taken: in t it lowers the degree by one between stops, by two beyond a stop.
+    Sets of fewer polynomials are the front of the whole. ``fewer`` derivatives in y lower the
+    degree in t by one between stops, by two beyond a stop.
     """
     degree = np.concatenate([np.arange(p.degree) for p in panels])
     every = np.array([row for row in rows if row.any()]).reshape(-1, degree.size)

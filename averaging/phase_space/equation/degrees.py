@@ -33,10 +33,10 @@ Matrix = sparse.csr_array
 
 @dataclass(frozen=True)
 class Degrees:
-    """How fine an expansion is: highest level, degree in the amplitudes of the others, panels.
+    """How fine an expansion is.
 
-    ``total`` is the largest |k|, ``others`` the largest that a product of the other masses counts
-    (``Space.counted``); ``outer`` the number of polynomials in y beyond the last stop.
+    ``total`` is the largest |k|, ``others`` the largest that a product of the other masses counts,
+    ``outer`` the number of polynomials in y beyond the last stop.
     """
 
     total: int

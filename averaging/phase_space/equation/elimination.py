@@ -47,8 +47,8 @@ Solve = Callable[[Array], Array]
 class Expansion:
     """Coefficients of a solution: ``levels[n]`` is (degrees, functions) of level n.
 
-    ``basis``, ``factor`` and ``space`` are those of the ``Chain``. ``residual`` is that of the
-    equations, relative to the terms that cancel in them.
+    ``basis``, ``factor`` and ``space`` are as of ``Chain``; ``residual`` is relative to the terms
+    that cancel in the equations.
     """
 
     basis: Basis
@@ -107,8 +107,7 @@ def expanded(
 
     The elimination is in single precision, half the time and memory of double, and without pairs
     unless damping terms make them large. Where its refinement does not converge it is done again in
-    double precision, with pairs, unless that takes more than ``memory`` bytes. ``step`` as of
-    ``factored``.
+    double precision, with pairs, unless that takes more than ``memory`` bytes.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(functions)

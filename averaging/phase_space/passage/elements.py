@@ -193,7 +193,7 @@ def elements(mesh: Mesh) -> Elements:
     """Return the matrices on ``mesh``.
 
     Of the backward operator in the coordinates (q, s), v = s w, times −w:
-    −L u = −s w u_q − w' (1 − s²) u_s − exp(αmv²/2) (D/m²)/w² ∂_s exp(−αmv²/2) u_s, α = c/D, with
+    −L u = −s w u_q − w' (1 − s²) u_s − exp(αmv²/2) (D/m²)/w² ∂_s exp(−αmv²/2) u_s, α = c/D,
     w' = −V'/(m w); for w = 1 the second term is V'/m u_v.
     """
     o, n, panels, across = mesh.oscillator, mesh.degree + 1, mesh.x.size - 1, mesh.s.size - 1

@@ -45,8 +45,7 @@ def first_passage(asked: Asked) -> Passage:
     """Return the first passage that is asked for, with the reliability at its times.
 
     Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,
-    absolute in the reliability. Raises as ``fpk.answer.evolution`` says, and ``NotCertified`` for a
-    limit beyond the reach of double precision.
+    absolute in the reliability. Raises as ``fpk.answer.evolution`` says.
     """
     times, o = checked_times(asked.times), oscillator_of(asked.system)
     limit, start = asked.limit, asked.start

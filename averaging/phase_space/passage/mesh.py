@@ -64,8 +64,7 @@ class Oscillator:
 
     def speed(self, q: Array, energy: float) -> Array:
         """Return |v| at q of motion of an energy, 0 beyond its turning points."""
-        left = np.maximum(energy - self.potential(q), 0.0)
-        return np.asarray(np.sqrt(2.0 / self.mass * left))
+        return np.sqrt(2.0 / self.mass * np.maximum(energy - self.potential(q), 0.0))
 
     def turning_point(self, energy: float, side: float) -> float:
         """Return where V = ``energy`` > 0, on the left (``side`` −1) or on the right (1)."""
@@ -213,10 +212,7 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 
 
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
-    """Length over which motion of the speed ``swift`` changes its velocity by ``step``.
-
-    Beyond a stop of a fractional power it is at most the overlap that stops the speed ``step``.
-    """
+    """Length in which motion of the speed ``swift`` changes its velocity by ``step``, or stops."""
     slope = np.maximum(np.abs(o.force(q)) / (o.mass * max(swift, step)), o.frequency)
     length = np.minimum(step / np.maximum(slope, SMALLEST), 0.5 * np.ptp(q))
     for at, side in o.stops:
