@@ -120,6 +120,8 @@ def _density(
     count = POINTS_PER_WIDTH * longest / width + len(e.levels) + GAUSS_POINTS[1]
     y, w = b.rule(ceil(share * min(count, MOST_POINTS)))
     c = given(y) * w
+    if not any(slope for _, slope, _ in linear):
+        y, c = np.zeros(1), c.sum(axis=-1, keepdims=True)
 
     def integrated(*x: Array) -> Array:
         at = [np.asarray(a, dtype=float)[..., None] for a in x]
