@@ -7,7 +7,7 @@ of them to round-off at any degree: a miss shows wrong equations, not too low a 
 import numpy as np
 from scipy.ndimage import map_coordinates, maximum_filter
 
-from averaging.phase_space.equation.damping import Polynomial, by_y, product, reach, state
+from averaging.phase_space.equation.chain import Polynomial, by_y, product, reach, state
 from averaging.phase_space.equation.degrees import Matrix, space_to
 from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.marginals import SPAN, marginal, moments
@@ -20,8 +20,7 @@ from fpk.numeric.arrays import Array
 
 GRID = {1: 721, 2: 181}
 """Points of an axis at which the distance to the coarser solution is sampled, by the axes. Its
-largest value over a standard deviation counts, two half-waves of a Hermite function of degree 20:
-the error does not vanish where the distance does."""
+largest value over a standard deviation counts: the error does not vanish where it does."""
 FEWER = 0.8
 """Share of the points at which the contact displacement is integrated out, to see their error."""
 
@@ -29,8 +28,8 @@ FEWER = 0.8
 def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     """Return the density of ``observable``; what ended the ladder fails beyond ``tol``.
 
-    The error at a point is the distance to the coarser solution about it, scaled as the L1 error
-    is, and what fewer points of integration change.
+    Its error at a point is the scaled distance to the coarser solution about it, and what fewer
+    points of integration change.
     """
     factor, error = ladder.factors[observable], ladder.errors[observable]
     panels, pdf = marginal(ladder.finest, observable)
@@ -48,9 +47,8 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     tail = 0.0
     for axis, nodes in enumerate(panels):
         step = float(np.prod([x[1] - x[0] for k, x in enumerate(axes) if k != axis]))
-        for end, length in ((nodes[0], nodes[1] - nodes[0]), (nodes[-1], nodes[-1] - nodes[-2])):
-            at = [*axes[:axis], np.array([end]), *axes[axis + 1 :]]
-            tail += float(np.abs(pdf(*at)).sum()) * step * float(length)
+        for end, length in zip((0, -1), np.diff(nodes)[[0, -1]], strict=True):
+            tail += float(np.abs(values.take(end, axis)).sum() * step * length)
     measured = Measured(
         l1_error=error + tail,
         mass_defect=np.nan,
@@ -112,7 +110,7 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
 def force_means(e: Expansion) -> tuple[Array, Array, Array]:
     """Return E v_i f_i and E r_i f_i (n,) of the forces f of damping terms, in the frame's order.
 
-    The third is the mean (n, points) of f given y, times the density of y, in the weights.
+    The third is E(f | y) times the density of y and the weights (n, points).
     """
     b = e.basis
     n, top = b.frame.n, 2 + reach(b.frame)
@@ -120,11 +118,8 @@ def force_means(e: Expansion) -> tuple[Array, Array, Array]:
         return np.zeros(n), np.zeros(n), np.zeros((n, b.points.size))
     space = space_to(top, top, 2 * n - 1)
     r, v, forces = state(b, e.factor, space)
-    inside = [
-        np.flatnonzero((space.level == n) & (space.counted <= b.degrees.others))
-        for n in range(top + 1)
-    ]
-    levels = [e.functions(n, b.points) for n in range(top + 1)]
+    inside = np.flatnonzero(space.counted <= b.degrees.others)
+    levels = np.concatenate([e.functions(n, b.points) for n in range(top + 1)])
     first: Polynomial = {(0, 0): Matrix(([1.0], ([0], [0])), shape=(1, len(space.level)))}
 
     def given(*factors: Polynomial) -> Array:
@@ -133,8 +128,7 @@ def force_means(e: Expansion) -> tuple[Array, Array, Array]:
         for factor in factors:
             row = product(row, factor)
         for powers, X in row.items():
-            x = X.toarray()[0]
-            total += by_y(b, powers) * sum(x[at] @ u for at, u in zip(inside, levels, strict=True))
+            total += by_y(b, powers) * (X.toarray()[0, inside] @ levels)
         return total
 
     power, virial = (
@@ -147,7 +141,7 @@ def identities(ladder: Ladder) -> tuple[Identity, ...]:
     """Return the balance of power, the virials, and two with functions outside the trial space.
 
     For any f, E[v f(y)] = 0 and E[v₁² f'(y)] = E[f(y) ((K (y, r) + c v)₁ + g(y))]; f is the sine of
-    y in standard deviations. The error is that of the coarser solution, by its distance.
+    y in standard deviations. The error follows from the distance to the coarser solution.
     """
     finest, coarser = _sides(ladder.finest), _sides(ladder.coarser)
     scale, out = float(np.trace(ladder.finest.basis.frame.noise)), []
@@ -162,8 +156,7 @@ def identities(ladder: Ladder) -> tuple[Identity, ...]:
 def _sides(e: Expansion) -> list[tuple[str, float, float]]:
     """Names of the identities, and both sides of each."""
     (mean, covariance), b, frame = moments(e), e.basis, e.basis.frame
-    n, y, w = frame.n, b.points, b.weights
-    K, c = frame.stiffness, frame.damping
+    n, y, w, K, c = frame.n, b.points, b.weights, frame.stiffness, frame.damping
     second = covariance + np.outer(mean, mean)
     power, virial, force = force_means(e)
     # Means given y, in the weights: of (y, r, v), of v₁² and of the contact force.
@@ -172,17 +165,16 @@ def _sides(e: Expansion) -> list[tuple[str, float, float]]:
     given = to @ np.vstack([y * u0, e.factor @ one @ u1]) + shift[:, None] * u0
     square = e.factor[0, 0] ** 2 * (u0[0] + two[0, 0] @ u2)
     contact = u0[0] * frame.contact_force(y)
-    left, right = float(np.sum(c * second[n:, n:]) + np.sum(power)), float(np.trace(frame.noise))
-    sides = [("Σ c_ij E v_i v_j", left, right)]
+    sides = [
+        ("Σ c_ij E v_i v_j", np.sum(c * second[n:, n:]) + np.sum(power), np.trace(frame.noise))
+    ]
     virial[0] += contact @ y
-    for i in range(n):
-        right = float(K[i] @ second[:n, i] + c[i] @ second[n:, i] + virial[i])
-        sides.append((f"E p{frame.order[i] + 1}²/m", float(second[n + i, n + i]), right))
+    for i, row in enumerate(frame.order):
+        right = K[i] @ second[:n, i] + c[i] @ second[n:, i] + virial[i]
+        sides.append((f"E p{row + 1}²/m", second[n + i, n + i], right))
     s, first = float(np.sqrt(covariance[0, 0])), frame.contact + 1
     sine, cosine = np.sin(y / s), np.cos(y / s) / s
     mean_force = K[0] @ given[:n] + c[0] @ given[n:] + force[0] + contact
-    sides.append(
-        (f"E v{first}² cos(q{first}/s)/s", float(square @ cosine), float(sine @ mean_force))
-    )
-    sides.append((f"E v{first} sin(q{first}/s)", float(given[n] @ sine), 0.0))
-    return sides
+    sides.append((f"E v{first}² cos(q{first}/s)/s", square @ cosine, sine @ mean_force))
+    sides.append((f"E v{first} sin(q{first}/s)", given[n] @ sine, 0.0))
+    return [(name, float(left), float(right)) for name, left, right in sides]

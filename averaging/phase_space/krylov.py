@@ -7,8 +7,8 @@ import numpy as np
 from fpk.numeric.arrays import Array
 
 VECTORS, EVERY = 160, 10
-"""Most vectors of a space that solves equations: with more, making them orthogonal takes as long as
-an elimination at another shift. After so many it is looked at."""
+"""Most vectors of a space that solves equations, beyond which another elimination takes less time;
+and after how many more it is looked at."""
 RESIDUAL = 1e-13
 """Residual of equations, or part of a vector outside a space, relative to it, that is round-off."""
 
@@ -22,11 +22,10 @@ def krylov(
 ) -> Iterator[tuple[Array, Array, bool]]:
     """Yield orthonormal V (m, size) and H (rows, m) of Arnoldi's method, up to m = ``most``.
 
-    V spans the b columns of ``first`` (size, b), the first vector that of the first column, then
-    those of B ``first``, …, with B = ``apply`` of columns, b more in each step. H[:m] is B in V,
-    and the rows behind are what leads out of V. The last item is whether nothing does, after which
-    there are no more. Each vector is made orthogonal twice, in the inner product x·M y with
-    ``metric`` M, None: 1.
+    V spans the b columns of ``first`` (size, b), beginning with the first one, then those of
+    B ``first``, …, with B = ``apply`` of columns, b more in each step. H[:m] is B in V, the rows
+    behind lead out of V; the last item is whether none does, and ends the space. Vectors are made
+    orthogonal twice, in the inner product x·M y with ``metric`` M, None: 1.
     """
     b, rows, m = first.shape[1], 0, 0
     V = np.zeros((most + b, len(first)), dtype=first.dtype)
@@ -34,7 +33,7 @@ def krylov(
     H = np.zeros((most + b, most), dtype=first.dtype)
 
     def added(new: Array) -> Array:
-        """Add a vector unless it is in the space, and return its parts along all before and it."""
+        """Add a vector unless it is in the space; return its parts along all before and itself."""
         nonlocal rows
         along = np.zeros(rows + 1, dtype=first.dtype)
         for _ in range(2):

@@ -5,6 +5,7 @@ from math import ceil
 
 import numpy as np
 
+from averaging.phase_space.equation.degrees import combined
 from averaging.phase_space.equation.elimination import Expansion
 from fpk.answer.observable import Coordinate, Observable
 from fpk.numeric.arrays import Array
@@ -19,19 +20,14 @@ POINTS_PER_WIDTH = 4.0
 """Gauss points for each standard deviation of what the contact displacement is integrated out of,
 beside one for each degree: a Gaussian on 34 of its widths is exact to round-off with 137."""
 MOST_POINTS = 4000
-"""Most of them: a mass tied to the contact mass by a spring 1e5 times as stiff as the others needs
-as many; the certificate holds what fewer than needed leave."""
+"""Most of them, as a mass tied to the contact mass by a spring 1e5 times as stiff as the others
+needs; the certificate holds what fewer than needed leave."""
 
 
 def moments(e: Expansion) -> tuple[Array, Array]:
-    """Return the mean (2n,) and covariance (2n, 2n) of (y, r, v), coordinates times √m.
-
-    They follow from the three lowest levels, and stand in the order of the frame.
-    """
-    b, C = e.basis, e.factor
-    y, w = b.points, b.weights
-    u0, u1, u2 = (w * e.functions(level, y) for level in range(3))
-    one, two = e.space.first_and_second
+    """Return the mean (2n,) and covariance (2n, 2n) of (y, r, v), from the three lowest levels."""
+    b, C, y, (one, two) = e.basis, e.factor, e.basis.points, e.space.first_and_second
+    u0, u1, u2 = (b.weights * e.functions(level, y) for level in range(3))
     # Means of (y, v, x) and of their products; then of (y, r, v).
     mean = np.concatenate([u0 @ y, C @ one @ u1.sum(axis=1)])
     second = np.zeros(2 * mean.shape)
@@ -55,20 +51,17 @@ def marginal(
 ) -> tuple[tuple[Array, ...], Callable[..., Array]]:
     """Return panels and the density of one or two of (q, p), a function of one array per axis.
 
-    ``share`` is that of the points at which the contact displacement is integrated out: what fewer
-    change shows their error.
+    ``share``: of the points at which the contact displacement is integrated out.
     """
     (mean, covariance), panels = moments(e), list[Array]()
     forms = [form_of(e, c) for c in observable]
-    contact = [not np.any(direction) for _, _, direction in forms]
-    for (_, slope, _), c, alone in zip(forms, observable, contact, strict=True):
-        if alone:
-            panels.append(slope * e.basis.fine_nodes(PANELS[1] // 2))
-            continue
+    for (_, slope, direction), c in zip(forms, observable, strict=True):
         at, unit = e.basis.frame.place(c)
         reach = 0.5 * SPAN * np.sqrt(covariance[at, at])
-        panels.append(unit * (mean[at] + np.linspace(-reach, reach, PANELS[len(forms)] + 1)))
-    if contact[-1] and len(forms) == 2:
+        nodes = unit * (mean[at] + np.linspace(-reach, reach, PANELS[len(forms)] + 1))
+        contact = not np.any(direction)
+        panels.append(slope * e.basis.fine_nodes(PANELS[1] // 2) if contact else nodes)
+    if contact and len(forms) == 2:
         pdf = _density(e, forms[::-1], share)
         return tuple(panels), lambda a, b: pdf(b, a)
     return tuple(panels), _density(e, forms, share)
@@ -115,10 +108,9 @@ def _density(
 
         def joint(x: Array, *others: Array) -> Array:
             y = np.asarray(x, dtype=float) / forms[0][1]
-            inside = (y >= b.nodes[0]) & (y <= b.nodes[-1])
-            flat = given(np.clip(y, b.nodes[0], b.nodes[-1]).ravel())
-            c = flat.reshape((*coefficients.shape[:-1], *y.shape)) * np.where(inside, 1.0, 0.0)
-            return np.asarray(summed(c, y, others))
+            inside = np.clip(y, b.nodes[0], b.nodes[-1])
+            c = given(inside.ravel()).reshape((*coefficients.shape[:-1], *y.shape))
+            return np.asarray(summed(c * (y == inside), y, others))
 
         return joint
 
@@ -142,23 +134,22 @@ def _density(
 def _projected(e: Expansion, directions: Array) -> Array:
     """Coefficients of He_n(e₁·ζ)/√n! (He_m(e₂·ζ)/√m!), (n + 1, …, functions of all panels).
 
-    All other directions are integrated out. A polynomial of level n is a combination v of those of
-    all k of the level, v = Σ_i e_i a_i⁺ v/√n of the level below.
+    A polynomial of level n is a combination v of all k of the level, v = Σ_i e_i a_i⁺ v/√n of the
+    level below.
     """
-    space, total = e.space, len(e.levels) - 1
-    in_panels = [e.of_panels(n) for n in range(total + 1)]
-    raising = [space.raising(direction) for direction in directions]
-    out = np.zeros((*[total + 1] * len(raising), in_panels[0].shape[1]))
+    in_panels = [e.of_panels(n) for n in range(len(e.levels))]
+    raising = [combined(e.space.up, direction) for direction in directions]
+    out = np.zeros((*[len(e.levels)] * len(raising), in_panels[0].shape[1]))
 
     def add(place: tuple[int, ...], v: Array) -> None:
         """Fill in what follows from the combination v of the orders in ``place``."""
         n, axis = sum(place), len(place)
         if axis == len(raising):
-            out[place] = v[space.span(n)] @ in_panels[n]
+            out[place] = v[e.space.span(n)] @ in_panels[n]
             return
-        for m in range(total + 1 - n):
+        for m in range(len(e.levels) - n):
             add((*place, m), v)
             v = raising[axis] @ v / np.sqrt(m + 1.0)
 
-    add((), np.eye(space.level.size, 1)[:, 0])
+    add((), np.eye(e.space.level.size, 1)[:, 0])
     return out

@@ -1,8 +1,9 @@
 """Method ``phase-space``: the stationary FPK equation of the full system (6), deterministic."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
 from typing import Self
 
@@ -11,26 +12,13 @@ import numpy as np
 from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space.densities import density_of, identities, settings_of
-from averaging.phase_space.dynamics.questions import (
-    Answer,
-    correlation,
-    crossings,
-    relaxation,
-    spectrum,
-)
+from averaging.phase_space.dynamics import questions
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import finer, lowest
 from averaging.phase_space.equation.elimination import cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.passage.first_passage import first_passage
-from averaging.phase_space.refinement import (
-    MEMORY,
-    Ladder,
-    Options,
-    better,
-    ladder_of,
-    ladders,
-)
+from averaging.phase_space.refinement import MEMORY, Ladder, Options, better, ladder_of, ladders
 from averaging.theory import Theory
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Curve, Rates, certified_curve
@@ -125,6 +113,12 @@ class PhaseSpace(Theory):
         """Return the plan for ``system``; raise ``NotApplicable`` where the expansion is not."""
         frame = self._frame(system)
 
+        def refusal(observable: Observable) -> str | None:
+            name = observable_name(observable)
+            words = "the expansion gives densities of displacements and momenta, not of energies"
+            energy = any(c.kind == "H" for c in observable)
+            return f"{name}: {words}; ask for q, p or pairs of them" if energy else None
+
         def solve(
             observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
         ) -> Result:
@@ -148,33 +142,43 @@ class PhaseSpace(Theory):
                 beside=tuple(density_of(others, o, inf) for o in beside),
             )
 
-        return Plan(_refusal, lambda observables, p: solve(observables, (), p), solve)
+        return Plan(refusal, lambda observables, p: solve(observables, (), p), solve)
 
     @answer
     def crossings(self, asked: Asked) -> Curve:
         """Return the upcrossings per unit time of q from the joint density of (q, p)."""
-        return self._curve(crossings, asked, CROSSINGS_TOL)
+        levels = partial(questions.about_levels, row=asked.row, at=asked.at)
+        return self._curve(asked, "crossings", CROSSINGS_TOL, apart=levels)
 
     @answer
     def spectrum(self, asked: Asked) -> Curve:
         """Return the power spectral density of q from the resolvent of the FPK operator."""
-        return self._curve(spectrum, asked, SPECTRUM_TOL)
+        return self._curve(asked, "spectrum", SPECTRUM_TOL)
 
     @answer
     def correlation(self, asked: Asked) -> Curve:
         """Return the autocovariance of q from the exponential of the FPK operator."""
-        return self._curve(correlation, asked, CORRELATION_TOL, signed=True)
+        return self._curve(asked, "correlation", CORRELATION_TOL, numbers=float)
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
         """Return the slowest eigenvalues of the expansion's FPK operator."""
         require_held(asked.system)
         frame, wanted = self._frame(asked.system), asked.tol or RELAXATION_TOL
+        options, momentum = self._options(asked.progress), (Coordinate("p", frame.contact),)
+        measure = partial(questions.relaxation, count=asked.count, work=options.work)
         with _breakdowns():
-            answer = relaxation(frame, asked.count, self._options(asked.progress), tol=wanted)
+            ladder, answer = questions.adapted(
+                frame,
+                [momentum],
+                measure,
+                options,
+                questions.nearest,
+                tol=wanted,
+                what="relaxation",
+            )
         values = np.asarray(answer.values, dtype=complex)
-        momentum = (Coordinate("p", frame.contact),)
-        stationary = density_of(answer.ladder, momentum, wanted).certificate
+        stationary = density_of(ladder, momentum, wanted).certificate
         measured = Measured(
             l1_error=answer.relative,
             mass_defect=stationary.mass_defect,
@@ -184,35 +188,39 @@ class PhaseSpace(Theory):
             failures=tuple(words for words in (answer.missing, answer.limit) if words),
         )
         certificate = certify(measured, tol=wanted)
-        return Rates(values, answer.errors, certificate, settings_of(answer.ladder))
+        return Rates(values, np.asarray(answer.errors), certificate, settings_of(ladder))
 
     def _curve(
         self,
-        route: Callable[..., Answer],
         asked: Asked,
+        name: str,
         default: float,
         *,
-        signed: bool = False,
+        apart: questions.Apart = questions.largest,
+        numbers: type = complex,
     ) -> Curve:
-        """Return the answer by ``route`` to the tolerance asked for, or else the ``default``.
-
-        One that is ``signed`` is within ± its scale.
-        """
-        tol, row = asked.tol or default, asked.row
+        """Return the answer that ``questions`` measures, to the tolerance asked or ``default``."""
+        tol, row, frame = asked.tol or default, asked.row, self._frame(asked.system)
+        measure = partial(getattr(questions, name), row=row, at=asked.at, tol=tol)
+        # A momentum, so that all levels of the stationary state are computed.
+        q, p = (Coordinate("q", row),), (Coordinate("p", row),)
+        options = self._options(asked.progress)
         with _breakdowns():
-            options = self._options(asked.progress)
-            answer = route(self._frame(asked.system), row, asked.at, options, tol=tol)
+            ladder, answer = questions.adapted(
+                frame, [q, p], measure, options, apart, tol=tol, what=name, numbers=numbers
+            )
         values, scale = np.asarray(answer.values, dtype=float), float(answer.scale)
         return certified_curve(
             values,
-            answer.errors,
+            np.asarray(answer.errors),
             scale=scale,
-            of=density_of(answer.ladder, (Coordinate("q", row),), inf),
+            of=density_of(ladder, q, inf),
             tol=tol,
             residual=answer.residual,
             failures=(answer.limit,) if answer.limit else (),
-            settings=settings_of(answer.ladder),
-            positive=scale - np.abs(values) if signed else None,
+            settings=settings_of(ladder),
+            # An autocovariance is within ± its scale.
+            positive=scale - np.abs(values) if name == "correlation" else None,
         )
 
     @answer
@@ -221,20 +229,14 @@ class PhaseSpace(Theory):
         return first_passage(asked)
 
     def _options(self, progress: Progress = silent) -> Options:
-        return replace(
-            Options.of(self.memory, self.work),
-            threads=self.threads,
-            reference=self.reference,
-            progress=progress,
-        )
+        more = {"threads": self.threads, "reference": self.reference, "progress": progress}
+        return Options.of(self.memory, self.work, **more)
 
     def _frame(self, system: System) -> Frame:
         """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""
         if system.n > MOST_MASSES:
-            raise NotApplicable(
-                f"{system.n} masses have {2 * system.n} coordinates; the expansion is for "
-                f"{2 * MOST_MASSES} at the most"
-            )
+            most = f"the expansion is for {2 * MOST_MASSES} at the most"
+            raise NotApplicable(f"{system.n} masses have {2 * system.n} coordinates; {most}")
         frame = contact_frame(system)
         about = gibbs_reference(frame)
         if system.damping_terms:
@@ -250,15 +252,6 @@ def _breakdowns() -> Iterator[None]:
         yield
     except np.linalg.LinAlgError as error:
         raise NotCertified(f"the expansion breaks down: {error}") from None
-
-
-def _refusal(observable: Observable) -> str | None:
-    if any(c.kind == "H" for c in observable):
-        return (
-            f"{observable_name(observable)}: the expansion gives densities of displacements and "
-            "momenta, not of energies; ask for q, p or pairs of them"
-        )
-    return None
 
 
 PhaseSpace.register(quick=False)

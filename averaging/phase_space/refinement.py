@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
@@ -11,7 +11,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from threadpoolctl import threadpool_limits
 
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.degrees import Degrees, finer, fitting, lowest
+from averaging.phase_space.equation.degrees import finer, fitting, lowest
 from averaging.phase_space.equation.elimination import CONVERGED, Expansion, cost, expanded
 from averaging.phase_space.equation.frame import (
     Frame,
@@ -28,16 +28,16 @@ from fpk.numeric.quadrature import gauss_grid, integral
 
 SAFETY = 2.5
 """Factor on the error that follows from distances between solutions. Without it, of 56 errors
-against finer solutions the largest was 1.9 times the stated one, the next 1.1 times."""
+against finer solutions the largest was 1.9 times the stated one."""
 FIRST = 2.0
 """Factor beside it on the error that follows from one distance alone, small by chance at times:
 without either, of 400 errors the largest was 2.2 times the stated one."""
 KEPT = 0.25
 """Least share of one distance that the next one is believed to be."""
 LIGHT, KEPT_WHERE_LIGHT = 0.01, 0.6
-"""Damping ratio of a natural mode below which more is believed, and that share: what is slow makes
-large errors of small residuals, which two solutions may share. Of 148 errors with ratios of 0.0007
-to 0.005 the largest was 1.7 times what ``KEPT`` states; of 88 with 0.011 it was 0.73 times."""
+"""Damping ratio of a natural mode below which more is believed, and that share: two solutions may
+share large errors of what is slow. Of 148 errors with ratios of 0.0007 to 0.005 the largest was 1.7
+times what ``KEPT`` states; of 88 with 0.011 it was 0.73 times."""
 COMMON = 0.25
 """Least share of the largest distance of all densities of one coordinate that any density's is
 believed to be: with light damping that of one may be small by chance."""
@@ -52,28 +52,24 @@ MEMORY = 4.0
 """GB (1e9 bytes) that a solution may need where no other bound is given."""
 WORK = 1.2e13
 """Operations that it may need where ``MEMORY`` is the bound: about a minute on two cores."""
-ROUNDS, CLOSE = 40, 1e-3
-"""Most linear systems, each with the contact force of the Gaussian state before, and the relative
-change of the variance of the contact displacement that ends them: it is only a start."""
+ROUNDS = 20
+"""Linear systems, each with the contact force of the Gaussian state before, that make the start."""
 POINTS = 80
 """Gauss points of the means over that state."""
 REFITS = 2
 """Solutions that the moments are taken from. The first changed variances of 119 systems by 0.3 % at
 the median and 20 % at the most, the second by 7e-8 and 7 %."""
-NARROWER, MOST = 0.87, 4
-"""Factor between the variances of the contact velocity that are tried, and how many are. On Fig. 6
-with stops of B = 100 errors were smallest at 0.6 to 0.7 times the variance for a clearance of 0.1,
-and with the variance itself for one of 0.5."""
-BETTER = 0.95
-"""Factor that a narrower one is to bring the highest levels down by."""
+NARROWER, MOST, BETTER = 0.87, 4, 0.95
+"""Factor between the variances of the contact velocity that are tried, how many are, and the factor
+by which a narrower one is to bring the highest levels down."""
 
 
 @dataclass(frozen=True)
 class Options:
     """The settings of ``PhaseSpace`` by which solutions are made.
 
-    A solution that needs more than ``memory`` (GB, 1e9 bytes) or ``work`` (operations on real
-    numbers) is not begun; the first two are made whatever they need.
+    From the third on none is begun that needs more than ``memory`` (GB, 1e9 bytes) or ``work``
+    (operations on real numbers).
     """
 
     memory: float
@@ -83,33 +79,30 @@ class Options:
     progress: Progress = silent
 
     @classmethod
-    def of(cls, memory: float, work: float | None = None) -> Self:
+    def of(cls, memory: float, work: float | None = None, **more: Any) -> Self:
         """Return options; the work that goes with a memory is as N³ to N² of dense blocks."""
-        return cls(memory, WORK * (memory / MEMORY) ** 1.5 if work is None else work)
+        return cls(memory, WORK * (memory / MEMORY) ** 1.5 if work is None else work, **more)
 
     def refusal(self, size: float, work: float) -> str:
         """Say why a solution of these bytes and operations is not begun; empty where it may."""
+        words = ""
         if size > 1e9 * self.memory:
-            return (
-                f"a finer solution needs {size / 1e9:.2g} GB of memory, at most {self.memory:.2g}"
-            )
-        if work > self.work:
-            return f"a finer solution needs {work:.1g} operations, at most {self.work:.1g}"
-        return ""
+            words = f"{size / 1e9:.2g} GB of memory, at most {self.memory:.2g}"
+        elif work > self.work:
+            words = f"{work:.1g} operations, at most {self.work:.1g}"
+        return words and f"a finer solution needs {words}"
 
-    def step(self, what: str, degrees: Degrees) -> Callable[[float], None]:
+    def step(self, what: str, degree: int) -> Callable[[float], None]:
         """Return the function that reports a share of the work on ``what``."""
-        words = f"{what}, degree {degrees.total}"
-        return lambda share: self.progress(int(100 * share), 100, words)
+        return lambda share: self.progress(int(100 * share), 100, f"{what}, degree {degree}")
 
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
     """A solution, the coarser one before it, and the L1 error of each observable.
 
-    ``believed`` is the distance that an error follows from, ``factors`` the error over the distance
-    of the two solutions. ``limit`` says why no finer solution is made, empty where one may be.
-    ``solutions`` is how many were made.
+    ``believed`` is the distance that an error follows from, ``factors`` the error over their own
+    distance. ``limit`` says why no finer solution is made; ``solutions`` is how many were made.
     """
 
     finest: Expansion
@@ -123,26 +116,22 @@ class Ladder:
 
 def kept(frame: Frame) -> float:
     """Return the least share of one distance that the next one is believed to be."""
-    if frame.system.damping_terms:
-        return KEPT
     squares, modes = np.linalg.eigh(frame.stiffness)
     own = np.sum(modes * (frame.damping @ modes), axis=0)
-    return KEPT_WHERE_LIGHT if np.any(own < 2.0 * LIGHT * np.sqrt(squares)) else KEPT
+    light = not frame.system.damping_terms and np.any(own < 2.0 * LIGHT * np.sqrt(squares))
+    return KEPT_WHERE_LIGHT if light else KEPT
 
 
 def falling(last: float, earlier: float | None, share: float) -> tuple[float, float]:
     """Return the distance of two solutions that is believed, and the error of the finer one.
 
-    ``last`` is their distance, ``earlier`` what was believed before, ``share`` as of ``kept``.
-    Distances d that fall by a factor r leave an error of d/(r − 1), which counts where it is more
-    than d: errors oscillate, so that one fast fall promises no other.
+    ``last`` is their distance, ``earlier`` the one believed before, ``share`` as of ``kept``.
+    Distances d that fall by a factor r leave d/(r − 1), which counts where it is more than d.
     """
     if earlier is None:
         return last, FIRST * SAFETY * last
     distance = max(last, share * earlier)
-    if distance == 0.0:
-        return 0.0, 0.0
-    rate = max(earlier / distance, SLOWEST)
+    rate = max(earlier / distance, SLOWEST) if distance else np.inf
     return distance, SAFETY * distance * max(1.0, 1.0 / (rate - 1.0))
 
 
@@ -172,7 +161,7 @@ def ladders(frame: Frame, observables: Sequence[Observable], options: Options) -
         coarser: Expansion | None = None
         ladder: Ladder | None = None
         while True:
-            step = options.step("phase space", degrees)
+            step = options.step("phase space", degrees.total)
             finest = expanded(frame, about, degrees, memory=memory, step=step)
             if not finest.residual < CONVERGED:
                 unsolved = f"the equations of degree {degrees.total} are not solved"
@@ -186,11 +175,8 @@ def ladders(frame: Frame, observables: Sequence[Observable], options: Options) -
             if coarser is not None:
                 ladder = ladder_of(finest, coarser, observables, ladder)
                 yield ladder
-                if degrees.outer > MOST_OUTER:
-                    limit = (
-                        f"a finer solution needs more than {MOST_OUTER} functions of a displacement"
-                    )
-                else:
+                limit = f"a finer solution needs more than {MOST_OUTER} functions of a displacement"
+                if degrees.outer <= MOST_OUTER:
                     limit = options.refusal(*cost(basis(frame, about, degrees)))
                 if limit:
                     yield replace(ladder, limit=limit)
@@ -226,9 +212,8 @@ def start(frame: Frame) -> Reference:
 
     Statistical linearisation (Roberts and Spanos, Random Vibration and Statistical Linearization,
     1990): the contact force g(y) is E g + k (y − E y), k = E g (y − E y)/Var y, of the Gaussian y
-    that this force makes; the weight of y has the force itself. With damping terms it is the Gibbs
-    state at which they balance the noise. Raises ``NotApplicable`` where nothing is damped or no
-    noise acts, and ``LinAlgError`` where the linear system has no stationary state.
+    that this force makes; the weight of y has the force itself. With damping terms it is the
+    ``gibbs_reference``. Raises ``LinAlgError`` where the linear system has no stationary state.
     """
     gibbs, n = gibbs_reference(frame), frame.n
     if frame.system.damping_terms:
@@ -252,8 +237,6 @@ def start(frame: Frame) -> Reference:
         means = np.linalg.solve(stiffness, (k * centre - float(weight @ force)) * np.eye(n)[0])
         if not covariance[0, 0] > 0.0:
             raise np.linalg.LinAlgError("the linear system has no stationary state")
-        if abs(covariance[0, 0] - variance) <= CLOSE * variance:
-            break
         # Halfway, as a softer stop lets y out to where it is stiffer.
         centre, variance = 0.5 * (centre + means[0]), 0.5 * (variance + covariance[0, 0])
     # Of mirror images round-off is all that the means are.
@@ -264,10 +247,9 @@ def start(frame: Frame) -> Reference:
 def fitted(frame: Frame, about: Reference) -> Reference:
     """Return a reference with about the moments of the solution, and the best width for it.
 
-    The moments are those of two solutions, the first about ``about``, the second about the first.
-    The variance of the contact velocity is then made smaller while that makes the highest levels of
-    a solution smaller: near a stiff stop p(v) has features narrower than such a Gaussian.
-    Raises ``LinAlgError`` where the moments are of no distribution.
+    The variance of the contact velocity is made smaller while that makes the highest levels of a
+    solution smaller: near a stiff stop p(v) has features narrower than such a Gaussian. Raises
+    ``LinAlgError`` where the moments are of no distribution.
     """
     best = about
     for _ in range(REFITS):
@@ -278,8 +260,7 @@ def fitted(frame: Frame, about: Reference) -> Reference:
             return before
     least = expanded(frame, best, fitting(frame)).top
     # The correlations of the velocity with the other variables stay as they are.
-    scale = np.ones(len(best.covariance))
-    scale[0] = np.sqrt(NARROWER)
+    scale = np.append(np.sqrt(NARROWER), np.ones(len(best.covariance) - 1))
     for _ in range(MOST):
         covariance = best.covariance * np.outer(scale, scale)
         other = reference_of(frame, best.slope, best.offset, covariance)

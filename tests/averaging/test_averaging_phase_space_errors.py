@@ -247,21 +247,21 @@ def test_an_answer_ends_with_the_last_solution_whose_equations_are_solved(failin
     made, compared = failing(3), []
 
     def compare(ladder, fine, coarse):
-        assert (fine, coarse) == (ladder.finest, ladder.coarser)
-        compared.append(fine)
-        return questions.Answer(ladder, np.ones(1), np.array([0.1 ** len(compared)]), np.ones(1))
+        assert (fine.compared, coarse.compared) == (ladder.finest, ladder.coarser)
+        compared.append(ladder.finest)
+        return np.array([0.1 ** len(compared)])
 
-    found = questions.adapted(
+    ladder, found = questions.adapted(
         contact_frame(SYSTEM),
         SINGLE,
-        lambda e, step: e,
-        compare,
+        lambda e, step: questions.Answer(np.ones(1), e, np.ones(1)),
         Options.of(4.0),
+        compare,
         tol=1e-2,
         what="",
     )
     # No two solutions are compared twice, which would look as if distances no longer fell.
-    assert compared == made[1:2] and found.ladder.finest is made[1]
+    assert compared == made[1:2] and ladder.finest is made[1]
     assert found.limit == f"the equations of degree {made[2].basis.degrees.total} are not solved"
     first = refinement.FIRST * refinement.SAFETY * 0.1
     assert found.errors == pytest.approx(first, rel=1e-6)

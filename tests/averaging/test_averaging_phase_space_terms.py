@@ -12,8 +12,7 @@ from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.densities import force_means
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.chain import chain_of
-from averaging.phase_space.equation.damping import levels_per_stage, reach
+from averaging.phase_space.equation.chain import chain_of, levels_per_stage, reach
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
@@ -192,11 +191,7 @@ def test_stages_are_as_wide_as_the_terms_of_other_coordinates_need(powers, apart
     b = basis(frame, gibbs_reference(frame), Degrees(7, 3, 8))
     chain = chain_of(b)
     held = [
-        set(
-            chain.space.level[
-                (chain.functions > 0) & (chain.start >= s.start) & (chain.start < s.stop)
-            ]
-        )
+        set(chain.space.level[(chain.places[:, 0] >= s.start) & (chain.places[:, 0] < s.stop)])
         for s in map(chain.span, range(chain.top + 1))
     ]
     assert held[0] == {0} and held[1] == set(range(1, stages + 1))

@@ -13,6 +13,7 @@ import numpy as np
 
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.chain import Chain, chain_of
+from averaging.phase_space.equation.degrees import combined
 from averaging.phase_space.equation.elimination import Expansion, factored
 from averaging.phase_space.krylov import EVERY, RESIDUAL, VECTORS, krylov
 from averaging.phase_space.marginals import form_of, moments
@@ -37,57 +38,56 @@ Step = Callable[[float], None]
 
 
 def generator(e: Expansion, *, odd: bool, closed: bool = False) -> Chain:
-    """Return A on the functions of one parity; ``closed`` as of ``chain_of``, for eigenvalues."""
+    """Return A on the functions of one parity; ``closed`` as of ``chain_of``."""
     b = e.basis
     return chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
 
 
 def resolvent(A: Chain, shift: complex, step: Step) -> Callable[[Array], Array]:
-    """Return the function b → (s − A)⁻¹ b for s = ``shift``, b a vector or columns of them.
+    """Return b → (s − A)⁻¹ b for s = ``shift``, b a vector or columns; none of them has mass.
 
-    A is singular at s = 0, as mass is conserved: mass that round-off left is taken from b and from
-    the solution, which have none.
+    A is singular at s = 0: the mass that round-off left is taken from b and from the solution.
     """
     (solve, _), one = factored(A, shift=shift, step=step), A.basis.of_one
 
     def massless(u: Array) -> Array:
-        u = u.copy()
-        u[: one.size] -= np.multiply.outer(one, one @ u[: one.size])
-        return u
+        level, rest = u[: one.size], u[one.size :]
+        return np.concatenate([level - np.multiply.outer(one, one @ level), rest])
 
     return lambda b: -massless(solve(massless(b)))
 
 
 def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
-    """Return q' of a mass times the reference alone, 1 in level 0, and times p, as vectors of A.
+    """Return q' = q − E q of a mass times the reference, 1 in level 0, and times p, in A.
 
-    q' is q less its mean; a product with the first is ∫ q' …. With the coordinate
-    ``offset + slope y + direction·ζ``, ζ_j He_k = √k_j He_(k−e_j) + √(k_j + 1) He_(k+e_j). What the
+    A product with the first is ∫ q' …. ζ_j He_k = √k_j He_(k−e_j) + √(k_j + 1) He_(k+e_j); what the
     products have beyond the functions of A is orthogonal to them and left out.
     """
     b, space = e.basis, e.space
     q = Coordinate("q", row)
     (offset, slope, direction), (at, unit) = form_of(e, q), b.frame.place(q)
     offset -= unit * moments(e)[0][at]
-    values, up = b.at_points[0], space.raising(direction)
+    values, up = b.at_points[0], combined(space.up, direction)
     by_y = values.T @ ((b.weights * (offset + slope * b.points))[:, None] * values)
     density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])
     reference = np.zeros_like(density)
     reference[0] = b.continuous @ b.of_one
-    first, second = (
-        A.packed([product[space.span(n)] @ A.basis.of_level(n) for n in range(len(e.levels))])
-        for product in (u @ by_y + (up + up.T) @ u for u in (reference, density))
-    )
-    return first, second
+
+    def times_q(u: Array) -> Array:
+        product = u @ by_y + (up + up.T) @ u
+        levels = range(len(e.levels))
+        return A.packed([product[space.span(n)] @ A.basis.of_level(n) for n in levels])
+
+    return times_q(reference), times_q(density)
 
 
 def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:
     """Return c·(iω − A)⁻¹ b at the ascending frequencies ω >= 0 of ``at``, and the residual.
 
     One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the solution
-    of (1 + (iω − s) B) u = B b is taken from the Krylov space of B and B b, one for all ω, by
-    Galerkin's method. The first shift is 0, in real numbers; the next ones are in the middle of
-    the frequencies left. The residual is relative to the solution.
+    of (1 + (iω − s) B) u = B b is taken from the Krylov space of B and B b by Galerkin's method.
+    The first shift is 0, in real numbers; the next ones are in the middle of the frequencies left.
+    The residual is relative to the solution.
     """
     values, worst = np.zeros(at.size, dtype=complex), 0.0
     groups, shift = [np.arange(at.size)], 0.0
@@ -113,8 +113,7 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
         values[group[solved]] = found[solved]
         worst = max(worst, float(np.max(residuals[solved], initial=0.0)))
         rest = group[~solved]
-        sides = (rest[at[rest] < shift], rest[at[rest] > shift])
-        groups += [side for side in sides if side.size]
+        groups += [side for side in (rest[at[rest] < shift], rest[at[rest] > shift]) if side.size]
         if groups:
             shift = float(at[groups[-1][groups[-1].size // 2]])
     return values, worst
@@ -125,10 +124,9 @@ def decays(
 ) -> tuple[Array, float]:
     """Return C(t) = c·e^(At) b and its derivative over ``rate`` at the lags ``at``, (2, lags).
 
-    The second is the error of C by its calculation: the larger one of the last two changes by
-    ``EVERY`` vectors more. e^(At) b is taken from the Krylov space of b and (s − A)⁻¹, s =
-    ``rate``, in which A is s − H⁻¹; the space grows until changes are within ``tol`` C(0). Raises
-    ``LinAlgError`` where C grows without bound.
+    e^(At) b is taken from the Krylov space of b and (s − A)⁻¹, s = ``rate``, in which A is s − H⁻¹;
+    it grows until the last two changes, by ``EVERY`` vectors each, are within ``tol`` C(0): the
+    larger one is the error, the second item. Raises ``LinAlgError`` where C grows without bound.
     """
     values, changes = np.zeros((2, at.size)), [np.inf, np.inf]
     for V, H, closed in krylov(resolvent(A, rate, step), b[:, None], VECTORS):
@@ -141,12 +139,10 @@ def decays(
         with np.errstate(over="ignore", invalid="ignore"):
             grown = np.exp(np.multiply.outer(at, exponents))
             new = np.stack([(grown @ parts).real, (grown @ (parts * exponents)).real / rate])
-        if not np.all(np.isfinite(new)):
-            changes.append(np.inf)
-            continue
-        changes.append(float(np.max(np.abs(new[0] - values[0]))))
-        values = new
-        if closed or max(changes[-2:]) <= tol * abs(c @ b):
+        finite = bool(np.all(np.isfinite(new)))
+        changes.append(float(np.max(np.abs(new[0] - values[0]))) if finite else np.inf)
+        values = new if finite else values
+        if finite and (closed or max(changes[-2:]) <= tol * abs(c @ b)):
             break
     if not np.isfinite(changes[-1]):
         raise np.linalg.LinAlgError("a correlation grows with its lag")
@@ -154,11 +150,7 @@ def decays(
 
 
 def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
-    """Return eigenvalues λ of −A, and the |λ − iω| up to which all are among them, ω = ``at``.
-
-    Each as often as it occurs, up to ``BLOCK`` times, by Arnoldi's method with (iω − A)⁻¹ from as
-    many random vectors: eigenvalues nearest to iω converge first.
-    """
+    """Eigenvalues λ of −A, each up to ``BLOCK`` times, and the |λ − i ``at``| of all found."""
     solve = resolvent(A, 1j * at if at else 0.0, step)
     random = np.random.default_rng(0).normal(size=(A.ends[-1], BLOCK))
     *_, (V, H, _) = krylov(solve, solve(random), VECTORS)
@@ -177,10 +169,10 @@ def slowest_rates(
 ) -> tuple[Complexes, str]:
     """Return eigenvalues λ of −A of all ``parts``, Im λ >= 0, in ascending order of Re λ.
 
-    The ``count`` slowest of all are the first ones, unless the words behind say what is missing.
-    Discs follow each other up the imaginary axis, at most ``most`` of them, to the largest natural
-    frequency ``fastest`` and until no rate as slow can lie above: rates of a linear system are sums
-    of rates of its modes, so that Im λ/Re λ of none is more than that of a mode.
+    The first ``count`` are the slowest, unless the words behind say what is missing. Discs, at most
+    ``most``, follow each other up the imaginary axis to the largest natural frequency ``fastest``
+    and until no rate as slow can lie above: as rates of a linear system are sums of rates of its
+    modes, Im λ/Re λ of none is more than that of a mode.
     """
     rates, discs, at = np.zeros(0, dtype=complex), list[tuple[float, float]](), 0.0
     while True:
@@ -204,8 +196,8 @@ def slowest_rates(
         if rates.size >= count and end >= max(fastest, slowest * steepest):
             same = np.abs(rates[:count, None] - rates) <= SAME * np.abs(rates)
             often = rates[:count][np.sum(same, axis=1) >= BLOCK]
-            words = [f"the rate {rate:.3g} occurs {BLOCK} times or more" for rate in often[:1]]
-            return rates, "".join(words)
+            missing = f"the rate {often[0]:.3g} occurs {BLOCK} times or more" if often.size else ""
+            return rates, missing
         if min(halves) == 0.0 or len(discs) >= most:
             if not rates.size:
                 raise np.linalg.LinAlgError("no relaxation rate is found")

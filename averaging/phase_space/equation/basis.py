@@ -20,8 +20,8 @@ DEEP = 75.0
 RULE_POINTS = 160
 """Gauss points of a panel: products of polynomials of degree 60 with w and the contact force."""
 SAME = 1e-3
-"""Distance of two stops, in widths of the support, below which there is no panel between them: what
-is not smooth at the second of them, (y − δ)^(5/2) in ln w, is 3e-8 there."""
+"""Distance of two stops, in widths of the support, below which there is no panel between them: of
+(y − δ)^(5/2) in ln w, which is not smooth, 3e-8 is lost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class Panel:
     """Polynomials in t(y) between ``low`` and ``high``, orthonormal with the weight of the basis.
 
     Between stops (``direction`` 0) t is y. Beyond a stop at ``anchor``, on the right (1) or left
-    (−1), t² = |y − anchor|/``length`` + 2 w₃ (U(y) − U(anchor)), where 2 w₃ U is 1 one ``length``
-    beyond. ``last``: no other stop follows. The polynomials follow from P_0 = ``first`` by
-    t P_j = Σ_i recurrence[i, j] P_i, ``recurrence`` (degree + 1, degree).
+    (−1), t² = |y − anchor|/``length`` + 2 w₃ (U(y) − U(anchor)). ``last``: no other stop follows.
+    The polynomials follow from P_0 = ``first`` by t P_j = Σ_i recurrence[i, j] P_i, ``recurrence``
+    (degree + 1, degree).
     """
 
     low: float
@@ -45,7 +45,7 @@ class Panel:
     recurrence: Array
 
     def rule(self, count: int) -> tuple[Array, Array]:
-        """``count`` Gauss points y, in |y − anchor|^½ beyond a stop, and weights that integrate."""
+        """``count`` Gauss points y, in |y − anchor|^½ beyond a stop, and weights of dy."""
         x, weight = gauss_legendre(count)
         x, weight, length = 0.5 * (1.0 + x), 0.5 * weight, self.high - self.low
         if self.direction == 0:
@@ -71,10 +71,9 @@ class Basis:
     e^``log_norm``. ``nodes`` are the ends of the panels. The functions are columns (functions of
     all panels, functions). Levels of even degree have the ``continuous`` ones, without a term in t
     itself beyond a stop, whose slope in y has no bound. Levels of odd degree have the ``broken``
-    ones, which may jump at the stops and have the degrees of the derivatives of the first: none of
-    either set is lost on the other. ``counts[s][c]`` is how many functions of set s, in front, have
-    c polynomials beyond a stop, 0 for fewer than any degree has. Where state and mirror image are
-    equally likely (``mirrored``) one set is even and the other odd.
+    ones, which may jump at the stops, of the degrees of the derivatives of the first.
+    ``counts[s][c]`` is how many functions of set s, in front, have c polynomials beyond a stop, 0
+    for fewer than any degree has. ``mirrored``: one set is even and the other odd.
     """
 
     frame: Frame
@@ -138,11 +137,7 @@ class Basis:
 
 
 def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = False) -> Basis:
-    """Return the functions of y of an expansion. Panels end at the stops.
-
-    ``odd``: odd functions for even ones, and even for odd, of all that changes its sign with the
-    mirror image.
-    """
+    """Return the functions of y; ``odd``: of all that changes its sign with the mirror image."""
     panels, points, weights = [], [], []
     for panel in _panels(frame, reference):
         width = float((panel.high - panel.low) * np.sqrt(reference.weight[1]))
@@ -168,19 +163,14 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
             out[starts[k] : starts[k + 1]] += entries
         return out
 
-    def at_end(panel: Panel, y: float) -> Array:
-        t, _ = _coordinate(frame, reference, panel, np.array([y]))
-        return np.asarray(panel.polynomials(t)[0][0])
-
     # Rows that vanish on functions that are continuous and have no slope in t at a stop: panels
     # meet at a stop of at least one of them, where t of that one is 0.
-    rows = [
-        row((k, at_end(a, a.high)), (k + 1, -at_end(b, a.high)))
-        for k, (a, b) in enumerate(pairwise(panels))
-    ]
-    rows += [
-        row((k, p.polynomials(np.zeros(1))[1][0])) for k, p in enumerate(panels) if p.direction
-    ]
+    slopes = [(k, p.polynomials(np.zeros(1))[1][0]) for k, p in enumerate(panels) if p.direction]
+    rows = [row(slope) for slope in slopes]
+    for k, pair in enumerate(pairwise(panels)):
+        y = np.array([pair[0].high])
+        a, b = (p.polynomials(_coordinate(frame, reference, p, y)[0])[0][0] for p in pair)
+        rows.append(row((k, a), (k + 1, -b)))
     mirrored = frame.symmetric and not reference.weight[0]
     parity: list[list[Array]] = [[], []]
     if mirrored:
@@ -191,22 +181,14 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
                 for j, unit in enumerate(np.eye(p.degree)):
                     image = sign * (1.0 if p.direction else (-1.0) ** j)
                     only.append(row((k, unit), (last - k, -image * unit)))
-    continuous = _nested(panels, degrees, [*rows, *parity[odd]], fewer=0)
-    broken = _nested(panels, degrees, parity[not odd], fewer=1)
-    return Basis(
-        frame,
-        reference,
-        degrees,
-        tuple(panels),
-        np.array([panels[0].low, *(p.high for p in panels)]),
-        np.concatenate(points),
-        np.concatenate(weights) / total,
-        float(np.log(total)),
-        mirrored,
-        continuous[0],
-        broken[0],
-        (continuous[1], broken[1]),
+    sets = [*rows, *parity[odd]], parity[not odd]
+    (continuous, broken), counts = zip(
+        *(_nested(panels, degrees, own, fewer=k) for k, own in enumerate(sets)), strict=True
     )
+    nodes = np.array([panels[0].low, *(p.high for p in panels)])
+    y, w = np.concatenate(points), np.concatenate(weights) / total
+    given = frame, reference, degrees, tuple(panels), nodes, y, w, float(np.log(total)), mirrored
+    return Basis(*given, continuous, broken, counts)
 
 
 def _nested(
@@ -214,16 +196,13 @@ def _nested(
 ) -> tuple[Array, tuple[int, ...]]:
     """Return orthonormal functions on which ``rows`` vanish, and how many come with each count.
 
-    Sets of fewer polynomials are the front of the whole. ``fewer`` is how often the derivative in y
-    is taken: in t it lowers the degree by one between stops, by two beyond a stop.
+    Sets of fewer polynomials are the front of the whole. ``fewer`` derivatives in y lower the
+    degree in t by one between stops, by two beyond a stop.
     """
     degree = np.concatenate([np.arange(p.degree) for p in panels])
     every = np.array([row for row in rows if row.any()]).reshape(-1, degree.size)
-    columns, counts = np.zeros((degree.size, 0)), []
-    for count in range(degrees.outer + 1):
-        if count < degrees.least:
-            counts.append(0)
-            continue
+    columns, counts = np.zeros((degree.size, 0)), [0] * degrees.least
+    for count in range(degrees.least, degrees.outer + 1):
         numbers = [
             (count if p.last else degrees.fewer(p.degree, count))
             - (2 if p.direction else 1) * fewer
@@ -276,8 +255,12 @@ def _panels(frame: Frame, reference: Reference) -> tuple[Panel, ...]:
         root(partial(_log_weight, frame, reference), lowest, *ends)
         for ends in ((-reach, top), (top, reach))
     )
-    left, right = (x[(x > low) & (x < high)] for x in frame.stops)
     near = SAME * (high - low)
+    # Where contact begins: left stops, and right stops; two that are nearly one have no panel.
+    stops = [(s.sign, s.sign * s.clearance * frame.root) for s in frame.system.stops]
+    left, right = (
+        np.unique([y for side, y in stops if side == s and low < y < high]) for s in (-1.0, 1.0)
+    )
     if left.size and right.size and right[0] - left[-1] <= near:
         left[-1] = right[0] = 0.5 * (left[-1] + right[0])
     nodes = np.concatenate([[low], left, right, [high]])
@@ -285,17 +268,14 @@ def _panels(frame: Frame, reference: Reference) -> tuple[Panel, ...]:
     panels = []
     for a, b in pairwise(map(float, nodes)):
         # A left stop anchors what is left of it, a right stop what is right of it.
-        direction = -1 if np.any(np.abs(left - b) <= near) else 0
-        direction = 1 if np.any(np.abs(right - a) <= near) else direction
+        direction = int(np.any(np.abs(right - a) <= near)) or -int(np.any(np.abs(left - b) <= near))
         anchor, end = (b, a) if direction < 0 else (a, b)
-        length = 1.0
         if direction:
-            # Where 2 w₃ (U − U(anchor)) is 1, at the most at the other end.
+            # Where 2 w₃ (U − U(anchor)) is 1, at the most at the other end: there t² is 2.
             most = 0.5 / contact + frame.contact_energy(np.array([anchor]))[0]
             if frame.contact_energy(np.array([end]))[0] > most:
                 end = root(frame.contact_energy, most, anchor, end)
-            length = abs(end - anchor)
         last = bool(direction) and (a == nodes[0] or b == nodes[-1])
         nothing = 0, 1.0, np.zeros((1, 0))
-        panels.append(Panel(a, b, direction, last, anchor, length, *nothing))
+        panels.append(Panel(a, b, direction, last, anchor, abs(end - anchor), *nothing))
     return tuple(panels)

@@ -15,40 +15,44 @@ zero. The Hermite polynomials of the others come in other combinations (``degree
 Levels of even degree have continuous functions of y, those of odd degree broken ones (``Basis``).
 ∂* connects the two only; for a broken f and a continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
 
-Damping terms (``damping``) may connect a level with others beyond its neighbours, too. Levels are
-then eliminated in stages of several: so many that each stage meets the two below and the one above.
+A damping term adds the force −κ Π q_a^m Π v_a^n H^l v_j to mass i; f_i is the sum of all such
+forces, with the sign turned. Displacements are y and x + a y + x₀, and z = C ζ, ζ_j = a_j + a_j⁺:
+f_i is a polynomial in y and U(y) whose coefficients are matrices that act on the degrees k, and
+makes −Σ_j C⁻¹_ji a_j⁺ f_i u. Of degree r in z beside its v_j, it connects a level with those from r
+below to r + 2 above. Levels are then eliminated in stages of several: so many that each stage meets
+the two below and the one above. Integrals are exact, so that the truncation keeps the dissipation.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
 from averaging.phase_space.equation.basis import Basis
-from averaging.phase_space.equation.damping import damped, levels_per_stage
 from averaging.phase_space.equation.degrees import Matrix, Space, combined, space_to
-from averaging.phase_space.equation.frame import linear_part
+from averaging.phase_space.equation.frame import Frame, linear_part
 from fpk.numeric.arrays import Array, Integers
+
+Polynomial = dict[tuple[int, int], Matrix]
+"""Matrices on the degrees, by the powers of y and of U(y) that they stand before."""
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
     """The equations between stages.
 
-    ``factor`` is C. Each degree of ``space`` (degrees,) has ``functions`` of y, 0 where it is left
-    out, the first of them at ``start`` in a vector of all unknowns; stage n ends at ``ends[n]``
-    there, its highest level in front. By ``matrix`` stage n meets itself and the stages n + 1,
-    n − 1 and n − 2. The highest level of each degree in the others meets itself by l₁ (∂* ∂)^½,
-    too, which stands for the levels above it.
+    ``factor`` is C. Each degree of ``space`` has its functions of y at ``places`` (degrees, most
+    functions) in a vector of all unknowns, −1 beyond its own; stage n ends at ``ends[n]`` there,
+    its highest level in front. By ``matrix`` stage n meets itself and the stages n + 1, n − 1 and
+    n − 2. The highest level of each degree in the others meets itself by l₁ (∂* ∂)^½, too, which
+    stands for the levels above it.
     """
 
     basis: Basis
     factor: Array
     space: Space
-    functions: Integers
-    start: Integers
+    places: Integers
     ends: Integers
     matrix: Matrix
 
@@ -64,8 +68,7 @@ class Chain:
     def cuts(self, n: int) -> Integers:
         """Where another degree in the others begins among the unknowns of stage n, ascending."""
         group = self.space.level * (self.space.others.max() + 1) + self.space.others
-        first = (np.diff(group, prepend=-1) > 0) & (self.functions > 0)
-        starts, span = np.sort(self.start[first]), self.span(n)
+        starts, span = np.sort(self.places[np.diff(group, prepend=-1) > 0, 0]), self.span(n)
         return np.asarray(starts[(starts > span.start) & (starts < span.stop)] - span.start)
 
     def within(self, n: int, *, shift: complex = 0.0, kind: type = np.float64) -> Array:
@@ -76,46 +79,36 @@ class Chain:
             A[np.diag_indices_from(A)] -= shift
         return np.asarray(A)
 
-    def split(self, u: Array) -> list[Array]:
-        """Return the parts of a vector of all unknowns, one a stage."""
-        return np.split(u, self.ends[:-1])
-
     def blocks(self, matrix: sparse.csr_array, away: int) -> list[sparse.csr_array]:
         """Return the blocks by which stages meet those ``away`` above, lowest first."""
         stages = range(max(-away, 0), self.top + 1 - max(away, 0))
         return [matrix[self.span(n), self.span(n + away)] for n in stages]
 
-    @cached_property
-    def _places(self) -> Integers:
-        """Unknowns of each degree (degrees, most functions), −1 beyond its own."""
-        j = np.arange(self.functions.max())
-        return np.where(j < self.functions[:, None], self.start[:, None] + j, -1)
-
     def packed(self, levels: Sequence[Array]) -> Array:
         """Return the vector of all unknowns of ``levels`` (degrees of the level, functions)."""
         out = np.zeros(self.ends[-1] + 1, levels[0].dtype)
         for n, u in enumerate(levels):
-            out[self._places[self.space.span(n), : u.shape[1]]] = u
+            out[self.places[self.space.span(n), : u.shape[1]]] = u
         return out[:-1]
 
     def shaped(self, u: Array) -> list[Array]:
         """Return the levels of a vector (degrees, functions), 0 where a degree has no function."""
-        every, levels = np.append(u, np.zeros(1, u.dtype))[self._places], []
-        for n in range(self.space.level[-1] + 1):
-            at = self.space.span(n)
-            levels.append(every[at, : self.functions[at].max()])
-        return levels
+        every, used = np.append(u, np.zeros(1, u.dtype))[self.places], self.places >= 0
+        spans = map(self.space.span, range(self.space.level[-1] + 1))
+        return [every[at, : np.sum(used[at].any(axis=0))] for at in spans]
 
 
 def placed(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers]:
-    """Return ``functions``, ``start`` and ``ends`` of a ``Chain``, for the degrees of ``space``.
+    """Return how many functions each degree of ``space`` has, its first unknown, and the ``ends``.
 
-    What ``space`` has beyond the degrees of the basis is left out.
+    What ``space`` has beyond the degrees of the basis is left out. At the highest levels the sum m
+    of the degrees in the others falls by two a level: errors of densities stay as they are without
+    these products of high degrees, and a fifth of the work is saved.
     """
     degrees = functions.degrees
     table = np.zeros((space.level[-1] + 1, space.others.max() + 1), dtype=np.int64)
     for n in range(degrees.total + 1):
-        for m in range(degrees.others_at(n) + 1):
+        for m in range(min(n, 2 * degrees.others, 2 * (degrees.total - n)) + 1):
             table[n, m] = functions.counts[n % 2][degrees.beyond(n, m)]
     count = np.where(space.counted <= degrees.others, table[space.level, space.others], 0)
     # Level 0 is a stage of its own.
@@ -130,17 +123,16 @@ def placed(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers
 Entries = tuple[Integers, Integers, Array]
 """Rows, columns and values of entries of a matrix."""
 Between = Sequence[Sequence[Array | None]]
-"""Matrices on functions of y by the parities of the level to which and of which they lead.
-
-None where functions that both levels have stay as they are."""
+"""Matrices on functions of y by the parities of the level to which and of which they lead; None
+where functions that both levels have stay as they are."""
 
 
 def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     """Return the equations in the functions of a basis, about its reference.
 
-    ``closed``: levels meet themselves by l₁ (∂* ∂)^½ (``Chain``) of all functions that the level
-    above lacks, not only where there is none above. Else functions of the highest degrees in y are
-    hardly damped, and A has slow eigenvalues that are none of L; stationary densities hardly do.
+    ``closed``: levels meet themselves by l₁ (∂* ∂)^½ of all functions that the level above lacks,
+    not only where there is none above: else the highest degrees in y are hardly damped, and A has
+    slow eigenvalues that are none of L.
     """
     frame, reference, degrees = functions.frame, functions.reference, functions.degrees
     F, G, h = linear_part(frame, reference)
@@ -187,9 +179,7 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
         entries += [e for A, F in terms for e in _blocks(A, F, wider, *places)]
     table = np.zeros((degrees.total + 2, space.others.max() + 1), dtype=np.int64)
     table[space.level[count > 0], space.others[count > 0]] = count[count > 0]
-    for n, m in zip(*np.nonzero(table), strict=True):
-        if n == 0:
-            continue
+    for n, m in np.argwhere(table[1:]) + np.array([1, 0]):
         # What the level above n lacks of the functions that the one below n has.
         wanted = functions.counts[(n - 1) % 2][degrees.beyond(n - 1, m)]
         E = adjoint[n % 2][: table[n, m], table[n + 1, m] : wanted]
@@ -199,15 +189,13 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
             root = np.full(at.size, -np.sqrt(n - m + 1.0))
             entries.append(_entries(at, at, root, (U * s) @ U.T))
     row, column, values = (np.concatenate(part) for part in zip(*entries, strict=True))
-    matrix = Matrix((values, (row, column)), shape=2 * (int(ends[-1]),))
-    return Chain(functions, C, space, count, start, ends, matrix)
+    matrix, j = Matrix((values, (row, column)), shape=2 * (int(ends[-1]),)), np.arange(count.max())
+    unknowns = np.where(j < count[:, None], start[:, None] + j, -1)
+    return Chain(functions, C, space, unknowns, ends, matrix)
 
 
 def _factor(F: Array, covariance: Array) -> Array:
-    """Return C of S = C Cᵀ, the other variables of ζ in pairs of one oscillator each.
-
-    These are the planes that the antisymmetric part of F', which turns ζ, has for the others.
-    """
+    """Return C of S = C Cᵀ; the antisymmetric part of F' turns the others in pairs of variables."""
     C = np.asarray(np.linalg.cholesky(covariance), dtype=float)
     drift = np.linalg.solve(C, F @ C)[1:, 1:]
     _, vectors = np.linalg.eigh(0.5j * (drift - drift.T))
@@ -236,12 +224,101 @@ def _blocks(
 
 
 def _entries(to: Integers, of: Integers, factor: Array, F: Array) -> Entries:
-    """Return the entries of ``factor`` (pairs,) times F, from unknowns ``of`` to ``to`` and on.
-
-    F is (functions, functions), or (functions,) where it is diagonal.
-    """
+    """Entries of ``factor`` (pairs,) times F, diagonal if 1-D, from unknowns ``of`` to ``to``."""
     index = np.indices(F.shape, dtype=np.int32)
     row, column = (
         np.add.outer(x.astype(np.int32), i).ravel() for x, i in ((to, index[0]), (of, index[-1]))
     )
     return row, column, np.multiply.outer(factor, F).ravel()
+
+
+def reach(frame: Frame) -> int:
+    """Highest degree in z of what a damping term multiplies a velocity by, 0 without terms."""
+    contact = frame.contact + 1
+    return max(
+        (t.degree - dict(t.q).get(contact, 0) for t in frame.system.damping_terms), default=0
+    )
+
+
+def levels_per_stage(frame: Frame) -> int:
+    """Levels of a stage, s >= r and 2 s >= r + 2, r = ``reach``; level 0 is a stage of its own."""
+    return max(reach(frame), (reach(frame) + 3) // 2)
+
+
+def state(
+    functions: Basis, C: Array, space: Space
+) -> tuple[list[Polynomial], list[Polynomial], list[Polynomial]]:
+    """Return displacements (y, r), velocities v and forces f, exact but at the end of ``space``."""
+    frame, reference = functions.frame, functions.reference
+    n, place = frame.n, frame.order.index
+    one: Matrix = sparse.eye_array(len(space.level), format="csr")
+    z = [combined([up + up.T for up in space.up], row) for row in C]
+    v: list[Polynomial] = [{(0, 0): x} for x in z[:n]]
+    linear = zip(z[n:], reference.slope, reference.offset, strict=True)
+    r: list[Polynomial] = [{(1, 0): one}]
+    r += [{(0, 0): x + x0 * one, (1, 0): a * one} for x, a, x0 in linear]
+    energy: Polynomial = {(0, 1): one}
+    for i in range(n):
+        energy = added(energy, product(v[i], v[i]), 0.5)
+        for j in range(n):
+            energy = added(energy, product(r[i], r[j]), 0.5 * float(frame.stiffness[i, j]))
+    forces: list[Polynomial] = [{} for _ in range(n)]
+    root = np.sqrt(frame.system.mass)
+    for term in frame.system.damping_terms:
+        factors = [v[place(term.column)]]
+        scale = term.coefficient / (root[term.row] * root[term.column])
+        for of, powers in ((r, term.q), (v, term.v)):
+            for mass, power in powers:
+                factors += [of[place(mass - 1)]] * power
+                scale /= root[mass - 1] ** power
+        force: Polynomial = {(0, 0): scale * one}
+        for factor in (*factors, *[energy] * term.energy):
+            force = product(force, factor)
+        forces[place(term.row)] = added(forces[place(term.row)], force)
+    return r, v, forces
+
+
+def product(a: Polynomial, b: Polynomial) -> Polynomial:
+    """Return the product of two polynomials, whose matrices commute."""
+    out: Polynomial = {}
+    for (m, e), X in a.items():
+        out = added(out, {(m + p, e + q): X @ Y for (p, q), Y in b.items()})
+    return out
+
+
+def added(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynomial:
+    """Return a + ``factor`` b."""
+    out = dict(a)
+    for powers, Y in b.items():
+        out[powers] = out[powers] + factor * Y if powers in out else factor * Y
+    return out
+
+
+def damped(
+    functions: Basis, C: Array
+) -> tuple[Space, list[tuple[Matrix, list[list[Array | None]]]]]:
+    """Return the degrees that A acts on, and the terms A ⊗ F of −Σ_ij C⁻¹_ji a_j⁺ f_i."""
+    frame, degrees = functions.frame, functions.degrees
+    beyond, d = reach(frame) + 1, 2 * frame.n - 1
+    space = space_to(degrees.total + beyond, degrees.others + beyond, d)
+    inverse: Array = np.asarray(np.linalg.inv(C), dtype=float)
+    operator: Polynomial = {}
+    for i, force in enumerate(state(functions, C, space)[2]):
+        up = combined(space.up, inverse[:, i])
+        operator = added(operator, {powers: up @ X for powers, X in force.items()}, -1.0)
+    values, _ = functions.at_points
+    sets, terms = [values @ functions.of_level(n) for n in range(2)], []
+    for powers, A in operator.items():
+        weights = by_y(functions, powers)[:, None]
+        F: list[list[Array | None]] = [[to.T @ (weights * of) for of in sets] for to in sets]
+        if powers == (0, 0):
+            F[0][0] = F[1][1] = None
+        terms.append((A, F))
+    return space, terms
+
+
+def by_y(functions: Basis, powers: tuple[int, int]) -> Array:
+    """Weights of the points times the powers of y and of U(y)."""
+    y = functions.points
+    energy = functions.frame.contact_energy(y) ** powers[1]
+    return np.asarray(functions.weights * y ** powers[0] * energy)

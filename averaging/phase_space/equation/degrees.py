@@ -21,11 +21,9 @@ from scipy import sparse
 from averaging.phase_space.equation.frame import Frame
 from fpk.numeric.arrays import Array
 
-LEAST = 0.5
-"""Least number of polynomials beyond a stop at high levels of a high degree in the velocity of the
-contact mass alone, as it is the stop that makes these, over the most."""
-LEAST_MIXED = 0.3
-"""Least number of them of any degrees, over the most."""
+LEAST, LEAST_MIXED = 0.5, 0.3
+"""Least number of polynomials beyond a stop, over the most: at levels of the velocity that the stop
+turns alone, and at any."""
 FEWER = 1.2
 """Polynomials beyond a stop that each degree in the other variables takes away."""
 
@@ -35,23 +33,15 @@ Matrix = sparse.csr_array
 
 @dataclass(frozen=True)
 class Degrees:
-    """How fine an expansion is: highest level, degree in the amplitudes of the others, panels.
+    """How fine an expansion is.
 
-    ``total`` is the largest |k|, ``others`` the largest that a product of the other masses counts
-    (``Space.counted``); ``outer`` the number of polynomials in y beyond the last stop.
+    ``total`` is the largest |k|, ``others`` the largest that a product of the other masses counts,
+    ``outer`` the number of polynomials in y beyond the last stop.
     """
 
     total: int
     others: int
     outer: int
-
-    def others_at(self, level: int) -> int:
-        """Highest sum of the degrees in the others at a level.
-
-        At the highest levels it falls by two a level: errors of densities stay as they are without
-        these products of high degrees, and a fifth of the work is saved.
-        """
-        return min(level, 2 * self.others, 2 * (self.total - level))
 
     @property
     def least(self) -> int:
@@ -61,9 +51,8 @@ class Degrees:
     def beyond(self, level: int, others: int) -> int:
         """Number of polynomials beyond a stop, of |k| = ``level`` and a degree in the others.
 
-        Motion turns degrees in y into those in velocities, so that what matters is their sum: the
-        higher those of the velocities, the fewer polynomials. Levels go in pairs, as the
-        derivatives of the functions of one are those of the next.
+        Motion turns degrees in y into those in velocities: the higher these, the fewer polynomials.
+        Levels go in pairs, as the derivatives of the functions of one are those of the next.
         """
         alone = max(self.outer - level // 2 * 2, int(LEAST * self.outer))
         return max(alone - int(FEWER * others), self.least)
@@ -71,15 +60,14 @@ class Degrees:
     def between(self, width: float, *, beyond: bool) -> int:
         """Number of polynomials of a panel between stops, odd; one without end has ``outer`` + 1.
 
-        ``width`` is in standard deviations of the weight without stops. ``beyond`` says that a stop
-        is touched there, whose energy a narrow panel has, too: the number rises with ``outer``, so
-        that what it leaves is seen in the distance of two solutions.
+        ``width`` is in standard deviations of the weight without stops; ``beyond``: a stop is
+        touched there. It rises with ``outer``, so that the distance of solutions shows its error.
         """
         count = 6.0 + (0.12 * width + 0.25 * beyond) * self.outer
         return 2 * ceil(0.5 * min(count, self.outer)) + 1
 
     def fewer(self, most: int, beyond: int) -> int:
-        """Number of polynomials of a panel between stops that goes with ``beyond``; odd.
+        """Number of ``most`` polynomials between stops that goes with ``beyond``; odd.
 
         It falls half as fast: with fewer, errors were ten times larger between distant stops.
         """
@@ -95,29 +83,23 @@ def fitting(frame: Frame) -> Degrees:
 
 def lowest(frame: Frame) -> Degrees:
     """Return the degrees of the first solution."""
-    n, terms = frame.n, bool(frame.system.damping_terms)
-    if n == 1:
-        # Without terms damping and noise of one mass are in proportion: the start is the solution.
-        return Degrees(16, 0, 18) if terms else Degrees(9, 0, 10)
-    if n == 2:
-        return Degrees(16, 6, 18) if terms else Degrees(17, 6, 18)
-    return Degrees(11, 4, 12)
+    if frame.system.damping_terms:
+        return {1: Degrees(16, 0, 18), 2: Degrees(16, 6, 18), 3: Degrees(11, 4, 12)}[frame.n]
+    # Without terms damping and noise of one mass are in proportion: the start is the solution.
+    return {1: Degrees(9, 0, 10), 2: Degrees(17, 6, 18), 3: Degrees(11, 4, 12)}[frame.n]
 
 
 def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     """Return the degrees of the next solution; ``rise`` is that of the degree in the others.
 
-    The less that rises, the more N does. N stays odd: the density of the contact displacement is
-    then nearer. With damping terms errors oscillate with the degree, the more slowly the higher it
-    is, and degrees rise by a factor.
+    N stays odd: the density of the contact displacement is then nearer. With damping terms errors
+    oscillate with the degree, the more slowly the higher it is, and degrees rise by a factor.
     """
     n, d = frame.n, degrees
     if frame.system.damping_terms:
-        if n == 1:
-            half = round(0.7 * d.total)
-            return Degrees(2 * half, 0, 2 * half + 2)
-        half = round(0.625 * d.total)
-        return Degrees(2 * half, round(0.75 * half), half + 10)
+        half = round((0.7 if n == 1 else 0.625) * d.total)
+        others, outer = (0, 2 * half + 2) if n == 1 else (round(0.75 * half), half + 10)
+        return Degrees(2 * half, others, outer)
     if n == 1:
         return Degrees(d.total + 8, 0, d.outer + 4)
     if n == 2:
@@ -131,9 +113,8 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
 class Space:
     """Degrees k, in ascending order of ``level``, ``others`` and ``counted`` (degrees,).
 
-    ``level`` is |k|, ``others`` the sum of the degrees in the others, ``counted`` the sum over all
-    oscillators of the larger one of the degrees in b and in its conjugate. ``raising_others`` is
-    a_i⁺ of each variable of the others on their products alone; a level has the first of these.
+    These are |k|, the sum of the degrees in the others and what it counts. ``raising_others`` is
+    a_i⁺ of the others on their products alone, of which a level has the first.
     """
 
     level: Indices
@@ -147,37 +128,27 @@ class Space:
 
     @cached_property
     def up(self) -> tuple[Matrix, ...]:
-        """a_j⁺ of each variable (degrees, degrees), the contact velocity first.
-
-        What leads out of the degrees is left out; the transposed matrix is a_j.
-        """
+        """a_j⁺ of each variable within the degrees, the contact velocity first; transposed, a_j."""
         size, up = self.level.size, []
         spans = [self.span(n) for n in range(int(self.level[-1]) + 1)]
         for A in (None, *self.raising_others):
             parts = [(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))]
             for n, (of, to) in enumerate(pairwise(spans)):
-                count = of.stop - of.start
-                if A is None:
-                    k = np.arange(count)
-                    parts.append((to.start + k, of.start + k, np.sqrt(n - self.others[of] + 1.0)))
-                    continue
-                inside = A.col < count
-                row, column = to.start + A.row[inside], of.start + A.col[inside]
-                parts.append((row, column, A.data[inside]))
+                row = column = np.arange(of.stop - of.start)
+                values = np.sqrt(n - self.others[of] + 1.0)
+                if A is not None:
+                    inside = A.col < row.size
+                    row, column, values = A.row[inside], A.col[inside], A.data[inside]
+                parts.append((to.start + row, of.start + column, values))
             row, column, values = (np.concatenate(x) for x in zip(*parts, strict=True))
             up.append(Matrix((values, (row, column)), shape=(size, size)))
         return tuple(up)
-
-    def raising(self, e: Array) -> Matrix:
-        """Return Σ_j e_j a_j⁺."""
-        return combined(self.up, e)
 
     @cached_property
     def first_and_second(self) -> tuple[Array, Array]:
         """a_i⁺ 1 (d, degrees of level 1) and a_i⁺ a_j⁺ 1 (d, d, degrees of level 2).
 
-        With them ∫ ζ_i p dζ and ∫ ζ_i ζ_j p dζ are products with the coefficients of levels 1 and
-        2; to the second level 0 adds δ_ij.
+        Times the coefficients they are ∫ ζ_i p dζ and ∫ ζ_i ζ_j p dζ, to which level 0 adds δ_ij.
         """
         one = np.eye(self.level.size, 1)
         first = [A @ one for A in self.up]
@@ -206,12 +177,12 @@ def space_to(total: int, most: int, d: int) -> Space:
     def conjugate(k: Product) -> Product:
         return tuple(x for pair in zip(k[1::2], k[::2], strict=True) for x in pair)
 
-    def order(k: Product) -> tuple[int, int, Product, bool]:
-        """By the sum, then by what counts; the conjugate of a product follows it."""
-        return sum(k), counted(k), max(k, conjugate(k)), k < conjugate(k)
-
     every = product(range(most + 1), repeat=d - 1)
-    products = sorted((k for k in every if counted(k) <= most), key=order)
+    # By the sum, then by what counts; the conjugate of a product follows it.
+    products = sorted(
+        (k for k in every if counted(k) <= most),
+        key=lambda k: (sum(k), counted(k), max(k, conjugate(k)), k < conjugate(k)),
+    )
     place, size = {k: row for row, k in enumerate(products)}, len(products)
     # Real and imaginary parts, times √2, of a product and its conjugate.
     to_real = sparse.eye_array(size, dtype=complex, format="lil")
@@ -232,8 +203,5 @@ def space_to(total: int, most: int, d: int) -> Space:
             raising.append((part / np.sqrt(2.0)).tocoo())
     sums, counts = np.array([[sum(k), counted(k)] for k in products], dtype=np.intp).T
     sizes = np.searchsorted(sums, np.arange(total + 1), side="right")
-    level, at = (
-        np.repeat(np.arange(total + 1), sizes),
-        np.concatenate([np.arange(n) for n in sizes]),
-    )
-    return Space(level, sums[at], counts[at], tuple(raising))
+    at = np.concatenate([np.arange(n) for n in sizes])
+    return Space(np.repeat(np.arange(total + 1), sizes), sums[at], counts[at], tuple(raising))

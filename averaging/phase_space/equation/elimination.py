@@ -20,26 +20,23 @@ from fpk.numeric.arrays import Array, Integers
 
 ELIMINATED_IN: type = np.float32
 """Numbers of the first elimination, before any in double precision."""
-SMALL = 1e8
-"""Sum of the cubes of the levels' sizes up to which double precision takes no longer at once."""
 CONVERGED = 1e-12
 """Residual, relative to the terms that cancel, of a solution in double precision: it has 1e-15."""
 CORRECTED, VECTORS = 1e-4, 30
-"""Residual, relative to the one before, that a correction by a Krylov space leaves, in which single
-precision has not yet its say, and the vectors of the space at the most."""
+"""Residual, relative to the one before, that a correction by a Krylov space leaves in single
+precision, and the vectors of the space at the most."""
 WHILE_INVERTED, OF_EQUATIONS = 4.0, 5e3
 """Matrices of the largest level's size beside the inverses that are kept, and bytes that equations
-and Krylov vectors take for each unknown. Seven solutions of two and three masses took 12 to 36 %
-less memory than follows from both."""
+and Krylov vectors take for each unknown: seven solutions took 12 to 36 % less than both say."""
 LEAF = 200
 """Order of a matrix up to which LAPACK inverts it; above, by quarters: products are faster."""
 TOP_LEVELS = 4
 """Highest levels whose size is that of what the levels above them would have."""
 LARGE, NEGLIGIBLE = 0.5, 0.2
-"""Size of the highest degrees in the others, relative to that of the highest levels, from which the
-degree in the others rises by a whole step, and below which it does not rise. On Fig. 6 with other
-stops two degrees more changed densities by 0.03 or less of the change that ten levels more made at
-sizes below 0.2, by 0.25 or less below 0.5, and by 0.07 to 4.6 beyond."""
+"""Size of the highest degrees in the others over that of the highest levels from which the degree
+in the others rises by two, and by one. On Fig. 6 two degrees more changed densities by 0.03 or less
+of the change by ten levels more at sizes below 0.2, by 0.25 or less below 0.5, by up to 4.6 beyond.
+"""
 
 
 Solve = Callable[[Array], Array]
@@ -50,8 +47,8 @@ Solve = Callable[[Array], Array]
 class Expansion:
     """Coefficients of a solution: ``levels[n]`` is (degrees, functions) of level n.
 
-    ``basis`` has the functions of y, ``factor`` C, ``space`` the degrees. ``residual`` is that of
-    the equations, relative to the terms that cancel in them.
+    ``basis``, ``factor`` and ``space`` are as of ``Chain``; ``residual`` is relative to the terms
+    that cancel in the equations.
     """
 
     basis: Basis
@@ -78,10 +75,9 @@ class Expansion:
     @property
     def rise(self) -> int:
         """By how much the degree in the others is to rise: 2, 1 or 0 where little is there."""
-        edge, square = self.space.counted == self.basis.degrees.others, 0.0
-        for n, u in enumerate(self.levels):
-            square += float(np.sum(u[edge[self.space.span(n)]] ** 2))
-        return sum(bool(square**0.5 > share * self.top) for share in (LARGE, NEGLIGIBLE))
+        sizes = np.concatenate([np.sum(u**2, axis=1) for u in self.levels])
+        edge = np.sqrt(np.sum(sizes[self.space.counted == self.basis.degrees.others]))
+        return int(edge > LARGE * self.top) + int(edge > NEGLIGIBLE * self.top)
 
 
 def cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]:
@@ -90,7 +86,7 @@ def cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]
     ``numbers`` are those of the elimination. Pairs of stages take as much again as the inverses.
     """
     degrees, d = functions.degrees, 2 * functions.frame.n - 1
-    _, _, ends = placed(functions, space_to(degrees.total, degrees.others, d))
+    *_, ends = placed(functions, space_to(degrees.total, degrees.others, d))
     size = np.diff(ends, prepend=0).astype(float)
     blocks = float(np.sum(size**2) + WHILE_INVERTED * np.max(size) ** 2)
     number = np.dtype(numbers).itemsize
@@ -111,13 +107,11 @@ def expanded(
 
     The elimination is in single precision, half the time and memory of double, and without pairs
     unless damping terms make them large. Where its refinement does not converge it is done again in
-    double precision, with pairs, unless that takes more than ``memory`` bytes. ``step`` is called
-    with the share of the work that is done.
+    double precision, with pairs, unless that takes more than ``memory`` bytes.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(functions)
-    small = float(np.sum(np.diff(chain.ends, prepend=0).astype(float) ** 3)) < SMALL
-    for kind in (np.float64,) if small else (ELIMINATED_IN, np.float64):
+    for kind in (ELIMINATED_IN, np.float64):
         paired = kind is np.float64 or bool(frame.system.damping_terms)
         solve, scale = factored(chain, kind=kind, paired=paired, step=step)
         u, residual = _refined(chain, solve, scale, paired=paired)
@@ -127,11 +121,7 @@ def expanded(
 
 
 def _refined(chain: Chain, solve: Solve, scale: float, *, paired: bool) -> tuple[Array, float]:
-    """Return the stationary solution and its residual, relative to the terms that cancel in it.
-
-    ``solve``, ``scale`` and ``paired`` are as of ``factored``. The equation of the mass, as it has
-    it, is added to those of the chain.
-    """
+    """Return the solution with the equation of the mass, as of ``factored``, and its residual."""
     matrix, one = chain.matrix, chain.basis.of_one
     given = scale * one
 
@@ -175,10 +165,9 @@ def factored(
 
     Returned are the function that solves them, and the factor before the mass in the equation of
     the function 1: 0 with a shift. Without one that equation, 0 = 0, is replaced by that of the
-    mass, ``one`` times the unknowns of level 0, of the size of the terms of 1: were it the largest
-    entry, their round-off would be a thousand times as large. Without ``paired`` pairs of stages
-    are left out, and the solution is that of other equations. ``step`` is called with the share of
-    the work done.
+    mass, of the size of the terms of 1: were it the largest entry, their round-off would be a
+    thousand times as large. Without ``paired`` what stages meet two below them is left out.
+    ``step`` is called with the share of the work done.
     """
     top = chain.top
     work = np.cumsum(np.diff(chain.ends, prepend=0)[::-1].astype(float) ** 3)
@@ -208,7 +197,7 @@ def factored(
     inverses.insert(0, np.asarray(np.linalg.inv(A), dtype=A.dtype))
 
     def solve(right: Array) -> Array:
-        parts = chain.split(right.astype(A.dtype, copy=False))
+        parts = np.split(right.astype(A.dtype, copy=False), chain.ends[:-1])
         # From the top down what each stage makes without those below it, and back up.
         alone = [inverses[top] @ parts[top]]
         for n in range(top - 1, -1, -1):
@@ -230,9 +219,8 @@ def factored(
 def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
 
-    Products are three times as fast as LAPACK's inverse in single precision. Cuts are between
-    degrees in the other masses: displacements without their velocities are not damped, and a
-    matrix that has only these in front is singular.
+    Cuts are between degrees in the other masses: displacements without their velocities are not
+    damped, and a matrix that has only these in front is singular.
     """
     size = A.shape[0]
     inside = [cut for cut in cuts if 0 < cut < size]
@@ -243,11 +231,8 @@ def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     right, below = first @ A[:half, half:], A[half:, :half] @ first
     rest = A[half:, half:] - A[half:, :half] @ right
     last = inverted(rest, [cut - half for cut in inside])
-    out = np.empty_like(A)
-    corner = last @ below
-    out[half:, half:] = last
-    out[half:, :half] = -corner
+    out, corner = np.empty_like(A), last @ below
+    out[half:, half:], out[half:, :half] = last, -corner
     np.matmul(right, -last, out=out[:half, half:])
-    out[:half, :half] = first
-    out[:half, :half] += right @ corner
+    np.add(first, right @ corner, out=out[:half, :half])
     return out

@@ -1,6 +1,6 @@
 """The full system (6) seen from its contact mass: linear in all else, and its reference state."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,14 +16,17 @@ class Frame:
     """Eq. (6) in displacements and velocities times √m, with the contact mass set apart.
 
     ``contact`` counts from 0 (the last mass where there are no stops); ``order`` lists it first.
-    ``stiffness``, ``damping`` and ``noise`` (n, n) are M^(−½) X M^(−½) in this order. With y the
-    displacement √m q of the contact mass, ``r`` those of the others and ``v`` all velocities:
-    ``dv = −(K (y, r) + c v + g(y) e₁) dt`` plus noise of covariance 2 ``noise`` dt.
+    ``stiffness``, ``damping`` (its constant part) and ``noise`` (n, n) are M^(−½) X M^(−½) in this
+    order. With y the displacement √m q of the contact mass, ``root`` its √m, ``r`` those of the
+    others and ``v`` all velocities: ``dv = −(K (y, r) + c v + g(y) e₁) dt`` plus noise of
+    covariance 2 ``noise`` dt. ``symmetric``: (q, p) and (−q, −p) are equally likely.
     """
 
     system: System
     contact: int
     order: tuple[int, ...]
+    root: float
+    symmetric: bool
     stiffness: Array
     damping: Array
     noise: Array
@@ -32,25 +35,6 @@ class Frame:
     def n(self) -> int:
         """Number of masses."""
         return len(self.order)
-
-    @property
-    def root(self) -> float:
-        """√m of the contact mass."""
-        return float(np.sqrt(self.system.mass[self.contact]))
-
-    @property
-    def stops(self) -> tuple[Array, Array]:
-        """Where contact begins, in y, at left and at right stops."""
-        stops = self.system.stops
-        return tuple(  # type: ignore[return-value]
-            np.unique([s.sign * s.clearance * self.root for s in stops if s.sign == sign])
-            for sign in (-1.0, 1.0)
-        )
-
-    @property
-    def symmetric(self) -> bool:
-        """Whether (q, p) and (−q, −p) are equally likely."""
-        return looks_the_same_mirrored(self.system)
 
     def place(self, c: Coordinate) -> tuple[int, float]:
         """Return where a displacement or momentum stands in (y, r, v), and its unit there."""
@@ -70,11 +54,7 @@ class Frame:
 
 
 def contact_frame(system: System) -> Frame:
-    """Return the frame of a system with stops on one mass at the most.
-
-    ``damping`` is the constant part; ``damping`` of this package has the terms that depend on the
-    state. Raises ``NotApplicable`` for stops on several masses.
-    """
+    """Return the frame of a system; raise ``NotApplicable`` for stops on several masses."""
     if len(system.contact_masses) > 1:
         raise NotApplicable(
             f"{len(system.contact_masses)} masses meet stops: the expansion is about one mass that "
@@ -85,7 +65,9 @@ def contact_frame(system: System) -> Frame:
     scale = 1.0 / np.sqrt(np.outer(system.mass, system.mass))
     at = np.ix_(order, order)
     matrices = (system.stiffness_matrix, system.damping, system.noise_matrix)
-    return Frame(system, contact, order, *((scale * matrix)[at] for matrix in matrices))
+    root, symmetric = float(np.sqrt(system.mass[contact])), looks_the_same_mirrored(system)
+    scaled = ((scale * matrix)[at] for matrix in matrices)
+    return Frame(system, contact, order, root, symmetric, *scaled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +75,8 @@ class Reference:
     """The state that a solution is expanded about: Gaussian in z = (v, x), given y.
 
     ``slope`` a and ``offset`` x₀ (n − 1,) make x = r − a y − x₀; ``covariance`` S (2n − 1, 2n − 1)
-    is that of z. ln w(y) is −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``, the potential
-    of the force on the contact mass over S₁₁: with another temperature the contact force would not
-    cancel in the equations, and answers of high degree would be wrong.
+    is that of z. ln w(y) is −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``: the potential
+    of the force on the contact mass over S₁₁, so that the force cancels in the equations.
     """
 
     slope: Array
@@ -116,19 +97,15 @@ class Reference:
 
 def reference_of(frame: Frame, slope: Array, offset: Array, covariance: Array) -> Reference:
     """Return the reference of these moments; raise ``LinAlgError`` where they are of none."""
-    given = Reference(slope, offset, covariance, np.zeros(3))
-    h = linear_part(frame, given)[2][:, 0]
-    weight = np.array([-h[0], -h[1], 1.0]) / covariance[0, 0]
+    own, others = frame.stiffness[0, 0], frame.stiffness[0, 1:]
+    weight = np.array([others @ offset, own + others @ slope, 1.0]) / covariance[0, 0]
     if np.linalg.eigvalsh(covariance)[0] <= 0.0 or weight[1] <= 0.0:
         raise np.linalg.LinAlgError("the moments found are of no distribution")
-    return replace(given, weight=weight)
+    return Reference(slope, offset, covariance, weight)
 
 
 def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
-    """Return the reference with first and second moments of (y, r, v), as ``Moments`` has them.
-
-    Raises ``LinAlgError`` where they are of no distribution.
-    """
+    """Return the reference with mean and covariance of (y, r, v), as ``reference_of`` does."""
     n = frame.n
     slope = covariance[1:n, 0] / covariance[0, 0]
     offset = mean[1:n] - slope * mean[0]
@@ -137,10 +114,9 @@ def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
 
 
 def gibbs_reference(frame: Frame) -> Reference:
-    """Return the Gibbs state of the temperature tr D/tr c, of mass-normalised D and c.
+    """Return the Gibbs state of T = tr D/tr c, or at which damping terms balance the noise.
 
-    With damping terms T is the one at which they balance the noise. Raises ``NotApplicable`` where
-    nothing is damped or no noise acts.
+    Raises ``NotApplicable`` where nothing is damped or no noise acts.
     """
     K, n = frame.stiffness, frame.n
     if frame.system.damping_terms:
@@ -159,8 +135,7 @@ def gibbs_reference(frame: Frame) -> Reference:
 def linear_part(frame: Frame, reference: Reference) -> tuple[Array, Array, Array]:
     """Return F, G and the coefficients of h in dz = (F z + h(y)) dt + noise of covariance 2 G dt.
 
-    h(y) is ``h₀ + h₁ y − g(y) e₁``; (h₀, h₁) are the rows of the third, (2, 2n − 1). z = (v, x) as
-    in ``Reference``, and dy = z₁ dt.
+    h(y) is ``h₀ + h₁ y − g(y) e₁``; (h₀, h₁) are the rows of the third, (2, 2n − 1); dy = z₁ dt.
     """
     n, K, c = frame.n, frame.stiffness, frame.damping
     a, x0 = reference.slope, reference.offset

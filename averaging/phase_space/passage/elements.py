@@ -18,11 +18,11 @@ from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 MORE_POINTS = 12
-"""Gauss points in each direction beyond the degree: over a panel of large velocities, and of a
-steep stop, the weight falls by up to e⁴⁰. With 4, K + Kᵀ had negative eigenvalues there."""
+"""Gauss points in each direction beyond the degree, as the weight falls by up to e⁴⁰ over a panel:
+with 4, K + Kᵀ had negative eigenvalues there."""
 PIVOTS = (1e-3, 1e-2, 1.0)
 """Least diagonal pivots relative to their columns, tried in this order: lower ones keep more of the
-symmetric ordering, and entries may grow by their inverse in each step."""
+symmetric ordering, but entries may grow."""
 GROWN = 1e-10
 """Residual of a solution, relative to the terms that cancel in it, by which entries have grown."""
 KRYLOV = 0.05
@@ -53,10 +53,10 @@ class Elements:
     """Backward equation, L T = −1, L T₂ = −2 T, ∂u/∂t = L u, on a mesh.
 
     K of −L and M of 1 in L²(exp(−c H/D)), and vectors (unknowns,) of the weak form. Functions may
-    jump between panels of x, where the side that motion goes to decides, and are continuous in s;
-    they are divided by their norms, which are the coefficients ``one`` of the function 1. ``load``
-    tests 1, ``exit`` tests −L 1, which is lost at the limit: as K ``one`` it would be lost to
-    round-off where failure is rare. ``free`` are the places of the unknowns among all functions.
+    jump between panels of x, upwind, and are continuous in s; they are divided by their norms,
+    which are the coefficients ``one`` of the function 1. ``load`` tests 1, ``exit`` tests −L 1,
+    which is lost at the limit: as K ``one`` it would be lost to round-off where failure is rare.
+    ``free`` are the places of the unknowns among all functions.
     """
 
     mesh: Mesh
@@ -100,17 +100,12 @@ class Elements:
         """Coefficients of T up to a factor that is 1 but for round-off where failure is rare."""
         return self.solved(self.load)
 
-    def residual(self) -> float:
-        """Return the largest residual of T relative to the largest of its terms."""
-        defect = np.abs(self.load - self.K @ self.mean)
-        return float(np.max(defect) / np.max(abs(self.K) @ np.abs(self.mean)))
-
     def moments(self, start: Array) -> tuple[float, float, float]:
         """Return E T and E T² of the functional ``start``, and the mass that round-off lost.
 
-        All that starts fails in the end: y'(−L 1) = start'1 with the density y = K⁻ᵀ start of the
-        time spent. Where failure is rare K is nearly singular, and y is right up to a factor that
-        this identity gives back; how far it is off from 1 is the mass lost, relative to all.
+        Where failure is rare K is nearly singular, and the density of the time spent, y = K⁻ᵀ
+        start, is right up to a factor. All fails in the end, y'(−L 1) = start'1, gives it back; how
+        far it is off from 1 is the mass lost, relative to all.
         """
         y = self.solved(start, "T")
         kept = float(y @ self.exit) / float(start @ self.one)
@@ -129,10 +124,7 @@ class Elements:
 
     @cached_property
     def sigma(self) -> float:
-        """Four times the frequency, less where damping outdoes it.
-
-        Krylov spaces shifted by two to eight times the frequency take equally many vectors.
-        """
+        """Four times the frequency, less where damping outdoes it; two to eight serve as well."""
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
         return 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
@@ -154,21 +146,17 @@ class Elements:
     def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
         """Return P(T <= t) at ascending times > 0, and what the last vectors changed.
 
-        M F' = −K F + exit from F = 0 keeps the digits of what is small. Galerkin's method on the
-        Krylov space of (K + σM)⁻¹M from the function 1, which F tends to, orthonormal in M: neither
-        K + Kᵀ nor its projection is negative, and nothing grows. At H = E, where there are no
-        unknowns, F is 1, which adds a constant within the last panels.
+        M F' = −K F + exit from F = 0, by Galerkin's method on the Krylov space of (K + σM)⁻¹M from
+        the function 1, orthonormal in M: neither K + Kᵀ nor its projection is negative, and nothing
+        grows. At H = E, where there are no unknowns, F is 1, which adds a constant.
         """
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)
         change = before = last
         images = np.zeros((0, start.size))
-        for V, _, closed in krylov(
-            lambda x: self.shifted.solve(self.M @ x),
-            self.one[:, None],
-            VECTORS,
-            metric=self.M.__matmul__,
-        ):
+        solve, M = self.shifted.solve, self.M
+        spaces = krylov(lambda x: solve(M @ x), self.one[:, None], VECTORS, metric=M.__matmul__)
+        for V, _, closed in spaces:
             if len(V) % EVERY and not closed:
                 continue
             images = np.vstack([images, (self.K @ V[len(images) :].T).T])
@@ -193,8 +181,7 @@ class Elements:
 def shapes(degree: int, t: Array) -> tuple[Array, Array]:
     """Return values and slopes (points, degree + 1) at t of the polynomials of the Lobatto nodes.
 
-    Each belongs to a node: where the weight falls by e²⁰ over a panel, scaled hierarchical
-    polynomials lose all digits of rare failure to round-off.
+    Of hierarchical ones round-off takes all digits where the weight falls by e²⁰ over a panel.
     """
     inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
     inverse = np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
@@ -206,7 +193,7 @@ def elements(mesh: Mesh) -> Elements:
     """Return the matrices on ``mesh``.
 
     Of the backward operator in the coordinates (q, s), v = s w, times −w:
-    −L u = −s w u_q − w' (1 − s²) u_s − exp(αmv²/2) (D/m²)/w² ∂_s exp(−αmv²/2) u_s, α = c/D, with
+    −L u = −s w u_q − w' (1 − s²) u_s − exp(αmv²/2) (D/m²)/w² ∂_s exp(−αmv²/2) u_s, α = c/D,
     w' = −V'/(m w); for w = 1 the second term is V'/m u_v.
     """
     o, n, panels, across = mesh.oscillator, mesh.degree + 1, mesh.x.size - 1, mesh.s.size - 1
@@ -243,19 +230,16 @@ def elements(mesh: Mesh) -> Elements:
         kron(eye_array(panels), kron(np.eye(1, n, k), eye_array(size)), format="csr")
         for k in (0, n - 1)
     )
-    ends, _ = mesh.q(mesh.x)
-    ends, w = ends[:, None, None], mesh.w(ends)[:, None, None]
+    ends = mesh.q(mesh.x)[0][:, None, None]
+    w = mesh.w(ends)
     density = np.exp(-o.inverse_temperature * o.energy(ends, s * w))
     block = ((np.abs(s) * w * w * density * weight * hs[:, 0]) @ BB).reshape(-1, across, n, n)
     first = size * np.arange(panels + 1, dtype=np.int32)[:, None, None, None]
-    index = [
-        np.broadcast_to(first + at, block.shape).ravel()
-        for at in (of_s[:, :, None], of_s[:, None, :])
-    ]
-    forwards = (np.arange(across) >= across // 2)[:, None, None]
-    fluxes = [csr_array((np.ravel(block * way), index)) for way in (forwards, ~forwards)]
-    for flux in fluxes:
-        flux.eliminate_zeros()
+    index = [np.broadcast_to(first + at, block.shape) for at in (of_s[:, :, None], of_s[:, None])]
+    forwards, fluxes = np.arange(across) >= across // 2, []
+    for way in (forwards, ~forwards):
+        entries, places = block[:, way].ravel(), [at[:, way].ravel() for at in index]
+        fluxes.append(csr_array((entries, places), shape=2 * ((panels + 1) * size,)))
     # u − u of where motion goes: the next panel, the one before, or the limit, where u is 0.
     beyond = eye_array(panels * size, k=size, format="csr")
     before = beyond.T @ right

@@ -1,6 +1,5 @@
 """First passage of one mass, refined until two levels of meshes agree."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -22,8 +21,7 @@ from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
 
 TOL, GLANCING_TOL = 1e-6, 1e-5
-"""Error wanted where none is asked for: of an energy; of a displacement, which takes ten times as
-many unknowns."""
+"""Error wanted where none is asked for: of an energy; of a displacement, which takes longer."""
 HIGHEST = 36.0
 """Largest fall of −ln p up to the limit: beyond it mean times are lost to round-off."""
 LEVELS = 6
@@ -31,15 +29,14 @@ LEVELS = 6
 MOST_UNKNOWNS = 110_000
 """Unknowns beyond which no level is solved: a minute and a gigabyte."""
 SAFETY = 3.0
-"""Factor on the distance of the last two levels: where levels converge the error of the finer one
-is a fifteenth of it or less, so that there is much to spare where they do not yet."""
+"""Factor on the distance of the last two levels; where they converge it is a fifteenth or less."""
 SHARE = 0.5
 """Share of the largest relative distance that is in each error: levels agree by chance, too."""
 States = tuple[Array, Array, Array]
 """Displacements, velocities and weights of states."""
-Level = tuple[Array, Array, Array, Array, float, dict[str, Any]]
-"""Results on one mesh: (E T, E T², rate of failure); E T from the probe states over E T from the
-start; P(T <= t) at the times asked for; change of these by the last vectors of the Krylov space;
+Level = tuple[Array, Array, Array, float, dict[str, Any]]
+"""Results on one mesh: E T, E T², rate of failure, and E T from the probe states over E T from the
+start; P(T <= t) at the times asked for; its change by the last vectors of the Krylov space;
 relative round-off of the first three; and mass defect, residual and settings by name, as
 ``certified_passage`` takes them."""
 
@@ -48,9 +45,7 @@ def first_passage(asked: Asked) -> Passage:
     """Return the first passage that is asked for, with the reliability at its times.
 
     Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,
-    absolute in the reliability. Raises as ``fpk.answer.evolution`` says, ``NotApplicable`` for
-    other limits and starts than the method knows, and ``NotCertified`` for a limit beyond the reach
-    of double precision.
+    absolute in the reliability. Raises as ``fpk.answer.evolution`` says.
     """
     times, o = checked_times(asked.times), oscillator_of(asked.system)
     limit, start = asked.limit, asked.start
@@ -61,20 +56,15 @@ def first_passage(asked: Asked) -> Passage:
     if start.kind == "noise" and start.values["noise"] > 0.0:
         raise NotApplicable("a stationary start is not solved for in phase space; use montecarlo")
     most, of_energy = limit.value, limit.kind != "q"
-    states: Callable[[int], States]
-    within = (1.0 - ROUND_OFF) * most
-    if start.kind in ("energy", "modal") and not start.rest:
+    on_orbit = start.kind in ("energy", "modal") and not start.rest
+    if on_orbit:
         (energy,) = start.values.values()
-        beyond = of_energy and not energy < within
-        states = partial(orbit, o, energy, None if of_energy else most)
+        beyond = of_energy and not energy < (1.0 - ROUND_OFF) * most
     else:
         q, p = start.state(1)
-        energy, state = float(o.energy(q, p / o.mass)[0]), (q, p / o.mass, np.ones(1))
-        beyond = not (energy < within if of_energy else abs(float(q[0])) < most)
-
-        def states(points: int) -> States:
-            return state
-
+        state = q, p / o.mass, np.ones(1)
+        energy = float(o.energy(*state[:2])[0])
+        beyond = not (energy < (1.0 - ROUND_OFF) * most if of_energy else abs(float(q[0])) < most)
     if beyond:
         raise InvalidInput("start", str(start), "is at or beyond the limit")
     tol = tolerance(asked.tol, TOL if of_energy else GLANCING_TOL)
@@ -91,20 +81,20 @@ def first_passage(asked: Asked) -> Passage:
     fastest = float(np.sqrt(2.0 * energy / o.mass))
     previous: Level | None = None
     answer: Passage | None = None
+    mesh_of = energy_mesh if of_energy else partial(displacement_mesh, fastest=fastest)
     for level in range(LEVELS):
-        if of_energy:
-            mesh = energy_mesh(o, most, level)
-        else:
-            mesh = displacement_mesh(o, most, fastest, level)
+        mesh = mesh_of(o, most, level=level)
         across = (mesh.s.size - 1) * mesh.degree
         if (mesh.x.size - 1) * (mesh.degree + 1) * across > MOST_UNKNOWNS:
             break
-        solved = _solved(elements(mesh), states(4 * (mesh.degree + 1)), probes, times, tol)
+        if on_orbit:
+            state = orbit(o, energy, None if of_energy else most, 4 * (mesh.degree + 1))
+        solved = _solved(elements(mesh), state, probes, times, tol)
         if previous is not None:
             later = _compared(previous, solved, times, tol)
             if later.certificate.certified:
                 return later
-            answer = later if answer is None else _better(answer, later)
+            answer = _better(answer or later, later)
         previous = solved
         asked.progress(level + 1, LEVELS, "first passage")
     if answer is None:
@@ -113,11 +103,10 @@ def first_passage(asked: Asked) -> Passage:
 
 
 def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> States:
-    """Return the states of an energy with |q| < ``within``, each as long as motion stays in it.
+    """Return the states of an energy, each as long as motion stays in it, with |q| < ``within``.
 
     By ``points`` of Gauss on each piece between turning points, stops and limit: dt = dq/|v|,
-    smooth in θ, q = centre + radius sin θ. Weights add up to the part that is within the limit;
-    None: there is none of displacements.
+    smooth in θ, q = centre + radius sin θ. Weights add up to the part that is within the limit.
     """
     left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
     centre, radius = 0.5 * (left + right), 0.5 * (right - left)
@@ -154,24 +143,23 @@ def _solved(
         "degree": e.mesh.degree,
         "mass that round-off took": lost,
     }
-    stated = {"mass_defect": e.mass_defect(start), "residual": e.residual(), "settings": settings}
-    rounding = ROUNDINGS * EPS + (own / mean - 1.0) ** 2
-    numbers, ratios = np.array([mean, second, e.rate()]), np.array(others) / own
-    return numbers, ratios, failure, krylov, rounding, stated
+    defect = np.max(np.abs(e.load - e.K @ e.mean)) / np.max(abs(e.K) @ np.abs(e.mean))
+    stated = {"mass_defect": e.mass_defect(start), "residual": float(defect), "settings": settings}
+    numbers = np.array([mean, second, e.rate(), *(np.array(others) / own)])
+    return numbers, failure, krylov, ROUNDINGS * EPS + (own / mean - 1.0) ** 2, stated
 
 
 def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
     """Return the finer answer, with its distance to the coarser one as the error."""
-    numbers, probes, failure, krylov, rounding, stated = fine
-    before, probes_before, failure_before, krylov_before, _, stated_before = coarse
-    residual = float(np.max([stated["residual"], stated_before["residual"]]))
-    stated = {**stated, "residual": residual}
-    mean, second, rate = numbers
-    values = np.array([mean, second - mean**2, rate])
-    off = np.abs(numbers - before)
-    share = max(np.max(off / np.abs(numbers)), np.max(np.abs(probes / probes_before - 1.0)))
+    numbers, failure, krylov, rounding, stated = fine
+    before, failure_before, krylov_before, _, stated_before = coarse
+    stated = {**stated, "residual": max(stated["residual"], stated_before["residual"])}
+    change = np.abs(numbers - before)
+    share = np.max(change / np.abs(numbers))
+    values, scale, off = numbers[:3].copy(), numbers[:3].copy(), change[:3]
+    values[1] -= values[0] ** 2
+    scale[1] += values[0] ** 2
     off[1] = abs(values[1] - (before[1] - before[0] ** 2))
-    scale = np.array([mean, second + mean**2, rate])
     errors = SAFETY * np.maximum(off, SHARE * share * np.abs(values)) + rounding * scale
     apart = np.abs(failure - failure_before)
     lost = SAFETY * np.maximum(apart, SHARE * np.max(apart, initial=0.0))

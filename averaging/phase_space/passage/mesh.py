@@ -6,6 +6,7 @@ from itertools import pairwise
 from math import asin, ceil, inf, pi, sqrt
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import brentq
 
 from averaging.phase_space.equation.frame import contact_frame
@@ -21,7 +22,8 @@ GRADED = 1.1
 PANEL, FINER = 1.6, 0.93
 """Panels of the first level in kicks of noise, and the ratio of those of successive levels."""
 LEAST, CLOSER = 0.15, 0.45
-"""The least panel at a glancing point in units of the speed where noise outdoes the pull."""
+"""The least panel at a glancing point in units of the speed where noise outdoes the pull, and the
+ratio of those of successive levels."""
 STOP = 1.5
 """Panels over their distance to a stop whose force is a fractional power of the overlap."""
 SAMPLES = 401
@@ -33,8 +35,8 @@ class Oscillator:
     """dq = v dt, m dv = −(c v + V'(q)) dt + √(2D) dB: Eq. (6) of one mass, v = p/m.
 
     ``potential`` V has its only minimum, 0, at q = 0; ``force`` is V'; ``even``: V(−q) = V(q).
-    ``stops`` are where V' is not smooth, as (q, side on which it is a fractional power; 0: on
-    neither). ``frequency`` is that of small motion between the stops.
+    ``stops`` are where V' is not smooth, as (q, side on which it is a fractional power, else 0).
+    ``frequency`` is that of small motion between the stops.
     """
 
     mass: float
@@ -62,8 +64,7 @@ class Oscillator:
 
     def speed(self, q: Array, energy: float) -> Array:
         """Return |v| at q of motion of an energy, 0 beyond its turning points."""
-        left = np.maximum(energy - self.potential(q), 0.0)
-        return np.asarray(np.sqrt(2.0 / self.mass * left))
+        return np.sqrt(2.0 / self.mass * np.maximum(energy - self.potential(q), 0.0))
 
     def turning_point(self, energy: float, side: float) -> float:
         """Return where V = ``energy`` > 0, on the left (``side`` −1) or on the right (1)."""
@@ -82,7 +83,7 @@ class Oscillator:
         return min(cycle, float((6.0 * length**2 / self.diffusion) ** (1.0 / 3.0)))
 
     def kick(self, length: float) -> float:
-        """Return the change of v by noise in that time, or in that in which v is forgotten."""
+        """Return the change of v by noise in that time, or in the time that forgets v."""
         memory = 0.5 * self.mass / self.damping if self.damping else inf
         return sqrt(2.0 * self.diffusion * min(self.travel(length), memory))
 
@@ -99,18 +100,17 @@ def oscillator_of(system: System) -> Oscillator:
     noise = float(system.noise_matrix[0, 0])
     if not noise > 0.0:
         raise NotApplicable("there is no noise, and first passage is not random")
-    frame, stiffness, mass = contact_frame(system), system.stiffness_matrix[0, 0], system.mass[0]
+    frame, k, mass = contact_frame(system), system.stiffness_matrix[0, 0], float(system.mass[0])
+    stops = [(s, 0.0 if s.power == int(s.power) else s.sign) for s in system.stops]
     return Oscillator(
-        float(mass),
+        mass,
         float(system.damping[0, 0]),
         noise,
-        lambda q: np.asarray(0.5 * stiffness * q * q + system.contact_energy(0, q)),
-        lambda q: np.asarray(stiffness * q + frame.root * frame.contact_force(frame.root * q)),
-        tuple(
-            (s.sign * s.clearance, 0.0 if s.power == int(s.power) else s.sign) for s in system.stops
-        ),
+        lambda q: np.asarray(0.5 * k * q * q + system.contact_energy(0, q)),
+        lambda q: np.asarray(k * q + frame.root * frame.contact_force(frame.root * q)),
+        tuple((s.sign * s.clearance, side) for s, side in stops),
         frame.symmetric,
-        sqrt(stiffness / mass),
+        sqrt(k / mass),
     )
 
 
@@ -118,9 +118,9 @@ def oscillator_of(system: System) -> Oscillator:
 class Mesh:
     """Panels of x and s, with q = q(x) and v = s w(q), of polynomials of ``degree`` in both.
 
-    Within |q| < b: q = x and w = 1; s ends where velocities are cut off. Within H < E: q(x) is
-    ``centre`` + ``radius`` sin x and w = √(2 (E − V)/m), so that the limit is s = ±1. ``folded``:
-    x >= 0 only, and the state at (−q, −v) is that at (q, v).
+    Within |q| < b: q = x and w = 1. Within H < E: q(x) is ``centre`` + ``radius`` sin x and w =
+    √(2 (E − V)/m), so that the limit is s = ±1. ``folded``: x >= 0 only, and the state at (−q, −v)
+    is that at (q, v).
     """
 
     oscillator: Oscillator
@@ -140,9 +140,7 @@ class Mesh:
 
     def w(self, q: Array) -> Array:
         """Return the unit of velocity at q."""
-        if self.energy is None:
-            return np.ones_like(q)
-        return self.oscillator.speed(q, self.energy)
+        return np.ones_like(q) if self.energy is None else self.oscillator.speed(q, self.energy)
 
     def coordinates(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return x and s of states (points,) within the limit."""
@@ -163,8 +161,7 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
     It is graded to (±b, 0), where T rises as the root of v and the sixth root of b − |q|. On a side
     that the energy of its largest velocity does not reach it ends at the turning point.
     """
-    kick, step = o.kick(b), PANEL * FINER**level * o.kick(b)
-    ends = np.array([-b, b])
+    kick, step, ends = o.kick(b), PANEL * FINER**level * o.kick(b), np.array([-b, b])
     height, beyond = o.potential(ends), (BEYOND + 0.7 * level) * kick
     swift = max(sqrt(2.0 * float(height.min()) / o.mass), fastest)
     farthest = 0.5 * o.mass * (swift + beyond) ** 2
@@ -210,16 +207,12 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
     inside = [asin((q - centre) / radius) for q, _ in o.stops if left < q < right]
     first, last = 0.0 if o.even else -0.5 * pi, 0.5 * pi
     x = _nodes([first, *(a for a in inside if a > first), last], along, {})
-    s = np.linspace(0.0, 1.0, 1 + ceil(swift / step))
-    s = np.concatenate([-s[:0:-1], s])
+    s = np.linspace(-1.0, 1.0, 1 + 2 * ceil(swift / step))
     return Mesh(o, x, s, 5 + 2 * level, energy, centre, radius, o.even)
 
 
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
-    """Length over which a trajectory of the speed ``swift`` changes its velocity by ``step``.
-
-    Beyond a stop of a fractional power it is at most the overlap that stops the speed ``step``.
-    """
+    """Length in which motion of the speed ``swift`` changes its velocity by ``step``, or stops."""
     slope = np.maximum(np.abs(o.force(q)) / (o.mass * max(swift, step)), o.frequency)
     length = np.minimum(step / np.maximum(slope, SMALLEST), 0.5 * np.ptp(q))
     for at, side in o.stops:
@@ -246,9 +239,7 @@ def _nodes(given: list[float], h: Callable[[Array], Array], closest: dict[float,
         )
         x = np.concatenate([(a + near)[a + near < middle], [middle], (b - far)[b - far > middle]])
         x = np.unique(x)
-        density = 1.0 / h(x)
-        number = np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(x))
-        number = np.concatenate([[0.0], number])
+        number = cumulative_trapezoid(1.0 / h(x), x, initial=0)
         count = max(1, ceil(number[-1]))
         inside = np.interp(np.linspace(0.0, number[-1], count + 1), number, x)
         nodes.append(inside[(inside > a) & (inside < b)])
