@@ -5,6 +5,7 @@ The questions are imported by those who ask: they compile code, and need what co
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from fpk.answer.dynamics import Curve
 from fpk.answer.evolution import Passage, Transient
@@ -59,14 +60,12 @@ class MonteCarlo(Settings, Method):
         """Return the plan for ``system``; raise ``NotApplicable`` with the reason why not."""
         require_stationary(system)
 
-        def solve(
-            observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
-        ) -> Result:
+        def solve(observables: Sequence[Observable], progress: Progress, **beside: Any) -> Result:
             from sim.sample.simulation import run
 
-            return run(self, system, observables, progress, beside=beside)
+            return run(self, system, observables, progress, **beside)
 
-        return Plan(lambda _: None, lambda observables, p: solve(observables, (), p), solve)
+        return Plan(lambda _: None, solve, beside=True)
 
     @answer
     def passage(self, asked: Asked) -> Passage:

@@ -126,7 +126,9 @@ class PhaseSpace(Theory):
         frame = self._frame(system)
 
         def solve(
-            observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
+            observables: Sequence[Observable],
+            progress: Progress,
+            beside: Sequence[Observable] = (),
         ) -> Result:
             # For each observable the solution of the least error.
             best: dict[Observable, Ladder] = {}
@@ -148,7 +150,7 @@ class PhaseSpace(Theory):
                 beside=tuple(density_of(others, o, inf) for o in beside),
             )
 
-        return Plan(_refusal, lambda observables, p: solve(observables, (), p), solve)
+        return Plan(_refusal, solve, beside=True)
 
     @answer
     def crossings(self, asked: Asked) -> Curve:

@@ -18,7 +18,7 @@ from fpk.system.system import System
 from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
 from sim.sample.plan import step_arrays, watched
-from sim.sample.workers import TASKS_PER_THREAD, Workers
+from sim.sample.workers import Workers
 from sim.step.arrays import GROUPS, LANES, StepArrays, WatchArrays, in_blocks, in_rows
 from sim.step.kernel import KernelKey, compiled_kernel
 from sim.step.random import mixed_seed, start_states
@@ -222,8 +222,8 @@ class Ensemble:
             word=self.word + self.done * step.words, samples=self.samples, phase=self.phase,
             steps=steps, stride=stride, read=read,
         )  # fmt: skip
-        # Whole batches to a task, as each has counts of its own; one thread has one task.
-        tasks = min(TASKS_PER_THREAD * (self.threads - 1) + 1, len(self.counts))
+        # A batch to a task, as each has counts of its own; one thread has one task.
+        tasks = len(self.counts) if self.threads > 1 else 1
         batches = np.diff(self.edges)
         begins = np.arange(1, tasks) * batches.size // tasks
         cuts = self.edges[begins]

@@ -32,10 +32,6 @@ LEAST_PATHS = 32 * LANES
 RELAXATIONS = 153.2
 """Relaxation times that are sampled unless a time is given: 6000 time units of fig6a."""
 
-MOST_STEPS = 400_000
-"""Steps at most where no time is given: of weakly damped systems fewer relaxation times fit in.
-Where only some trajectories make small steps it counts what they cost (``plan.cost``)."""
-
 ANYWHERE = {
     "MonteCarlo.threads": "the random numbers belong to a path, whatever thread makes its steps",
     "MonteCarlo.cluster": "and whatever machine",
@@ -53,10 +49,7 @@ NOT_IN_STATE = {
 
 
 def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, int]) -> None:
-    """Raise ``InvalidInput`` for a field of a simulation's settings that cannot be used.
-
-    Of its seed and threads, and where they are given: ``ranges`` are (name, least, most).
-    """
+    """Raise ``InvalidInput`` for a wrong seed, thread or field; ``ranges``: (name, least, most)."""
     threads = 4 * (os.cpu_count() or 1)
     for key, low, high in (*ranges, ("seed", 0, 2**64 - 1), ("threads", 1, threads)):
         value = getattr(own, key)
@@ -70,10 +63,7 @@ def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, i
 
 @dataclass(frozen=True)
 class Settings:
-    """The fields of ``sim.MonteCarlo``, which describes them; every question takes them.
-
-    Raises ``InvalidInput`` naming the field that cannot be used.
-    """
+    """The fields of ``sim.MonteCarlo``, which describes them; every question takes them."""
 
     paths: int = 8192
     time: float | None = None
@@ -86,7 +76,7 @@ class Settings:
     burn_in: float = 10.0
     step_factor: float = 1.0
     relaxations: float = RELAXATIONS
-    most_steps: int = MOST_STEPS
+    most_steps: int = 400_000
     seconds: float | None = None
     step_pair: bool = False
     cluster: str | None = None
@@ -98,10 +88,8 @@ class Settings:
         """Check every field."""
         if self.scheme not in SCHEMES:
             raise InvalidInput("scheme", self.scheme, f"is none; use one of {sorted(SCHEMES)}")
-        times = ("time", "relaxations", "burn_in", "dt", "step_factor", "longest", "seconds")
-        check_settings(
-            self, (*times, "tol", "most_steps"), ("paths", LEAST_PATHS, MAX_TRAJECTORIES)
-        )
+        positive = "time relaxations burn_in dt step_factor longest seconds tol most_steps".split()
+        check_settings(self, positive, ("paths", LEAST_PATHS, MAX_TRAJECTORIES))
 
     def sampled_time(self, system: System, step: float) -> float:
         """Return the time sampled by steps that cost as much as uniform ones of ``step``."""
@@ -128,17 +116,15 @@ def default_step(method: Settings, system: System, observables: Sequence[Observa
     or from the sampled time. Not from wall time where there is a checkpoint: a run may go on from
     it with another limit and on another machine; it is then as for an hour of one thread.
     """
-    if method.tol is not None:
-        return step_for(system, method.tol, observables=observables)
-    dt = chosen_step(system)
-    if method.seconds is None:
+    dt, error = chosen_step(system), method.tol
+    seconds = (method.seconds or 0.0) * (method.threads or usable_cores())
+    if method.checkpoint is not None:
+        seconds = 3600.0
+    # The step that seconds allow: a pass leaves a fourth of the change, as h ~ samples^(−1/4).
+    for _ in range(8 if method.seconds and error is None else 1):
         samples = method.paths * method.sampled_time(system, dt) / sampling_interval(system)
-        return step_for(system, expected_error(samples), observables=observables)
-    own = method.seconds * (method.threads or usable_cores())
-    seconds = own if method.checkpoint is None else 3600.0
-    for _ in range(8):  # each leaves a fourth of the change at most: h ~ samples^(−1/4) or less
-        error = expected_error(samples_in(system, dt, seconds))
-        dt = step_for(system, error, observables=observables)
+        samples = samples_in(system, dt, seconds) if method.seconds else samples
+        dt = step_for(system, error or expected_error(samples), observables=observables)
     return dt
 
 

@@ -15,11 +15,11 @@ from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.machine import left_out, usable_cores, working_time
 from fpk.system.system import System, effects_of
-from sim.sample.checkpoint import Checkpoint, checkpoint_of, interruptible
 from sim.sample.diagnostics import (
     CHUNKS,
     Report,
     diagnosis,
+    drift_limit,
     l1_difference,
     moment_identities,
     moment_products,
@@ -29,7 +29,7 @@ from sim.sample.histogram import Histogram, axis_of, covering, extremes, sampled
 from sim.sample.plan import cost, with_long_steps
 from sim.sample.record import Record
 from sim.sample.settings import NOT_IN_STATE, Settings, default_step
-from sim.sample.workers import workers_of
+from sim.sample.workers import Checkpoint, checkpoint_of, interruptible, workers_of
 from sim.step.random import GOLDEN
 from sim.step.schemes import SCHEMES, Scheme
 from sim.step.step_size import relaxation_time, sampling_interval, stability_limit, temperature
@@ -41,9 +41,6 @@ period of the fastest mode."""
 
 LEAST_CHUNKS = 8
 """Chunks before which a target error is not trusted: halves of four can be compared."""
-
-LARGEST_Z = 5.0
-"""|z| of a moment identity that chance explains: by Student's t 2e-5 of 32 batches, 5e-6 of 64."""
 
 STEP_BIAS = 1e-3
 """Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
@@ -57,8 +54,8 @@ class Setup:
     ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
     ``time`` or, where that is finite, until ``seconds`` of wall time have passed or the expected
     L1 error of the first observable is below ``tol``. ``histograms`` None: bins that cover what a
-    pilot reaches. ``division`` says which trajectories make small steps, ``limited_by`` what
-    cut ``time`` short, and ``failures`` are reasons not to certify an answer.
+    pilot reaches. ``division``, ``limited_by`` as of ``Report.small_steps`` and its ``limited_by``;
+    ``failures`` are reasons not to certify an answer.
     """
 
     method: Settings
@@ -101,7 +98,8 @@ def setup_of(method: Settings, system: System, observables: Sequence[Observable]
             raise InvalidInput("dt", dt, remedy)
         failures.append(f"the step {dt:g} was insisted on: it {remedy}")
     # Of its 2**40 words of random numbers a trajectory takes n a step, 5/4 n with long steps.
-    longest = method.burn_in * relaxation_time(system) + (method.time or 0.0)
+    relaxation = relaxation_time(system)
+    longest = method.burn_in * relaxation + (method.time or 0.0)
     if dt < (shortest := 2.0**-39 * system.n * longest):
         remedy = f"takes more random numbers than a trajectory has; use at least {shortest:.2g}"
         raise InvalidInput("dt", dt, remedy)
@@ -110,7 +108,7 @@ def setup_of(method: Settings, system: System, observables: Sequence[Observable]
     own = 3.0 if method.step_pair else 1.0  # half the step takes twice as long
     seconds = method.seconds / own if method.seconds else method.longest if tol < inf else inf
     time = method.sampled_time(system, dt / cost(system, dt, scheme.small))
-    limited = method.time is None and time < method.relaxations * relaxation_time(system)
+    limited = method.time is None and time < method.relaxations * relaxation
     return Setup(
         method, system, tuple(observables), scheme, dt=long, time=time, tol=tol, seconds=seconds,
         division=division, limited_by="most_steps" if limited else "", failures=tuple(failures),
@@ -122,27 +120,26 @@ def run(
     system: System,
     observables: Sequence[Observable],
     progress: Progress,
-    *,
     beside: Sequence[Observable] = (),
 ) -> Result:
-    """Return the densities of ``observables`` with their report, as ``method`` asks for them.
+    """Return the densities of ``observables``, and of ``beside``, with their report.
 
-    Those of ``beside`` are sampled with them. A step pair compares them with a second run at half
-    the step, unless one of both was interrupted or has no chunk by the limit of time.
+    A step pair compares them with a second run at half the step, unless one of both was interrupted
+    or has no chunk by the limit of time.
     """
     setup = setup_of(method, system, [*observables, *beside])
     with workers_of(method.cluster, method.threads or usable_cores()) as workers:
         result = simulate(setup, workers=workers, progress=progress)
         report: Any = result.report
+        densities: Any = result.densities  # of histograms
         if method.step_pair and report.diagnosis is not None:
-            densities: Any = result.densities  # of histograms
             half = replace(
                 setup,
                 method=replace(method, seed=(method.seed + int(GOLDEN)) % 2**64),
                 dt=0.5 * setup.dt,
                 time=report.time,
                 tol=inf,
-                seconds=2.0 / 3.0 * method.seconds if method.seconds else inf,
+                seconds=2.0 * setup.seconds if method.seconds else inf,
                 histograms=tuple(Histogram(d.observable, d.bins) for d in densities),
             )
             second: Any = simulate(half, workers=workers, progress=progress)
@@ -157,18 +154,16 @@ def run(
                     b = other.moments[name]
                     biases[name] = Number(a.value - b.value, hypot(a.error, b.error))
                 report = replace(report, step_biases=biases, step_pair="dt against dt/2")
-    asked = len(observables)
-    densities, others = result.densities[:asked], result.densities[asked:]
-    settings = report.settings(densities)
-    return replace(result, densities=densities, beside=others, report=report, settings=settings)
+    asked, others = densities[: len(observables)], densities[len(observables) :]
+    settings = report.settings(asked)
+    return replace(result, densities=asked, beside=others, report=report, settings=settings)
 
 
 def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Result:
     """Sample the stationary state of Eq. (6) as ``setup`` says, by ``workers`` (None: one thread).
 
-    Where the method has a folder for ``checkpoint`` the state is saved at intervals, and a
-    simulation of the same setup goes on from there. Where it may be ``partial`` Ctrl-C ends the
-    sampling, and what there is by then is the result, not certified.
+    Where the method has a folder for ``checkpoint``, a simulation goes on from the state that one
+    of the same setup has saved.
     """
     method, cut, checkpoint = setup.method, "", setup.checkpoint()
     products = moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
@@ -190,7 +185,22 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
         else:
             if saved:
                 ensemble.restore(saved)
-            reached, cut = _burnt_in(setup, ensemble, checkpoint, progress)
+            whole, pilot = setup.burn_in_steps, list[Array]()
+            for k in range(1, CHUNKS + 1):
+                if checkpoint.advance(ensemble, whole * k // CHUNKS - ensemble.done, stride=0):
+                    break
+                progress(k, CHUNKS, "burn-in")
+            share = min(ensemble.done / whole, 1.0)
+            done, step = share == 1.0, 8 * setup.stride
+            for _ in range(PILOT_STATES if setup.histograms is None else 0):
+                done = done and not checkpoint.advance(ensemble, step, stride=0, saving=False)
+                if done or not pilot:
+                    states = ensemble.phase_points(PILOT_PATHS)
+                    pilot.append(extremes(setup.system, setup.observables, *states))
+            if pilot:
+                lowest, highest = np.min(pilot, axis=0)[:, 0], np.max(pilot, axis=0)[:, 1]
+                reached = np.stack([lowest, highest], axis=1)
+            cut = "" if done else f"after {share:.2g} of the burn-in"
         ensemble.watch(setup.histograms or covered(reached), products)
         record = Record(ensemble, elapsed=working_time() - begin)
         if "reached" in saved:
@@ -210,38 +220,11 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     return _result(setup, record, interrupted, limited)
 
 
-def _burnt_in(
-    setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, progress: Progress
-) -> tuple[Array, str]:
-    """Advance to the end of the burn-in, and by ``PILOT_STATES`` where no histograms are given.
-
-    Returns the extremes (coordinates, 2) of these states; and where Ctrl-C or the limit of time cut
-    all this short, in words, empty where it did not.
-    """
-    whole, pilot = setup.burn_in_steps, list[Array]()
-    for k in range(1, CHUNKS + 1):
-        if checkpoint.advance(ensemble, whole * k // CHUNKS - ensemble.done, stride=0):
-            break
-        progress(k, CHUNKS, "burn-in")
-    share = min(ensemble.done / whole, 1.0)
-    done = share == 1.0
-    for _ in range(PILOT_STATES if setup.histograms is None else 0):
-        done = done and not checkpoint.advance(ensemble, 8 * setup.stride, stride=0, saving=False)
-        if done or not pilot:
-            states = ensemble.phase_points(PILOT_PATHS)
-            pilot.append(extremes(setup.system, setup.observables, *states))
-    cut = "" if done else f"after {share:.2g} of the burn-in"
-    if not pilot:
-        return np.zeros((0, 2)), cut
-    return np.stack([np.min(pilot, axis=0)[:, 0], np.max(pilot, axis=0)[:, 1]], axis=1), cut
-
-
 def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Progress) -> None:
     """Advance until ``setup`` is met or ``checkpoint`` is interrupted.
 
-    ``record`` gets the sums at the end of every chunk, and a single sample of all trajectories at
-    the beginning of each fifth; a chunk that was interrupted, or that the limit of time cut short,
-    is not recorded.
+    ``record`` gets the sums at the end of every whole chunk, and a single sample of all
+    trajectories at the beginning of each fifth.
     """
     ensemble, stride, limited = record.ensemble, setup.stride, setup.seconds < inf
     begin = working_time() - record.elapsed
@@ -266,13 +249,10 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
         ends = record.elapsed > setup.seconds or (not limited and record.chunks == CHUNKS)
         enough = record.chunks >= LEAST_CHUNKS and ensemble.samples >= record.target
         if setup.tol < inf and (ends or enough):
-            taken = ensemble.paths * ensemble.samples
-            mirror, (histogram, counts) = effects_of(setup.system).mirror, next(ensemble.counted())
-            density = sampled_density(
-                histogram, counts, taken=taken, mirror=mirror, everywhere=False
-            )
-            record.target = ensemble.samples * (density.l1_error / setup.tol) ** 2
-            ends |= density.l1_error <= setup.tol
+            taken, mirror = ensemble.paths * ensemble.samples, effects_of(setup.system).mirror
+            error = sampled_density(*next(ensemble.counted()), taken=taken, mirror=mirror).l1_error
+            record.target = ensemble.samples * (error / setup.tol) ** 2
+            ends |= error <= setup.tol
         done = record.chunks / CHUNKS
         if limited:
             sampled = ensemble.samples / record.target if record.target else 0.0
@@ -287,9 +267,8 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
 def _result(setup: Setup, record: Record, interrupted: str, limited: str) -> Result:
     """Return the certified densities, the moment identities and the report.
 
-    ``interrupted``, in words and empty if it was not, stands against a certificate, as does what
-    the limit of time cut short so that nothing can be diagnosed (``limited``). Of a system with
-    mirror symmetry mirror images of samples count as samples.
+    ``interrupted`` and ``limited`` (by time) say in words why nothing can be diagnosed, empty where
+    it can. Of a system with mirror symmetry mirror images of samples count as samples.
     """
     ensemble, kT = record.ensemble, temperature(setup.system)
     taken, burnt = ensemble.samples * setup.stride, ensemble.done - ensemble.phase
@@ -297,11 +276,12 @@ def _result(setup: Setup, record: Record, interrupted: str, limited: str) -> Res
     failures = [*(words for words in (interrupted, limited) if words), *setup.failures]
     identities = moment_identities(setup.system, ensemble.batch_means())
     judged = identities if burnt >= setup.burn_in_steps else ()
+    chance = drift_limit(ensemble.edges.size - 1, len(identities))
     failures += [
         f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
         for identity in judged
         if abs(identity.value - identity.expected)
-        > LARGEST_Z * identity.error + STEP_BIAS * (identity.expected or kT)
+        > chance * identity.error + STEP_BIAS * (identity.expected or kT)
     ]
     if not (interrupted or limited):
         diagnosed = diagnosis(

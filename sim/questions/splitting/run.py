@@ -28,9 +28,8 @@ from sim.questions.passage import most_events
 from sim.questions.rounds import Watch
 from sim.questions.splitting.kernel import LEVELS
 from sim.questions.splitting.problem import ScoreFunction, system_problem
-from sim.sample.checkpoint import checkpoint_of, interruptible
 from sim.sample.settings import check_settings
-from sim.sample.workers import workers_of
+from sim.sample.workers import checkpoint_of, interruptible, workers_of
 from sim.step.random import stream_of
 
 LEAST_REPETITIONS = 8
