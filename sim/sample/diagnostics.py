@@ -8,6 +8,7 @@ trajectories show τ without any correlogram: ``τ = T var(path means)/(2 σ²)`
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import takewhile
 from math import inf, nan, pi, sqrt
 from typing import Literal
 
@@ -35,15 +36,15 @@ CHUNKS = 20
 whenever there are twice as many, they are joined in pairs, and the next are twice as long."""
 
 FALSE_ALARMS = 1e-6
-"""Probability that a right simulation is called wrong, in one observable or of all that may drift.
-
-A verification judges thousands of comparisons, and one false alarm ends it with an error."""
+"""Probability that a right simulation is called wrong: in one observable, by all that may drift, or
+by all moment identities. A verification judges thousands of comparisons, and one false alarm ends
+it with an error."""
 
 
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
-    """Return the products that are summed: p p, q p, q F, p F and q q, F = K q + g(q).
+    """Return the products summed: p p, q p, q F, p F, q q; p D, q D with damping ``terms``.
 
-    With damping ``terms`` of the forces D_i = Σ_j c̃_ij v_j also p D and q D.
+    F = K q + g(q), and D_i = Σ_j c̃_ij v_j is the force of the terms.
     """
     masses = range(n)
     products: list[Product] = [("p", i, "p", j) for i in masses for j in range(i, n)]
@@ -65,17 +66,15 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
 
     The generator applied to H, q_i p_i and p_i² has mean zero:
     ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
-    ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ and F = K q + g(q). Damping terms are
-    part of c, inside the means. ``batch_means`` (batches, products): errors are from their spread.
+    ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ. Damping terms are part of c, inside the
+    means. ``batch_means`` (batches, products): errors are from their spread.
     """
     m, c, masses = system.mass, system.damping, range(system.n)
     mean = batch_moments(system, batch_means)
 
     def damped(a: str, i: int) -> Array:
         terms = [c[i, j] / m[j] * mean[a, i, "p", j] for j in masses]
-        if system.damping_terms:
-            terms.append(mean[a, i, "d", i])
-        return np.asarray(np.sum(terms, axis=0))
+        return np.asarray(np.sum(terms, axis=0) + mean.get((a, i, "d", i), 0.0))
 
     def identity(name: str, batches: Array, expected: float) -> Identity:
         error = float(batches.std(ddof=1) / np.sqrt(batches.size))
@@ -130,10 +129,9 @@ class Diagnosis:
 
 
 def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> tuple[Array, Array]:
-    """Return effective samples of trajectories with the ``means`` and their relative errors.
+    """Return effective samples of ``means`` (quantities, paths), and their relative errors.
 
-    ``means`` (quantities, paths); ``variance`` is the σ² of single samples, known to
-    ``relative_error``.
+    ``variance`` (quantities,) is the σ² of single samples, known to ``relative_error``.
     """
     of_means = means.var(axis=1, ddof=1)
     samples = np.full_like(of_means, inf)
@@ -144,8 +142,8 @@ def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> 
 def effective_of_shares(shares: Array) -> tuple[float, float]:
     """Return effective samples of a distribution function, and the relative error of the number.
 
-    ``shares`` (batches, levels) are those of samples below each level; of n independent samples
-    their variances sum to Σ s(1 − s)/n. Levels vary together: the error is that of one variance.
+    Of n independent samples the variances of the ``shares`` below levels, (batches, levels), sum to
+    Σ s(1 − s)/n. Levels vary together: the error is that of one variance.
     """
     batches, s = shares.shape[0], shares.mean(axis=0)
     variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
@@ -186,7 +184,7 @@ def split_r_hat(draws: Array) -> float:
 def drifts(means: Array) -> Array:
     """Return z of (first chunk − others) and (first half − second), (quantities, 2).
 
-    ``means`` (quantities, batches, chunks); the standard errors are those of independent batches.
+    Of ``means`` (quantities, batches, chunks); standard errors are from independent batches.
     """
     half = means.shape[2] // 2
     first, others = means[:, :, 0], means[:, :, 1:].mean(axis=2)
@@ -238,17 +236,9 @@ def diagnosis(
             f"{names[int(np.argmax(z.max(axis=1)))]} drifts: its first part differs from the rest"
             f" by {drift:.1f} standard errors (chance explains {limit:.1f}); use a longer burn_in"
         )
-    return Diagnosis(
-        autocorrelation_time=tau,
-        effective_samples=samples,
-        relative_error=relative_error,
-        slowest=slowest,
-        times_per_path=time / tau if tau > 0 else inf,
-        r_hat=max(split_r_hat(m) for m in means),
-        drift=drift,
-        drift_limit=limit,
-        failures=tuple(failures),
-    )
+    length, r_hat = time / tau if tau > 0 else inf, max(map(split_r_hat, means))
+    known = tau, samples, relative_error, slowest, length, r_hat, drift, limit
+    return Diagnosis(*known, failures=tuple(failures))
 
 
 @dataclass(frozen=True)
@@ -263,10 +253,9 @@ class Report:
     ``diagnosis`` is None where Ctrl-C ended the sampling, as ``interrupted`` then says, or the
     limit of time did, in its first chunk. ``moments`` are means over the sampled states by name,
     such as ``q2²``, with one standard error. ``step_pair`` says whether a second simulation at half
-    the step could be compared; ``step_biases``, by the names of densities (such as ``q2,p2``) and
-    of moments, are the differences: of a density the L1 distance, with its mean were both densities
-    the same, of a moment the difference with its standard error. With weak order w the difference
-    is ``1 − 2^−w`` of the bias at dt.
+    the step could be compared; ``step_biases`` are the differences by the names of densities, such
+    as ``q2,p2`` (L1 distances, with their means were both the same), and of moments (with standard
+    errors). With weak order w they are ``1 − 2^−w`` of the bias at dt.
     """
 
     dt: float
@@ -293,9 +282,8 @@ class Report:
 
     def settings(self, densities: Sequence[AnyDensity]) -> dict[str, str | float | int]:
         """Return everything, errors of ``densities`` too, by the names of tables and JSON."""
-        names = [f.name for f in fields(self)]
-        own = {name: getattr(self, name) for name in names[: names.index("diagnosis")]}
-        settings = {name: value for name, value in own.items() if value != ""}
+        of_run = takewhile(lambda f: f.name != "diagnosis", fields(self))
+        settings = {f.name: own for f in of_run if (own := getattr(self, f.name)) != ""}
         if self.interrupted:
             settings["partial"] = self.interrupted
         if d := self.diagnosis:

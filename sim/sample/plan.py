@@ -34,7 +34,6 @@ LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
 
 SMALL_STEPS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 """Small steps in a long one; few choices, so that round-off does not decide between them."""
-
 LONG_COST, SMALL_COST, WORTH = 2.3, 1.2, 0.8
 """Processor time of a long step, and of a small step in a group, in units of a step of a whole
 block (measured by ``benchmarks/montecarlo.py``), and the cost below which long steps are made."""
@@ -53,13 +52,11 @@ def bends(system: System, H: float, masses: Integers) -> Array:
     The largest curvature is that on a grid of times, and half an interval times the largest slope.
     """
     drift, step = drift_matrix(system), H / 64
-    across = expm(drift * step)
-    value = drift[system.n + masses] / system.mass[masses, None]
-    largest, slope = np.zeros_like(value), np.zeros_like(value)
-    for _ in range(65):
-        largest, slope = np.maximum(largest, abs(value)), np.maximum(slope, abs(value @ drift))
-        value = value @ across
-    return np.asarray(H**2 / 8.0 * (largest + 0.5 * step * slope))
+    across, values = expm(drift * step), [drift[system.n + masses] / system.mass[masses, None]]
+    for _ in range(64):
+        values.append(values[-1] @ across)
+    curvature, slope = np.abs(values).max(axis=0), np.abs(values @ drift).max(axis=0)
+    return np.asarray(H**2 / 8.0 * (curvature + 0.5 * step * slope))
 
 
 def cost(system: System, dt: float, small: int) -> float:
@@ -90,8 +87,7 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
     """Return the scheme with long steps of small ones ``dt``, how long they are, and why.
 
     Where all trajectories are to make the same steps it is the scheme itself, and ``dt``. A long
-    step is no longer than the interval of samples. Damping terms act between stops, too, and only
-    the exact flow is exact over a long step.
+    step is no longer than the interval of samples, and only the exact flow is exact over it.
     """
     if not system.stops:
         return scheme, dt, "no contact: all trajectories make the same steps"
@@ -114,8 +110,7 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
 def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
     """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one.
 
-    ``halved``: the linear map is that of dt/2, of which a step makes two, with the normals of two
-    steps dt/2.
+    ``halved``: a step makes the linear map of dt/2 twice, with the normals of two steps dt/2.
     """
     n, small, H = system.n, scheme.small, dt
     dt = H / small
@@ -123,24 +118,18 @@ def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = Fal
     springs = dt * system.stiffness_matrix if scheme.springs_kicked else np.zeros((0, 0))
     terms = None
     if system.damping_terms:  # as powers of the momenta p = m v
-        factors, powers, scales = [], [], []
+        factors, scales, numbers = [], [], []
         for term in system.damping_terms:
             v = list(term.powers("v", n))
             v[term.column] += 1
-            powers.append(v[term.row])
             scales.append(term.coefficient / float(np.prod(system.mass ** np.array(v))))
-            v[term.row] = 0
-            others = [*term.powers("q", n), *v]
-            factors.append(np.repeat([*range(2 * n), n + term.row], [*others, powers[-1]]))
-        terms = TermArrays(
-            target=np.array([n + term.row for term in system.damping_terms], dtype=np.int64),
-            power=np.array(powers, dtype=np.int64),
-            scale=np.array(scales),
-            energy=np.array([term.energy for term in system.damping_terms], dtype=np.int64),
-            first=np.cumsum([0, *map(len, factors)], dtype=np.int64),
-            factor=np.concatenate(factors),
-            springs=springs,
-        )
+            numbers.append((n + term.row, v[term.row], term.energy))
+            others = [*term.powers("q", n), *v[: term.row], 0, *v[term.row + 1 :]]
+            factors.append(np.repeat([*range(2 * n), n + term.row], [*others, v[term.row]]))
+        target, power, energy = np.array(numbers, dtype=np.int64).T.copy()
+        first = np.cumsum([0, *map(len, factors)], dtype=np.int64)
+        own = np.concatenate(factors)
+        terms = TermArrays(target, power, np.array(scales), energy, first, own, springs)
     if springs.size and terms is None:
         one, zero = np.eye(n), np.zeros((n, n))
         kicked = linear.propagator @ np.block([[one, zero], [-springs, one]])
@@ -208,10 +197,9 @@ def watched(
             return first[c.kind] + c.row
         return at.energy if c.index is None else at.modal + modes.index(c.index)
 
-    shapes, frequency = natural_modes(system) if modes else (np.zeros((n, 0)), np.zeros(0))
+    shapes, frequency = natural_modes(system)
     T = shapes.T[modes]
-    # Bins; no axis: row −1.
-    rows = np.full((len(histograms), 2), -1, dtype=np.int64)
+    rows = np.full((len(histograms), 2), -1, dtype=np.int64)  # −1: no such axis
     bins, piece = np.ones_like(rows), np.zeros((len(histograms), 2, 2), dtype=np.int64)
     pieces: list[tuple[float, ...]] = []
     for m, histogram in enumerate(histograms):

@@ -50,8 +50,7 @@ class Record:
         ]
         coordinates = [c for histogram in self.ensemble.histograms for c in histogram.observable]
         self.folds = [effects_of(system).mirror and c.kind != "H" for c in coordinates]
-        pairs = zip(coordinates, self.folds, strict=True)
-        names = (f"|{c}|" if fold else str(c) for c, fold in pairs)
+        names = (f"|{c}|" if f else c for c, f in zip(coordinates, self.folds, strict=True))
         self.axes = [f"the distribution of {name}" for name in names]
 
     @property
@@ -60,7 +59,7 @@ class Record:
         return [name for name, _, _ in self.squares] + [self.axes[axis] for axis, _ in self.cuts]
 
     def snapshot(self, stride: int) -> None:
-        """Take a sample by one step, and note the variance of that one over the trajectories."""
+        """Take a sample by one step, and note its variance over the trajectories."""
         before = self.ensemble.sums.copy()
         self.ensemble.advance(1, stride=stride)
         samples = self._of_paths(self.ensemble.sums - before)

@@ -88,8 +88,9 @@ class Settings:
         """Check every field."""
         if self.scheme not in SCHEMES:
             raise InvalidInput("scheme", self.scheme, f"is none; use one of {sorted(SCHEMES)}")
-        positive = "time relaxations burn_in dt step_factor longest seconds tol most_steps".split()
-        check_settings(self, positive, ("paths", LEAST_PATHS, MAX_TRAJECTORIES))
+        times = ("time", "relaxations", "burn_in", "dt", "step_factor", "longest", "seconds")
+        paths = ("paths", LEAST_PATHS, MAX_TRAJECTORIES)
+        check_settings(self, (*times, "tol", "most_steps"), paths)
 
     def sampled_time(self, system: System, step: float) -> float:
         """Return the time sampled by steps that cost as much as uniform ones of ``step``."""
@@ -116,23 +117,24 @@ def default_step(method: Settings, system: System, observables: Sequence[Observa
     or from the sampled time. Not from wall time where there is a checkpoint: a run may go on from
     it with another limit and on another machine; it is then as for an hour of one thread.
     """
-    dt, error = chosen_step(system), method.tol
-    seconds = (method.seconds or 0.0) * (method.threads or usable_cores())
-    if method.checkpoint is not None:
-        seconds = 3600.0
-    # The step that seconds allow: a pass leaves a fourth of the change, as h ~ samples^(−1/4).
-    for _ in range(8 if method.seconds and error is None else 1):
+    if method.tol is not None:
+        return step_for(system, method.tol, observables=observables)
+    dt = chosen_step(system)
+    if method.seconds is None:
         samples = method.paths * method.sampled_time(system, dt) / sampling_interval(system)
-        samples = samples_in(system, dt, seconds) if method.seconds else samples
-        dt = step_for(system, error or expected_error(samples), observables=observables)
+        return step_for(system, expected_error(samples), observables=observables)
+    own = method.seconds * (method.threads or usable_cores())
+    seconds = own if method.checkpoint is None else 3600.0
+    for _ in range(8):  # each leaves a fourth of the change at most: h ~ samples^(−1/4) or less
+        error = expected_error(samples_in(system, dt, seconds))
+        dt = step_for(system, error, observables=observables)
     return dt
 
 
 def expected_seconds(method: Settings, system: System) -> float:
     """Return about how long a simulation takes, in seconds of wall time, to a factor of three.
 
-    Without compiling, and without what long steps save far from stiff stops. Raises as
-    ``require_stationary`` does.
+    Without compiling, and without what long steps save. Raises as ``require_stationary`` does.
     """
     require_stationary(system)
     dt = default_step(method, system)
