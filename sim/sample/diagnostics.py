@@ -24,21 +24,19 @@ from fpk.system.system import System
 
 Product = tuple[str, int, str, int]
 """Two coordinates whose product is summed, each a kind (q, p, f or d) and a mass from 0."""
-
 LEAST_TIMES = 50.0
 """Autocorrelation times, of 2τ as emcee counts them, below which a run is refused."""
-
 LEAST_BURN_IN = 5.0
 """Autocorrelation times τ that a burn-in must have: e^−5 of a start is 0.7 % of its distance."""
-
 CHUNKS = 20
 """Chunks of the sampled time, to see a drift. Without a known end they begin a 32nd as long:
 whenever there are twice as many, they are joined in pairs, and the next are twice as long."""
-
 FALSE_ALARMS = 1e-6
 """Probability that a right simulation is called wrong: in one observable, by all that may drift, or
 by all moment identities. A verification judges thousands of comparisons, and one false alarm ends
 it with an error."""
+Effective = tuple[str, float, float]
+"""A quantity, its independent samples of equal worth, and the relative error of the number."""
 
 
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
@@ -76,36 +74,30 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
         terms = [c[i, j] / m[j] * mean[a, i, "p", j] for j in masses]
         return np.asarray(np.sum(terms, axis=0) + mean.get((a, i, "d", i), 0.0))
 
-    def identity(name: str, batches: Array, expected: float) -> Identity:
-        error = float(batches.std(ddof=1) / np.sqrt(batches.size))
-        return Identity(name, float(batches.mean()), expected, error)
-
     noise = np.diag(system.noise_matrix)
     loss = np.sum([damped("p", i) / m[i] for i in masses], axis=0)
-    identities = [identity("energy balance", loss, float(np.sum(noise / m)))]
+    sides = [("energy balance", loss, float(np.sum(noise / m)))]
     for i in masses:
         virial = mean["p", i, "p", i] / m[i] - mean["q", i, "f", i] - damped("q", i)
-        identities.append(identity(f"virial of mass {i + 1}", virial, 0.0))
         work = mean["p", i, "f", i] + damped("p", i)
-        identities.append(identity(f"kinetic balance of mass {i + 1}", work, float(noise[i])))
-    return tuple(identities)
+        sides.append((f"virial of mass {i + 1}", virial, 0.0))
+        sides.append((f"kinetic balance of mass {i + 1}", work, float(noise[i])))
+    return tuple(
+        Identity(name, float(left.mean()), right, float(left.std(ddof=1) / np.sqrt(left.size)))
+        for name, left, right in sides
+    )
 
 
 def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
     """Return ∫|p_a − p_b| of two independent samples, and as error what chance alone makes of it.
 
-    Their bins, which are the same, are joined to 128, of two coordinates to 64 along each: all of
-    them would show the counting noise of each, which any smoothing removes.
+    Their bins, the same, are joined to 128, or 64 by 64: fewer have less counting noise.
     """
     wanted = 128 if len(a.edges) == 1 else 64
     a, b = (density.joined(min(density.values.shape) // wanted) for density in (a, b))
     spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
     area = float(np.prod([e[1] - e[0] for e in a.edges]))
     return Number(l1_distance(a, b), sqrt(2.0 / pi) * area * spread)
-
-
-Effective = tuple[str, float, float]
-"""A quantity, its independent samples of equal worth, and the relative error of the number."""
 
 
 @dataclass(frozen=True)
@@ -159,16 +151,15 @@ def variance_error(samples: Array) -> Array:
     squares = np.divide(away, size, out=np.zeros_like(away), where=size > 0) ** 2
     second = np.mean(squares, axis=-1)
     # kurtosis − 1 as a variance: of two values alone it is 0, never below.
-    scatter = np.mean((squares - second[..., None]) ** 2, axis=-1)
-    excess = np.divide(scatter, second**2, out=np.zeros_like(second), where=second > 0)
+    excess = np.divide(squares.var(axis=-1), second**2, out=np.zeros_like(second), where=second > 0)
     return np.asarray(np.sqrt(excess / samples.shape[-1]))
 
 
 def split_r_hat(draws: Array) -> float:
     """Return the split R-hat of ``draws`` (chains, draws); not a number below four draws.
 
-    Of the halves of the chains, n draws each: ``R = √((n − 1)/n + B/(n W))``, W the mean of their
-    variances, B n times the variance of their means (Gelman et al., BDA3, section 11.4).
+    Of halves of chains, n draws each: ``R = √((n − 1)/n + B/(n W))``, W the mean of their variances,
+    B n times the variance of their means (Gelman et al., BDA3, section 11.4).
     """
     half = draws.shape[1] // 2
     if half < 2:
@@ -218,7 +209,7 @@ def diagnosis(
     quantities, batches, chunks = means.shape
     z = np.abs(drifts(means)) if chunks > 1 else np.zeros((quantities, 2))
     drift, limit = float(z.max()), drift_limit(batches, z.size)
-    failures = []
+    failures = list[str]()
     if chunks < 2:
         failures.append("it ended in its first chunk, where no drift shows; sample for longer")
     if samples < LEAST_TIMES:
@@ -299,9 +290,8 @@ class Report:
             }
         settings |= {f"sampling error of {d.name}": d.l1_error for d in densities}
         if densities:
-            settings["sampling error"] = (
-                "expected L1 error of the density as it is returned at points; tol is of the same"
-            )
+            words = "expected L1 error of the density as it is returned at points"
+            settings["sampling error"] = f"{words}; tol is of the same"
         for name, mean in self.moments.items():
             settings |= {f"E {name}": mean.value, f"standard error of E {name}": mean.error}
         settings["step bias"] = self.step_pair

@@ -31,7 +31,6 @@ from sim.step.step_size import sampling_interval, temperature
 
 LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
 """Radius of a pair of normals at most: its uniform number is 2**-32 or more; and its rounding."""
-
 SMALL_STEPS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 """Small steps in a long one; few choices, so that round-off does not decide between them."""
 LONG_COST, SMALL_COST, WORTH = 2.3, 1.2, 0.8
@@ -60,7 +59,7 @@ def bends(system: System, H: float, masses: Integers) -> Array:
 
 
 def cost(system: System, dt: float, small: int) -> float:
-    """Return the processor time of long steps over that of uniform steps ``dt``, an estimate.
+    """Return about the processor time of long steps over that of uniform steps ``dt``.
 
     By the share of trajectories that are near a stop, each mass taken alone at kT.
     """

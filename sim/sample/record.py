@@ -76,12 +76,9 @@ class Record:
                     marginal = marginal[:, bins // 2 :] + marginal[:, : bins // 2][:, ::-1]
                 below.append(np.cumsum(marginal, axis=1))
         if not self.ends:
+            cuts = [octiles(share.sum(axis=0)).tolist() for share in below]
             self.chunk_samples = ensemble.samples
-            self.cuts = [
-                (axis, int(cut))
-                for axis, share in enumerate(below)
-                for cut in octiles(share.sum(axis=0))
-            ]
+            self.cuts = [(axis, cut) for axis, own in enumerate(cuts) for cut in own]
         means, size = ensemble.batch_means(), ensemble.batch_paths()
         columns = [means[:, k] * (f * ensemble.samples) for _, k, f in self.squares]
         columns += [below[axis][:, cut] / size for axis, cut in self.cuts]
@@ -98,10 +95,8 @@ class Record:
         if self.variances:
             variance, error = np.mean(self.variances, axis=0)
             means = self._of_paths(self.ensemble.sums) / self.ensemble.samples
-            error = error / np.sqrt(len(self.variances))
-            samples, errors = effective_of_paths(means, variance, error)
-            names = [name for name, _, _ in self.squares]
-            effective += zip(names, samples.tolist(), errors.tolist(), strict=True)
+            found = effective_of_paths(means, variance, error / np.sqrt(len(self.variances)))
+            effective += zip(self.names, *(x.tolist() for x in found), strict=False)
         shares = self.ends[-1] / (self.chunk_samples * len(self.ends))
         for axis, name in enumerate(self.axes):
             columns = [len(self.squares) + k for k, cut in enumerate(self.cuts) if cut[0] == axis]

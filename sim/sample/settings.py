@@ -28,10 +28,8 @@ from sim.step.step_size import (
 
 LEAST_PATHS = 32 * LANES
 """Paths below which there are fewer than 32 independent batches to take errors from."""
-
 RELAXATIONS = 153.2
 """Relaxation times that are sampled unless a time is given: 6000 time units of fig6a."""
-
 ANYWHERE = {
     "MonteCarlo.threads": "the random numbers belong to a path, whatever thread makes its steps",
     "MonteCarlo.cluster": "and whatever machine",
@@ -99,15 +97,12 @@ class Settings:
 
 def require_stationary(system: System) -> None:
     """Raise ``NotApplicable`` where ``system`` has no stationary density, with the reason."""
+    words = "some motion is not damped: under noise it grows and never becomes stationary"
     if not np.any(system.noise_matrix):
-        raise NotApplicable(
-            "no noise reaches a mass: the motion dies out and has no stationary density"
-        )
-    relaxation = relaxation_time(system)
-    if relaxation == inf or (system.damping_terms and undamped_mode(system)):
-        raise NotApplicable(
-            "some motion is not damped: under noise it grows and never becomes stationary"
-        )
+        words = "no noise reaches a mass: the motion dies out and has no stationary density"
+    elif relaxation_time(system) < inf and not (system.damping_terms and undamped_mode(system)):
+        return
+    raise NotApplicable(words)
 
 
 def default_step(method: Settings, system: System, observables: Sequence[Observable] = ()) -> float:

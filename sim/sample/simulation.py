@@ -38,10 +38,8 @@ PILOT_STATES, PILOT_PATHS = 16, 65536
 """States of the ensemble from which the ranges of the histograms are taken, and most trajectories:
 the extremes of more lie within the margin. Between two states lie 8 intervals of samples, about a
 period of the fastest mode."""
-
 LEAST_CHUNKS = 8
 """Chunks before which a target error is not trusted: halves of four can be compared."""
-
 STEP_BIAS = 1e-3
 """Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
 leave beyond chance."""
@@ -212,12 +210,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
             checkpoint.notes["reached"] = reached
             _sample(setup, record, checkpoint, progress)
             checkpoint.save(ensemble.saved())
-    of = f" of {CHUNKS}" if setup.seconds == inf else ""
-    where = cut or f"after {record.chunks}{of} chunks"
-    interrupted = f"partial: interrupted {where}" if checkpoint.interrupted else ""
-    limit, first = f"the limit of {setup.seconds:g} s came", "in its first chunk, before any drift"
-    limited = "" if interrupted or record.chunks else f"{limit} {cut or first}; give it more time"
-    return _result(setup, record, interrupted, limited)
+    return _result(setup, record, checkpoint.interrupted, cut)
 
 
 def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Progress) -> None:
@@ -264,16 +257,24 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
             record.ends, record.chunk_samples = record.ends[1::2], 2 * record.chunk_samples
 
 
-def _result(setup: Setup, record: Record, interrupted: str, limited: str) -> Result:
+def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
     """Return the certified densities, the moment identities and the report.
 
-    ``interrupted`` and ``limited`` (by time) say in words why nothing can be diagnosed, empty where
-    it can. Of a system with mirror symmetry mirror images of samples count as samples.
+    ``cut`` says in words where the burn-in ended early, and ``partial`` that Ctrl-C came. Of a
+    system with mirror symmetry mirror images of samples count as samples.
     """
-    ensemble, kT = record.ensemble, temperature(setup.system)
+    ensemble, kT, failures = record.ensemble, temperature(setup.system), list[str]()
     taken, burnt = ensemble.samples * setup.stride, ensemble.done - ensemble.phase
     burn_in, diagnosed = min(setup.burn_in_steps, burnt) * setup.dt, None
-    failures = [*(words for words in (interrupted, limited) if words), *setup.failures]
+    of = f" of {CHUNKS}" if setup.seconds == inf else ""
+    interrupted = f"partial: interrupted {cut or f'after {record.chunks}{of} chunks'}"
+    if partial:
+        failures.append(interrupted)
+    elif not record.chunks:
+        where = cut or "in its first chunk, before any drift"
+        failures.append(f"the limit of {setup.seconds:g} s came {where}; give it more time")
+    whole = not failures
+    failures += setup.failures
     identities = moment_identities(setup.system, ensemble.batch_means())
     judged = identities if burnt >= setup.burn_in_steps else ()
     chance = drift_limit(ensemble.edges.size - 1, len(identities))
@@ -283,7 +284,7 @@ def _result(setup: Setup, record: Record, interrupted: str, limited: str) -> Res
         if abs(identity.value - identity.expected)
         > chance * identity.error + STEP_BIAS * (identity.expected or kT)
     ]
-    if not (interrupted or limited):
+    if whole:
         diagnosed = diagnosis(
             record.effective(), record.names, record.means(),
             time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
@@ -321,9 +322,7 @@ def _result(setup: Setup, record: Record, interrupted: str, limited: str) -> Res
         limited_by=setup.limited_by,
         diagnosis=diagnosed,
         moments=record.moments(),
-        interrupted=interrupted,
+        interrupted=interrupted if partial else "",
     )
     method: Any = setup.method  # a ``MonteCarlo``
-    return Result(
-        method, densities, identities=identities, partial=bool(interrupted), report=report
-    )
+    return Result(method, densities, identities=identities, partial=partial, report=report)

@@ -32,22 +32,19 @@ from fpk.numeric.recognition import fingerprint
 
 INTERVAL = 2.0
 """Seconds between two saved states."""
-
 PATIENCE = 10.0
 """Seconds in which the scheduler must answer; in six times as many it must have a worker."""
-
 PIECE = 0.5
 """Seconds after which workers come back with an ensemble, so that Ctrl-C waits for that; eight
 times as long on a cluster, as the arrays of the ensemble travel with each piece."""
-
 PROGRAM = ("fpk", "averaging", "sim", "cases")
 """All packages: any number may depend on their sources."""
 
 
 def program_checksum(root: Path = ROOT, rooms: Sequence[str] = ("fpk", "sim")) -> int:
-    """Return a checksum of the sources in ``rooms``: by default those that simulations depend on.
+    """Return a checksum of the sources in ``rooms``; ``FileNotFoundError`` where one is missing.
 
-    Raises ``FileNotFoundError`` for a room that is missing.
+    By default of those that simulations depend on.
     """
     own = [root / room for room in rooms]
     return checksum([f for r in own for f in (r / "__init__.py", *sorted(r.rglob("*.py")))])
@@ -164,16 +161,15 @@ class Checkpoint:
         part = self.path.with_name(f"{self.path.name}.{token_hex(4)}.part")
         arrays: dict[str, Any] = {**state, **self.notes}
         try:
-            try:
-                with part.open("xb") as stream:
-                    np.savez(stream, about=[self.identity, *arrays], **arrays)
-                    stream.flush()
-                    os.fsync(stream.fileno())
-                os.replace(part, self.path)
-            finally:
-                part.unlink(missing_ok=True)
+            with part.open("xb") as stream:
+                np.savez(stream, about=[self.identity, *arrays], **arrays)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(part, self.path)
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be written: {reason_of(error)}") from None
+        finally:
+            part.unlink(missing_ok=True)
         self._saved = working_time()
 
     def load(self) -> dict[str, NDArray[Any]]:
@@ -198,10 +194,8 @@ class Checkpoint:
         if not whole or names != list(arrays):
             raise Unavailable(f"{self.path}: is damaged; remove it to begin anew")
         if identity != self.identity:
-            raise Unavailable(
-                f"{self.path}: is of another simulation (other system, settings or"
-                " version); give another folder or remove it"
-            )
+            words = "is of another simulation (other system, settings or version)"
+            raise Unavailable(f"{self.path}: {words}; give another folder or remove it")
         return arrays
 
     def advance(self, ensemble: Any, steps: int, *, stride: int = 1, saving: bool = True) -> bool:
