@@ -40,10 +40,7 @@ Effective = tuple[str, float, float]
 
 
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
-    """Return the products summed: p p, q p, q F, p F, q q; p D, q D with damping ``terms``.
-
-    F = K q + g(q), and D_i = Σ_j c̃_ij v_j is the force of the terms.
-    """
+    """Return the products that are summed, F = K q + g(q), D_i = Σ_j c̃_ij v_j of the ``terms``."""
     masses = range(n)
     products: list[Product] = [("p", i, "p", j) for i in masses for j in range(i, n)]
     products += [("q", i, "p", j) for i in masses for j in masses]
@@ -89,10 +86,8 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
 
 
 def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
-    """Return ∫|p_a − p_b| of two independent samples, and as error what chance alone makes of it.
-
-    Their bins, the same, are joined to 128, or 64 by 64: fewer have less counting noise.
-    """
+    """Return ∫|p_a − p_b| of two independent samples, with its mean by chance alone as error."""
+    # Their bins are the same; joined ones have less counting noise.
     wanted = 128 if len(a.edges) == 1 else 64
     a, b = (density.joined(min(density.values.shape) // wanted) for density in (a, b))
     spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
@@ -121,10 +116,7 @@ class Diagnosis:
 
 
 def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> tuple[Array, Array]:
-    """Return effective samples of ``means`` (quantities, paths), and their relative errors.
-
-    ``variance`` (quantities,) is the σ² of single samples, known to ``relative_error``.
-    """
+    """Return effective samples, and errors, of ``means`` (quantities, paths) with σ² ``variance``."""
     of_means = means.var(axis=1, ddof=1)
     samples = np.full_like(of_means, inf)
     np.divide(means.shape[1] * variance, of_means, out=samples, where=of_means > 0)
@@ -132,11 +124,8 @@ def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> 
 
 
 def effective_of_shares(shares: Array) -> tuple[float, float]:
-    """Return effective samples of a distribution function, and the relative error of the number.
-
-    Of n independent samples the variances of the ``shares`` below levels, (batches, levels), sum to
-    Σ s(1 − s)/n. Levels vary together: the error is that of one variance.
-    """
+    """Return effective samples of ``shares`` below levels (batches, levels), and their error."""
+    # Of n samples the variances sum to Σ s(1 − s)/n. Levels vary together: the error is of one.
     batches, s = shares.shape[0], shares.mean(axis=0)
     variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
     samples = float(np.sum(s * (1.0 - s))) / variance if variance > 0 else inf
@@ -158,8 +147,8 @@ def variance_error(samples: Array) -> Array:
 def split_r_hat(draws: Array) -> float:
     """Return the split R-hat of ``draws`` (chains, draws); not a number below four draws.
 
-    Of halves of chains, n draws each: ``R = √((n − 1)/n + B/(n W))``, W the mean of their variances,
-    B n times the variance of their means (Gelman et al., BDA3, section 11.4).
+    Of halves of chains, n draws each: ``R = √((n − 1)/n + B/(n W))``, W the mean of the variances,
+    B n times the variance of the means (Gelman et al., BDA3, section 11.4).
     """
     half = draws.shape[1] // 2
     if half < 2:
@@ -173,10 +162,7 @@ def split_r_hat(draws: Array) -> float:
 
 
 def drifts(means: Array) -> Array:
-    """Return z of (first chunk − others) and (first half − second), (quantities, 2).
-
-    Of ``means`` (quantities, batches, chunks); standard errors are from independent batches.
-    """
+    """Return z of first chunk − others and half − half, from ``means`` as of ``diagnosis``."""
     half = means.shape[2] // 2
     first, others = means[:, :, 0], means[:, :, 1:].mean(axis=2)
     early, late = means[:, :, :half].mean(axis=2), means[:, :, -half:].mean(axis=2)
@@ -200,10 +186,7 @@ def diagnosis(
     paths: int,
     burn_in: float,
 ) -> Diagnosis:
-    """Return the diagnosis of ``paths`` trajectories of ``time`` after ``burn_in`` (a time).
-
-    ``means`` (quantities, batches, chunks) belong to the ``names``.
-    """
+    """Return the diagnosis; ``means`` (quantities, batches, chunks), ``time`` that of each path."""
     slowest, samples, relative_error = min(effective, key=lambda e: e[1])
     tau = paths * time / (2.0 * samples) if samples > 0 else inf
     quantities, batches, chunks = means.shape

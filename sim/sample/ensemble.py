@@ -39,10 +39,7 @@ def advanced(
     watch: WatchArrays, offset: np.uint64, word: int, samples: int, phase: int, steps: int,
     stride: int, read: Reader | None,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Advance batches that begin with block ``first``; all ``arrays`` change in place.
-
-    They are the states, sums, counts, last samples, and those of the reader.
-    """
+    """Advance batches from block ``first`` on; ``arrays``, the reader's too, change in place."""
     states, sums, counts, last, *own = arrays
     blocks, rows, strength = len(states), watch.traced.size, step.strength
     piece = max(1, TRACED // blocks) * stride if key.traced else steps
@@ -95,18 +92,15 @@ class Ensemble:
     word: int = 0
     modulation: Modulation | None = None
     begin: float = 0.0
-    energy: float = field(init=False)  # largest H at the start
-    step: StepArrays = field(init=False)
-    states: Array = field(init=False)  # (blocks, 2n, LANES), just before the next kick
-    sums: Array = field(init=False)  # (blocks, products, LANES)
-    counts: Integers = field(init=False)  # (batches, bins), one more bin a histogram for outside
-    last: Array = field(init=False)  # (blocks, rows, LANES), the last sample; no rows without start
     done: int = field(init=False, default=0)  # steps, one more than by then with a start
     samples: int = field(init=False, default=0)
     phase: int = field(init=False, default=0)  # steps since ``watch`` that might be observed
 
     def __post_init__(self) -> None:
-        """Draw the states in which the trajectories start, or find those observed as ``start``."""
+        """Draw the ``states`` (blocks, 2n, LANES) before the first kick, or find those of a start.
+
+        Its largest H is the ``energy``.
+        """
         self.workers = self.workers or Workers(ThreadPoolExecutor(self.threads), self.threads)
         self.threads = self.workers.threads
         self.step = step_arrays(self.system, self.scheme, self.dt, halved=self.halved)
@@ -158,7 +152,11 @@ class Ensemble:
         return self.word + (self.done - 1) * self.step.words
 
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
-        """Observe these from now on, all counts and sums starting from zero."""
+        """Observe these from now on, all counts and sums starting from zero.
+
+        ``counts`` (batches, bins) have one more bin a histogram for outside, ``sums`` are (blocks,
+        products, LANES), the ``last`` sample (blocks, rows, LANES), without rows but for a start.
+        """
         self.histograms, self.products = tuple(histograms), tuple(products)
         traced = [Coordinate(kind, i) for kind in ("q", "p") for i in range(self.system.n)]
         key, self._watch = watched(

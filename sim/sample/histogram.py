@@ -55,10 +55,7 @@ class Histogram:
         return int(np.prod(self.shape))
 
     def counted(self, columns: Sequence[Array], groups: int = 1) -> Integers:
-        """Return the samples in each bin, (groups, bins + 1), the last of them outside.
-
-        ``columns`` are the coordinates (samples,); samples belong to the groups in turn.
-        """
+        """Return samples by bin, (groups, bins + 1), the last outside; groups take them in turn."""
         bins, inside = np.array(0), np.array(True)
         for x, e in zip(columns, self.edges, strict=True):
             inside = inside & (x >= e[0]) & (x < e[-1])
@@ -160,11 +157,8 @@ def rises(energies: Array) -> bool:
 def covering(
     observables: Sequence[Observable], reached: Array, axis: Callable[..., BinAxis]
 ) -> tuple[Histogram, ...]:
-    """Return histograms over the extremes ``reached`` (coordinates, 2) of all coordinates.
-
-    ``axis(coordinate, low, high, bins)`` makes the bins of each.
-    """
-    # No extremes: not numbers.
+    """Return histograms over ``reached`` (coordinates, 2); ``axis`` as ``axis_of`` of a system."""
+    # Extremes that are not numbers do not ascend.
     ends = iter(np.where(reached[:, :1] <= reached[:, 1:], reached, (-1.0, 1.0)).tolist())
     return tuple(
         Histogram(o, tuple(axis(c, *next(ends), BINS[len(o) - 1]) for c in o)) for o in observables
@@ -177,20 +171,14 @@ def starts(histograms: Sequence[Histogram]) -> Integers:
 
 
 def mirrored(histogram: Histogram, counts: Integers) -> Integers:
-    """Return ``counts`` (batches, bins + 1) plus the counts of the mirrored states, (−q, −p).
-
-    Energies do not change sign; the edges of all else lie symmetrically about zero.
-    """
+    """Return ``counts`` (batches, bins + 1) plus the counts of the mirrored states, (−q, −p)."""
     axes = tuple(a for a, c in enumerate(histogram.observable, start=1) if c.kind != "H")
     reflected = np.flip(counts[:, :-1].reshape(-1, *histogram.shape), axis=axes)
     return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
 
 
 def reference_of(system: System, coordinate: Coordinate, x: Array, bins: Integers) -> Array:
-    """Return ln of a function about as steep as the density at ``x``, up to a constant.
-
-    Of q_i −U_i/kT, which is exact where Eq. (7) holds; of H (n − 1) ln H.
-    """
+    """Return about ln p(x), up to a constant: −U_i/kT of q_i, as of Eq. (7), (n − 1) ln H of H."""
     if coordinate.kind == "H" and coordinate.index is None:
         return log_states(system.n, x, bins)
     if coordinate.kind == "q" and coordinate.row in system.contact_masses:

@@ -59,10 +59,7 @@ def bends(system: System, H: float, masses: Integers) -> Array:
 
 
 def cost(system: System, dt: float, small: int) -> float:
-    """Return about the processor time of long steps over that of uniform steps ``dt``.
-
-    By the share of trajectories that are near a stop, each mass taken alone at kT.
-    """
+    """Return about the processor time of long steps over that of steps ``dt``, masses at kT."""
     if small == 1:
         return 1.0
     H, kT, far, masses = small * dt, temperature(system), 1.0, system.contact_masses
@@ -107,10 +104,7 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
 
 
 def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
-    """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one.
-
-    ``halved``: a step makes the linear map of dt/2 twice, with the normals of two steps dt/2.
-    """
+    """Return the numbers of a step of ``dt``; ``halved``: of its map two times, each of dt/2."""
     n, small, H = system.n, scheme.small, dt
     dt = H / small
     linear = scheme.linear_map(system, 0.5 * dt if halved else dt)
@@ -135,7 +129,7 @@ def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = Fal
         linear = replace(linear, propagator=kicked)
     pairs = (linear.factor.shape[1] + 1) // 2
     laws, slots = effects_of(system).laws, system.contact_masses
-    signs: dict[tuple[float, ...], list[float]] = {}
+    signs: dict[tuple[float, ...], list[float]] = {}  # of both sides are one stop
     for s in system.stops:
         key = slots.index(s.index), s.clearance, s.stiffness, s.power, laws.index(s.law)
         signs.setdefault(key, []).append(s.sign)

@@ -127,10 +127,7 @@ def default_step(method: Settings, system: System, observables: Sequence[Observa
 
 
 def expected_seconds(method: Settings, system: System) -> float:
-    """Return about how long a simulation takes, in seconds of wall time, to a factor of three.
-
-    Without compiling, and without what long steps save. Raises as ``require_stationary`` does.
-    """
+    """Return about the seconds of wall time, to a factor of three, without compiling."""
     require_stationary(system)
     dt = default_step(method, system)
     time = method.sampled_time(system, dt) + method.burn_in * relaxation_time(system)

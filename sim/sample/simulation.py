@@ -15,15 +15,8 @@ from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.machine import left_out, usable_cores, working_time
 from fpk.system.system import System, effects_of
-from sim.sample.diagnostics import (
-    CHUNKS,
-    Report,
-    diagnosis,
-    drift_limit,
-    l1_difference,
-    moment_identities,
-    moment_products,
-)
+from sim.sample import diagnostics
+from sim.sample.diagnostics import CHUNKS
 from sim.sample.ensemble import Ensemble
 from sim.sample.histogram import Histogram, axis_of, covering, extremes, sampled_density
 from sim.sample.plan import cost, with_long_steps
@@ -50,10 +43,10 @@ class Setup:
     """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
 
     ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
-    ``time`` or, where that is finite, until ``seconds`` of wall time have passed or the expected
-    L1 error of the first observable is below ``tol``. ``histograms`` None: bins that cover what a
-    pilot reaches. ``division``, ``limited_by`` as of ``Report.small_steps`` and its ``limited_by``;
-    ``failures`` are reasons not to certify an answer.
+    ``time`` or, where ``seconds`` are finite, for so long in wall time, or until the expected L1
+    error of the first observable is below ``tol``. ``histograms`` None: bins that cover what a
+    pilot reaches. ``division`` and ``limited_by`` are in the report as ``small_steps`` and
+    ``limited_by``; ``failures`` are reasons not to certify an answer.
     """
 
     method: Settings
@@ -71,7 +64,7 @@ class Setup:
 
     @cached_property
     def stride(self) -> int:
-        """Steps from one sample to the next: closer ones are nearly equal, and cost time each."""
+        """Steps from one sample to the next."""
         return max(1, round(sampling_interval(self.system) / self.dt))
 
     @cached_property
@@ -141,13 +134,13 @@ def run(
                 histograms=tuple(Histogram(d.observable, d.bins) for d in densities),
             )
             second: Any = simulate(half, workers=workers, progress=progress)
-            other: Report = second.report
+            other: diagnostics.Report = second.report
             if other.diagnosis is None:
                 words = "interrupted" if other.interrupted else "the limit of time came"
                 report = replace(report, step_pair=f"not measured: {words}")
             else:
                 pairs = zip(densities, second.densities, strict=True)
-                biases = {a.name: l1_difference(a, b) for a, b in pairs}
+                biases = {a.name: diagnostics.l1_difference(a, b) for a, b in pairs}
                 for name, a in report.moments.items():
                     b = other.moments[name]
                     biases[name] = Number(a.value - b.value, hypot(a.error, b.error))
@@ -158,13 +151,9 @@ def run(
 
 
 def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Result:
-    """Sample the stationary state of Eq. (6) as ``setup`` says, by ``workers`` (None: one thread).
-
-    Where the method has a folder for ``checkpoint``, a simulation goes on from the state that one
-    of the same setup has saved.
-    """
+    """Sample the stationary state of Eq. (6), from a saved state of this ``setup`` on, if any."""
     method, cut, checkpoint = setup.method, "", setup.checkpoint()
-    products = moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
+    products = diagnostics.moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
     covered = partial(covering, setup.observables, axis=partial(axis_of, setup.system))
     with checkpoint.alone(), interruptible(method.partial) as checkpoint.stopped:
         ensemble = Ensemble(
@@ -214,11 +203,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
 
 
 def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Progress) -> None:
-    """Advance until ``setup`` is met or ``checkpoint`` is interrupted.
-
-    ``record`` gets the sums at the end of every whole chunk, and a single sample of all
-    trajectories at the beginning of each fifth.
-    """
+    """Advance until ``setup`` is met or ``checkpoint`` ends it; ``record`` gets whole chunks."""
     ensemble, stride, limited = record.ensemble, setup.stride, setup.seconds < inf
     begin = working_time() - record.elapsed
     checkpoint.deadline = begin + setup.seconds
@@ -275,17 +260,16 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
         failures.append(f"the limit of {setup.seconds:g} s came {where}; give it more time")
     whole = not failures
     failures += setup.failures
-    identities = moment_identities(setup.system, ensemble.batch_means())
+    identities = diagnostics.moment_identities(setup.system, ensemble.batch_means())
     judged = identities if burnt >= setup.burn_in_steps else ()
-    chance = drift_limit(ensemble.edges.size - 1, len(identities))
+    chance = diagnostics.drift_limit(ensemble.edges.size - 1, len(identities))
     failures += [
-        f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
-        for identity in judged
-        if abs(identity.value - identity.expected)
-        > chance * identity.error + STEP_BIAS * (identity.expected or kT)
+        f"{i.name} is off by {i.z:.1f} standard errors; use a smaller dt"
+        for i in judged
+        if abs(i.value - i.expected) > chance * i.error + STEP_BIAS * (i.expected or kT)
     ]
     if whole:
-        diagnosed = diagnosis(
+        diagnosed = diagnostics.diagnosis(
             record.effective(), record.names, record.means(),
             time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
             burn_in=burn_in,
@@ -297,13 +281,13 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
             counts,
             taken=ensemble.paths * ensemble.samples,
             mirror=effects_of(setup.system).mirror,
-            residual=max((abs(identity.z) for identity in judged), default=nan),
+            residual=max((abs(i.z) for i in judged), default=nan),
             tol=setup.tol if m == 0 else inf,
             failures=failures,
         )
         for m, (histogram, counts) in enumerate(ensemble.counted())
     )
-    report = Report(
+    report = diagnostics.Report(
         dt=setup.dt / setup.scheme.small,
         paths=ensemble.paths,
         time=taken * setup.dt,

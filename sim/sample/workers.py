@@ -42,25 +42,19 @@ PROGRAM = ("fpk", "averaging", "sim", "cases")
 
 
 def program_checksum(root: Path = ROOT, rooms: Sequence[str] = ("fpk", "sim")) -> int:
-    """Return a checksum of the sources in ``rooms``; ``FileNotFoundError`` where one is missing.
-
-    By default of those that simulations depend on.
-    """
+    """Return a checksum of the sources in ``rooms``; ``FileNotFoundError`` where one is missing."""
     own = [root / room for room in rooms]
     return checksum([f for r in own for f in (r / "__init__.py", *sorted(r.rglob("*.py")))])
 
 
 @dataclass(frozen=True, eq=False)
 class Workers:
-    """An executor of ``threads`` in all, which comes back with an ensemble after ``piece`` seconds.
-
-    ``remote_errors`` are the exceptions of a lost cluster, raised as ``NotCertified``; empty here.
-    """
+    """An executor of ``threads``, which comes back with an ensemble after ``piece`` seconds."""
 
     executor: Executor
     threads: int
     piece: float = PIECE
-    remote_errors: tuple[type[Exception], ...] = ()
+    remote_errors: tuple[type[Exception], ...] = ()  # of a lost cluster: ``NotCertified``
 
     def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
         """Return what ``task`` makes of rows of ``columns``, which it may change, or of copies."""
@@ -152,10 +146,7 @@ class Checkpoint:
             yield
 
     def save(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Write a state and the notes to another file and move it to ``path``.
-
-        Raises ``Unavailable`` where that is not possible; the former state stays.
-        """
+        """Replace the former state by a whole one, or raise ``Unavailable`` and leave it."""
         if self.path is None:
             return
         part = self.path.with_name(f"{self.path.name}.{token_hex(4)}.part")
@@ -173,10 +164,7 @@ class Checkpoint:
         self._saved = working_time()
 
     def load(self) -> dict[str, NDArray[Any]]:
-        """Return the state and the notes saved last, nothing where there are none.
-
-        Raises ``Unavailable`` for a file that is damaged or of another simulation.
-        """
+        """Return state and notes, if any; ``Unavailable`` if damaged or of another simulation."""
         if self.path is None or not self.path.exists():
             return {}
         try:
