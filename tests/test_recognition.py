@@ -42,8 +42,8 @@ from sim.montecarlo import MonteCarlo
 from sim.questions.splitting.problem import system_problem
 from sim.questions.splitting.run import NOT_IN_REPETITION, Splitting, failure_of
 from sim.sample.histogram import Histogram, binned
+from sim.sample.plan import setup_of
 from sim.sample.settings import ANYWHERE, NOT_IN_STATE
-from sim.sample.simulation import setup_of
 from sim.sample.workers import PROGRAM, program_checksum
 from sim.step.kernel import KernelKey
 

@@ -1,4 +1,4 @@
-"""From a system, a scheme and a step to the arrays that the kernel reads, and its key.
+"""From settings and a system to a setup, to the arrays that the kernel reads, and to its key.
 
 A long step ``H = small · h`` divides the trajectories by their state x at its start: *near* ones
 make ``small`` steps ``h`` with kicks; *far* ones make it at once, which is exact in law unless they
@@ -11,23 +11,28 @@ probability of 1.4e-11 at most: docs/theory.md, "The step of the simulation".
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
-from math import isfinite, log, sqrt
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import ceil, inf, isfinite, log, sqrt
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import expm
 from scipy.special import comb, ndtr
 
-from fpk.answer.observable import Coordinate
+from fpk.answer.observable import Coordinate, Observable
 from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.errors import InvalidInput
 from fpk.system.linear import drift_matrix, natural_modes
 from fpk.system.system import System, effects_of
 from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
+from sim.sample.settings import NOT_IN_STATE, Settings, default_step
+from sim.sample.workers import Checkpoint, checkpoint_of
 from sim.step.arrays import LANES, NARROW, Rows, StepArrays, TermArrays, WatchArrays
 from sim.step.kernel import KernelKey
-from sim.step.schemes import Scheme, exact_flow, lower_trapezoidal, padded
-from sim.step.step_size import sampling_interval, temperature
+from sim.step.schemes import SCHEMES, Scheme, exact_flow, lower_trapezoidal, padded
+from sim.step.step_size import relaxation_time, sampling_interval, stability_limit, temperature
 
 LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
 """Radius of a pair of normals at most: its uniform number is 2**-32 or more; and its rounding."""
@@ -101,6 +106,74 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
         return scheme, dt, "too many trajectories are near a stop"
     words = f"{small} small steps near a stop, one elsewhere"
     return replace(scheme, small=small), small * dt, words
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
+
+    ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
+    ``time`` or, where ``seconds`` are finite, for so long in wall time, or until the expected L1
+    error of the first observable is below ``tol``. ``histograms`` None: bins that cover what a
+    pilot reaches. ``division`` and ``limited_by`` are in the report as ``small_steps`` and
+    ``limited_by``; ``failures`` are reasons not to certify an answer.
+    """
+
+    method: Settings
+    system: System
+    observables: Sequence[Observable]
+    scheme: Scheme
+    dt: float
+    time: float
+    tol: float = inf
+    seconds: float = inf
+    histograms: tuple[Histogram, ...] | None = None
+    division: str = ""
+    limited_by: Literal["", "most_steps"] = ""
+    failures: tuple[str, ...] = ()
+
+    @cached_property
+    def stride(self) -> int:
+        """Steps from one sample to the next."""
+        return max(1, round(sampling_interval(self.system) / self.dt))
+
+    @cached_property
+    def burn_in_steps(self) -> int:
+        """Steps before the sampling begins."""
+        return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
+
+    def checkpoint(self) -> Checkpoint:
+        """Return the checkpoint in the folder of the method; another limit of time may go on."""
+        limited = self.seconds < inf
+        return checkpoint_of(self.method.checkpoint, (self, limited), less=NOT_IN_STATE)
+
+
+def setup_of(method: Settings, system: System, observables: Sequence[Observable]) -> Setup:
+    """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
+    scheme, failures = SCHEMES[method.scheme], list[str]()
+    dt = method.dt or method.step_factor * default_step(method, system, observables)
+    limit = stability_limit(system, scheme)
+    if not 0.0 < dt < limit:
+        remedy = f"must be > 0 and below the stability limit {limit:.4g} of {scheme.name}"
+        if not method.allow_unstable:
+            raise InvalidInput("dt", dt, remedy)
+        failures.append(f"the step {dt:g} was insisted on: it {remedy}")
+    # Of its 2**40 words of random numbers a trajectory takes n a step, 5/4 n with long steps.
+    relaxation = relaxation_time(system)
+    longest = method.burn_in * relaxation + (method.time or 0.0)
+    if dt < (shortest := 2.0**-39 * system.n * longest):
+        remedy = f"takes more random numbers than a trajectory has; use at least {shortest:.2g}"
+        raise InvalidInput("dt", dt, remedy)
+    scheme, long, division = with_long_steps(system, scheme, dt)
+    tol = method.tol if method.tol is not None and observables else inf
+    own = 3.0 if method.step_pair else 1.0  # half the step takes twice as long
+    seconds = method.seconds / own if method.seconds else method.longest if tol < inf else inf
+    time = method.sampled_time(system, dt / cost(system, dt, scheme.small))
+    limited = method.time is None and time < method.relaxations * relaxation
+    return Setup(
+        method, system, tuple(observables), scheme, dt=long, time=time, tol=tol, seconds=seconds,
+        division=division, limited_by="most_steps" if limited else "", failures=tuple(failures),
+    )  # fmt: skip
 
 
 def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:

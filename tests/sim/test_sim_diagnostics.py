@@ -23,7 +23,7 @@ from sim.sample.diagnostics import (
 )
 from sim.sample.ensemble import Ensemble
 from sim.sample.histogram import mirrored, sampled_density
-from sim.sample.record import Record, octiles
+from sim.sample.simulation import Record, octiles
 from sim.step.arrays import LANES
 from sim.step.schemes import SCHEMES
 
