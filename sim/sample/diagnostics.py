@@ -116,7 +116,7 @@ class Diagnosis:
 
 
 def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> tuple[Array, Array]:
-    """Return effective samples of ``means`` (quantities, paths) with σ² ``variance``, and errors."""
+    """Return effective samples of ``means`` (quantities, paths), σ² ``variance``, and errors."""
     of_means = means.var(axis=1, ddof=1)
     samples = np.full_like(of_means, inf)
     np.divide(means.shape[1] * variance, of_means, out=samples, where=of_means > 0)

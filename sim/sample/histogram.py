@@ -85,7 +85,8 @@ def binned(
     for a, b in pairwise(nodes):
         edges.append(a + (b - a) * (share**4 if widening and a in inside else share))
         edges[-1][-1] = b
-    return BinAxis(np.concatenate(edges), inside, inside if widening else (), reference)
+    known = tuple(inside)
+    return BinAxis(np.concatenate(edges), known, known if widening else (), reference)
 
 
 def axis_of(

@@ -44,14 +44,13 @@ class Record:
     Quantities are the squares of q and v, and the shares of samples below the octiles of every
     observed coordinate in the first chunk, bins ``cuts`` of its axis. Single samples of every
     trajectory show the variance of the squares: σ² of 8192 trajectories to 2 %, about as well as
-    var(path means). ``stepping`` of the ``elapsed`` seconds were spent on samples; at ``target``
-    samples the error of the first density is computed again.
+    var(path means). After ``elapsed`` seconds, burn-in included, the error of the first density is
+    computed again at ``target`` samples.
     """
 
     ensemble: Ensemble
     chunk_samples: int = 0
     chunks: int = 0
-    stepping: float = 0.0
     elapsed: float = 0.0
     target: float = 0.0
     cuts: list[Any] = field(default_factory=list)  # pairs of an axis and a bin
@@ -81,9 +80,8 @@ class Record:
         before = self.ensemble.sums.copy()
         self.ensemble.advance(1, stride=stride)
         samples = self._of_paths(self.ensemble.sums - before)
-        self.variances.append(
-            np.array([samples.var(axis=1, ddof=1), diagnostics.variance_error(samples)])
-        )
+        spread = samples.var(axis=1, ddof=1), diagnostics.variance_error(samples)
+        self.variances.append(np.array(spread))
 
     def chunk_ends(self) -> None:
         """Note where the sums and counts of the ensemble stand at the end of a chunk."""
@@ -111,14 +109,11 @@ class Record:
 
     def effective(self) -> list[diagnostics.Effective]:
         """Return the effective samples of every quantity, squares first."""
-        effective: list[diagnostics.Effective] = []
-        if self.variances:
-            variance, error = np.mean(self.variances, axis=0)
-            means = self._of_paths(self.ensemble.sums) / self.ensemble.samples
-            found = diagnostics.effective_of_paths(
-                means, variance, error / np.sqrt(len(self.variances))
-            )
-            effective += zip(self.names, *(x.tolist() for x in found), strict=False)
+        variance, error = np.mean(self.variances, axis=0)
+        error = error / np.sqrt(len(self.variances))
+        means = self._of_paths(self.ensemble.sums) / self.ensemble.samples
+        found = diagnostics.effective_of_paths(means, variance, error)
+        effective = list(zip(self.names, *(x.tolist() for x in found), strict=False))
         shares = self.ends[-1] / (self.chunk_samples * len(self.ends))
         for axis, name in enumerate(self.axes):
             columns = [len(self.squares) + k for k, cut in enumerate(self.cuts) if cut[0] == axis]
@@ -220,9 +215,8 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
             ensemble.advance(0, stride=0)  # compiles
         begin = working_time()
         checkpoint.deadline = begin + setup.seconds
-        if "reached" in saved:
-            reached = saved["reached"]
-        else:
+        reached = saved.get("reached", reached)
+        if "reached" not in saved:
             if saved:
                 ensemble.restore(saved)
             whole, pilot = setup.burn_in_steps, list[Array]()
@@ -238,8 +232,8 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
                     states = ensemble.phase_points(PILOT_PATHS)
                     pilot.append(extremes(setup.system, setup.observables, *states))
             if pilot:
-                lowest, highest = np.min(pilot, axis=0)[:, 0], np.max(pilot, axis=0)[:, 1]
-                reached = np.stack([lowest, highest], axis=1)
+                both = np.hstack(pilot)
+                reached = np.stack([both.min(axis=1), both.max(axis=1)], axis=1)
             cut = "" if done else f"after {share:.2g} of the burn-in"
         ensemble.watch(setup.histograms or covered(reached), products)
         record = Record(ensemble, elapsed=working_time() - begin)
@@ -264,15 +258,13 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
     first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
     record.chunk_samples = record.chunk_samples or first
     while True:
-        start, length = working_time(), record.chunk_samples * stride
+        length = record.chunk_samples * stride
         begun = len(record.ends) * length
         if ensemble.phase == begun and record.chunks in range(0, CHUNKS, 5):
             record.snapshot(stride)
-        record.elapsed = start - begin
+        record.elapsed = working_time() - begin
         checkpoint.notes |= record.saved()
-        stopped = checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride)
-        record.stepping += working_time() - start
-        if stopped:
+        if checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride):
             return
         record.chunks += 1
         record.chunk_ends()
@@ -284,10 +276,8 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
             error = sampled_density(*next(ensemble.counted()), taken=taken, mirror=mirror).l1_error
             record.target = ensemble.samples * (error / setup.tol) ** 2
             ends |= error <= setup.tol
-        done = record.chunks / CHUNKS
-        if limited:
-            sampled = ensemble.samples / record.target if record.target else 0.0
-            done = max(sampled, record.elapsed / setup.seconds)
+        whole = ensemble.samples / (record.target or inf) if limited else record.chunks / CHUNKS
+        done = max(whole, record.elapsed / setup.seconds)
         progress(min(CHUNKS, int(CHUNKS * done)), CHUNKS, "simulation")
         if ends:
             return
@@ -302,7 +292,8 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
     system with mirror symmetry mirror images of samples count as samples.
     """
     ensemble, kT, failures = record.ensemble, temperature(setup.system), list[str]()
-    taken, burnt = ensemble.samples * setup.stride, ensemble.done - ensemble.phase
+    paths, threads, samples = ensemble.paths, ensemble.threads, ensemble.samples
+    taken, burnt = samples * setup.stride, ensemble.done - ensemble.phase
     burn_in, diagnosed = min(setup.burn_in_steps, burnt) * setup.dt, None
     of = f" of {CHUNKS}" if setup.seconds == inf else ""
     interrupted = f"partial: interrupted {cut or f'after {record.chunks}{of} chunks'}"
@@ -324,15 +315,14 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
     if whole:
         diagnosed = diagnostics.diagnosis(
             record.effective(), record.names, record.means(),
-            time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
-            burn_in=burn_in,
+            time=samples * (ensemble.dt * setup.stride), paths=paths, burn_in=burn_in,
         )  # fmt: skip
         failures += diagnosed.failures
     densities = tuple(
         sampled_density(
             histogram,
             counts,
-            taken=ensemble.paths * ensemble.samples,
+            taken=paths * samples,
             mirror=effects_of(setup.system).mirror,
             residual=max((abs(i.z) for i in judged), default=nan),
             tol=setup.tol if m == 0 else inf,
@@ -342,7 +332,7 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
     )
     report = diagnostics.Report(
         dt=setup.dt / setup.scheme.small,
-        paths=ensemble.paths,
+        paths=paths,
         time=taken * setup.dt,
         burn_in=burn_in,
         relaxation_time=relaxation_time(setup.system),
@@ -351,10 +341,10 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
         stride=setup.stride,
         batches=ensemble.edges.size - 1,
         seed=ensemble.seed,
-        threads=ensemble.threads,
+        threads=threads,
         kT=kT,
         long_step=setup.dt,
-        ns_per_particle_step=1e9 * record.stepping * ensemble.threads / (ensemble.paths * taken),
+        ns_per_particle_step=1e9 * record.elapsed * threads / (paths * ensemble.done),
         small_steps=setup.division,
         limited_by=setup.limited_by,
         diagnosis=diagnosed,
