@@ -35,8 +35,6 @@ FALSE_ALARMS = 1e-6
 """Probability that a right simulation is called wrong: in one observable, by all that may drift, or
 by all moment identities. A verification judges thousands of comparisons, and one false alarm ends
 it with an error."""
-Effective = tuple[str, float, float]
-"""A quantity, its independent samples of equal worth, and the relative error of the number."""
 
 
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
@@ -178,7 +176,7 @@ def drift_limit(batches: int, comparisons: int) -> float:
 
 
 def diagnosis(
-    effective: Sequence[Effective],
+    effective: Sequence[tuple[str, float, float]],
     names: Sequence[str],
     means: Array,
     *,
@@ -186,7 +184,10 @@ def diagnosis(
     paths: int,
     burn_in: float,
 ) -> Diagnosis:
-    """Return the diagnosis; ``means`` (quantities, batches, chunks), ``time`` that of each path."""
+    """Return the diagnosis of ``paths`` of ``time`` each; ``means`` (quantities, batches, chunks).
+
+    ``effective`` has quantities, their independent samples, and relative errors of these numbers.
+    """
     slowest, samples, relative_error = min(effective, key=lambda e: e[1])
     tau = paths * time / (2.0 * samples) if samples > 0 else inf
     quantities, batches, chunks = means.shape

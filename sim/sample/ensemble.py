@@ -74,9 +74,8 @@ class Ensemble:
     Trajectories take their own words of random numbers from ``word`` on.
 
     The result is bitwise the same for any ``workers`` (None: ``threads`` of this process) and any
-    division of the steps into calls of ``advance``: streams are keyed by trajectory, counts are
-    integers, and sums grow in the order of samples. Raises ``NotApplicable`` where no step begins
-    in the ``start``.
+    calls of ``advance``: streams are keyed by trajectory, counts are integers, and sums grow in the
+    order of samples. Raises ``NotApplicable`` where no step begins in the ``start``.
     """
 
     system: System
@@ -97,10 +96,7 @@ class Ensemble:
     phase: int = field(init=False, default=0)  # steps since ``watch`` that might be observed
 
     def __post_init__(self) -> None:
-        """Draw the ``states`` (blocks, 2n, LANES) before the first kick, or find those of a start.
-
-        Its largest H is the ``energy``.
-        """
+        """Draw ``states`` (blocks, 2n, LANES) before the first kick, or find those of a start."""
         self.workers = self.workers or Workers(ThreadPoolExecutor(self.threads), self.threads)
         self.threads = self.workers.threads
         self.step = step_arrays(self.system, self.scheme, self.dt, halved=self.halved)
@@ -108,7 +104,7 @@ class Ensemble:
             self.states = start_states(self.system, self.seed, -(-self.paths // LANES))
         else:
             self.states = in_blocks(np.hstack(self.start))
-        self.energy = float(np.max(self.system.hamiltonian(*self.phase_points())))
+        self.energy = float(np.max(self.system.hamiltonian(*self.phase_points())))  # the largest
         self._loudest = loudest(self.system)
         self.watch()
         if self.start is None:
@@ -152,11 +148,7 @@ class Ensemble:
         return self.word + (self.done - 1) * self.step.words
 
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
-        """Observe these from now on, all counts and sums starting from zero.
-
-        ``counts`` (batches, bins) have one more bin a histogram for outside, ``sums`` are (blocks,
-        products, LANES), the ``last`` sample (blocks, rows, LANES), without rows but for a start.
-        """
+        """Observe these from now on, counts and sums starting from zero; ``last``: last sample."""
         self.histograms, self.products = tuple(histograms), tuple(products)
         traced = [Coordinate(kind, i) for kind in ("q", "p") for i in range(self.system.n)]
         key, self._watch = watched(
@@ -234,8 +226,7 @@ class Ensemble:
     def keep(self, lanes: Integers) -> None:
         """Go on with the trajectories ``lanes``, counted along the blocks; sums begin anew.
 
-        Copies go apart after one step: random numbers belong to the place. The last block is
-        filled up with the first of them.
+        Copies go apart after one step: random numbers belong to the place.
         """
         self.states, self.last = (in_blocks(in_rows(a)[lanes]) for a in (self.states, self.last))
         self.paths = len(self.states) * LANES

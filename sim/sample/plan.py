@@ -87,8 +87,7 @@ def cost(system: System, dt: float, small: int) -> float:
 def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, float, str]:
     """Return the scheme with long steps of small ones ``dt``, how long they are, and why.
 
-    Where all trajectories are to make the same steps it is the scheme itself, and ``dt``. A long
-    step is no longer than the interval of samples, and only the exact flow is exact over it.
+    A long step is no longer than the interval of samples, and only the exact flow is exact over it.
     """
     if not system.stops:
         return scheme, dt, "no contact: all trajectories make the same steps"
@@ -115,8 +114,8 @@ class Setup:
     ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
     ``time`` or, where ``seconds`` are finite, for so long in wall time, or until the expected L1
     error of the first observable is below ``tol``. ``histograms`` None: bins that cover what a
-    pilot reaches. ``division`` and ``limited_by`` are in the report as ``small_steps`` and
-    ``limited_by``; ``failures`` are reasons not to certify an answer.
+    pilot reaches. ``division`` and ``limited_by`` are words of the report, ``failures`` reasons not
+    to certify an answer.
     """
 
     method: Settings

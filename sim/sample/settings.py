@@ -108,9 +108,8 @@ def require_stationary(system: System) -> None:
 def default_step(method: Settings, system: System, observables: Sequence[Observable] = ()) -> float:
     """Return the step: short enough for the contact, and for the accuracy the run will reach.
 
-    That follows from ``tol``, from the samples that ``seconds`` of wall time allow by ``threads``,
-    or from the sampled time. Not from wall time where there is a checkpoint: a run may go on from
-    it with another limit and on another machine; it is then as for an hour of one thread.
+    That follows from ``tol``, from the samples that ``seconds`` of wall time allow by ``threads``
+    (of an hour of one thread where a checkpoint may go on with others), or from the sampled time.
     """
     if method.tol is not None:
         return step_for(system, method.tol, observables=observables)

@@ -107,8 +107,8 @@ class Record:
         ends = np.diff(np.array(self.ends), axis=0, prepend=0.0)
         return np.ascontiguousarray(ends.transpose(2, 1, 0) / self.chunk_samples)
 
-    def effective(self) -> list[diagnostics.Effective]:
-        """Return the effective samples of every quantity, squares first."""
+    def effective(self) -> list[tuple[str, float, float]]:
+        """Return quantities, squares first, their effective samples, and relative errors."""
         variance, error = np.mean(self.variances, axis=0)
         error = error / np.sqrt(len(self.variances))
         means = self._of_paths(self.ensemble.sums) / self.ensemble.samples

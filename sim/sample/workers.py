@@ -77,10 +77,7 @@ class Workers:
 
 @contextmanager
 def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
-    """Yield ``threads`` threads here, or those of the cluster whose scheduler has the ``address``.
-
-    Raises ``Unavailable`` without dask, an answer, or a worker with the same program.
-    """
+    """Yield threads here, or those of a cluster; ``Unavailable`` if it has not this program."""
     if address is None:
         with ThreadPoolExecutor(threads) as executor:
             yield Workers(executor, threads)
@@ -120,9 +117,8 @@ class Checkpoint:
     """Advances an ensemble in pieces and saves its state every ``INTERVAL`` seconds.
 
     States are saved as NumPy's .npz at ``path`` (None: not at all), with ``identity``, a hash of
-    all that the numbers depend on, and ``notes``, arrays that the caller needs to go on. Advancing
-    ends where ``stopped()``, asked after every piece, says so, and at the ``deadline``, a value of
-    ``working_time``.
+    all that the numbers depend on, and ``notes``, arrays that the caller needs to go on. It ends
+    where ``stopped()`` says so, and at the ``deadline``, a value of ``working_time``.
     """
 
     path: Path | None = None
