@@ -30,6 +30,9 @@ Reader = Callable[..., None]
 LANES) holds the observed states number ``done`` to ``done + samples``; ``arrays`` are those of
 these blocks, changed in place. A function of a module, or a ``partial`` of one."""
 
+TASKS_PER_THREAD = 8
+"""Tasks of a thread in one piece of time: fewer cost less to hand out, more leave less to wait for
+at the end, and after Ctrl-C."""
 TRACED = 1024
 """Samples of a block that are traced, in all blocks of a task, before they are read: some MB."""
 
@@ -206,12 +209,14 @@ class Ensemble:
             word=self.word + self.done * step.words, samples=self.samples, phase=self.phase,
             steps=steps, stride=stride, read=read,
         )  # fmt: skip
-        # A batch to a task, as each has counts of its own; one thread has one task.
-        cuts = self.edges[1:-1] if self.threads > 1 else self.edges[:0]
+        # Whole batches to a task, as each has counts of its own; one thread has one task.
+        tasks = min(TASKS_PER_THREAD * (self.threads - 1) + 1, len(self.counts))
+        begins = np.arange(1, tasks) * len(self.counts) // tasks
+        cuts = self.edges[begins]
         batch = np.repeat(np.arange(len(self.counts)), np.diff(self.edges))
         by_block = (self.states, self.sums, self.last, *arrays, self.live, batch)
         *columns, live, batches = (np.split(array, cuts) for array in by_block)
-        columns.insert(2, np.split(self.counts, cuts.size + 1))
+        columns.insert(2, np.split(self.counts, begins))
         answers = self.workers.map(task, [0, *cuts.tolist()], live, batches, *columns)
         for views, changed in zip(zip(*columns, strict=True), answers, strict=True):
             for view, array in zip(views, changed, strict=True):
