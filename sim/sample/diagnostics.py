@@ -32,9 +32,8 @@ CHUNKS = 20
 """Chunks of the sampled time, to see a drift. Without a known end they begin a 32nd as long:
 whenever there are twice as many, they are joined in pairs, and the next are twice as long."""
 FALSE_ALARMS = 1e-6
-"""Probability that a right simulation is called wrong: in one observable, by all that may drift, or
-by all moment identities. A verification judges thousands of comparisons, and one false alarm ends
-it with an error."""
+"""Probability that a right simulation is called wrong, in one observable or of all that may drift.
+A verification judges thousands of comparisons, and one false alarm ends it with an error."""
 
 
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
