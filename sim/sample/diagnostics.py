@@ -19,7 +19,7 @@ from fpk.answer.density import AnyDensity, l1_distance
 from fpk.answer.method import Identity
 from fpk.answer.quantities import Number
 from fpk.answer.sampled_density import SampledDensity
-from fpk.numeric.arrays import Array
+from fpk.numeric.arrays import Array, Integers
 from fpk.system.system import System
 
 Product = tuple[str, int, str, int]
@@ -167,6 +167,13 @@ def drifts(means: Array) -> Array:
     error = difference.std(axis=2, ddof=1) / sqrt(means.shape[1])
     moved = difference.mean(axis=2)
     return np.asarray(np.divide(moved, error, out=np.zeros_like(moved), where=error > 0).T)
+
+
+def octiles(below: Integers) -> Integers:
+    """Return the bins up to which 1/8, 2/8 … of the samples ``below`` (bins,) their ends lie."""
+    cuts = np.unique(np.searchsorted(8 * below, np.arange(1, 8) * int(below[-1])))
+    # A cut below which all samples lie says nothing.
+    return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)
 
 
 def drift_limit(batches: int, comparisons: int) -> float:

@@ -96,7 +96,7 @@ class Record:
                     marginal = marginal[:, bins // 2 :] + marginal[:, : bins // 2][:, ::-1]
                 below.append(np.cumsum(marginal, axis=1))
         if not self.ends:
-            cuts = [octiles(share.sum(axis=0)).tolist() for share in below]
+            cuts = [diagnostics.octiles(share.sum(axis=0)).tolist() for share in below]
             self.chunk_samples = ensemble.samples
             self.cuts = [(axis, cut) for axis, own in enumerate(cuts) for cut in own]
         means, size = ensemble.batch_means(), ensemble.batch_paths()
@@ -147,13 +147,6 @@ class Record:
         """Squares (squares, paths) of the trajectories from ``sums`` (blocks, products, LANES)."""
         rows = np.stack([f * sums[:, k] for _, k, f in self.squares])
         return np.asarray(rows[:, np.arange(LANES) < self.ensemble.live[:, None]])
-
-
-def octiles(below: Integers) -> Integers:
-    """Return the bins up to which 1/8, 2/8 … of the samples ``below`` (bins,) their ends lie."""
-    cuts = np.unique(np.searchsorted(8 * below, np.arange(1, 8) * int(below[-1])))
-    # A cut below which all samples lie says nothing.
-    return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)
 
 
 def run(
