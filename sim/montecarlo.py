@@ -5,6 +5,7 @@ The questions are imported by those who ask: they compile code, and need what co
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from fpk.answer.dynamics import Curve
 from fpk.answer.evolution import Passage, Transient
@@ -27,13 +28,12 @@ class MonteCarlo(Settings, Method):
     ``tol``: go on until the expected L1 error of the first observable, as it is returned at points,
     is below it, at most ``longest`` seconds. ``seconds``: go on for so long instead. Both hold for
     all that follows the compiling: an answer whose burn-in or first chunk they cut short is not
-    certified and says so.
-    ``step_pair``: run a second simulation at dt/2, in two thirds of ``seconds``, and report the
-    difference of each density and moment.
-    ``threads`` None: all that there are. ``cluster``: the address of a Dask scheduler; the answer
-    depends on neither. ``checkpoint``: a folder where the state is saved at intervals and read
-    again. ``partial``: Ctrl-C ends the sampling with what there is, not certified.
-    ``allow_unstable``: take a ``dt`` at or above the stability limit; nothing is certified then. ::
+    certified and says so. ``step_pair``: run a second simulation at dt/2, in two thirds of
+    ``seconds``, and report the difference of each density and moment. ``threads`` None: all that
+    there are. ``cluster``: the address of a Dask scheduler; the answer depends on neither.
+    ``checkpoint``: a folder where the state is saved at intervals and read again. ``partial``:
+    Ctrl-C ends the sampling with what there is, not certified. ``allow_unstable``: take a ``dt`` at
+    or above the stability limit; nothing is certified then. ::
 
         fpk.solve(system, ["q2"], methods=[MonteCarlo(paths=4096, relaxations=40.0, seed=7)])
 
@@ -59,14 +59,12 @@ class MonteCarlo(Settings, Method):
         """Return the plan for ``system``; raise ``NotApplicable`` with the reason why not."""
         require_stationary(system)
 
-        def solve(
-            observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
-        ) -> Result:
+        def solve(observables: Sequence[Observable], progress: Progress, **beside: Any) -> Result:
             from sim.sample.simulation import run
 
-            return run(self, system, observables, progress, beside=beside)
+            return run(self, system, observables, progress, **beside)
 
-        return Plan(lambda _: None, lambda observables, p: solve(observables, (), p), solve)
+        return Plan(lambda _: None, solve, beside=True)
 
     @answer
     def passage(self, asked: Asked) -> Passage:

@@ -31,7 +31,7 @@ from fpk.solvers import contour
 from fpk.system import damping
 from sim.questions import curves, passage
 from sim.questions.splitting import run as splitting
-from sim.sample import checkpoint, diagnostics, histogram, plan, settings
+from sim.sample import diagnostics, histogram, plan, settings, workers
 from sim.step import step_size
 
 ROOT = Path(__file__).parent.parent
@@ -163,7 +163,7 @@ CONSTANTS = {
         f"within {short(field.SUBDIVISION)} of the largest density",
         f"is at least {short(field.CUT)} of its maximum",
     ),
-    "cluster.md": (f"Every {checkpoint.INTERVAL:g} seconds of a simulation",),
+    "cluster.md": (f"Every {workers.INTERVAL:g} seconds of a simulation",),
     "faq.md": (f"gives it to {short(phase_space.UNASKED_TOL)} or better",),
     "scene.md": (
         f"within {doubt.ACCEPTABLE_L1} in L1 of the full system",

@@ -40,10 +40,10 @@ from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.splitting.run import NOT_IN_REPETITION, Splitting, failure_of, system_problem
-from sim.sample.checkpoint import PROGRAM, program_checksum
 from sim.sample.histogram import Histogram, binned
+from sim.sample.plan import setup_of
 from sim.sample.settings import ANYWHERE, NOT_IN_STATE
-from sim.sample.simulation import setup_of
+from sim.sample.workers import PROGRAM, program_checksum
 from sim.step.kernel import KernelKey
 
 SYSTEM = System(
@@ -207,7 +207,7 @@ def test_a_repetition_is_that_of_a_problem_equal_in_all_that_matters(monkeypatch
         return str(asked.value)
 
     monkeypatch.setattr("sim.questions.splitting.run.checkpoint_of", asked_for)
-    monkeypatch.setattr("sim.sample.checkpoint.program_checksum", lambda: 1)
+    monkeypatch.setattr("sim.sample.workers.program_checksum", lambda: 1)
     limit, start = parse_limit("H=2", 2), parse_start("q1=0.1", STEADY)
     problem = system_problem(STEADY, limit, start, 5.0, dt=0.1, score=None)
     problem = replace(problem, system=SYSTEM, tables=problem.tables[:, ::32, ::32])

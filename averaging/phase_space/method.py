@@ -120,7 +120,9 @@ class PhaseSpace(Theory):
             return f"{name}: {words}; ask for q, p or pairs of them" if energy else None
 
         def solve(
-            observables: Sequence[Observable], beside: Sequence[Observable], progress: Progress
+            observables: Sequence[Observable],
+            progress: Progress,
+            beside: Sequence[Observable] = (),
         ) -> Result:
             # For each observable the solution of the least error.
             best: dict[Observable, Ladder] = {}
@@ -142,7 +144,7 @@ class PhaseSpace(Theory):
                 beside=tuple(density_of(others, o, inf) for o in beside),
             )
 
-        return Plan(refusal, lambda observables, p: solve(observables, (), p), solve)
+        return Plan(refusal, solve, beside=True)
 
     @answer
     def crossings(self, asked: Asked) -> Curve:

@@ -11,7 +11,7 @@ from cases.scene.errors import BadInput
 from cases.scene.scene import read_text
 from fpk.numeric.machine import locked
 from fpk.numeric.recognition import canonical
-from sim.sample.checkpoint import PROGRAM, program_checksum
+from sim.sample.workers import PROGRAM, program_checksum
 
 
 @contextmanager

@@ -63,15 +63,13 @@ class Plan:
     """A method prepared for one system.
 
     ``refusal(observable)`` returns why the observable is not given, None where it is;
-    ``solve(observables, progress)`` returns the result; ``solve_beside(observables, others,
-    progress)`` has the densities of ``others`` in ``beside`` with little more work.
+    ``solve(observables, progress)`` returns the result; ``beside``: it takes more observables as
+    ``beside``, whose densities take little more work.
     """
 
     refusal: Callable[[Observable], str | None]
-    solve: Callable[[Sequence[Observable], Progress], Result]
-    solve_beside: (
-        Callable[[Sequence[Observable], Sequence[Observable], Progress], Result] | None
-    ) = None
+    solve: Callable[..., Result]
+    beside: bool = False
 
 
 class Method(ABC):
@@ -129,11 +127,8 @@ class Method(ABC):
         require_observables(observables)
         plan = plan or self.planned(system, observables)
         start = perf_counter()
-        others = [o for o in beside if not plan.refusal(o)]
-        if plan.solve_beside and others:
-            result = plan.solve_beside(observables, others, progress)
-        else:
-            result = plan.solve(observables, progress)
+        others = [o for o in beside if plan.beside and not plan.refusal(o)]
+        result = plan.solve(observables, progress, **({"beside": others} if others else {}))
         source = partial(result.method.solve, system)
 
         def known(density: AnyDensity) -> AnyDensity:

@@ -19,10 +19,9 @@ from fpk.numeric.machine import left_out, usable_cores, working_time
 from fpk.system.linear import natural_modes
 from fpk.system.system import System
 from sim.questions.limits import CHUNK, needs_steps
-from sim.sample.checkpoint import interruptible
 from sim.sample.ensemble import Ensemble, Reader, ensemble_from
 from sim.sample.settings import LEAST_PATHS, Settings
-from sim.sample.workers import workers_of
+from sim.sample.workers import interruptible, workers_of
 from sim.step.arrays import LANES, in_rows
 from sim.step.random import GOLDEN, start_displacements, stream_of
 from sim.step.schemes import factored

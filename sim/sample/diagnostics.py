@@ -8,6 +8,7 @@ trajectories show τ without any correlogram: ``τ = T var(path means)/(2 σ²)`
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import takewhile
 from math import inf, nan, pi, sqrt
 from typing import Literal
 
@@ -18,33 +19,25 @@ from fpk.answer.density import AnyDensity, l1_distance
 from fpk.answer.method import Identity
 from fpk.answer.quantities import Number
 from fpk.answer.sampled_density import SampledDensity
-from fpk.numeric.arrays import Array
+from fpk.numeric.arrays import Array, Integers
 from fpk.system.system import System
 
 Product = tuple[str, int, str, int]
 """Two coordinates whose product is summed, each a kind (q, p, f or d) and a mass from 0."""
-
 LEAST_TIMES = 50.0
 """Autocorrelation times, of 2τ as emcee counts them, below which a run is refused."""
-
 LEAST_BURN_IN = 5.0
 """Autocorrelation times τ that a burn-in must have: e^−5 of a start is 0.7 % of its distance."""
-
 CHUNKS = 20
 """Chunks of the sampled time, to see a drift. Without a known end they begin a 32nd as long:
 whenever there are twice as many, they are joined in pairs, and the next are twice as long."""
-
 FALSE_ALARMS = 1e-6
 """Probability that a right simulation is called wrong, in one observable or of all that may drift.
-
 A verification judges thousands of comparisons, and one false alarm ends it with an error."""
 
 
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
-    """Return the products that are summed: p p, q p, q F, p F and q q, F = K q + g(q).
-
-    With damping ``terms`` of the forces D_i = Σ_j c̃_ij v_j also p D and q D.
-    """
+    """Return the products that are summed, F = K q + g(q), D_i = Σ_j c̃_ij v_j of the ``terms``."""
     masses = range(n)
     products: list[Product] = [("p", i, "p", j) for i in masses for j in range(i, n)]
     products += [("q", i, "p", j) for i in masses for j in masses]
@@ -65,48 +58,38 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
 
     The generator applied to H, q_i p_i and p_i² has mean zero:
     ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
-    ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ and F = K q + g(q). Damping terms are
-    part of c, inside the means. ``batch_means`` (batches, products): errors are from their spread.
+    ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ. Damping terms are part of c, inside the
+    means. ``batch_means`` (batches, products): errors are from their spread.
     """
     m, c, masses = system.mass, system.damping, range(system.n)
     mean = batch_moments(system, batch_means)
 
     def damped(a: str, i: int) -> Array:
         terms = [c[i, j] / m[j] * mean[a, i, "p", j] for j in masses]
-        if system.damping_terms:
-            terms.append(mean[a, i, "d", i])
-        return np.asarray(np.sum(terms, axis=0))
-
-    def identity(name: str, batches: Array, expected: float) -> Identity:
-        error = float(batches.std(ddof=1) / np.sqrt(batches.size))
-        return Identity(name, float(batches.mean()), expected, error)
+        return np.asarray(np.sum(terms, axis=0) + mean.get((a, i, "d", i), 0.0))
 
     noise = np.diag(system.noise_matrix)
     loss = np.sum([damped("p", i) / m[i] for i in masses], axis=0)
-    identities = [identity("energy balance", loss, float(np.sum(noise / m)))]
+    sides = [("energy balance", loss, float(np.sum(noise / m)))]
     for i in masses:
         virial = mean["p", i, "p", i] / m[i] - mean["q", i, "f", i] - damped("q", i)
-        identities.append(identity(f"virial of mass {i + 1}", virial, 0.0))
         work = mean["p", i, "f", i] + damped("p", i)
-        identities.append(identity(f"kinetic balance of mass {i + 1}", work, float(noise[i])))
-    return tuple(identities)
+        sides.append((f"virial of mass {i + 1}", virial, 0.0))
+        sides.append((f"kinetic balance of mass {i + 1}", work, float(noise[i])))
+    return tuple(
+        Identity(name, float(left.mean()), right, float(left.std(ddof=1) / np.sqrt(left.size)))
+        for name, left, right in sides
+    )
 
 
 def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
-    """Return ∫|p_a − p_b| of two independent samples, and as error what chance alone makes of it.
-
-    Their bins, which are the same, are joined to 128, of two coordinates to 64 along each: all of
-    them would show the counting noise of each, which any smoothing removes.
-    """
+    """Return ∫|p_a − p_b| of two independent samples, with its mean by chance alone as error."""
+    # Their bins are the same; joined ones have less counting noise.
     wanted = 128 if len(a.edges) == 1 else 64
     a, b = (density.joined(min(density.values.shape) // wanted) for density in (a, b))
     spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
     area = float(np.prod([e[1] - e[0] for e in a.edges]))
     return Number(l1_distance(a, b), sqrt(2.0 / pi) * area * spread)
-
-
-Effective = tuple[str, float, float]
-"""A quantity, its independent samples of equal worth, and the relative error of the number."""
 
 
 @dataclass(frozen=True)
@@ -130,11 +113,7 @@ class Diagnosis:
 
 
 def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> tuple[Array, Array]:
-    """Return effective samples of trajectories with the ``means`` and their relative errors.
-
-    ``means`` (quantities, paths); ``variance`` is the σ² of single samples, known to
-    ``relative_error``.
-    """
+    """Return effective samples of ``means`` (quantities, paths), σ² ``variance``, and errors."""
     of_means = means.var(axis=1, ddof=1)
     samples = np.full_like(of_means, inf)
     np.divide(means.shape[1] * variance, of_means, out=samples, where=of_means > 0)
@@ -142,11 +121,8 @@ def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> 
 
 
 def effective_of_shares(shares: Array) -> tuple[float, float]:
-    """Return effective samples of a distribution function, and the relative error of the number.
-
-    ``shares`` (batches, levels) are those of samples below each level; of n independent samples
-    their variances sum to Σ s(1 − s)/n. Levels vary together: the error is that of one variance.
-    """
+    """Return effective samples of ``shares`` below levels (batches, levels), and their error."""
+    # Of n samples the variances sum to Σ s(1 − s)/n. Levels vary together: the error is of one.
     batches, s = shares.shape[0], shares.mean(axis=0)
     variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
     samples = float(np.sum(s * (1.0 - s))) / variance if variance > 0 else inf
@@ -161,16 +137,15 @@ def variance_error(samples: Array) -> Array:
     squares = np.divide(away, size, out=np.zeros_like(away), where=size > 0) ** 2
     second = np.mean(squares, axis=-1)
     # kurtosis − 1 as a variance: of two values alone it is 0, never below.
-    scatter = np.mean((squares - second[..., None]) ** 2, axis=-1)
-    excess = np.divide(scatter, second**2, out=np.zeros_like(second), where=second > 0)
+    excess = np.divide(squares.var(axis=-1), second**2, out=np.zeros_like(second), where=second > 0)
     return np.asarray(np.sqrt(excess / samples.shape[-1]))
 
 
 def split_r_hat(draws: Array) -> float:
     """Return the split R-hat of ``draws`` (chains, draws); not a number below four draws.
 
-    Of the halves of the chains, n draws each: ``R = √((n − 1)/n + B/(n W))``, W the mean of their
-    variances, B n times the variance of their means (Gelman et al., BDA3, section 11.4).
+    Of halves of chains, n draws each: ``R = √((n − 1)/n + B/(n W))``, W the mean of the variances,
+    B n times the variance of the means (Gelman et al., BDA3, section 11.4).
     """
     half = draws.shape[1] // 2
     if half < 2:
@@ -184,10 +159,7 @@ def split_r_hat(draws: Array) -> float:
 
 
 def drifts(means: Array) -> Array:
-    """Return z of (first chunk − others) and (first half − second), (quantities, 2).
-
-    ``means`` (quantities, batches, chunks); the standard errors are those of independent batches.
-    """
+    """Return z of first chunk − others and half − half, from ``means`` as of ``diagnosis``."""
     half = means.shape[2] // 2
     first, others = means[:, :, 0], means[:, :, 1:].mean(axis=2)
     early, late = means[:, :, :half].mean(axis=2), means[:, :, -half:].mean(axis=2)
@@ -197,13 +169,20 @@ def drifts(means: Array) -> Array:
     return np.asarray(np.divide(moved, error, out=np.zeros_like(moved), where=error > 0).T)
 
 
+def octiles(below: Integers) -> Integers:
+    """Return the bins up to which 1/8, 2/8 … of the samples ``below`` (bins,) their ends lie."""
+    cuts = np.unique(np.searchsorted(8 * below, np.arange(1, 8) * int(below[-1])))
+    # A cut below which all samples lie says nothing.
+    return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)
+
+
 def drift_limit(batches: int, comparisons: int) -> float:
     """Return the |z| that the largest of some Student's t passes with ``FALSE_ALARMS`` at most."""
     return -float(stdtrit(batches - 1, 0.5 * FALSE_ALARMS / max(1, comparisons)))
 
 
 def diagnosis(
-    effective: Sequence[Effective],
+    effective: Sequence[tuple[str, float, float]],
     names: Sequence[str],
     means: Array,
     *,
@@ -211,16 +190,16 @@ def diagnosis(
     paths: int,
     burn_in: float,
 ) -> Diagnosis:
-    """Return the diagnosis of ``paths`` trajectories of ``time`` after ``burn_in`` (a time).
+    """Return the diagnosis of ``paths`` of ``time`` each; ``means`` (quantities, batches, chunks).
 
-    ``means`` (quantities, batches, chunks) belong to the ``names``.
+    ``effective`` has quantities, their independent samples, and relative errors of these numbers.
     """
     slowest, samples, relative_error = min(effective, key=lambda e: e[1])
     tau = paths * time / (2.0 * samples) if samples > 0 else inf
     quantities, batches, chunks = means.shape
     z = np.abs(drifts(means)) if chunks > 1 else np.zeros((quantities, 2))
     drift, limit = float(z.max()), drift_limit(batches, z.size)
-    failures = []
+    failures = list[str]()
     if chunks < 2:
         failures.append("it ended in its first chunk, where no drift shows; sample for longer")
     if samples < LEAST_TIMES:
@@ -238,17 +217,9 @@ def diagnosis(
             f"{names[int(np.argmax(z.max(axis=1)))]} drifts: its first part differs from the rest"
             f" by {drift:.1f} standard errors (chance explains {limit:.1f}); use a longer burn_in"
         )
-    return Diagnosis(
-        autocorrelation_time=tau,
-        effective_samples=samples,
-        relative_error=relative_error,
-        slowest=slowest,
-        times_per_path=time / tau if tau > 0 else inf,
-        r_hat=max(split_r_hat(m) for m in means),
-        drift=drift,
-        drift_limit=limit,
-        failures=tuple(failures),
-    )
+    length, r_hat = time / tau if tau > 0 else inf, max(map(split_r_hat, means))
+    known = tau, samples, relative_error, slowest, length, r_hat, drift, limit
+    return Diagnosis(*known, failures=tuple(failures))
 
 
 @dataclass(frozen=True)
@@ -263,10 +234,9 @@ class Report:
     ``diagnosis`` is None where Ctrl-C ended the sampling, as ``interrupted`` then says, or the
     limit of time did, in its first chunk. ``moments`` are means over the sampled states by name,
     such as ``q2²``, with one standard error. ``step_pair`` says whether a second simulation at half
-    the step could be compared; ``step_biases``, by the names of densities (such as ``q2,p2``) and
-    of moments, are the differences: of a density the L1 distance, with its mean were both densities
-    the same, of a moment the difference with its standard error. With weak order w the difference
-    is ``1 − 2^−w`` of the bias at dt.
+    the step could be compared; ``step_biases`` are the differences by the names of densities, such
+    as ``q2,p2`` (L1 distances, with their means were both the same), and of moments (with standard
+    errors). With weak order w they are ``1 − 2^−w`` of the bias at dt.
     """
 
     dt: float
@@ -293,9 +263,8 @@ class Report:
 
     def settings(self, densities: Sequence[AnyDensity]) -> dict[str, str | float | int]:
         """Return everything, errors of ``densities`` too, by the names of tables and JSON."""
-        names = [f.name for f in fields(self)]
-        own = {name: getattr(self, name) for name in names[: names.index("diagnosis")]}
-        settings = {name: value for name, value in own.items() if value != ""}
+        of_run = takewhile(lambda f: f.name != "diagnosis", fields(self))
+        settings = {f.name: own for f in of_run if (own := getattr(self, f.name)) != ""}
         if self.interrupted:
             settings["partial"] = self.interrupted
         if d := self.diagnosis:
@@ -311,9 +280,8 @@ class Report:
             }
         settings |= {f"sampling error of {d.name}": d.l1_error for d in densities}
         if densities:
-            settings["sampling error"] = (
-                "expected L1 error of the density as it is returned at points; tol is of the same"
-            )
+            words = "expected L1 error of the density as it is returned at points"
+            settings["sampling error"] = f"{words}; tol is of the same"
         for name, mean in self.moments.items():
             settings |= {f"E {name}": mean.value, f"standard error of E {name}": mean.error}
         settings["step bias"] = self.step_pair

@@ -18,7 +18,7 @@ from fpk.system.system import System
 from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
 from sim.sample.plan import step_arrays, watched
-from sim.sample.workers import TASKS_PER_THREAD, Workers
+from sim.sample.workers import Workers
 from sim.step.arrays import GROUPS, LANES, StepArrays, WatchArrays, in_blocks, in_rows
 from sim.step.kernel import KernelKey, compiled_kernel
 from sim.step.random import mixed_seed, start_states
@@ -30,6 +30,9 @@ Reader = Callable[..., None]
 LANES) holds the observed states number ``done`` to ``done + samples``; ``arrays`` are those of
 these blocks, changed in place. A function of a module, or a ``partial`` of one."""
 
+TASKS_PER_THREAD = 8
+"""Tasks of a thread in one piece of time: fewer cost less to hand out, more leave less to wait for
+at the end, and after Ctrl-C."""
 TRACED = 1024
 """Samples of a block that are traced, in all blocks of a task, before they are read: some MB."""
 
@@ -39,10 +42,7 @@ def advanced(
     watch: WatchArrays, offset: np.uint64, word: int, samples: int, phase: int, steps: int,
     stride: int, read: Reader | None,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Advance batches that begin with block ``first``; all ``arrays`` change in place.
-
-    They are the states, sums, counts, last samples, and those of the reader.
-    """
+    """Advance batches from block ``first`` on; ``arrays``, the reader's too, change in place."""
     states, sums, counts, last, *own = arrays
     blocks, rows, strength = len(states), watch.traced.size, step.strength
     piece = max(1, TRACED // blocks) * stride if rows else steps
@@ -75,9 +75,9 @@ class Ensemble:
     the noise, the start at its time ``begin``: a step has the root of the mean square.
     Trajectories take their own words of random numbers from ``word`` on.
 
-    ``workers`` (None: ``threads`` of this process) may be those of a cluster. The result is bitwise
-    the same for any workers and any division of the steps into calls of ``advance``: streams are
-    keyed by trajectory, counts are integers, and sums grow in the order of samples.
+    The result is bitwise the same for any ``workers`` (None: ``threads`` of this process) and any
+    calls of ``advance``: streams are keyed by trajectory, counts are integers, and sums grow in the
+    order of samples. Raises ``NotApplicable`` where no step begins in the ``start``.
     """
 
     system: System
@@ -93,18 +93,12 @@ class Ensemble:
     word: int = 0
     modulation: Modulation | None = None
     begin: float = 0.0
-    energy: float = field(init=False)  # largest H at the start
-    step: StepArrays = field(init=False)
-    states: Array = field(init=False)  # (blocks, 2n, LANES), just before the next kick
-    sums: Array = field(init=False)  # (blocks, products, LANES)
-    counts: Integers = field(init=False)  # (batches, bins), one more bin a histogram for outside
-    last: Array = field(init=False)  # (blocks, rows, LANES), the last sample; no rows without start
     done: int = field(init=False, default=0)  # steps, one more than by then with a start
     samples: int = field(init=False, default=0)
     phase: int = field(init=False, default=0)  # steps since ``watch`` that might be observed
 
     def __post_init__(self) -> None:
-        """Draw the states in which the trajectories start, or find those observed as ``start``."""
+        """Draw ``states`` (blocks, 2n, LANES) before the first kick, or find those of a start."""
         self.workers = self.workers or Workers(ThreadPoolExecutor(self.threads), self.threads)
         self.threads = self.workers.threads
         self.step = step_arrays(self.system, self.scheme, self.dt, halved=self.halved)
@@ -112,11 +106,27 @@ class Ensemble:
             self.states = start_states(self.system, self.seed, -(-self.paths // LANES))
         else:
             self.states = in_blocks(np.hstack(self.start))
-        self.energy = float(np.max(self.system.hamiltonian(*self.phase_points())))
+        self.energy = float(np.max(self.system.hamiltonian(*self.phase_points())))  # the largest
         self._loudest = loudest(self.system)
         self.watch()
-        if self.start is not None:
-            self._invert()
+        if self.start is None:
+            return
+        # The state whose observation is the start, by iteration, and its first step. Displacements
+        # count in units of momenta.
+        n, wanted, before = self.system.n, self.states, self.states.copy()
+        impedance = np.sqrt(self.system.mass * np.diag(self.system.stiffness_matrix))
+        scale = np.concatenate([impedance, np.ones(n)])[:, None]
+        enough = 1e-13 * np.max(np.abs(wanted * scale))
+        for _ in range(100):
+            self.states = before.copy()
+            self._advance(1, 1, None, ())
+            with np.errstate(over="ignore", invalid="ignore"):  # not a number is not enough
+                missing = wanted - self.last[:, : 2 * n]
+                if np.all(np.abs(missing * scale) <= enough):
+                    self.done = self.phase = 1
+                    return
+                before += missing
+        raise NotApplicable(f"no step of {self.dt:g} begins in the start; use a smaller dt")
 
     @property
     def edges(self) -> Integers:
@@ -140,48 +150,25 @@ class Ensemble:
         return self.word + (self.done - 1) * self.step.words
 
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
-        """Observe these from now on, all counts and sums starting from zero."""
+        """Observe these from now on, counts and sums starting from zero; ``last``: last sample."""
         self.histograms, self.products = tuple(histograms), tuple(products)
         traced = [Coordinate(kind, i) for kind in ("q", "p") for i in range(self.system.n)]
         self._key, self._watch = watched(
             self.system, self.scheme, self.step, self.histograms, self.products,
             () if self.start is None else (*traced, *self.energies),
         )  # fmt: skip
-        self.last = np.zeros((len(self.states), self._watch.traced.size, LANES))
-        self.samples = self.phase = 0
-        self._clear()
-
-    def _clear(self) -> None:
-        self.sums = np.zeros((len(self.states), len(self.products), LANES))
-        bins = starts(self.histograms)[-1]
+        blocks, bins = len(self.states), starts(self.histograms)[-1]
+        self.last = np.zeros((blocks, self._watch.traced.size, LANES))
+        self.sums = np.zeros((blocks, len(self.products), LANES))
         self.counts = np.zeros((self.edges.size - 1, bins), dtype=np.int64)
-
-    def _invert(self) -> None:
-        """Find the states whose observation is the start, by iteration; make their first step."""
-        n, wanted = self.system.n, self.states
-        # Displacements in units of momenta.
-        impedance = np.sqrt(self.system.mass * np.diag(self.system.stiffness_matrix))
-        scale = np.concatenate([impedance, np.ones(n)])[:, None]
-        enough = 1e-13 * np.max(np.abs(wanted * scale))
-        before = wanted.copy()
-        for _ in range(100):
-            self.states = before.copy()
-            self._advance(1, 1, None, ())
-            with np.errstate(over="ignore", invalid="ignore"):  # not a number is not enough
-                missing = wanted - self.last[:, : 2 * n]
-                if np.all(np.abs(missing * scale) <= enough):
-                    self.done = self.phase = 1
-                    return
-                before += missing
-        raise NotApplicable(f"no step of {self.dt:g} begins in the start; use a smaller dt")
+        self.samples = self.phase = 0
 
     def advance(
         self, steps: int, *arrays: NDArray[Any], stride: int = 1, read: Reader | None = None,
         passed: Array | None = None,
     ) -> None:  # fmt: skip
-        """Advance all trajectories; every ``stride``-th step since ``watch`` is observed, or none.
+        """Advance all trajectories; every ``stride``-th step since ``watch`` is observed, 0: none.
 
-        ``stride`` 0: nothing is observed, and ``watch`` may be called with ranges still unknown.
         With a start ``steps`` are whole strides, and ``read`` sees each sample, and the one before
         the first of them, with its ``arrays``, which are split by blocks, their first axis.
         Raises ``NotCertified`` where the step is seen to be unstable, by trajectories of which
@@ -222,14 +209,13 @@ class Ensemble:
         )  # fmt: skip
         # Whole batches to a task, as each has counts of its own; one thread has one task.
         tasks = min(TASKS_PER_THREAD * (self.threads - 1) + 1, len(self.counts))
-        batches = np.diff(self.edges)
-        begins = np.arange(1, tasks) * batches.size // tasks
+        begins = np.arange(1, tasks) * len(self.counts) // tasks
         cuts = self.edges[begins]
-        columns = [np.split(array, cuts) for array in (self.states, self.sums, self.last, *arrays)]
+        batch = np.repeat(np.arange(len(self.counts)), np.diff(self.edges))
+        by_block = (self.states, self.sums, self.last, *arrays, self.live, batch)
+        *columns, live, batches = (np.split(array, cuts) for array in by_block)
         columns.insert(2, np.split(self.counts, begins))
-        batch = np.split(np.repeat(np.arange(batches.size), batches), cuts)
-        first, live = [0, *cuts.tolist()], np.split(self.live, cuts)
-        answers = self.workers.map(task, first, live, batch, *columns)
+        answers = self.workers.map(task, [0, *cuts.tolist()], live, batches, *columns)
         for views, changed in zip(zip(*columns, strict=True), answers, strict=True):
             for view, array in zip(views, changed, strict=True):
                 if view is not array:  # it comes from another process
@@ -241,14 +227,14 @@ class Ensemble:
         return replace(self, start=(q, p), dt=dt, word=self.next_word, begin=self.time)
 
     def keep(self, lanes: Integers) -> None:
-        """Go on with the trajectories ``lanes``, counted along the blocks; one may come twice.
+        """Go on with the trajectories ``lanes``, counted along the blocks; sums begin anew.
 
-        Copies go apart after one step: random numbers belong to the place. The last block is
-        filled up with the first of them. Sums and counts begin anew.
+        Copies go apart after one step: random numbers belong to the place.
         """
         self.states, self.last = (in_blocks(in_rows(a)[lanes]) for a in (self.states, self.last))
         self.paths = len(self.states) * LANES
-        self._clear()
+        self.sums = np.zeros((len(self.states), *self.sums.shape[1:]))
+        self.counts = np.zeros((self.edges.size - 1, self.counts.shape[1]), dtype=np.int64)
 
     def batch_paths(self) -> Integers:
         """Return the number of trajectories of each batch."""
@@ -263,8 +249,8 @@ class Ensemble:
 
     def counted(self) -> Iterator[tuple[Histogram, Integers]]:
         """Return each histogram with its counts (batches, bins + 1), the last of them outside."""
-        counts = np.split(self.counts, starts(self.histograms)[1:], axis=1)
-        return zip(self.histograms, counts, strict=False)  # nothing lies behind the last one
+        counts = np.split(self.counts, starts(self.histograms)[1:-1], axis=1)
+        return zip(self.histograms, counts, strict=False)  # without histograms there is one part
 
     def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
         """Return q and p (paths, n) just before the next kick, of the first ``most`` paths."""
@@ -279,7 +265,7 @@ class Ensemble:
 
     def restore(self, saved: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what ``saved`` returned, by any workers, after the same calls of ``watch``."""
-        self.done, self.samples, self.phase = (int(number) for number in saved["clock"])
+        self.done, self.samples, self.phase = saved["clock"].tolist()
         self.states[...], self.sums[...] = saved["states"], saved["sums"]
         self.counts[...] = saved["counts"]
 

@@ -20,18 +20,14 @@ from sim.step.step_size import temperature
 
 BINS = (1024, 128)
 """Bins of each axis of a histogram of one and of two coordinates."""
-
 MARGIN = 0.3
 """Share of the pilot's range that is added beyond its extremes."""
-
 DEEPEST = 30.0
 """Contact energy, in units of kT, up to which bins reach beyond a stop: e^−30 of p is left."""
-
 LOWEST, SHARE = 400, 0.35
 """Number of the lowest sampled energies, and the share of them in the lowest quarter of their range
 above which p is taken to rise towards H = 0: of a smooth p it is 0.25, within 0.022 by chance (one
 standard error), of p ~ H^(−1/2) 0.5."""
-
 LARGEST_TAIL = 1e-3
 """Share of samples outside a histogram above which its density is not certified."""
 
@@ -59,17 +55,14 @@ class Histogram:
         return int(np.prod(self.shape))
 
     def counted(self, columns: Sequence[Array], groups: int = 1) -> Integers:
-        """Return how many samples each bin has, (groups, bins + 1), the last of them outside.
-
-        ``columns`` are the coordinates (samples,); samples belong to the groups in turn.
-        """
+        """Return samples by bin, (groups, bins + 1), the last outside; groups take them in turn."""
         bins, inside = np.array(0), np.array(True)
         for x, e in zip(columns, self.edges, strict=True):
             inside = inside & (x >= e[0]) & (x < e[-1])
             bins = bins * (e.size - 1) + np.searchsorted(e, x, side="right") - 1
         number = np.where(inside, bins, self.size)
-        index = np.arange(number.size) % groups * (self.size + 1) + number
-        return np.bincount(index, minlength=groups * (self.size + 1)).reshape(groups, -1)
+        index, each = np.arange(number.size) % groups, self.size + 1
+        return np.bincount(index * each + number, minlength=groups * each).reshape(groups, -1)
 
 
 def binned(
@@ -92,8 +85,8 @@ def binned(
     for a, b in pairwise(nodes):
         edges.append(a + (b - a) * (share**4 if widening and a in inside else share))
         edges[-1][-1] = b
-    above = tuple(inside) if widening else ()
-    return BinAxis(np.concatenate(edges), tuple(inside), above, reference)
+    known = tuple(inside)
+    return BinAxis(np.concatenate(edges), known, known if widening else (), reference)
 
 
 def axis_of(
@@ -102,40 +95,37 @@ def axis_of(
 ) -> BinAxis:  # fmt: skip
     """Return bins of a coordinate that was seen between ``low`` and ``high``, with a margin.
 
-    Energies start at 0, and beyond a stop bins end where contact energies do. ``rises`` as of the
-    function ``rises``.
+    Energies start at 0; with ``rises`` their density may rise towards it. Beyond the outermost
+    stop that was reached bins of q end where its contact energy is ``DEEPEST`` kT, or farther out.
     """
     energy, reach, wide = coordinate.kind == "H", MARGIN * (high - low), 1.0 + 2.0 * MARGIN
+    mirror = effects_of(system).mirror and not energy
     kinks = [*([0.0] if energy and rises else []), *kinks_of(system, coordinate)]
     if energy:
         low, high = 0.0, wide * high
-    elif effects_of(system).mirror:
+    elif mirror:
         high = wide * max(-low, high)
         low = -high
     else:
         low, high = low - reach, high + reach
 
-    def end(side: float, x: float, seen: float) -> float:
-        """Where bins of side·q end instead of at ``x``: deep enough in the outermost stop before.
-
-        That is where its contact energy is ``DEEPEST`` kT, and beyond what was ``seen``.
-        """
+    def end(side: float, x: float) -> float:
+        """Where bins of side·q end instead of at ``x``, which is ``reach`` beyond what was seen."""
         own = (s for s in system.stops if (s.index, s.sign) == (coordinate.row, side))
         stop = max((s for s in own if s.clearance < x), key=lambda s: s.clearance, default=None)
         if stop is None:
             return x
-        depth, kT = max(wide * (seen - stop.clearance), 0.0), temperature(system)
+        depth, kT = max(wide * (x - reach - stop.clearance), 0.0), temperature(system)
         if isfinite(kT) and kT > 0.0:
             depth = max(depth, stop.overlap_at(DEEPEST * kT))
         return min(x, stop.clearance + depth) if depth > 0.0 else x
 
     if coordinate.kind == "q":
-        low, high = -end(-1.0, -low, -low - reach), end(1.0, high, high - reach)
+        low, high = -end(-1.0, -low), end(1.0, high)
     reference = partial(reference_of, system, coordinate)
     axis = binned(low, high, kinks, bins, widening=energy, reference=reference)
-    if effects_of(system).mirror and not energy:  # to the last digit
-        axis = replace(axis, edges=0.5 * (axis.edges - axis.edges[::-1]))
-    return axis
+    # Symmetric to the last digit.
+    return replace(axis, edges=0.5 * (axis.edges - axis.edges[::-1])) if mirror else axis
 
 
 def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
@@ -166,23 +156,14 @@ def rises(energies: Array) -> bool:
 
 
 def covering(
-    observables: Sequence[Observable],
-    reached: Array,
-    axis: Callable[[Coordinate, float, float, int], BinAxis],
+    observables: Sequence[Observable], reached: Array, axis: Callable[..., BinAxis]
 ) -> tuple[Histogram, ...]:
-    """Return histograms over the extremes ``reached`` (coordinates, 2) of all coordinates.
-
-    ``axis(coordinate, low, high, bins)`` makes the bins of each.
-    """
-    histograms, pairs = [], iter(reached.tolist())
-    for observable in observables:
-        axes, bins = [], BINS[len(observable) - 1]
-        for coordinate in observable:
-            low, high = next(pairs)
-            low, high = (low, high) if low <= high else (-1.0, 1.0)
-            axes.append(axis(coordinate, low, high, bins))
-        histograms.append(Histogram(observable, tuple(axes)))
-    return tuple(histograms)
+    """Return histograms over ``reached`` (coordinates, 2); ``axis`` as ``axis_of`` of a system."""
+    # Extremes that are not numbers do not ascend.
+    ends = iter(np.where(reached[:, :1] <= reached[:, 1:], reached, (-1.0, 1.0)).tolist())
+    return tuple(
+        Histogram(o, tuple(axis(c, *next(ends), BINS[len(o) - 1]) for c in o)) for o in observables
+    )
 
 
 def starts(histograms: Sequence[Histogram]) -> Integers:
@@ -191,20 +172,14 @@ def starts(histograms: Sequence[Histogram]) -> Integers:
 
 
 def mirrored(histogram: Histogram, counts: Integers) -> Integers:
-    """Return ``counts`` (batches, bins + 1) plus the counts of the mirrored states, (−q, −p).
-
-    Energies do not change sign; the edges of all else lie symmetrically about zero.
-    """
+    """Return ``counts`` (batches, bins + 1) plus the counts of the mirrored states, (−q, −p)."""
     axes = tuple(a for a, c in enumerate(histogram.observable, start=1) if c.kind != "H")
     reflected = np.flip(counts[:, :-1].reshape(-1, *histogram.shape), axis=axes)
     return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
 
 
 def reference_of(system: System, coordinate: Coordinate, x: Array, bins: Integers) -> Array:
-    """Return ln of a function about as steep as the density at ``x``, up to a constant.
-
-    Of q_i −U_i/kT, which is exact where Eq. (7) holds; of H (n − 1) ln H.
-    """
+    """Return about ln p(x), up to a constant: −U_i/kT of q_i, as of Eq. (7), (n − 1) ln H of H."""
     if coordinate.kind == "H" and coordinate.index is None:
         return log_states(system.n, x, bins)
     if coordinate.kind == "q" and coordinate.row in system.contact_masses:

@@ -1,4 +1,4 @@
-"""From a system, a scheme and a step to the arrays that the kernel reads, and its key.
+"""From settings and a system to a setup, to the arrays that the kernel reads, and to its key.
 
 A long step ``H = small · h`` divides the trajectories by their state x at its start: *near* ones
 make ``small`` steps ``h`` with kicks; *far* ones make it at once, which is exact in law unless they
@@ -11,30 +11,33 @@ probability of 1.4e-11 at most: docs/theory.md, "The step of the simulation".
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
-from math import isfinite, log, sqrt
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import ceil, inf, isfinite, log, sqrt
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import expm
 from scipy.special import comb, ndtr
 
-from fpk.answer.observable import Coordinate
+from fpk.answer.observable import Coordinate, Observable
 from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.errors import InvalidInput
 from fpk.system.linear import drift_matrix, natural_modes
 from fpk.system.system import System, effects_of
 from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
+from sim.sample.settings import NOT_IN_STATE, Settings, default_step
+from sim.sample.workers import Checkpoint, checkpoint_of
 from sim.step.arrays import LANES, NARROW, Rows, StepArrays, TermArrays, WatchArrays
 from sim.step.kernel import KernelKey
-from sim.step.schemes import Scheme, exact_flow, lower_trapezoidal, padded
-from sim.step.step_size import sampling_interval, temperature
+from sim.step.schemes import SCHEMES, Scheme, exact_flow, lower_trapezoidal, padded
+from sim.step.step_size import relaxation_time, sampling_interval, stability_limit, temperature
 
 LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
 """Radius of a pair of normals at most: its uniform number is 2**-32 or more; and its rounding."""
-
 SMALL_STEPS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 """Small steps in a long one; few choices, so that round-off does not decide between them."""
-
 LONG_COST, SMALL_COST, WORTH = 2.3, 1.2, 0.8
 """Processor time of a long step, and of a small step in a group, in units of a step of a whole
 block (measured by ``benchmarks/montecarlo.py``), and the cost below which long steps are made."""
@@ -53,20 +56,15 @@ def bends(system: System, H: float, masses: Integers) -> Array:
     The largest curvature is that on a grid of times, and half an interval times the largest slope.
     """
     drift, step = drift_matrix(system), H / 64
-    across = expm(drift * step)
-    value = drift[system.n + masses] / system.mass[masses, None]
-    largest, slope = np.zeros_like(value), np.zeros_like(value)
-    for _ in range(65):
-        largest, slope = np.maximum(largest, abs(value)), np.maximum(slope, abs(value @ drift))
-        value = value @ across
-    return np.asarray(H**2 / 8.0 * (largest + 0.5 * step * slope))
+    across, values = expm(drift * step), [drift[system.n + masses] / system.mass[masses, None]]
+    for _ in range(64):
+        values.append(values[-1] @ across)
+    curvature, slope = np.abs(values).max(axis=0), np.abs(values @ drift).max(axis=0)
+    return np.asarray(H**2 / 8.0 * (curvature + 0.5 * step * slope))
 
 
 def cost(system: System, dt: float, small: int) -> float:
-    """Return the processor time of long steps over that of uniform steps ``dt``, an estimate.
-
-    By the share of trajectories that are near a stop, each mass taken alone at kT.
-    """
+    """Return about the processor time of long steps over that of steps ``dt``, masses at kT."""
     if small == 1:
         return 1.0
     H, kT, far, masses = small * dt, temperature(system), 1.0, system.contact_masses
@@ -89,9 +87,7 @@ def cost(system: System, dt: float, small: int) -> float:
 def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, float, str]:
     """Return the scheme with long steps of small ones ``dt``, how long they are, and why.
 
-    Where all trajectories are to make the same steps it is the scheme itself, and ``dt``. A long
-    step is no longer than the interval of samples. Damping terms act between stops, too, and only
-    the exact flow is exact over a long step.
+    A long step is no longer than the interval of samples, and only the exact flow is exact over it.
     """
     if not system.stops:
         return scheme, dt, "no contact: all trajectories make the same steps"
@@ -111,43 +107,101 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
     return replace(scheme, small=small), small * dt, words
 
 
-def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
-    """Return the numbers of one step of ``dt``; a stop equal on both sides counts as one.
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
 
-    ``halved``: the linear map is that of dt/2, of which a step makes two, with the normals of two
-    steps dt/2.
+    ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
+    ``time`` or, where ``seconds`` are finite, for so long in wall time, or until the expected L1
+    error of the first observable is below ``tol``. ``histograms`` None: bins that cover what a
+    pilot reaches. ``division`` and ``limited_by`` are words of the report, ``failures`` reasons not
+    to certify an answer.
     """
+
+    method: Settings
+    system: System
+    observables: Sequence[Observable]
+    scheme: Scheme
+    dt: float
+    time: float
+    tol: float = inf
+    seconds: float = inf
+    histograms: tuple[Histogram, ...] | None = None
+    division: str = ""
+    limited_by: Literal["", "most_steps"] = ""
+    failures: tuple[str, ...] = ()
+
+    @cached_property
+    def stride(self) -> int:
+        """Steps from one sample to the next."""
+        return max(1, round(sampling_interval(self.system) / self.dt))
+
+    @cached_property
+    def burn_in_steps(self) -> int:
+        """Steps before the sampling begins."""
+        return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
+
+    def checkpoint(self) -> Checkpoint:
+        """Return the checkpoint in the folder of the method; another limit of time may go on."""
+        limited = self.seconds < inf
+        return checkpoint_of(self.method.checkpoint, (self, limited), less=NOT_IN_STATE)
+
+
+def setup_of(method: Settings, system: System, observables: Sequence[Observable]) -> Setup:
+    """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
+    scheme, failures = SCHEMES[method.scheme], list[str]()
+    dt = method.dt or method.step_factor * default_step(method, system, observables)
+    limit = stability_limit(system, scheme)
+    if not 0.0 < dt < limit:
+        remedy = f"must be > 0 and below the stability limit {limit:.4g} of {scheme.name}"
+        if not method.allow_unstable:
+            raise InvalidInput("dt", dt, remedy)
+        failures.append(f"the step {dt:g} was insisted on: it {remedy}")
+    # Of its 2**40 words of random numbers a trajectory takes n a step, 5/4 n with long steps.
+    relaxation = relaxation_time(system)
+    longest = method.burn_in * relaxation + (method.time or 0.0)
+    if dt < (shortest := 2.0**-39 * system.n * longest):
+        remedy = f"takes more random numbers than a trajectory has; use at least {shortest:.2g}"
+        raise InvalidInput("dt", dt, remedy)
+    scheme, long, division = with_long_steps(system, scheme, dt)
+    tol = method.tol if method.tol is not None and observables else inf
+    own = 3.0 if method.step_pair else 1.0  # half the step takes twice as long
+    seconds = method.seconds / own if method.seconds else method.longest if tol < inf else inf
+    time = method.sampled_time(system, dt / cost(system, dt, scheme.small))
+    limited = method.time is None and time < method.relaxations * relaxation
+    return Setup(
+        method, system, tuple(observables), scheme, dt=long, time=time, tol=tol, seconds=seconds,
+        division=division, limited_by="most_steps" if limited else "", failures=tuple(failures),
+    )  # fmt: skip
+
+
+def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
+    """Return the numbers of a step of ``dt``; ``halved``: of its map two times, each of dt/2."""
     n, small, H = system.n, scheme.small, dt
     dt = H / small
     linear = scheme.linear_map(system, 0.5 * dt if halved else dt)
     springs = dt * system.stiffness_matrix if scheme.springs_kicked else np.zeros((0, 0))
     terms = None
     if system.damping_terms:  # as powers of the momenta p = m v
-        factors, powers, scales = [], [], []
+        factors, scales, numbers = [], [], []
         for term in system.damping_terms:
             v = list(term.powers("v", n))
             v[term.column] += 1
-            powers.append(v[term.row])
             scales.append(term.coefficient / float(np.prod(system.mass ** np.array(v))))
-            v[term.row] = 0
-            others = [*term.powers("q", n), *v]
-            factors.append(np.repeat([*range(2 * n), n + term.row], [*others, powers[-1]]))
-        terms = TermArrays(
-            target=np.array([n + term.row for term in system.damping_terms], dtype=np.int64),
-            power=np.array(powers, dtype=np.int64),
-            scale=np.array(scales),
-            energy=np.array([term.energy for term in system.damping_terms], dtype=np.int64),
-            first=np.cumsum([0, *map(len, factors)], dtype=np.int64),
-            factor=np.concatenate(factors),
-            springs=springs,
-        )
+            numbers.append((n + term.row, v[term.row], term.energy))
+            others = [*term.powers("q", n), *v[: term.row], 0, *v[term.row + 1 :]]
+            factors.append(np.repeat([*range(2 * n), n + term.row], [*others, v[term.row]]))
+        target, power, energy = np.array(numbers, dtype=np.int64).T.copy()
+        first = np.cumsum([0, *map(len, factors)], dtype=np.int64)
+        own = np.concatenate(factors)
+        terms = TermArrays(target, power, np.array(scales), energy, first, own, springs)
     if springs.size and terms is None:
         one, zero = np.eye(n), np.zeros((n, n))
         kicked = linear.propagator @ np.block([[one, zero], [-springs, one]])
         linear = replace(linear, propagator=kicked)
     pairs = (linear.factor.shape[1] + 1) // 2
     laws, slots = effects_of(system).laws, system.contact_masses
-    signs: dict[tuple[float, ...], list[float]] = {}
+    signs: dict[tuple[float, ...], list[float]] = {}  # of both sides are one stop
     for s in system.stops:
         key = slots.index(s.index), s.clearance, s.stiffness, s.power, laws.index(s.law)
         signs.setdefault(key, []).append(s.sign)
@@ -209,8 +263,7 @@ def watched(
 
     shapes, frequency = natural_modes(system)
     T = shapes.T[modes]
-    # Bins; no axis: row −1.
-    rows = np.full((len(histograms), 2), -1, dtype=np.int64)
+    rows = np.full((len(histograms), 2), -1, dtype=np.int64)  # −1: no such axis
     bins, piece = np.ones_like(rows), np.zeros((len(histograms), 2, 2), dtype=np.int64)
     pieces: list[tuple[float, ...]] = []
     for m, histogram in enumerate(histograms):

@@ -28,14 +28,8 @@ from sim.step.step_size import (
 
 LEAST_PATHS = 32 * LANES
 """Paths below which there are fewer than 32 independent batches to take errors from."""
-
 RELAXATIONS = 153.2
 """Relaxation times that are sampled unless a time is given: 6000 time units of fig6a."""
-
-MOST_STEPS = 400_000
-"""Steps at most where no time is given: of weakly damped systems fewer relaxation times fit in.
-Where only some trajectories make small steps it counts what they cost (``plan.cost``)."""
-
 ANYWHERE = {
     "MonteCarlo.threads": "the random numbers belong to a path, whatever thread makes its steps",
     "MonteCarlo.cluster": "and whatever machine",
@@ -53,10 +47,7 @@ NOT_IN_STATE = {
 
 
 def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, int]) -> None:
-    """Raise ``InvalidInput`` for a field of a simulation's settings that cannot be used.
-
-    Of its seed and threads, and where they are given: ``ranges`` are (name, least, most).
-    """
+    """Raise ``InvalidInput`` for a wrong seed, thread or field; ``ranges``: (name, least, most)."""
     threads = 4 * (os.cpu_count() or 1)
     for key, low, high in (*ranges, ("seed", 0, 2**64 - 1), ("threads", 1, threads)):
         value = getattr(own, key)
@@ -70,10 +61,7 @@ def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, i
 
 @dataclass(frozen=True)
 class Settings:
-    """The fields of ``sim.MonteCarlo``, which describes them; every question takes them.
-
-    Raises ``InvalidInput`` naming the field that cannot be used.
-    """
+    """The fields of ``sim.MonteCarlo``, which describes them; every question takes them."""
 
     paths: int = 8192
     time: float | None = None
@@ -86,7 +74,7 @@ class Settings:
     burn_in: float = 10.0
     step_factor: float = 1.0
     relaxations: float = RELAXATIONS
-    most_steps: int = MOST_STEPS
+    most_steps: int = 400_000
     seconds: float | None = None
     step_pair: bool = False
     cluster: str | None = None
@@ -99,9 +87,8 @@ class Settings:
         if self.scheme not in SCHEMES:
             raise InvalidInput("scheme", self.scheme, f"is none; use one of {sorted(SCHEMES)}")
         times = ("time", "relaxations", "burn_in", "dt", "step_factor", "longest", "seconds")
-        check_settings(
-            self, (*times, "tol", "most_steps"), ("paths", LEAST_PATHS, MAX_TRAJECTORIES)
-        )
+        paths = ("paths", LEAST_PATHS, MAX_TRAJECTORIES)
+        check_settings(self, (*times, "tol", "most_steps"), paths)
 
     def sampled_time(self, system: System, step: float) -> float:
         """Return the time sampled by steps that cost as much as uniform ones of ``step``."""
@@ -110,23 +97,19 @@ class Settings:
 
 def require_stationary(system: System) -> None:
     """Raise ``NotApplicable`` where ``system`` has no stationary density, with the reason."""
+    words = "some motion is not damped: under noise it grows and never becomes stationary"
     if not np.any(system.noise_matrix):
-        raise NotApplicable(
-            "no noise reaches a mass: the motion dies out and has no stationary density"
-        )
-    relaxation = relaxation_time(system)
-    if relaxation == inf or (system.damping_terms and undamped_mode(system)):
-        raise NotApplicable(
-            "some motion is not damped: under noise it grows and never becomes stationary"
-        )
+        words = "no noise reaches a mass: the motion dies out and has no stationary density"
+    elif relaxation_time(system) < inf and not (system.damping_terms and undamped_mode(system)):
+        return
+    raise NotApplicable(words)
 
 
 def default_step(method: Settings, system: System, observables: Sequence[Observable] = ()) -> float:
     """Return the step: short enough for the contact, and for the accuracy the run will reach.
 
-    That follows from ``tol``, from the samples that ``seconds`` of wall time allow by ``threads``,
-    or from the sampled time. Not from wall time where there is a checkpoint: a run may go on from
-    it with another limit and on another machine; it is then as for an hour of one thread.
+    That follows from ``tol``, from the samples that ``seconds`` of wall time allow by ``threads``
+    (of an hour of one thread where a checkpoint may go on with others), or from the sampled time.
     """
     if method.tol is not None:
         return step_for(system, method.tol, observables=observables)
@@ -143,11 +126,7 @@ def default_step(method: Settings, system: System, observables: Sequence[Observa
 
 
 def expected_seconds(method: Settings, system: System) -> float:
-    """Return about how long a simulation takes, in seconds of wall time, to a factor of three.
-
-    Without compiling, and without what long steps save far from stiff stops. Raises as
-    ``require_stationary`` does.
-    """
+    """Return about the seconds of wall time, to a factor of three, without compiling."""
     require_stationary(system)
     dt = default_step(method, system)
     time = method.sampled_time(system, dt) + method.burn_in * relaxation_time(system)

@@ -1,120 +1,152 @@
-"""Simulations of Eq. (6): set-up, burn-in, pilot, sampling, half the step, and the result."""
+"""Simulations of Eq. (6): burn-in, pilot, sampling in chunks, half the step, and the result."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from math import ceil, hypot, inf, nan
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fpk.answer.method import Progress, Result, silent
 from fpk.answer.observable import Observable
 from fpk.answer.quantities import Number
-from fpk.numeric.arrays import Array
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.machine import left_out, usable_cores, working_time
 from fpk.system.system import System, effects_of
-from sim.sample.checkpoint import Checkpoint, checkpoint_of, interruptible
-from sim.sample.diagnostics import (
-    CHUNKS,
-    Report,
-    diagnosis,
-    l1_difference,
-    moment_identities,
-    moment_products,
-)
+from sim.sample import diagnostics
+from sim.sample.diagnostics import CHUNKS
 from sim.sample.ensemble import Ensemble
 from sim.sample.histogram import Histogram, axis_of, covering, extremes, sampled_density
-from sim.sample.plan import cost, with_long_steps
-from sim.sample.record import Record
-from sim.sample.settings import NOT_IN_STATE, Settings, default_step
-from sim.sample.workers import workers_of
+from sim.sample.plan import Setup, setup_of
+from sim.sample.settings import Settings
+from sim.sample.workers import Checkpoint, interruptible, workers_of
+from sim.step.arrays import LANES
 from sim.step.random import GOLDEN
-from sim.step.schemes import SCHEMES, Scheme
-from sim.step.step_size import relaxation_time, sampling_interval, stability_limit, temperature
+from sim.step.step_size import relaxation_time, temperature
 
 PILOT_STATES, PILOT_PATHS = 16, 65536
 """States of the ensemble from which the ranges of the histograms are taken, and most trajectories:
 the extremes of more lie within the margin. Between two states lie 8 intervals of samples, about a
 period of the fastest mode."""
-
 LEAST_CHUNKS = 8
 """Chunks before which a target error is not trusted: halves of four can be compared."""
-
 LARGEST_Z = 5.0
 """|z| of a moment identity that chance explains: by Student's t 2e-5 of 32 batches, 5e-6 of 64."""
-
 STEP_BIAS = 1e-3
 """Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
 leave beyond chance."""
 
 
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
+@dataclass(eq=False)
+class Record:
+    """Cumulative sums of every batch of ``ensemble`` at the ends of chunks of ``chunk_samples``.
 
-    ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
-    ``time`` or, where that is finite, until ``seconds`` of wall time have passed or the expected
-    L1 error of the first observable is below ``tol``. ``histograms`` None: bins that cover what a
-    pilot reaches. ``division`` says which trajectories make small steps, ``limited_by`` what
-    cut ``time`` short, and ``failures`` are reasons not to certify an answer.
+    Quantities are the squares of q and v, and the shares of samples below the octiles of every
+    observed coordinate in the first chunk, bins ``cuts`` of its axis. Single samples of every
+    trajectory show the variance of the squares: σ² of 8192 trajectories to 2 %, about as well as
+    var(path means). After ``elapsed`` seconds, burn-in included, the error of the first density is
+    computed again at ``target`` samples.
     """
 
-    method: Settings
-    system: System
-    observables: Sequence[Observable]
-    scheme: Scheme
-    dt: float
-    time: float
-    tol: float = inf
-    seconds: float = inf
-    histograms: tuple[Histogram, ...] | None = None
-    division: str = ""
-    limited_by: Literal["", "most_steps"] = ""
-    failures: tuple[str, ...] = ()
+    ensemble: Ensemble
+    chunk_samples: int = 0
+    chunks: int = 0
+    elapsed: float = 0.0
+    target: float = 0.0
+    cuts: list[Any] = field(default_factory=list)  # pairs of an axis and a bin
+    ends: list[Array] = field(default_factory=list)  # each (batches, quantities)
+    variances: list[Array] = field(default_factory=list)  # σ² of the squares, and relative errors
 
-    @cached_property
-    def stride(self) -> int:
-        """Steps from one sample to the next: closer ones are nearly equal, and cost time each."""
-        return max(1, round(sampling_interval(self.system) / self.dt))
+    def __post_init__(self) -> None:
+        """Name, product number and factor of every q_i² and v_i²; label and fold of every axis."""
+        system, products = self.ensemble.system, self.ensemble.products
+        self.squares = [
+            (f"{name}{i + 1}²", products.index((kind, i, kind, i)), 1.0 / m**power)
+            for name, kind, power in (("q", "q", 0), ("v", "p", 2))
+            for i, m in enumerate(system.mass.tolist())
+        ]
+        coordinates = [c for histogram in self.ensemble.histograms for c in histogram.observable]
+        self.folds = [effects_of(system).mirror and c.kind != "H" for c in coordinates]
+        names = (f"|{c}|" if f else c for c, f in zip(coordinates, self.folds, strict=True))
+        self.axes = [f"the distribution of {name}" for name in names]
 
-    @cached_property
-    def burn_in_steps(self) -> int:
-        """Steps before the sampling begins."""
-        return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
+    @property
+    def names(self) -> list[str]:
+        """Names of the quantities, in the order of the columns of ``ends``."""
+        return [name for name, _, _ in self.squares] + [self.axes[axis] for axis, _ in self.cuts]
 
-    def checkpoint(self) -> Checkpoint:
-        """Return the checkpoint in the folder of the method; another limit of time may go on."""
-        limited = self.seconds < inf
-        return checkpoint_of(self.method.checkpoint, (self, limited), less=NOT_IN_STATE)
+    def snapshot(self, stride: int) -> None:
+        """Take a sample by one step, and note its variance over the trajectories."""
+        before = self.ensemble.sums.copy()
+        self.ensemble.advance(1, stride=stride)
+        samples = self._of_paths(self.ensemble.sums - before)
+        spread = samples.var(axis=1, ddof=1), diagnostics.variance_error(samples)
+        self.variances.append(np.array(spread))
 
+    def chunk_ends(self) -> None:
+        """Note where the sums and counts of the ensemble stand at the end of a chunk."""
+        ensemble, below, folds = self.ensemble, list[Integers](), iter(self.folds)
+        for histogram, counts in ensemble.counted():
+            own = counts[:, :-1].reshape(-1, *histogram.shape)
+            for axis, bins in enumerate(histogram.shape, start=1):
+                marginal = own.sum(axis=tuple({1, own.ndim - 1} - {axis}))
+                if next(folds):  # |x|, from the middle on
+                    marginal = marginal[:, bins // 2 :] + marginal[:, : bins // 2][:, ::-1]
+                below.append(np.cumsum(marginal, axis=1))
+        if not self.ends:
+            cuts = [diagnostics.octiles(share.sum(axis=0)).tolist() for share in below]
+            self.chunk_samples = ensemble.samples
+            self.cuts = [(axis, cut) for axis, own in enumerate(cuts) for cut in own]
+        means, size = ensemble.batch_means(), ensemble.batch_paths()
+        columns = [means[:, k] * (f * ensemble.samples) for _, k, f in self.squares]
+        columns += [below[axis][:, cut] / size for axis, cut in self.cuts]
+        self.ends.append(np.stack(columns, axis=1))
 
-def setup_of(method: Settings, system: System, observables: Sequence[Observable]) -> Setup:
-    """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
-    scheme, failures = SCHEMES[method.scheme], list[str]()
-    dt = method.dt or method.step_factor * default_step(method, system, observables)
-    limit = stability_limit(system, scheme)
-    if not 0.0 < dt < limit:
-        remedy = f"must be > 0 and below the stability limit {limit:.4g} of {scheme.name}"
-        if not method.allow_unstable:
-            raise InvalidInput("dt", dt, remedy)
-        failures.append(f"the step {dt:g} was insisted on: it {remedy}")
-    # Of its 2**40 words of random numbers a trajectory takes n a step, 5/4 n with long steps.
-    longest = method.burn_in * relaxation_time(system) + (method.time or 0.0)
-    if dt < (shortest := 2.0**-39 * system.n * longest):
-        remedy = f"takes more random numbers than a trajectory has; use at least {shortest:.2g}"
-        raise InvalidInput("dt", dt, remedy)
-    scheme, long, division = with_long_steps(system, scheme, dt)
-    tol = method.tol if method.tol is not None and observables else inf
-    own = 3.0 if method.step_pair else 1.0  # half the step takes twice as long
-    seconds = method.seconds / own if method.seconds else method.longest if tol < inf else inf
-    time = method.sampled_time(system, dt / cost(system, dt, scheme.small))
-    limited = method.time is None and time < method.relaxations * relaxation_time(system)
-    return Setup(
-        method, system, tuple(observables), scheme, dt=long, time=time, tol=tol, seconds=seconds,
-        division=division, limited_by="most_steps" if limited else "", failures=tuple(failures),
-    )  # fmt: skip
+    def means(self) -> Array:
+        """Return the means of the chunks, (quantities, batches, chunks)."""
+        ends = np.diff(np.array(self.ends), axis=0, prepend=0.0)
+        return np.ascontiguousarray(ends.transpose(2, 1, 0) / self.chunk_samples)
+
+    def effective(self) -> list[tuple[str, float, float]]:
+        """Return quantities, squares first, their effective samples, and relative errors."""
+        variance, error = np.mean(self.variances, axis=0)
+        error = error / np.sqrt(len(self.variances))
+        means = self._of_paths(self.ensemble.sums) / self.ensemble.samples
+        found = diagnostics.effective_of_paths(means, variance, error)
+        effective = list(zip(self.names, *(x.tolist() for x in found), strict=False))
+        shares = self.ends[-1] / (self.chunk_samples * len(self.ends))
+        for axis, name in enumerate(self.axes):
+            columns = [len(self.squares) + k for k, cut in enumerate(self.cuts) if cut[0] == axis]
+            if columns:
+                effective.append((name, *diagnostics.effective_of_shares(shares[:, columns])))
+        return effective
+
+    def moments(self) -> dict[str, Number]:
+        """Return E q_i² and E v_i², with errors from the means of single trajectories."""
+        ensemble = self.ensemble
+        of_paths = self._of_paths(ensemble.sums) / ensemble.samples
+        errors = np.sqrt(of_paths.var(axis=1, ddof=1) / ensemble.paths)
+        means = ensemble.batch_paths() @ ensemble.batch_means() / ensemble.paths
+        return {
+            name: Number(factor * float(means[k]), float(error))
+            for (name, k, factor), error in zip(self.squares, errors, strict=True)
+        }
+
+    def saved(self) -> dict[str, NDArray[Any]]:
+        """Return all fields but the ensemble, as arrays: what ``restore`` needs."""
+        return {f"record_{f.name}": np.array(getattr(self, f.name)) for f in fields(self)[1:]}
+
+    def restore(self, saved: Any) -> None:
+        """Go on from what ``saved`` returned."""
+        for f in fields(self)[1:]:
+            setattr(self, f.name, type(getattr(self, f.name))(saved[f"record_{f.name}"]))
+
+    def _of_paths(self, sums: Array) -> Array:
+        """Squares (squares, paths) of the trajectories from ``sums`` (blocks, products, LANES)."""
+        rows = np.stack([f * sums[:, k] for _, k, f in self.squares])
+        return np.asarray(rows[:, np.arange(LANES) < self.ensemble.live[:, None]])
 
 
 def run(
@@ -122,56 +154,49 @@ def run(
     system: System,
     observables: Sequence[Observable],
     progress: Progress,
-    *,
     beside: Sequence[Observable] = (),
 ) -> Result:
-    """Return the densities of ``observables`` with their report, as ``method`` asks for them.
+    """Return the densities of ``observables``, and of ``beside``, with their report.
 
-    Those of ``beside`` are sampled with them. A step pair compares them with a second run at half
-    the step, unless one of both was interrupted or has no chunk by the limit of time.
+    A step pair compares them with a second run at half the step, unless one of both was interrupted
+    or has no chunk by the limit of time.
     """
     setup = setup_of(method, system, [*observables, *beside])
     with workers_of(method.cluster, method.threads or usable_cores()) as workers:
         result = simulate(setup, workers=workers, progress=progress)
         report: Any = result.report
+        densities: Any = result.densities  # of histograms
         if method.step_pair and report.diagnosis is not None:
-            densities: Any = result.densities  # of histograms
             half = replace(
                 setup,
                 method=replace(method, seed=(method.seed + int(GOLDEN)) % 2**64),
                 dt=0.5 * setup.dt,
                 time=report.time,
                 tol=inf,
-                seconds=2.0 / 3.0 * method.seconds if method.seconds else inf,
+                seconds=2.0 * setup.seconds if method.seconds else inf,
                 histograms=tuple(Histogram(d.observable, d.bins) for d in densities),
             )
             second: Any = simulate(half, workers=workers, progress=progress)
-            other: Report = second.report
+            other: diagnostics.Report = second.report
             if other.diagnosis is None:
                 words = "interrupted" if other.interrupted else "the limit of time came"
                 report = replace(report, step_pair=f"not measured: {words}")
             else:
                 pairs = zip(densities, second.densities, strict=True)
-                biases = {a.name: l1_difference(a, b) for a, b in pairs}
+                biases = {a.name: diagnostics.l1_difference(a, b) for a, b in pairs}
                 for name, a in report.moments.items():
                     b = other.moments[name]
                     biases[name] = Number(a.value - b.value, hypot(a.error, b.error))
                 report = replace(report, step_biases=biases, step_pair="dt against dt/2")
-    asked = len(observables)
-    densities, others = result.densities[:asked], result.densities[asked:]
-    settings = report.settings(densities)
-    return replace(result, densities=densities, beside=others, report=report, settings=settings)
+    asked, others = densities[: len(observables)], densities[len(observables) :]
+    settings = report.settings(asked)
+    return replace(result, densities=asked, beside=others, report=report, settings=settings)
 
 
 def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Result:
-    """Sample the stationary state of Eq. (6) as ``setup`` says, by ``workers`` (None: one thread).
-
-    Where the method has a folder for ``checkpoint`` the state is saved at intervals, and a
-    simulation of the same setup goes on from there. Where it may be ``partial`` Ctrl-C ends the
-    sampling, and what there is by then is the result, not certified.
-    """
+    """Sample the stationary state of Eq. (6), from a saved state of this ``setup`` on, if any."""
     method, cut, checkpoint = setup.method, "", setup.checkpoint()
-    products = moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
+    products = diagnostics.moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
     covered = partial(covering, setup.observables, axis=partial(axis_of, setup.system))
     with checkpoint.alone(), interruptible(method.partial) as checkpoint.stopped:
         ensemble = Ensemble(
@@ -185,12 +210,26 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
             ensemble.advance(0, stride=0)  # compiles
         begin = working_time()
         checkpoint.deadline = begin + setup.seconds
-        if "reached" in saved:
-            reached = saved["reached"]
-        else:
+        reached = saved.get("reached", reached)
+        if "reached" not in saved:
             if saved:
                 ensemble.restore(saved)
-            reached, cut = _burnt_in(setup, ensemble, checkpoint, progress)
+            whole, pilot = setup.burn_in_steps, list[Array]()
+            for k in range(1, CHUNKS + 1):
+                if checkpoint.advance(ensemble, whole * k // CHUNKS - ensemble.done, stride=0):
+                    break
+                progress(k, CHUNKS, "burn-in")
+            share = min(ensemble.done / whole, 1.0)
+            done, step = share == 1.0, 8 * setup.stride
+            for _ in range(PILOT_STATES if setup.histograms is None else 0):
+                done = done and not checkpoint.advance(ensemble, step, stride=0, saving=False)
+                if done or not pilot:
+                    states = ensemble.phase_points(PILOT_PATHS)
+                    pilot.append(extremes(setup.system, setup.observables, *states))
+            if pilot:
+                both = np.hstack(pilot)
+                reached = np.stack([both.min(axis=1), both.max(axis=1)], axis=1)
+            cut = "" if done else f"after {share:.2g} of the burn-in"
         ensemble.watch(setup.histograms or covered(reached), products)
         record = Record(ensemble, elapsed=working_time() - begin)
         if "reached" in saved:
@@ -202,47 +241,11 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
             checkpoint.notes["reached"] = reached
             _sample(setup, record, checkpoint, progress)
             checkpoint.save(ensemble.saved())
-    of = f" of {CHUNKS}" if setup.seconds == inf else ""
-    where = cut or f"after {record.chunks}{of} chunks"
-    interrupted = f"partial: interrupted {where}" if checkpoint.interrupted else ""
-    limit, first = f"the limit of {setup.seconds:g} s came", "in its first chunk, before any drift"
-    limited = "" if interrupted or record.chunks else f"{limit} {cut or first}; give it more time"
-    return _result(setup, record, interrupted, limited)
-
-
-def _burnt_in(
-    setup: Setup, ensemble: Ensemble, checkpoint: Checkpoint, progress: Progress
-) -> tuple[Array, str]:
-    """Advance to the end of the burn-in, and by ``PILOT_STATES`` where no histograms are given.
-
-    Returns the extremes (coordinates, 2) of these states; and where Ctrl-C or the limit of time cut
-    all this short, in words, empty where it did not.
-    """
-    whole, pilot = setup.burn_in_steps, list[Array]()
-    for k in range(1, CHUNKS + 1):
-        if checkpoint.advance(ensemble, whole * k // CHUNKS - ensemble.done, stride=0):
-            break
-        progress(k, CHUNKS, "burn-in")
-    share = min(ensemble.done / whole, 1.0)
-    done = share == 1.0
-    for _ in range(PILOT_STATES if setup.histograms is None else 0):
-        done = done and not checkpoint.advance(ensemble, 8 * setup.stride, stride=0, saving=False)
-        if done or not pilot:
-            states = ensemble.phase_points(PILOT_PATHS)
-            pilot.append(extremes(setup.system, setup.observables, *states))
-    cut = "" if done else f"after {share:.2g} of the burn-in"
-    if not pilot:
-        return np.zeros((0, 2)), cut
-    return np.stack([np.min(pilot, axis=0)[:, 0], np.max(pilot, axis=0)[:, 1]], axis=1), cut
+    return _result(setup, record, checkpoint.interrupted, cut)
 
 
 def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Progress) -> None:
-    """Advance until ``setup`` is met or ``checkpoint`` is interrupted.
-
-    ``record`` gets the sums at the end of every chunk, and a single sample of all trajectories at
-    the beginning of each fifth; a chunk that was interrupted, or that the limit of time cut short,
-    is not recorded.
-    """
+    """Advance until ``setup`` is met or ``checkpoint`` ends it; ``record`` gets whole chunks."""
     ensemble, stride, limited = record.ensemble, setup.stride, setup.seconds < inf
     begin = working_time() - record.elapsed
     checkpoint.deadline = begin + setup.seconds
@@ -250,15 +253,13 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
     first = max(1, ceil(setup.time / (stride * ensemble.dt * chunks)))
     record.chunk_samples = record.chunk_samples or first
     while True:
-        start, length = working_time(), record.chunk_samples * stride
+        length = record.chunk_samples * stride
         begun = len(record.ends) * length
         if ensemble.phase == begun and record.chunks in range(0, CHUNKS, 5):
             record.snapshot(stride)
-        record.elapsed = start - begin
+        record.elapsed = working_time() - begin
         checkpoint.notes |= record.saved()
-        stopped = checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride)
-        record.stepping += working_time() - start
-        if stopped:
+        if checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride):
             return
         record.chunks += 1
         record.chunk_ends()
@@ -266,17 +267,12 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
         ends = record.elapsed > setup.seconds or (not limited and record.chunks == CHUNKS)
         enough = record.chunks >= LEAST_CHUNKS and ensemble.samples >= record.target
         if setup.tol < inf and (ends or enough):
-            taken = ensemble.paths * ensemble.samples
-            mirror, (histogram, counts) = effects_of(setup.system).mirror, next(ensemble.counted())
-            density = sampled_density(
-                histogram, counts, taken=taken, mirror=mirror, everywhere=False
-            )
-            record.target = ensemble.samples * (density.l1_error / setup.tol) ** 2
-            ends |= density.l1_error <= setup.tol
-        done = record.chunks / CHUNKS
-        if limited:
-            sampled = ensemble.samples / record.target if record.target else 0.0
-            done = max(sampled, record.elapsed / setup.seconds)
+            taken, mirror = ensemble.paths * ensemble.samples, effects_of(setup.system).mirror
+            error = sampled_density(*next(ensemble.counted()), taken=taken, mirror=mirror).l1_error
+            record.target = ensemble.samples * (error / setup.tol) ** 2
+            ends |= error <= setup.tol
+        whole = ensemble.samples / (record.target or inf) if limited else record.chunks / CHUNKS
+        done = max(whole, record.elapsed / setup.seconds)
         progress(min(CHUNKS, int(CHUNKS * done)), CHUNKS, "simulation")
         if ends:
             return
@@ -284,47 +280,53 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
             record.ends, record.chunk_samples = record.ends[1::2], 2 * record.chunk_samples
 
 
-def _result(setup: Setup, record: Record, interrupted: str, limited: str) -> Result:
+def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
     """Return the certified densities, the moment identities and the report.
 
-    ``interrupted``, in words and empty if it was not, stands against a certificate, as does what
-    the limit of time cut short so that nothing can be diagnosed (``limited``). Of a system with
-    mirror symmetry mirror images of samples count as samples.
+    ``cut`` says in words where the burn-in ended early, and ``partial`` that Ctrl-C came. Of a
+    system with mirror symmetry mirror images of samples count as samples.
     """
-    ensemble, kT = record.ensemble, temperature(setup.system)
-    taken, burnt = ensemble.samples * setup.stride, ensemble.done - ensemble.phase
+    ensemble, kT, failures = record.ensemble, temperature(setup.system), list[str]()
+    paths, threads, samples = ensemble.paths, ensemble.threads, ensemble.samples
+    taken, burnt = samples * setup.stride, ensemble.done - ensemble.phase
     burn_in, diagnosed = min(setup.burn_in_steps, burnt) * setup.dt, None
-    failures = [*(words for words in (interrupted, limited) if words), *setup.failures]
-    identities = moment_identities(setup.system, ensemble.batch_means())
+    of = f" of {CHUNKS}" if setup.seconds == inf else ""
+    interrupted = f"partial: interrupted {cut or f'after {record.chunks}{of} chunks'}"
+    if partial:
+        failures.append(interrupted)
+    elif not record.chunks:
+        where = cut or "in its first chunk, before any drift"
+        failures.append(f"the limit of {setup.seconds:g} s came {where}; give it more time")
+    whole = not failures
+    failures += setup.failures
+    identities = diagnostics.moment_identities(setup.system, ensemble.batch_means())
     judged = identities if burnt >= setup.burn_in_steps else ()
     failures += [
-        f"{identity.name} is off by {identity.z:.1f} standard errors; use a smaller dt"
-        for identity in judged
-        if abs(identity.value - identity.expected)
-        > LARGEST_Z * identity.error + STEP_BIAS * (identity.expected or kT)
+        f"{i.name} is off by {i.z:.1f} standard errors; use a smaller dt"
+        for i in judged
+        if abs(i.value - i.expected) > LARGEST_Z * i.error + STEP_BIAS * (i.expected or kT)
     ]
-    if not (interrupted or limited):
-        diagnosed = diagnosis(
+    if whole:
+        diagnosed = diagnostics.diagnosis(
             record.effective(), record.names, record.means(),
-            time=ensemble.samples * (ensemble.dt * setup.stride), paths=ensemble.paths,
-            burn_in=burn_in,
+            time=samples * (ensemble.dt * setup.stride), paths=paths, burn_in=burn_in,
         )  # fmt: skip
         failures += diagnosed.failures
     densities = tuple(
         sampled_density(
             histogram,
             counts,
-            taken=ensemble.paths * ensemble.samples,
+            taken=paths * samples,
             mirror=effects_of(setup.system).mirror,
-            residual=max((abs(identity.z) for identity in judged), default=nan),
+            residual=max((abs(i.z) for i in judged), default=nan),
             tol=setup.tol if m == 0 else inf,
             failures=failures,
         )
         for m, (histogram, counts) in enumerate(ensemble.counted())
     )
-    report = Report(
+    report = diagnostics.Report(
         dt=setup.dt / setup.scheme.small,
-        paths=ensemble.paths,
+        paths=paths,
         time=taken * setup.dt,
         burn_in=burn_in,
         relaxation_time=relaxation_time(setup.system),
@@ -333,17 +335,15 @@ def _result(setup: Setup, record: Record, interrupted: str, limited: str) -> Res
         stride=setup.stride,
         batches=ensemble.edges.size - 1,
         seed=ensemble.seed,
-        threads=ensemble.threads,
+        threads=threads,
         kT=kT,
         long_step=setup.dt,
-        ns_per_particle_step=1e9 * record.stepping * ensemble.threads / (ensemble.paths * taken),
+        ns_per_particle_step=1e9 * record.elapsed * threads / (paths * ensemble.done),
         small_steps=setup.division,
         limited_by=setup.limited_by,
         diagnosis=diagnosed,
         moments=record.moments(),
-        interrupted=interrupted,
+        interrupted=interrupted if partial else "",
     )
     method: Any = setup.method  # a ``MonteCarlo``
-    return Result(
-        method, densities, identities=identities, partial=bool(interrupted), report=report
-    )
+    return Result(method, densities, identities=identities, partial=partial, report=report)

@@ -72,7 +72,7 @@ class Asked(MonteCarlo):
 
     def prepare(self, system: Any) -> Any:
         plan = super().prepare(system)
-        return replace(plan, solve=self._note, solve_beside=None)
+        return replace(plan, solve=self._note, beside=False)
 
     def _note(self, *asked: Any, **how: Any) -> Any:
         self.given.append(self.seconds)

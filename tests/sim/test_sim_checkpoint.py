@@ -19,9 +19,9 @@ from sim_systems import fig6
 from fpk.answer.observable import parse_observable
 from fpk.numeric.errors import Unavailable
 from sim.montecarlo import MonteCarlo
-from sim.sample.checkpoint import Checkpoint, checkpoint_of, interruptible
 from sim.sample.diagnostics import Report
 from sim.sample.ensemble import Ensemble
+from sim.sample.workers import Checkpoint, checkpoint_of, interruptible
 from sim.step.arrays import LANES
 from sim.step.schemes import SCHEMES
 
@@ -32,11 +32,11 @@ IN_PIECES = """
 import sys
 from pathlib import Path
 import numpy as np
-import sim.sample.checkpoint
+import sim.sample.workers
 from dataclasses import replace
 from test_sim_checkpoint import METHOD, OBSERVABLES, arrays_of
 from sim_systems import fig6
-sim.sample.checkpoint.INTERVAL = float(sys.argv[3])
+sim.sample.workers.INTERVAL = float(sys.argv[3])
 method = replace(METHOD, checkpoint=Path(sys.argv[1]), time=float(sys.argv[4]))
 print("begun", flush=True)
 sys.stdin.readline()
@@ -263,7 +263,7 @@ def test_control_c_leaves_a_partial_result_that_goes_on_later(
 ) -> None:
     expected = arrays_of(METHOD.solve(fig6(), OBSERVABLES))
     method = replace(METHOD, partial=True, checkpoint=tmp_path)
-    monkeypatch.setattr("sim.sample.checkpoint.INTERVAL", 0.02)
+    monkeypatch.setattr("sim.sample.workers.INTERVAL", 0.02)
     monkeypatch.setattr("sim.sample.simulation.interruptible", lambda partial: _pressed_after(10))
     found = method.solve(fig6(), OBSERVABLES)
     assert found.partial and isinstance(found.report, Report)

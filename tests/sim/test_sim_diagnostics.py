@@ -18,12 +18,13 @@ from sim.sample.diagnostics import (
     effective_of_paths,
     effective_of_shares,
     moment_products,
+    octiles,
     split_r_hat,
     variance_error,
 )
 from sim.sample.ensemble import Ensemble
 from sim.sample.histogram import mirrored, sampled_density
-from sim.sample.record import Record, octiles
+from sim.sample.simulation import Record
 from sim.step.arrays import LANES
 from sim.step.schemes import SCHEMES
 

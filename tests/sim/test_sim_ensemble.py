@@ -13,10 +13,10 @@ from sim_systems import fig6, linear, mixed, ranged
 
 from fpk.answer.observable import parse_observable
 from fpk.numeric.compiling import ROOT
-from sim.sample.checkpoint import program_checksum
 from sim.sample.diagnostics import moment_products
 from sim.sample.ensemble import Ensemble
 from sim.sample.plan import step_arrays, watched
+from sim.sample.workers import program_checksum
 from sim.step.arrays import LANES
 from sim.step.kernel import COMPILED, KernelKey, kernel_checksum
 from sim.step.schemes import SCHEMES

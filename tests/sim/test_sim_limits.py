@@ -13,7 +13,8 @@ from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 from sim import MonteCarlo
 from sim.sample.diagnostics import Report
-from sim.sample.simulation import Setup, simulate
+from sim.sample.plan import Setup
+from sim.sample.simulation import simulate
 
 OF = [(Coordinate("q", 1),)]
 SHORT = MonteCarlo(paths=4096, threads=1, seconds=0.5)

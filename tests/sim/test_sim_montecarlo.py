@@ -20,8 +20,8 @@ from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.sample.diagnostics import Report
-from sim.sample.plan import watched
-from sim.sample.simulation import Setup, simulate
+from sim.sample.plan import Setup, watched
+from sim.sample.simulation import simulate
 from sim.sample.workers import workers_of
 from sim.step.kernel import KernelKey, WatchArrays
 from sim.step.schemes import SCHEMES

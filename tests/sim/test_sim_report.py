@@ -20,7 +20,7 @@ from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.sample.diagnostics import Report, batch_moments, moment_identities, moment_products
 from sim.sample.ensemble import Ensemble
-from sim.sample.record import Record
+from sim.sample.simulation import Record
 from sim.step.schemes import SCHEMES
 from sim.step.step_size import chosen_step, relaxation_time
 

@@ -28,9 +28,8 @@ from fpk.numeric.machine import usable_cores
 from fpk.numeric.recognition import canonical
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.sample.checkpoint import PROGRAM, program_checksum
 from sim.sample.settings import ANYWHERE
-from sim.sample.workers import workers_of
+from sim.sample.workers import PROGRAM, program_checksum, workers_of
 
 METHODS = ("exact", "linear", "nonintegrable", "integrable")
 """Methods that are asked where none is named: they take milliseconds a point."""

@@ -29,9 +29,8 @@ from sim.questions.passage import most_events
 from sim.questions.rounds import Watch, drawn_states
 from sim.questions.splitting import kernel
 from sim.questions.splitting.kernel import LEVELS, SHARES, ScoreFunction, SystemProblem
-from sim.sample.checkpoint import checkpoint_of, interruptible
 from sim.sample.settings import check_settings
-from sim.sample.workers import workers_of
+from sim.sample.workers import checkpoint_of, interruptible, workers_of
 from sim.step.random import stream_of
 from sim.step.step_size import chosen_step, temperature
 
