@@ -14,8 +14,8 @@ from fpk.answer.certificate import Measured
 from fpk.numeric.arrays import EPS, SMALLEST, Array
 from fpk.numeric.piecewise import Piecewise, interpolated
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
+from fpk.solvers.line.mesh import probed
 from fpk.solvers.line.stationary import StationarySolution
-from fpk.solvers.probe import probed
 from fpk.system.system import System
 
 Function = Callable[[Array], Array]

@@ -12,11 +12,10 @@ from fpk.answer.observable import Observable
 from fpk.numeric.arrays import EPS, Array
 from fpk.numeric.piecewise import fit
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.mesh import initial_nodes, split_points
+from fpk.solvers.line.mesh import initial_nodes, probed, split_points
 from fpk.solvers.line.stationary import StationarySolution, solve_stationary
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_plane
-from fpk.solvers.probe import probed
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 POINTS = (16, 20)
@@ -165,7 +164,6 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     """
     probe = probed(process)
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)
-    special = np.array([0.0, *process.nonsmooth])
 
     def rate_and_error(energy: Array) -> Array:
         """2s/σ² − n/H and a bound of its error by those of the coefficients."""
@@ -186,7 +184,7 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
         rate_and_error,
         nodes,
         0.1 * tol / nodes.size,
-        cut=lambda left, right: split_points(left, right, special),
+        cut=lambda left, right: split_points(left, right, process.nonsmooth),
         estimate=unresolved,
     )
     nodes, lengths = rate.nodes, np.diff(rate.nodes)

@@ -16,13 +16,12 @@ from skfem.helpers import grad, mul
 from fpk.numeric.arrays import Array
 from fpk.numeric.piecewise import PiecewiseTensor, projection
 from fpk.numeric.quadrature import gauss_legendre
-from fpk.solvers.line.mesh import GRADED_LAYERS, initial_nodes
+from fpk.solvers.line.mesh import GRADED_LAYERS, initial_nodes, probed
 from fpk.solvers.line.stationary import StationarySolution, solve_on_mesh
 from fpk.solvers.plane.elements import assembled, null_vector
 from fpk.solvers.plane.solution import Nodes, PlaneSolution
 from fpk.solvers.plane.stationary import solve_by_elements
 from fpk.solvers.plane.weight import Weight, flux_free_weight
-from fpk.solvers.probe import probed
 from fpk.system.ends import require_confined
 from fpk.system.process import Process
 

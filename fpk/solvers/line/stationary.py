@@ -19,14 +19,13 @@ from fpk.numeric.piecewise import Piecewise
 from fpk.solvers.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
 from fpk.solvers.line.mesh import (
     GRADED_LAYERS,
-    LOG_GROWTH,
-    NATS,
     SMOOTH_NATS,
+    Probe,
     initial_nodes,
+    probed,
     split_points,
     with_layers,
 )
-from fpk.solvers.probe import Probe, probed
 from fpk.system.process import Process
 
 SAFETY = 2.0
@@ -185,21 +184,20 @@ def solve_stationary(
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
     probe = probed(process)
     end = probe.extent(1e-2 * tol)
-    nats: Array | float = NATS
+    nats: Array | float = SMOOTH_NATS
     if smooth:
         # The error of an element counts by its mass, and rises with the nats to this power.
         fall = probe.log_mass.max() - probe.log_mass
-        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), LOG_GROWTH))
+        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
     layers = 0 if smooth else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
-    special = np.array([0.0, *process.nonsmooth])
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
         solution, marked = _assembled(process, probe, elements, degree, tol)
         if not marked.any() or marked.size > MOST_ELEMENTS:
             break
         left, right = elements.left[marked], elements.right[marked]
-        cut = split_points(left, right, special)
+        cut = split_points(left, right, process.nonsmooth)
         if np.any((cut <= left) | (cut >= right)):
             break
         halves = np.concatenate([left, cut]), np.concatenate([cut, right])
