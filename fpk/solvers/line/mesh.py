@@ -26,10 +26,12 @@ SAGITTA = 1.0
 may rise above its chord. Asked for where p is within exp(−``DEEP``) of its maximum."""
 DEEP = 100.0
 """Nats below the largest p H down to which a probe resolves it: 1e-43 of the mass."""
+NATS = 3.0
+"""Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
 SMOOTH_NATS = 4.0
-"""Fall of ln(p/T) over one element: over n nats a polynomial of degree p misses e^(−x) by
-n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the degree of a tolerance (four
-more than its digits) 1e-1 to 1e-2 of the tolerance."""
+"""Fall of ln(p/T) over one element where ln(p/T) is linear in H: over n nats a polynomial of degree
+p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the degree of a
+tolerance (four more than its digits) 1e-1 to 1e-2 of the tolerance."""
 SPREAD = 20.0
 """Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
@@ -155,7 +157,7 @@ def initial_nodes(
     end: float,
     nonsmooth: tuple[float, ...],
     *,
-    nats: Array | float = SMOOTH_NATS,
+    nats: Array | float = NATS,
     layers: int = GRADED_LAYERS,
 ) -> Array:
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
@@ -236,7 +238,7 @@ def time_nodes(
     shorter. ``more`` are nodes that are added, but for those that nearly are others.
     """
     n = process.degrees_of_freedom
-    nodes = initial_nodes(probed(process), end, process.nonsmooth)
+    nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)
     added = [nodes, more, end * np.array([0.25, 0.5, 0.75])]  # four elements at least
     if n > 2:
         # Of degree k the first element gives k + 2 times as many digits as its share of the scale,
