@@ -100,15 +100,14 @@ class WeylIntegrals:
     @cached_property
     def nodes(self) -> tuple[Array, Array]:
         """Ends of the elements of the coarser table and of the finer one."""
-        nodes = self.solution.panels
+        meshes = [self.solution.panels]
         if not self.solution.process.state_damping:
-            return nodes, nodes
-        meshes = [nodes]
-        for _ in range(2):
+            return meshes[0], meshes[0]
+        # With 14 points an element a halving lowers the error by 2^-14: one is enough of many.
+        for _ in range(2 if meshes[0].size < 100 else 1):
             x = meshes[-1]
             meshes.append(np.sort(np.append(x, 0.5 * (x[1:] + x[:-1]))))
-        # With 14 points an element a halving lowers the error by 2^-14: one is enough of many.
-        return (meshes[1], meshes[2]) if nodes.size < 100 else (meshes[0], meshes[1])
+        return meshes[-2], meshes[-1]
 
     @cached_property
     def value(self) -> Piecewise:
@@ -150,14 +149,13 @@ class WeylIntegrals:
         """Return a part of Ψ as ``StateDensity.weyl`` does."""
         if part == "value":
             return np.exp(self.value(energy))
+        within, inside = energy < self.last, np.minimum(energy, self.last)
         if part == "error":
-            dropped = np.exp(self.value(self.last))
-            return np.where(energy < self.last, np.exp(self.error(energy)), dropped)
-        inside = np.minimum(energy, self.last)
+            return np.where(within, np.exp(self.error(energy)), np.exp(self.value(self.last)))
         log_value = self.value(inside)
         # The logarithm has the round-off of its size.
         relative = self.distance(inside) + EPS * np.maximum(np.abs(log_value), 1.0)
-        return np.where(energy < self.last, np.exp(log_value) * relative, 0.0)
+        return np.where(within, np.exp(log_value) * relative, 0.0)
 
 
 def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[1]) -> Piecewise:
