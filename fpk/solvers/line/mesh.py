@@ -50,6 +50,8 @@ SAME = 1e-3
 LAYER = 0.5
 """Length of the elements at a start or a limit, in units of the width of the density there at the
 first time."""
+FAST = 20.0
+"""Largest |z| t of the Laplace variables z of a contour that contribute at the time t."""
 LARGEST_VALUE = 100.0
 """Largest value at H = 0, relative to the norm in π ~ H^(n−1), of a polynomial that is taken: it
 multiplies round-off."""
@@ -241,9 +243,8 @@ def time_nodes(
     nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)
     added = [nodes, more, end * np.array([0.25, 0.5, 0.75])]  # four elements at least
     if n > 2:
-        # Of degree k the first element gives k + 2 times as many digits as its share of the scale,
-        # over which e^(z t) at the first time is round-off.
-        beside_zero = [n * length / -math.log(EPS) for energy, length in fine if energy == 0.0]
+        # Of degree k the first element gives k + 2 times as many digits as its share of the scale.
+        beside_zero = [n * length / FAST for energy, length in fine if energy == 0.0]
         scale = min([process.energy_scale, end, *beside_zero])
         first = 10.0 ** (-16.0 / (first_degree(degree - 1, n) + 2)) * scale
         # ln T ~ (n − 1) ln H.
