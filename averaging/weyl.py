@@ -87,11 +87,10 @@ class WeylIntegrals:
     """Tables of the Weyl integrals of one ``order`` of u and of its error.
 
     The finer table of u is the answer, the largest relative distance to a coarser one in each
-    element its error. To that comes the error of what u is continued by beyond the last node: its
+    element its error. To that comes that of what u is continued by beyond the last node: its
     relative error ε in the last element and that of its rate there, 2 ε over the element's length,
-    which counts over the mean distance ν/rate beyond. Where the damping depends on the state u is
-    no exponential: the finer table then has elements half as long, too, and all that u was
-    continued by, where it falls ever faster, is part of the error.
+    over the mean distance ν/rate beyond. Where the damping depends on the state u is no
+    exponential: the finer table has elements half as long, and all that u was continued by counts.
     """
 
     solution: Solution
@@ -138,11 +137,7 @@ class WeylIntegrals:
 
     @property
     def last(self) -> float:
-        """An energy just short of the last node, beyond which the tables end.
-
-        u falls from there on, so that Ψ falls at any order: its value here bounds what is dropped
-        at any higher energy.
-        """
+        """An energy just short of the last node: Ψ here bounds what is dropped beyond."""
         return float(self.nodes[1][-1]) * (1.0 - 1e-9)
 
     def __call__(self, energy: Array, part: Part = "value") -> Array:
@@ -161,9 +156,8 @@ class WeylIntegrals:
 def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[1]) -> Piecewise:
     """Return ln Ψ_ν(E), Ψ_ν = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH for ν = ``order`` = 0, ½, 1, ...
 
-    Ψ_0 is u. Ψ falls exponentially, so its logarithm is what is smooth; it is −∞ beyond the last
-    node. There u, smooth between ``nodes``, is continued exponentially at the rate of the last
-    element: Ψ then keeps its relative accuracy up to that node.
+    Ψ_0 is u. Its logarithm is smooth, and −∞ beyond the last node. There u, smooth between
+    ``nodes``, is ``continued``: Ψ then keeps its relative accuracy up to that node.
     """
 
     def log_weyl(energy: Array) -> Array:

@@ -41,19 +41,14 @@ NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
 class Rule(NamedTuple):
     """Points of an element in [0, 1], and the Legendre polynomials P_j there.
 
-    At the Gauss points ``share`` with ``weight`` the flux is tested, for the answer and for the
-    enriched solution: ``P`` (degree + 3, points) are the values of the polynomials, ``tested``
-    (2 · points, tests · (degree + 3)) values and derivatives, each times the degree + 2 test
-    functions. The enriched mass is the sum with ``enriched_weight``, an interpolation at all points
-    but one: its distance to that of the answer shows how far T is from a polynomial, and exceeds
-    the error of the Gauss rule.
+    ``P`` (degree + 3, points) are values at the Gauss points ``share`` of ``weight``, ``tested``
+    (2 · points, tests · (degree + 3)) values and derivatives times the degree + 2 test functions.
+    ``enriched_weight`` interpolates at all points but one: its distance exceeds the Gauss error.
 
-    In elements that begin where contact does both masses have Gauss points in (H − H_c)^⅓ at
-    ``contact_share``, with ``contact_weight`` and values ``contact_P``: those of the answer first,
-    then those of the enriched solution. In √(H − H_c) T is smooth, but stiff contact leaves a layer
-    just above H_c. Without clearance, or with very little beside a stiff stop, T has other roots
-    and both rules converge algebraically: twice as many points keep less than half of the error
-    for any power of H − H_c from ½ on.
+    Where contact begins both masses have Gauss points in (H − H_c)^⅓, the answer's first. In
+    √(H − H_c) T is smooth, but stiff contact leaves a layer just above H_c; with little or no
+    clearance T has other roots and both rules converge algebraically: twice as many points keep
+    less than half of the error for any power of H − H_c from ½ on.
     """
 
     share: Array
@@ -98,11 +93,10 @@ class Elements(NamedTuple):
     """Solutions of single elements, each of mass 1; every array (elements, …).
 
     ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
-    p e^(−log_factor)/T; ``values`` and ``enriched_values`` (elements, points) are p at the points
-    ``x`` with ``weights``. ``residual`` is relative to the terms that cancel in it;
-    ``net_flux`` is the mean of J and ``one_way`` the terms that cancel in that.
-    ``coefficient_error`` is the largest relative error of the coefficients, ``slope_error`` the
-    error that it leaves in ln p from one end to the other.
+    p e^(−log_factor)/T; ``values`` and ``enriched_values`` are p at the points ``x`` with
+    ``weights``. ``residual`` is relative to its terms, ``one_way`` are those of the mean
+    ``net_flux`` of J. ``coefficient_error`` is the largest relative one, ``slope_error``
+    what it leaves in ln p from one end to the other.
     """
 
     coefficient_error: Array
@@ -189,10 +183,7 @@ def solve_elements(
 
 
 def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
-    """Largest residual of A u = 0 of each element, relative to the terms in it, (elements,).
-
-    Then residual and size of the terms of the first equation.
-    """
+    """Residual of A u = 0 relative to its terms; residual and terms of the first equation."""
     # All terms are zero where an element is so short that the damping in it underflows.
     terms = A[:, : u.shape[1] - 1, : u.shape[1]] * u[:, None]
     residual, size = np.abs(terms.sum(axis=2)), np.abs(terms).sum(axis=2)

@@ -80,10 +80,7 @@ class Probe:
         return np.append(0.0, steps.cumsum())
 
     def extent(self, tail: float) -> float:
-        """Return an energy beyond which about the share ``tail`` of the probability lies.
-
-        Raises ``NotCertified`` where the density does not fall to that share.
-        """
+        """Return an energy with the share ``tail`` of mass beyond, or raise ``NotCertified``."""
         if not np.isfinite(self.log_mass).all():
             raise NotCertified(OUT_OF_RANGE)
         energy, rate = self.energy, self.rate
@@ -102,8 +99,7 @@ class Probe:
     def tail_bound(self, end: float, density_at_end: float) -> float:
         """Return a bound of the mass above ``end`` from p there; infinite where p does not fall.
 
-        Between two energies of the probe p falls at the lesser of the rates at both of them, and
-        beyond the last one at the rate there.
+        Between two energies of the probe p falls at the lesser of the rates there.
         """
         first = int(np.searchsorted(self.energy, end, side="right"))
         rate = -np.append(np.interp(end, self.energy, self.slope), self.slope[first:])
@@ -165,8 +161,7 @@ def initial_nodes(
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
 
     ``nats`` is the fall of ln(p/T) over one element. Geometric ``layers`` lie above every nonsmooth
-    energy (below it, the density is smooth up to it). Where that is tiny beside its element, T
-    still changes with H/H_c: elements grow from there.
+    energy H_c. Where that is tiny beside its element, T still changes with H/H_c: elements grow.
     """
     # As many nodes between two ends as ∫rate asks for, in equal shares of it.
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
@@ -217,10 +212,7 @@ def first_degree(degree: int, n: int) -> int:
 
 
 def layer_at(process: Process, limit: float, time: float) -> tuple[float, float]:
-    """Return the ``limit`` and the length of elements there: p falls to 0 over √(b t).
-
-    No shorter than energies are told apart: before that time a start below has not failed.
-    """
+    """Return the ``limit`` and the length of elements there, √(b t), or energies are the same."""
     b = float(process.coefficients(np.array([limit])).diffusion[0])
     return limit, max(LAYER * math.sqrt(b * time), 1e4 * EPS * limit)
 
@@ -235,9 +227,8 @@ def time_nodes(
 ) -> Array:
     """Return nodes from 0 to ``end`` for questions of time: fine where a motion starts or ends.
 
-    They are those of the stationary density. ``fine`` holds energies, which become nodes, and the
-    lengths of the elements beside them, which grow from there until those of the density are
-    shorter. ``more`` are nodes that are added, but for those that nearly are others.
+    To those of the density come energies of ``fine``, with the lengths of the elements beside them,
+    which grow from there, and ``more`` nodes, but for those that nearly are others.
     """
     n = process.degrees_of_freedom
     nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)

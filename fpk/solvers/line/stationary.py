@@ -47,10 +47,9 @@ HALF_WAVE = 4
 class StationarySolution:
     """Finite element density p(H) with its error estimate and certificate.
 
-    ``answer`` is u = p/T, ``enriched`` that of a higher degree, there for the pointwise error.
-    ``common_error`` is the relative error that shifts all of p alike, of the coefficients and of
-    the mass. ``measured`` is what ``certificate`` was made of, to the tolerance asked for:
-    densities made of the solution are certified from it.
+    ``answer`` is u = p/T, ``enriched`` that of a higher degree. ``common_error`` is the relative
+    error that shifts all of p alike, of the coefficients and of the mass. ``measured`` is what
+    ``certificate``, and that of any density made of the solution, follows from.
     """
 
     process: Process
@@ -121,15 +120,13 @@ class StationarySolution:
     def _of_elements(self) -> tuple[Array, Array]:
         """ln of the error of u around points of each element, and its relative round-off in each.
 
-        They are arrays (elements, points) and (elements,), the points at equal angles θ, H rising
-        as 1 − cos θ over the element: so the distance to the enriched solution has about as many
-        half-waves of one length as its degree. The error does not vanish where the distance does:
-        the largest within two is taken, as √T u, since the equations weight errors of u by T.
+        At equal angles θ, H rising as 1 − cos θ over the element, the distance to the enriched
+        solution has half-waves of one length. The error does not vanish where that does: the
+        largest within two is taken, as √T u, since the equations weight errors of u by T.
 
-        Elimination of m unknowns, sums of m terms in m steps, leaves between m and m² roundings of
-        the largest p in the element, everywhere in it, m^(3/2) by the largest that was measured;
-        the answer and the enriched solution have them alike. At a node where p is much less it
-        spoils the scale of all elements on the side of less mass.
+        Elimination of m unknowns leaves between m and m² roundings of the largest p everywhere in
+        the element, m^(3/2) by the largest that was measured, in both solutions alike. At a node
+        where p is much less it spoils the scale of all elements on the side of less mass.
         """
         count = HALF_WAVE * (self.enriched.coefficients.shape[1] - 1)
         t = -np.cos(np.pi * np.arange(count + 1) / count)
@@ -160,9 +157,8 @@ class StationarySolution:
 def solve_stationary(
     process: Process, *, tol: float = 1e-10, degree: int | None = None
 ) -> StationarySolution:
-    """Return the stationary density to the L1 tolerance ``tol``, adapting the mesh.
+    """Return the stationary density to the L1 tolerance ``tol``, or what failed in its certificate.
 
-    The degree follows from ``tol`` unless given. The answer is certified or says what failed.
     Raises ``NotCertified`` where no stationary density exists.
     """
     # u is smooth where T is not, as long as 2 F/b does not depend on H.
@@ -266,9 +262,8 @@ def _assembled(
 def _chained(u: Array, log_factor: Array) -> tuple[Array, Array, Array]:
     """Scale elements so that they match at the nodes and make a density of mass 1.
 
-    ``u`` (elements, terms) are Legendre series of which each has the mass 1 times e^``log_factor``.
-    Returned are these with signs, positive where mass is most, the logarithms of their scales, and
-    the masses with signs. Scales are added up as logarithms, so that no density is too steep.
+    ``u`` (elements, terms) are Legendre series of the mass 1 times e^``log_factor`` each. Returned
+    are these with signs, positive where mass is most, ln of their scales, and masses with signs.
     """
     # P_j is (−1)^j at the left end and 1 at the right one.
     ends = np.stack([u @ (-1.0) ** np.arange(u.shape[1]), u.sum(axis=1)])

@@ -41,14 +41,14 @@ class Elements:
 
     π is e^``log_scale`` times the local density in which the integrals are given. ``shapes`` (…,
     degree + 1, functions) has in its columns the coefficients of h_0, h_1 and the v_j in the
-    ``shape_functions``: of these f_i are ``mass`` ∫π f_i f_j and ``drift`` ∫π F f_i' f_j (…,
-    functions, functions), F the part of the drift due to damping; ``conductance`` is 1/∫dx/m, and
-    ∫m v_j'² = 1. At H = 0 no flux is natural: in the first element h_0 = 0, h_1 = 1 and v_j(0) is
-    free; it may have fewer v_j, and the others are 0. ``x`` and ``weight`` (…, points) integrate π
-    times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln π/T, less its value at
-    the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from 0 to 1.
-    ``relative_error`` is the error of π and m by the coefficients; ``slope_error`` the error that
-    it leaves in ln π from one end to the other.
+    ``shape_functions``: of these f_i are ``mass`` ∫π f_i f_j, ``load`` ∫π f_i and ``drift``
+    ∫π F f_i' f_j, F the part of the drift due to damping. ``conductance`` is 1/∫dx/m, ∫m v_j'² = 1,
+    ``relaxation`` ∫π v_j². At H = 0 no flux is natural: in the first element h_0 = 0, h_1 = 1 and
+    v_j(0) is free; it may have fewer v_j, and the others are 0. ``x`` and ``weight`` (…, points)
+    integrate π times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln π/T, less its
+    value at the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from
+    0 to 1. ``relative_error`` is that of π and m by the coefficients, ``slope_error`` what it
+    leaves in ln π from one end to the other.
     """
 
     process: Process
@@ -57,6 +57,8 @@ class Elements:
     contact: Flags
     shapes: Array
     mass: Array
+    load: Array
+    relaxation: Array
     drift: Array
     conductance: Array
     x: Array
@@ -95,16 +97,6 @@ class Elements:
     def steps(self) -> Array:
         """Unit of π in each element but the last, divided by that in the next."""
         return np.exp(-np.diff(self.log_scale))
-
-    @cached_property
-    def load(self) -> Array:
-        """∫π f_i (elements, functions)."""
-        return self.mass[:, :, 0] + self.mass[:, :, 1]
-
-    @cached_property
-    def relaxation(self) -> Array:
-        """ν_j = ∫π v_j² of the v_j (elements, degree − 1), their relaxation times."""
-        return np.asarray(np.einsum("eii->ei", self.mass)[:, 2:])
 
     @cached_property
     def log_mass(self) -> Array:
@@ -170,9 +162,8 @@ Pair = tuple[Elements, Elements]
 class Evolved(NamedTuple):
     """A density of ``elements`` at several times: the coefficients ``values`` of p/π.
 
-    They are in the units 1/e^``log_scale`` of the elements, ``size`` the sizes of the terms that
-    cancel in them; both are (times, elements, functions). ``residual`` is the largest one of the
-    equations solved, relative to the terms that cancel. What is no density has no such units.
+    They are in the units 1/e^``log_scale`` of the elements, but for what is no density, ``size``
+    those of the terms that cancel in them, (times, elements, functions). ``residual`` is relative.
     """
 
     elements: Elements
@@ -276,13 +267,16 @@ def _alike(process: Process, left: Array, right: Array, degree: int, *, enriched
     # All kinds of elements have as many points and terms as the kind that has the most.
     more = rule(degree, bool(process.nonsmooth), 0)[0].size - t.size
     behind = np.zeros((left.size, more))
+    mass = np.swapaxes(f, 1, 2) @ (weight[:, :, None] * f)
     return Elements(
         process=process,
         left=left,
         right=right,
         contact=np.full(left.size, contact),
         shapes=shapes,
-        mass=np.swapaxes(f, 1, 2) @ (weight[:, :, None] * f),
+        mass=mass,
+        load=mass[:, :, 0] + mass[:, :, 1],
+        relaxation=np.einsum("eii->ei", mass)[:, 2:],
         drift=slopes @ ((weight * c.dissipation)[:, :, None] * f),
         conductance=np.zeros(left.size) if first else R[:, own, own] ** 2,
         x=np.hstack([x, behind + x[:, -1:]]),
@@ -311,10 +305,7 @@ def meshed(
 
 
 def refined(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
-    """Return the answer of ``solve`` on a pair whose elements are cut until it marks none.
-
-    Marked elements of the answer are cut in two in both, as by ``split_points``.
-    """
+    """Return the answer of ``solve`` on a pair whose elements are cut until it marks none."""
     for _ in range(MOST_ROUNDS):
         answer, marked = solve(pair)
         if not marked.any() or marked.size > MOST_ELEMENTS:

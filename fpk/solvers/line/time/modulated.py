@@ -125,8 +125,7 @@ def stepped(
 ) -> tuple[Evolved, Array, Array, Array]:
     """Return the density at ``times`` > 0 of what begins with ``load``, by ``steps_of``.
 
-    No flux leaves at the last end, or it is ``absorbing``. With it come the times of the stages of
-    all steps, weights that integrate over time, and the mass there, (steps · stages,) each.
+    Then times of the stages, weights that integrate over time, and the mass, (steps · stages,).
     """
     *MKC, spread = matrices(e, absorbing=absorbing)
     root, (A, c) = np.exp(0.5 * e.log_scale)[:, None], radau()
@@ -152,9 +151,9 @@ def halved(
 ) -> tuple[Transition, list[Carried]]:
     """Halve all steps until the numbers of ``carried(elements, level)`` change by ``wanted``.
 
-    ``size(changes, numbers)`` is what counts of their absolute changes. Returned are the density on
-    elements that adapt, its settings with the order that the changes show, and what was carried:
-    the answer, by steps twice as long, and by these on the elements of a higher degree.
+    ``size(changes, numbers)`` is what counts of them. Returned are the density on elements that
+    adapt, with the order that the changes show among its settings, and what was carried: the
+    answer, by steps twice as long, and by these on the elements of a higher degree.
     """
     carried = lru_cache(maxsize=4)(carried)
     solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0])[0])
@@ -181,11 +180,9 @@ def modulated_transition(
 ) -> Transition:
     """Return the density at ``times`` > 0 of an energy that begins with ``source``.
 
-    ``under(F)`` is its process under F times the noise intensity. By steps of Radau IIA of the
-    order 9 on elements that adapt; the error is the distance to elements of a higher degree and to
-    steps twice as long. Without noise it is the equation of the decay alone, of first order. Raises
-    ``InvalidInput`` for times at which the density is still one energy, and as ``quiet_until`` and
-    ``posed`` do.
+    The error is the distance to elements of a higher degree and to steps twice as long. Without
+    noise it is the equation of the decay alone, of first order. Raises ``InvalidInput`` for times
+    at which the density is still one energy, and as ``quiet_until`` and ``posed`` do.
     """
     quiet = quiet_until(modulation, source)
     if times[0] <= quiet:

@@ -46,15 +46,9 @@ class FirstPassage:
         return [moment(e, e.load) for e in self.pair]
 
     @cached_property
-    def from_rest(self) -> list[float]:
-        """Mean time from H = 0, the longest, by both elements."""
-        each = zip(self.pair, self.means, strict=True)
-        return [float(e.at(np.zeros(1), T)[0][0]) for e, T in each]
-
-    @property
     def longest(self) -> float:
         """Mean time from H = 0."""
-        return self.from_rest[0]
+        return float(self.pair[0].at(np.zeros(1), self.means[0])[0][0])
 
     @property
     def round_off(self) -> float:
@@ -81,10 +75,7 @@ class FirstPassage:
         return float(self._coefficients[0]) / self.longest + self.round_off
 
     def moments(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Return mean and variance of the time from the starts x, each with its error after it.
-
-        In units of the ``longest`` mean time and of its square.
-        """
+        """Return mean and variance from the starts x, each with its error, by ``longest``."""
         values = []
         for e, mean in zip(self.pair, self.means, strict=True):
             f = mean / self.longest
@@ -128,10 +119,7 @@ class FirstPassage:
         return value, error
 
     def failures(self, times: Array, x: Array) -> tuple[Array, Array]:
-        """Return P(T <= t) (2, times, points) from the starts x by both elements, and its terms.
-
-        These are the sizes of the terms that cancel in it.
-        """
+        """Return P(T <= t) (2, times, points) from the starts x by both elements, and the terms."""
         p, size = np.zeros((2, 2, times.size, x.size))
         later = times > 0.0
         for k, e in enumerate(self.pair):
@@ -163,9 +151,8 @@ def first_passage(
 ) -> FirstPassage:
     """Return the first passage of ``limit`` > 0 with errors below ``tol`` where that is possible.
 
-    Errors are relative ones of the moments and of the rate, absolute ones of the probability of
-    failure at ``times`` >= 0. The mesh adapts, and sees the ``source``. Raises ``InvalidInput`` for
-    a limit whose mean time is beyond double precision.
+    They are relative for moments and rate, absolute for the probability of failure at ``times``,
+    which ascend. Raises ``InvalidInput`` for a limit whose mean time is beyond double precision.
     """
     degree, wanted = degree_for(tol), 0.25 * tol
     beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probed(process)
@@ -293,8 +280,8 @@ def modulated_passage(
     def carried(e: Elements, level: int) -> Carried:
         """p at the stops > 0; P(T > t) at all stops, E T and E T², and errors by ``later``.
 
-        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end, and those of the time that
-        is left, E(t_e + τ)², over the density of then; the errors are of the two moments.
+        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end t_e, and those of the time
+        τ that is left, E(t_e + τ)², over the density of then.
         """
         load = source.load(e)
         g, t, weight, mass = stepped(

@@ -89,11 +89,10 @@ def contours(times: Array, *, more: int = 0) -> list[Contour]:
 def eliminated(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
     """Return the elements at the Laplace variables ``z`` (points,), each with all below eliminated.
 
-    Every array is (elements, …, points): ``series``, the conductance of an element from end to end;
-    ``shunt`` (elements, 2, …), what flows off at each of its ends; ``damped``, 1 + zν of its own
-    functions; ``total``, the admittance at its left end, its own conductance included; ``ratio``,
-    the share of that conductance in it, by which the right end acts on the left one; ``passed``,
-    what of the rest is seen through it from the right. The first element conducts nothing.
+    Arrays (elements, …, points): ``series`` conducts from end to end, ``shunt`` flows off at both
+    ends, ``damped`` is 1 + zν of its own functions, ``total`` the admittance at the left end with
+    the share ``ratio`` of series; ``passed`` is what of the rest is seen from the right. The first
+    element conducts nothing.
     """
     coupling, own = e.mass[:, 2:, :2], e.load[:, 2:]
     damped = 1.0 + e.relaxation[:, :, None] * z
@@ -119,9 +118,8 @@ def resolvent(
 
     ``end`` (points,) is f at the right end of the last element; None: no flux leaves there. A
     ``density`` is f = p/π of the unit 1/e^``log_scale`` in each element, its load (elements,
-    functions) physical; otherwise f has one unit, and the load is ∫π f_i … in the units of the
-    elements. Of a density is returned, too, the residual of the equations at the nodes, relative to
-    their terms.
+    functions) physical, and has a relative residual at the nodes; otherwise f has one unit, and
+    the load those of the elements.
     """
     series, shunt, damped, total, ratio, passed = eliminated(e, z)
     coupling = e.mass[:, 2:, :2]
@@ -158,8 +156,7 @@ def evolved(
 ) -> Evolved:  # fmt: skip
     """Return the coefficients at ``times`` > 0 of what begins with ``load``, as of ``resolvent``.
 
-    Contours have ``more`` points. The last end is ``held`` at a value from the time 0 on; None: no
-    flux leaves there.
+    Contours have ``more`` points. The last end is ``held`` at a value, or no flux leaves there.
     """
     values, size = np.zeros((2, times.size, e.count, e.degree + 1))
     residuals = [0.0]
@@ -186,8 +183,7 @@ def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
     """Return M, K and C of the free functions, scaled to a mass of one, for the reference noise.
 
     No flux leaves at the last end, or it absorbs. The last matrix (functions of all elements, free
-    functions) has e^(½ ``log_scale``) times the factor of each free function, where it is one of
-    the element's.
+    functions) holds e^(½ ``log_scale``) times the factor of each free function.
     """
     size = e.degree + 1
     K_local = np.tile(np.eye(size), (e.count, 1, 1))
@@ -211,8 +207,8 @@ def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
 def eigenvalues_below(e: Elements, rates: Array) -> Integers:
     """Return how many eigenvalues, 0 among them, are less than each of ``rates`` (points,).
 
-    As many as pivots of A − λM are negative (Sylvester), those of the own functions of the elements
-    among them (Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263).
+    As many as pivots of A − λM are negative (Wittrick and Williams, Q. J. Mech. Appl. Math. 24
+    (1971) 263).
     """
     _, shunt, damped, total, _, passed = eliminated(e, -rates)
     inner, ends = (damped < 0.0).sum(axis=(0, 1)), (total[1:] < 0.0).sum(axis=0)
@@ -234,8 +230,7 @@ def eigenvalues(e: Elements, count: int, scale: float) -> Array:
 def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
     """Return the ``count`` least eigenvalues of −L but 0, all of them real.
 
-    To the relative tolerance ``tol``; the mesh adapts. It ends where π φ², φ ~ H^``count``, has the
-    share ``TAIL``.
+    To the relative tolerance ``tol``, up to where π φ², φ ~ H^``count``, has the share ``TAIL``.
     """
     degree, scale = degree_for(tol), process.energy_scale
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2

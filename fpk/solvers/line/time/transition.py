@@ -46,10 +46,7 @@ class Source:
         return self.energy if self.process is None else float(probed(self.process).extent(EPS))
 
     def nodes(self, end: float, degree: int) -> Array:
-        """Return energies up to ``end`` at which elements have to end to see the source.
-
-        Beyond its extent they grow: it spreads from there.
-        """
+        """Return ends of elements that see the source; beyond it they grow up to ``end``."""
         if self.process is None:
             return np.zeros(0)
         last = min(end, self.extent)
@@ -78,10 +75,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Question:
-    """A density that begins with ``source``, to the L1 tolerance ``tol``.
-
-    ``width`` is that of the density at the first of the times.
-    """
+    """A density from ``source``, ``width`` wide at the first time, to the L1 tolerance ``tol``."""
 
     source: Source
     width: float
@@ -91,8 +85,7 @@ class Question:
         """Return errors that the densities ``p`` at x have in common on any elements.
 
         By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more
-        the smaller p is. By the rounding of energies: p changes over the width of the density at
-        the first time. By what cancels in p, of which ``size`` is that of the terms.
+        the smaller p is. By the rounding of energies, and of terms of ``size`` that cancel.
         """
         rounding = ROUNDINGS * EPS * (1.0 + x / self.width + e.log_range)
         top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
@@ -106,8 +99,8 @@ class Question:
 class Transition:
     """The density of an energy at several times after a start, with its error and certificate.
 
-    ``distance`` (times, elements, points) is that to more accurate solutions at the ``points`` of
-    the elements, ``top`` (times,) the largest density there.
+    ``distance`` (times, elements, points) is that to more accurate solutions, ``top`` (times,) the
+    largest density.
     """
 
     question: Question
@@ -146,11 +139,7 @@ class Transition:
 
 
 def transition(process: Process, source: Source, times: Array, *, tol: float = 1e-10) -> Transition:
-    """Return the density at ``times`` > 0 after ``source``, to the L1 tolerance ``tol``.
-
-    The mesh adapts, fine at the start; what is not met is said in the certificate. Raises
-    ``InvalidInput`` for a start beyond the range of double precision.
-    """
+    """Return the density at ``times`` > 0 after ``source``, to ``tol`` if certified."""
     question, pair = posed(process, source, float(times.min()), tol)
     return adapted(question, pair, lambda e, more: evolved(e, source.load(e), times, more=more))
 
@@ -199,10 +188,7 @@ def posed(
 
 
 def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Transition:
-    """Return what ``solve(e=elements, more=0)`` gives on meshes cut where they have to be, judged.
-
-    For the enriched solution ``more`` is ``ENRICHMENT``.
-    """
+    """Return what ``solve(e=elements, more=degrees)`` gives on meshes that adapt, judged."""
     before, tol = math.inf, question.tol
 
     def solved(pair: Pair) -> tuple[Transition, Flags]:
@@ -220,10 +206,9 @@ def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Tr
 def judged(
     question: Question, own: Evolved, finer: Evolved, *, distance: Array | None = None
 ) -> tuple[Transition, Array, Array]:
-    """Return the solution, judged, each element's part of its error, and of its round-off.
+    """Return the solution, judged by its ``distance``, to the enriched one ``finer`` unless given.
 
-    Its error is the ``distance`` (times, elements, points), to the enriched solution ``finer``
-    unless given.
+    Then each element's part of the error, and of its round-off.
     """
     answer, enriched = own.elements, finer.elements
     x, w = answer.x, answer.weight
