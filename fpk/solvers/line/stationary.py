@@ -172,7 +172,7 @@ def solve_stationary(
         # The error of an element counts by its mass, and rises with the nats to this power; over 7
         # nats p still exceeds its error at the far end, so that it stays positive.
         fall = probe.log_mass.max() - probe.log_mass
-        nats = SMOOTH_NATS * np.minimum(np.exp(fall / (degree + 1)), 1.75)
+        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
     end, layers = probe.extent(1e-2 * tol), 0 if smooth else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
@@ -206,8 +206,8 @@ def _assembled(
     series = e.u, e.enriched
     signed, log_scale, share = zip(*(_chained(u, e.log_factor) for u in series), strict=True)
     p, better = share[0][:, None] * e.values, share[1][:, None] * e.enriched_values
-    difference = np.abs(p - better)
-    distance = float((e.weights * difference).sum())
+    own = (e.weights * np.abs(p - better)).sum(axis=1)
+    distance = float(own.sum())
     # The enriched solution has the mass 1 by a lesser rule: by that of the answer it has another,
     # by which the two differ everywhere alike, so that their distance may vanish where p is wrong.
     enriched_mass = float((e.weights * better).sum())
@@ -249,13 +249,6 @@ def _assembled(
     # Half of the tolerance is left to the tail, the coefficients and round-off.
     if SAFETY * distance <= 0.5 * tol and least >= NEGATIVE * most:
         return solution, np.zeros(size.size, dtype=bool)
-    # What of the distance is an element's own making: that in shape, and a wrong step between two
-    # neighbours, which moves the smaller of the masses on its sides.
-    own = size * np.sum(e.weights * np.abs(e.values - e.enriched_values), axis=1)
-    below = below[:-1]
-    step = np.abs(np.diff(log_scale[0] - log_scale[1]))
-    step *= np.minimum(below, np.maximum(1.0 - below, 0.0))
-    own += np.append(step, 0.0) + np.append(0.0, step)
     return solution, (p.min(axis=1) < NEGATIVE * most) | (own > 0.1 * tol / own.size)
 
 
