@@ -33,15 +33,14 @@ COMPARED = (1.0 - 1e-12) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 2 * POINT
 class StateDensity:
     """Stationary density of the full state, ρ(q, p) = u(H(q, p)), p(H) = T u, Eqs. (22), (30).
 
-    ``solve`` gives p(H), which is computed when it is asked for: ``solution``. ``unit`` is the
-    energy in whose unit T is given, ``end`` the last energy; ``measured`` holds for all densities
-    that follow but that of H itself. ``weyl(ν)(E, part)`` is
+    ``solve`` gives p(H), the ``solution``, when it is asked for. ``unit`` is the energy in whose
+    unit T is given, ``end`` the last energy; ``measured`` holds for all densities that follow but
+    that of H itself: integrating out increases no L1 distance. ``weyl(ν)(E, part)`` is
     Ψ_ν(E) = ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx, what is left of u where 2ν quadratic coordinates are
-    integrated out, a factor (2π)^ν/√det aside; ``part`` is "value" when left out, "error" what the
-    error of u leaves in it, and "table" the error of interpolating it. ``temperature`` is an energy
-    over which u falls by about 1/e. Integrating out increases no L1 distance: the L1 error of p
-    holds for all marginals but for that of the tables and of quadrature. ``closed`` says that u is
-    a closed form, whose error is not that of T; ``gibbs`` that it is C exp(−H/temperature).
+    integrated out, a factor (2π)^ν/√det aside; ``part`` is "value", "error" what the error of u
+    leaves in it, or "table" the error of interpolating it. Over ``temperature`` u falls by about
+    1/e. ``closed``: u is a closed form, whose error is not that of T; ``gibbs``: it is
+    C exp(−H/temperature).
     """
 
     system: System
@@ -61,10 +60,7 @@ class StateDensity:
 
 
 def tabulated(system: System, solution: Solution, *, closed: bool = False) -> StateDensity:
-    """Return the density whose u and error of u are smooth between the panels of ``solution``.
-
-    Beyond the last node u is continued exponentially, see ``WeylIntegrals``.
-    """
+    """Return the density whose u and error of u are smooth between the panels of ``solution``."""
     process, end = solution.process, float(solution.panels[-1])
     temperature = process.energy_scale / process.degrees_of_freedom
     if process.state_damping:
@@ -171,10 +167,9 @@ def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[
 
 
 def weyl_integral(order: float, nodes: Array, u: Function, energy: Array, *, points: int) -> Array:
-    """Return Ψ_ν of what lies up to the last node, ν = ``order`` = ½, 1, ..., at energies (n,).
+    """Return Ψ_ν (n, *more) of u (*shape, *more) up to the last node, ν = ``order`` = ½, 1, ...
 
-    ``u``, smooth between ``nodes``, has values (*shape of its energies, *more); Ψ is (n, *more).
-    By ``points`` of Gauss on each panel, or on what of it is above E.
+    By ``points`` of Gauss between ``nodes``, or on what of a panel is above E.
     """
     left, right = nodes[:-1, None], nodes[1:, None]
     x, w = panel_rule(nodes, points)

@@ -27,9 +27,8 @@ POINTS = (16, 20)
 class ZeroFluxDensity:
     """p = T u of a process of one energy from ln u, as (11) gives it; 0 beyond the nodes.
 
-    ``nodes`` are energies to the last one, between which p is smooth. ``log_u`` and
-    ``relative_error``, that of u, take energies > 0 of any shape. ``measured`` is what was measured
-    on p. Densities and their errors are at energies of any shape.
+    p is smooth between ``nodes``. ``log_u`` and ``relative_error``, that of u, take energies > 0,
+    densities and their errors energies of any shape. ``measured`` is what was measured on p.
     """
 
     process: Process
@@ -78,10 +77,8 @@ class ZeroFluxDensity:
 def flux_residual(process: Process, nodes: Array, log_density: Callable[[Array], Array]) -> float:
     """Return how far ln p is from zero flux, d ln(σ² p) = 2s/σ² dH, on the panels of ``nodes``.
 
-    The largest |Δ ln(σ² p) − ∫2s/σ² dH| of a panel beyond what the stated errors of s and σ² and
-    those of the integral explain, relative to ∫2(|s_damping| + |s_noise|)/σ² dH. ``nodes`` are
-    energies >= 0 between which the coefficients are smooth; n/H, the singular part of 2s/σ² at
-    H = 0, is integrated in closed form.
+    The largest |Δ ln(σ² p) − ∫2s/σ² dH| of a panel beyond what stated errors of s, σ² and the
+    integral explain, relative to ∫2(|s_damping| + |s_noise|)/σ² dH; n/H is integrated as below.
     """
     inner, n, integrals = nodes[nodes > 0.0], process.degrees_of_freedom, []
     for points in POINTS:

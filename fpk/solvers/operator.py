@@ -55,10 +55,9 @@ def element_basis(nodes: tuple[Array, ...], degree: int, points: int) -> Basis:
 def coefficients(
     process: Process, basis: Basis, *, flux_form: bool
 ) -> tuple[dict[str, Array], Array]:
-    """Return F, b and T of ``flux`` at the points of quadrature, T relative to its largest there.
+    """Return F, b and T of ``flux`` at the points, and ln of the unit of T of each element.
 
-    ln of the largest T of each element (elements,) comes with them. p = T u in the flux form, of
-    one energy, for which the process gives dissipation and density of states; p = u otherwise.
+    p = T u in the flux form, of one energy; p = u otherwise.
     """
     x = np.asarray(basis.global_coordinates())
     d, shape = len(x), basis.dx.shape

@@ -10,13 +10,14 @@ They come in pairs: the elements of the answer, and those of the enriched soluti
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.polynomial.legendre import legint, legvander
+from numpy.typing import ArrayLike
 from scipy.special import roots_jacobi
 
 from fpk.numeric.arrays import Array, Flags, Integers
@@ -111,9 +112,8 @@ class Elements:
     def coefficient_error(self, upto: float = 0.0) -> float:
         """Relative error that the coefficients leave in densities and rates.
 
-        An element counts by its share of the mass and of the way, in units of √b, through the bulk,
-        beyond which is 1e-6 of the mass, or up to the energy ``upto``: near a contact energy errors
-        are large on very short elements.
+        An element counts by its share of the mass and of the way, in units of √b, up to ``upto`` or
+        through all but 1e-6 of the mass: near a contact energy errors are large on short elements.
         """
         mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
         bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
@@ -186,11 +186,11 @@ class Evolved(NamedTuple):
 def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
     """Return points t on [0, 1] of an element, which may begin at ``contact``, and their weights.
 
-    They are Gauss points of s, s = ∛t at contact and t elsewhere: π is no polynomial, and smooth in
-    ∛(H − H_c) above a contact energy H_c. Then Legendre polynomials of s there (points, terms), the
-    coefficients (terms, points) of such a series of ∫_0^t, and the ``shape_functions`` and their
-    slopes (points, degree + 1). Where π ~ t^``steepness`` with more than a few powers the points
-    are Gauss and Jacobi's; over such an element, which is short, what else varies is linear.
+    They are Gauss points of s, s = ∛t at contact, above which π is smooth in ∛(H − H_c), and t
+    elsewhere. Then Legendre polynomials of s there (points, terms), coefficients (terms, points) of
+    such a series of ∫_0^t, ``shape_functions`` and their slopes (points, degree + 1). Where
+    π ~ t^``steepness`` with more than a few powers the points are Gauss and Jacobi's; over such an
+    element, which is short, what else varies is linear.
     """
     count = 3 * degree + 8 if contact else degree + 6
     steep = steepness > 7 and not contact
@@ -293,9 +293,7 @@ def degree_for(tol: float) -> int:
     return int(np.clip(round(-math.log10(tol)), 4, HIGHEST - 4)) + 4
 
 
-def meshed(
-    process: Process, nodes: Array, degree: int, *, beyond: Array | Sequence[float] = ()
-) -> Pair:
+def meshed(process: Process, nodes: Array, degree: int, *, beyond: ArrayLike = ()) -> Pair:
     """Return elements between ``nodes``; those of the enriched solution end at ``beyond``, too."""
     every = np.append(nodes, beyond)
     return (

@@ -142,12 +142,7 @@ def _by_coefficients(relative: float, failure: Array) -> Array:
 
 
 def first_passage(
-    process: Process,
-    limit: float,
-    *,
-    times: Array,
-    tol: float = 1e-10,
-    source: Source | None = None,
+    process: Process, limit: float, times: Array, tol: float = 1e-10, source: Source | None = None
 ) -> FirstPassage:
     """Return the first passage of ``limit`` > 0 with errors below ``tol`` where that is possible.
 
