@@ -114,10 +114,8 @@ class Probe:
 
     def e_fold(self, end: float) -> float:
         """Return the mean energy over which p/T changes by the factor e, below ``end``."""
-        inside = self.energy < end
-        energy = np.concatenate([[0.0], self.energy[inside], [end]])
-        nats = float(np.trapezoid(np.interp(energy, self.energy, self.roughness), energy))
-        return end / nats
+        energy = np.concatenate([[0.0], self.energy[self.energy < end], [end]])
+        return end / float(np.trapezoid(np.interp(energy, self.energy, self.roughness), energy))
 
 
 def probed(process: Process) -> Probe:

@@ -25,14 +25,7 @@ from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.line.time.elements import SAFETY, Elements, Evolved, Pair, Settings
 from fpk.solvers.line.time.resolvent import matrices
-from fpk.solvers.line.time.transition import (
-    Question,
-    Source,
-    Transition,
-    adapted,
-    judged,
-    posed,
-)
+from fpk.solvers.line.time.transition import Question, Source, Transition, adapted, judged, posed
 from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
