@@ -78,7 +78,7 @@ def flux_residual(process: Process, nodes: Array, log_density: Callable[[Array],
     """Return how far ln p is from zero flux, d ln(σ² p) = 2s/σ² dH, on the panels of ``nodes``.
 
     The largest |Δ ln(σ² p) − ∫2s/σ² dH| of a panel beyond what stated errors of s, σ² and the
-    integral explain, relative to ∫2(|s_damping| + |s_noise|)/σ² dH; n/H is integrated as below.
+    integral explain, relative to ∫2(|s_damping| + |s_noise|)/σ² dH; n/H in closed form.
     """
     inner, n, integrals = nodes[nodes > 0.0], process.degrees_of_freedom, []
     for points in POINTS:

@@ -210,7 +210,7 @@ def first_degree(degree: int, n: int) -> int:
 
 
 def layer_at(process: Process, limit: float, time: float) -> tuple[float, float]:
-    """Return the ``limit`` and the length of elements there, √(b t), or energies are the same."""
+    """Return ``limit`` and the length of elements there, ~ √(b t), that still tells them apart."""
     b = float(process.coefficients(np.array([limit])).diffusion[0])
     return limit, max(LAYER * math.sqrt(b * time), 1e4 * EPS * limit)
 
