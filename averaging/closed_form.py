@@ -16,8 +16,7 @@ from fpk.answer.certificate import Measured
 from fpk.numeric.arrays import EPS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.mesh import DEEP_LAYERS, initial_nodes, with_layers
-from fpk.solvers.probe import Probe, probed
+from fpk.solvers.line.mesh import DEEP_LAYERS, Probe, initial_nodes, probed, with_layers
 from fpk.system.process import Process
 from fpk.system.system import System
 

@@ -26,7 +26,7 @@ from fpk.numeric.errors import NotApplicable
 from fpk.solvers.line.stationary import StationarySolution
 from fpk.solvers.line.time.modulated import modulated_transient, modulated_transition
 from fpk.solvers.line.time.passage import fem_passage, modulated_passage
-from fpk.solvers.line.time.spectrum import spectrum
+from fpk.solvers.line.time.resolvent import spectrum
 from fpk.solvers.line.time.transition import Source, transition
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.square_root import SquareRoot

@@ -14,8 +14,8 @@ from fpk.answer.certificate import Measured
 from fpk.numeric.arrays import EPS, SMALLEST, Array
 from fpk.numeric.piecewise import Piecewise, interpolated
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
+from fpk.solvers.line.mesh import probed
 from fpk.solvers.line.stationary import StationarySolution
-from fpk.solvers.probe import probed
 from fpk.system.system import System
 
 Function = Callable[[Array], Array]
@@ -33,15 +33,14 @@ COMPARED = (1.0 - 1e-12) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 2 * POINT
 class StateDensity:
     """Stationary density of the full state, ρ(q, p) = u(H(q, p)), p(H) = T u, Eqs. (22), (30).
 
-    ``solve`` gives p(H), which is computed when it is asked for: ``solution``. ``unit`` is the
-    energy in whose unit T is given, ``end`` the last energy; ``measured`` holds for all densities
-    that follow but that of H itself. ``weyl(ν)(E, part)`` is
+    ``solve`` gives p(H), the ``solution``, when it is asked for. ``unit`` is the energy in whose
+    unit T is given, ``end`` the last energy; ``measured`` holds for all densities that follow but
+    that of H itself: integrating out increases no L1 distance. ``weyl(ν)(E, part)`` is
     Ψ_ν(E) = ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx, what is left of u where 2ν quadratic coordinates are
-    integrated out, a factor (2π)^ν/√det aside; ``part`` is "value" when left out, "error" what the
-    error of u leaves in it, and "table" the error of interpolating it. ``temperature`` is an energy
-    over which u falls by about 1/e. Integrating out increases no L1 distance: the L1 error of p
-    holds for all marginals but for that of the tables and of quadrature. ``closed`` says that u is
-    a closed form, whose error is not that of T; ``gibbs`` that it is C exp(−H/temperature).
+    integrated out, a factor (2π)^ν/√det aside; ``part`` is "value", "error" what the error of u
+    leaves in it, or "table" the error of interpolating it. Over ``temperature`` u falls by about
+    1/e. ``closed``: u is a closed form, whose error is not that of T; ``gibbs``: it is
+    C exp(−H/temperature).
     """
 
     system: System
@@ -61,10 +60,7 @@ class StateDensity:
 
 
 def tabulated(system: System, solution: Solution, *, closed: bool = False) -> StateDensity:
-    """Return the density whose u and error of u are smooth between the panels of ``solution``.
-
-    Beyond the last node u is continued exponentially, see ``WeylIntegrals``.
-    """
+    """Return the density whose u and error of u are smooth between the panels of ``solution``."""
     process, end = solution.process, float(solution.panels[-1])
     temperature = process.energy_scale / process.degrees_of_freedom
     if process.state_damping:
@@ -87,11 +83,10 @@ class WeylIntegrals:
     """Tables of the Weyl integrals of one ``order`` of u and of its error.
 
     The finer table of u is the answer, the largest relative distance to a coarser one in each
-    element its error. To that comes the error of what u is continued by beyond the last node: its
+    element its error. To that comes that of what u is continued by beyond the last node: its
     relative error ε in the last element and that of its rate there, 2 ε over the element's length,
-    which counts over the mean distance ν/rate beyond. Where the damping depends on the state u is
-    no exponential: the finer table then has elements half as long, too, and all that u was
-    continued by, where it falls ever faster, is part of the error.
+    over the mean distance ν/rate beyond. Where the damping depends on the state u is no
+    exponential: the finer table has elements half as long, and all that u was continued by counts.
     """
 
     solution: Solution
@@ -100,15 +95,14 @@ class WeylIntegrals:
     @cached_property
     def nodes(self) -> tuple[Array, Array]:
         """Ends of the elements of the coarser table and of the finer one."""
-        nodes = self.solution.panels
+        meshes = [self.solution.panels]
         if not self.solution.process.state_damping:
-            return nodes, nodes
-        meshes = [nodes]
-        for _ in range(2):
+            return meshes[0], meshes[0]
+        # With 14 points an element a halving lowers the error by 2^-14: one is enough of many.
+        for _ in range(2 if meshes[0].size < 100 else 1):
             x = meshes[-1]
             meshes.append(np.sort(np.append(x, 0.5 * (x[1:] + x[:-1]))))
-        # With 14 points an element a halving lowers the error by 2^-14: one is enough of many.
-        return (meshes[1], meshes[2]) if nodes.size < 100 else (meshes[0], meshes[1])
+        return meshes[-2], meshes[-1]
 
     @cached_property
     def value(self) -> Piecewise:
@@ -139,33 +133,27 @@ class WeylIntegrals:
 
     @property
     def last(self) -> float:
-        """An energy just short of the last node, beyond which the tables end.
-
-        u falls from there on, so that Ψ falls at any order: its value here bounds what is dropped
-        at any higher energy.
-        """
+        """An energy just short of the last node: Ψ here bounds what is dropped beyond."""
         return float(self.nodes[1][-1]) * (1.0 - 1e-9)
 
     def __call__(self, energy: Array, part: Part = "value") -> Array:
         """Return a part of Ψ as ``StateDensity.weyl`` does."""
         if part == "value":
             return np.exp(self.value(energy))
+        within, inside = energy < self.last, np.minimum(energy, self.last)
         if part == "error":
-            dropped = np.exp(self.value(self.last))
-            return np.where(energy < self.last, np.exp(self.error(energy)), dropped)
-        inside = np.minimum(energy, self.last)
+            return np.where(within, np.exp(self.error(energy)), np.exp(self.value(self.last)))
         log_value = self.value(inside)
         # The logarithm has the round-off of its size.
         relative = self.distance(inside) + EPS * np.maximum(np.abs(log_value), 1.0)
-        return np.where(energy < self.last, np.exp(log_value) * relative, 0.0)
+        return np.where(within, np.exp(log_value) * relative, 0.0)
 
 
 def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[1]) -> Piecewise:
     """Return ln Ψ_ν(E), Ψ_ν = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH for ν = ``order`` = 0, ½, 1, ...
 
-    Ψ_0 is u. Ψ falls exponentially, so its logarithm is what is smooth; it is −∞ beyond the last
-    node. There u, smooth between ``nodes``, is continued exponentially at the rate of the last
-    element: Ψ then keeps its relative accuracy up to that node.
+    Ψ_0 is u. Its logarithm is smooth, and −∞ beyond the last node. There u, smooth between
+    ``nodes``, is ``continued``: Ψ then keeps its relative accuracy up to that node.
     """
 
     def log_weyl(energy: Array) -> Array:
@@ -179,10 +167,9 @@ def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[
 
 
 def weyl_integral(order: float, nodes: Array, u: Function, energy: Array, *, points: int) -> Array:
-    """Return Ψ_ν of what lies up to the last node, ν = ``order`` = ½, 1, ..., at energies (n,).
+    """Return Ψ_ν (n, *more) of u (*shape, *more) up to the last node, ν = ``order`` = ½, 1, ...
 
-    ``u``, smooth between ``nodes``, has values (*shape of its energies, *more); Ψ is (n, *more).
-    By ``points`` of Gauss on each panel, or on what of it is above E.
+    By ``points`` of Gauss between ``nodes``, or on what of a panel is above E.
     """
     left, right = nodes[:-1, None], nodes[1:, None]
     x, w = panel_rule(nodes, points)

@@ -5,33 +5,30 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.special import logsumexp
 
 from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certified_density
 from fpk.answer.observable import Observable
-from fpk.numeric.arrays import EPS, Array
+from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Flags
 from fpk.numeric.piecewise import fit
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.mesh import initial_nodes, split_points
+from fpk.solvers.line.mesh import initial_nodes, probed, split_points
 from fpk.solvers.line.stationary import StationarySolution, solve_stationary
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_plane
-from fpk.solvers.probe import probed
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 POINTS = (16, 20)
 """Gauss points per panel of integrals along H, and of the finer rule that tells their error."""
-ROUND_OFF = 16.0 * EPS
-"""Round-off of a logarithm of p or of σ², relative to 1 + |ln|, of some dozens of operations."""
 
 
 @dataclass(frozen=True, eq=False)
 class ZeroFluxDensity:
     """p = T u of a process of one energy from ln u, as (11) gives it; 0 beyond the nodes.
 
-    ``nodes`` are energies to the last one, between which p is smooth. ``log_u`` and
-    ``relative_error``, that of u, take energies > 0 of any shape. ``measured`` is what was measured
-    on p.
+    p is smooth between ``nodes``. ``log_u`` and ``relative_error``, that of u, take energies > 0,
+    densities and their errors energies of any shape. ``measured`` is what was measured on p.
     """
 
     process: Process
@@ -51,44 +48,39 @@ class ZeroFluxDensity:
         return self.measured.l1_error
 
     def log_density(self, energy: Array) -> Array:
-        """ln p at energies of any shape, −∞ outside the nodes."""
-        energy = np.asarray(energy, dtype=float)
-        safe, positive = self.process.on_mesh(energy, float(self.nodes[-1]))
+        """ln p, −∞ outside the nodes."""
+        safe, positive = self._on_mesh(energy)
         log_states = self.process.coefficients(safe.ravel()).log_density_of_states
-        log_p = self.log_u(safe) + log_states.reshape(safe.shape)
-        return np.where(positive, log_p, -np.inf)
+        return np.where(positive, self.log_u(safe) + log_states.reshape(safe.shape), -np.inf)
 
     def density(self, energy: Array) -> Array:
-        """p at energies of any shape."""
+        """p."""
         return np.asarray(np.exp(self.log_density(energy)))
 
     def pointwise_error(self, energy: Array) -> Array:
-        """Estimate of the error of p at energies of any shape, but for that of T."""
-        safe, _ = self.process.on_mesh(energy, float(self.nodes[-1]))
-        return self.relative_error(safe) * self.density(energy)
+        """Estimate of the error of p, but for that of T."""
+        return self.relative_error(self._on_mesh(energy)[0]) * self.density(energy)
 
     def phase_space_density(self, energy: Array) -> Array:
-        """u = p/T at energies of any shape, T as the process gives it."""
-        safe, _ = self.process.on_mesh(energy, float(self.nodes[-1]))
+        """u = p/T, T as the process gives it."""
+        safe = self._on_mesh(energy)[0]
         return np.where(np.asarray(energy) <= self.nodes[-1], np.exp(self.log_u(safe)), 0.0)
 
     def phase_space_error(self, energy: Array) -> Array:
-        """Estimate of the error of u at energies of any shape."""
-        safe, _ = self.process.on_mesh(energy, float(self.nodes[-1]))
-        return self.relative_error(safe) * self.phase_space_density(energy)
+        """Estimate of the error of u."""
+        return self.relative_error(self._on_mesh(energy)[0]) * self.phase_space_density(energy)
+
+    def _on_mesh(self, energy: Array) -> tuple[Array, Flags]:
+        return self.process.on_mesh(np.asarray(energy, dtype=float), float(self.nodes[-1]))
 
 
 def flux_residual(process: Process, nodes: Array, log_density: Callable[[Array], Array]) -> float:
     """Return how far ln p is from zero flux, d ln(σ² p) = 2s/σ² dH, on the panels of ``nodes``.
 
-    The largest |Δ ln(σ² p) − ∫2s/σ² dH| of a panel beyond what the stated errors of s and σ² and
-    those of the integral explain, relative to ∫2(|s_damping| + |s_noise|)/σ² dH. ``nodes`` are
-    energies >= 0 between which the coefficients are smooth; n/H, the singular part of 2s/σ² at
-    H = 0, is integrated in closed form.
+    The largest |Δ ln(σ² p) − ∫2s/σ² dH| of a panel beyond what stated errors of s, σ² and the
+    integral explain, relative to ∫2(|s_damping| + |s_noise|)/σ² dH; n/H in closed form.
     """
-    inner = nodes[nodes > 0.0]
-    n = process.degrees_of_freedom
-    integrals = []
+    inner, n, integrals = nodes[nodes > 0.0], process.degrees_of_freedom, []
     for points in POINTS:
         x, w = panel_rule(inner, points)
         c = Coefficients(*(a.reshape(x.shape) for a in process.coefficients(x.ravel())))
@@ -98,7 +90,8 @@ def flux_residual(process: Process, nodes: Array, log_density: Callable[[Array],
     log_flux = np.log(at_nodes.diffusion) + log_density(inner)
     defect = np.abs(np.diff(log_flux - n * np.log(inner)) - integrals[1])
     allowed = np.abs(integrals[1] - integrals[0]) + np.sum(w * log_density_slope_error(c), axis=1)
-    ends = 2.0 * at_nodes.relative_error + ROUND_OFF * (1.0 + np.abs(log_flux))
+    # A logarithm of p or of σ² has the round-off of some dozens of operations.
+    ends = 2.0 * (at_nodes.relative_error + ROUNDINGS * EPS * (1.0 + np.abs(log_flux)))
     allowed += ends[1:] + ends[:-1]
     return float(np.max(np.maximum(defect - allowed, 0.0) / np.sum(w * parts, axis=1)))
 
@@ -163,30 +156,30 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     closed form and the rest panel by panel, each halved until its Legendre coefficients decay
     below ``tol``.
     """
-    probe = probed(process)
+    probe, n = probed(process), process.degrees_of_freedom
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)
-    special = np.array([0.0, *process.nonsmooth])
 
     def rate_and_error(energy: Array) -> Array:
         """2s/σ² − n/H and a bound of its error by those of the coefficients."""
         c = process.coefficients(energy)
-        rate = 2.0 * c.drift / c.diffusion - process.degrees_of_freedom / energy
+        rate = 2.0 * c.drift / c.diffusion - n / energy
         return np.stack([rate, log_density_slope_error(c)], axis=-1)
 
-    def truncation(lengths: Array, coefficients: Array) -> Array:
-        """Error of the integral over each panel by truncating the series, (panels,)."""
-        return np.asarray(lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1))
+    def errors(lengths: Array, coefficients: Array) -> tuple[Array, Array]:
+        """Errors of the integral over each panel, of a truncated series and of coefficients."""
+        truncated = lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1)
+        return truncated, lengths * coefficients[:, 0, 1]
 
     def unresolved(lengths: Array, coefficients: Array) -> Array:
-        error = truncation(lengths, coefficients)
+        truncated, known = errors(lengths, coefficients)
         # What the coefficients do not know, no panel can resolve.
-        return np.where(error > lengths * coefficients[:, 0, 1], error, 0.0)
+        return np.where(truncated > known, truncated, 0.0)
 
     rate = fit(
         rate_and_error,
         nodes,
         0.1 * tol / nodes.size,
-        cut=lambda left, right: split_points(left, right, special),
+        cut=lambda left, right: split_points(left, right, process.nonsmooth),
         estimate=unresolved,
     )
     nodes, lengths = rate.nodes, np.diff(rate.nodes)
@@ -194,26 +187,23 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
 
     def log_p(energy: Array, *, over_states: bool = False) -> Array:
         c = process.coefficients(energy.ravel())
-        log_n = process.degrees_of_freedom * np.log(energy)
-        value = smooth(energy) + log_n - np.log(c.diffusion).reshape(energy.shape)
-        states = c.log_density_of_states.reshape(energy.shape) if over_states else 0.0
-        return np.asarray(value - states)
+        states = c.log_density_of_states if over_states else 0.0
+        known = np.asarray(np.log(c.diffusion) + states).reshape(energy.shape)
+        return np.asarray(smooth(energy) + n * np.log(energy) - known)
 
     x, w = panel_rule(nodes, POINTS[0])
-    top = log_p(x).max()
-    smooth.coefficients[:, 0] -= top + np.log(np.sum(w * np.exp(log_p(x) - top)))
+    smooth.coefficients[:, 0] -= logsumexp(log_p(x), b=w)
     x, w = panel_rule(nodes, POINTS[1])
     p = np.exp(log_p(x))
     tail_mass = probe.tail_bound(float(nodes[-1]), float(np.exp(log_p(nodes[-1:])[0])))
     # An error of the exponent over one panel shifts the mass on one side of it against the other.
     share = np.sum(w * p, axis=1)
-    below = np.cumsum(share)
+    below, defect = np.cumsum(share), abs(float(share.sum()) - 1.0)
     moved = np.minimum(below, 1.0 - below + share)
-    defect = abs(float(share.sum()) - 1.0)
     # Close to a contact energy T may be worse by far, where there is next to no mass.
     states = 2.0 * process.coefficients(x.ravel()).relative_error.reshape(x.shape)
     l1_error = float(np.sum(w * p * states)) + defect + 2.0 * tail_mass + 4.0 * EPS * lengths.size
-    steps = truncation(lengths, rate.coefficients) + lengths * rate.coefficients[:, 0, 1]
+    steps = np.sum(errors(lengths, rate.coefficients), axis=0)
     if process.state_damping:
         # The exponent is a running sum over all panels, whose round-off is relative to its size.
         l1_error += EPS * float(np.ptp(smooth.coefficients[:, 0]))
@@ -221,15 +211,13 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     # In ln p the errors add up from the median outwards.
     total, middle = np.cumsum(steps), int(np.searchsorted(below, 0.5))
     outwards = np.abs(total - total[min(middle, lengths.size - 1)]) + steps + states.max(axis=1)
-    measured = Measured(
-        l1_error, defect, float(p.min() / p.max()), flux_residual(process, nodes, log_p), tail_mass
-    )
 
     def relative_error(energy: Array) -> Array:
-        panel = np.searchsorted(nodes, energy, side="right") - 1
+        panel = np.clip(np.searchsorted(nodes, energy, side="right") - 1, 0, nodes.size - 2)
         # ln p is formed with ln H and ln b, which cancel.
-        rounded = 4.0 * EPS * np.abs(np.log(energy))
-        return np.asarray(l1_error + outwards[np.clip(panel, 0, nodes.size - 2)] + rounded)
+        return np.asarray(l1_error + outwards[panel] + 4.0 * EPS * np.abs(np.log(energy)))
 
+    residual = flux_residual(process, nodes, log_p)
+    measured = Measured(l1_error, defect, float(p.min() / p.max()), residual, tail_mass)
     log_u = partial(log_p, over_states=True)
     return ZeroFluxDensity(process, nodes, log_u, relative_error, measured)

@@ -61,7 +61,8 @@ def ours(solver: str, asked: str, x: int) -> Answer:
 def mean_alone(x: int) -> Answer:
     """Return the mean by the elements, without variance and the check by the forward equation."""
     solved = first_passage(energy_process(SYSTEM), x * D / C, times=NONE)
-    value, other = solved.from_rest
+    each = zip(solved.pair, solved.means, strict=True)
+    value, other = (float(e.at(np.zeros(1), T)[0][0]) for e, T in each)
     return value, SAFETY * abs(value - other) + solved.relative * value
 
 

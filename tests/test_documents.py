@@ -27,7 +27,7 @@ from cases.studies.orders import grid_convergence
 from cases.studies.sweep import answering as sweep_answering
 from fpk.answer import bins, contacts, field
 from fpk.numeric.errors import InvalidInput
-from fpk.solvers import contour
+from fpk.solvers.line.time.resolvent import SPREAD
 from fpk.system import damping
 from sim.questions import curves, passage
 from sim.questions.splitting import run as splitting
@@ -182,7 +182,7 @@ CONSTANTS = {
         f"disc of radius {plan.LARGEST_NORMAL:.2f}: `sim/sample/plan.py",
         f"$a \\ge {plan.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
         f"clearance > {contacts.CLEARANCE_RULE:g} rms",
-        f"one serves all times within a factor {contour.SPREAD:g}",
+        f"one serves all times within a factor {SPREAD:g}",
         f"Above {100 * splitting.RESOLVED:g} % no error is stated",
         f"the error is {refinement.SAFETY:g} d",
         f"r at least {refinement.SLOWEST}",

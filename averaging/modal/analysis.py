@@ -14,7 +14,7 @@ from scipy.special import factorial
 
 from fpk.numeric.arrays import EPS, ROUND_OFF, Array, Integers
 from fpk.numeric.errors import NotApplicable, NotCertified
-from fpk.solvers.probe import probed
+from fpk.solvers.line.mesh import probed
 from fpk.system.damping import DampingTerm
 from fpk.system.ends import require_confined
 from fpk.system.equivalent import equivalent_temperature

@@ -22,12 +22,12 @@ from fpk.answer.observable import parse_observable
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.solvers import operator
+from fpk.solvers.line.mesh import probed
 from fpk.solvers.line.stationary import solve_on_mesh
 from fpk.solvers.operator import null_vectors, solve_by_scikit_fem
 from fpk.solvers.plane.elements import null_function
 from fpk.solvers.plane.solution import graded, solve_plane_on_mesh
 from fpk.solvers.plane.weight import flux_free_weight
-from fpk.solvers.probe import probed
 from fpk.system.escape import require_held
 from fpk.system.process import Process
 from fpk.system.system import System

@@ -16,13 +16,12 @@ from skfem.helpers import grad, mul
 from fpk.numeric.arrays import Array
 from fpk.numeric.piecewise import PiecewiseTensor, projection
 from fpk.numeric.quadrature import gauss_legendre
-from fpk.solvers.line.mesh import GRADED_LAYERS, initial_nodes
+from fpk.solvers.line.mesh import GRADED_LAYERS, initial_nodes, probed
 from fpk.solvers.line.stationary import StationarySolution, solve_on_mesh
 from fpk.solvers.plane.elements import Nodes, assembled, null_vector
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_by_elements
 from fpk.solvers.plane.weight import Weight, flux_free_weight
-from fpk.solvers.probe import probed
 from fpk.system.ends import require_confined
 from fpk.system.process import Process
 
@@ -41,10 +40,7 @@ def flux(u: Any, w: Mapping[str, Array]) -> Any:
 
 
 def element_basis(nodes: tuple[Array, ...], degree: int, points: int) -> Basis:
-    """Return continuous hierarchical elements, those of ``fpk.solvers.plane``, with Gauss points.
-
-    ``nodes`` are one array for each energy; ``points`` are those of an element along each axis.
-    """
+    """Return the elements of ``fpk.solvers.plane``, with ``points`` of Gauss along each axis."""
     t, w = gauss_legendre(points)
     t, w = 0.5 * (1.0 + t), 0.5 * w
     if len(nodes) == 1:
@@ -59,10 +55,9 @@ def element_basis(nodes: tuple[Array, ...], degree: int, points: int) -> Basis:
 def coefficients(
     process: Process, basis: Basis, *, flux_form: bool
 ) -> tuple[dict[str, Array], Array]:
-    """Return F, b and T of ``flux`` at the points of quadrature, T relative to its largest there.
+    """Return F, b and T of ``flux`` at the points, and ln of the unit of T of each element.
 
-    ln of the largest T of each element (elements,) comes with them. p = T u in the flux form, of
-    one energy, for which the process gives dissipation and density of states; p = u otherwise.
+    p = T u in the flux form, of one energy; p = u otherwise.
     """
     x = np.asarray(basis.global_coordinates())
     d, shape = len(x), basis.dx.shape
@@ -86,9 +81,8 @@ def stationary_vector(
 ) -> tuple[Array, Array, float]:
     """Return y and ln s of the solution u = y/s of ∫ J(u) · ∇v = 0, and its relative residual.
 
-    s is the largest T in the elements of each unknown: y is of the size of p, and T may span any
-    number of decades. Zero flux is natural at all ends. Raises ``NotCertified`` where the equation
-    has no single solution.
+    s is the largest T in the elements of each unknown: y is of the size of p. Zero flux is natural
+    at all ends. Raises ``NotCertified`` where the equation has no single solution.
     """
     w, unit = coefficients(process, basis, flux_form=flux_form)
     fields, dx = [u for (u,) in basis.basis], basis.dx
@@ -108,10 +102,7 @@ def stationary_vector(
 
 
 def null_vectors(process: Process, nodes: Array, degree: int, points: int) -> tuple[Array, float]:
-    """Return Legendre series (elements, degree + 1) of u of one energy, of the mean 1 in each.
-
-    Returned, too, is the algebraic residual.
-    """
+    """Return Legendre series (elements, degree + 1) of u, of the mean 1 in each, and a residual."""
     basis = element_basis((nodes,), degree, points)
     y, log_scale, residual = stationary_vector(process, basis, flux_form=True)
     own = log_scale[basis.element_dofs]
@@ -141,11 +132,9 @@ def solve_by_scikit_fem(
 ) -> StationarySolution | PlaneSolution:
     """Return the stationary density to the L1 tolerance ``tol`` by elements of one ``degree``.
 
-    Every interval of the mesh is halved until the answer is certified, at the most as often as its
-    matrices are affordable; what is returned then is not certified. Its error is estimated from
-    elements two degrees higher. Of one energy the first mesh is that of the fast solver; of two
-    energies its intervals are equal in √H, and those are halved that ``solve_by_elements`` has
-    ``marked``.
+    Every interval of the mesh is halved until the answer is certified, as long as its matrices are
+    affordable. Of one energy the first mesh is that of the fast solver; of two energies its
+    intervals are equal in √H, and those are halved that ``solve_by_elements`` has ``marked``.
 
     Raises ``NotCertified`` where no stationary density exists.
     """

@@ -24,7 +24,7 @@ from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.contour import contours
+from fpk.solvers.line.time.resolvent import contours
 from fpk.system.modulation import Modulation, require_constant_noise
 
 FARTHEST = 690.0

@@ -16,8 +16,8 @@ from fpk.answer.density import l1_distance
 from fpk.answer.observable import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.mesh import probed
 from fpk.solvers.line.stationary import solve_stationary
-from fpk.solvers.probe import probed
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
 from fpk.system.system import System

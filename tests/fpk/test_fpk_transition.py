@@ -9,10 +9,9 @@ from square_root_exact import density
 
 from averaging.energy_process import energy_process
 from fpk.numeric.errors import InvalidInput
-from fpk.solvers.contour import contours
 from fpk.solvers.line.stationary import solve_stationary
 from fpk.solvers.line.time.passage import fem_passage
-from fpk.solvers.line.time.spectrum import eigenvalues_below, spectrum
+from fpk.solvers.line.time.resolvent import contours, eigenvalues_below, spectrum
 from fpk.solvers.line.time.transition import Source, transition
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.contact import Contact

@@ -6,9 +6,15 @@ orthogonal, element by element, to all polynomials of degree p − 1: the deriva
 those. So static condensation is exact, every element has a one-dimensional null space of its
 own, and the solution of the global system is these, scaled to match at the vertices. As there is
 nothing else to match, the basis is that of Legendre polynomials.
+
+u = p/T is the phase-space density, and J = T (F u − ½ b u') with F the part of the drift due to
+damping; the noise part of the drift, ½ (bT)'/T, has cancelled, so that no derivative of b is
+needed, and u is smooth where T is not. The exact solution has J = 0 at every point, so that any
+points serve the Galerkin equations. Integrals of p are another matter: above an energy where
+contact begins T has half-integer powers, and the element that begins there has points of its own.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -35,19 +41,14 @@ NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
 class Rule(NamedTuple):
     """Points of an element in [0, 1], and the Legendre polynomials P_j there.
 
-    At the Gauss points ``share`` with ``weight`` the flux is tested, for the answer and for the
-    enriched solution. ``P`` (degree + 3, points) are the values of the polynomials, and ``tested``
-    (2 · points, tests · (degree + 3)) the values and the derivatives, each times the degree + 2
-    test functions. The mass of the enriched solution is the sum with ``enriched_weight``, an
-    interpolation at all points but one: its distance to that of the answer shows how far T is from
-    a polynomial, and exceeds the error of the Gauss rule.
+    ``P`` (degree + 3, points) are values at the Gauss points ``share`` of ``weight``, ``tested``
+    (2 · points, tests · (degree + 3)) values and derivatives times the degree + 2 test functions.
+    ``enriched_weight`` interpolates at all points but one: its distance exceeds the Gauss error.
 
-    In elements that begin where contact does both masses have points of their own, at
-    ``contact_share`` with ``contact_weight`` and values ``contact_P``: those of the answer first,
-    then those of the enriched solution. They are Gauss points in (H − H_c)^⅓: in
-    √(H − H_c) T is smooth, but stiff contact leaves a layer just above H_c. Without clearance, or
-    with very little beside a stiff stop, T has other roots and both rules converge algebraically:
-    twice as many points keep less than half of the error for any power of H − H_c from ½ on.
+    Where contact begins both masses have Gauss points in (H − H_c)^⅓, the answer's first. In
+    √(H − H_c) T is smooth, but stiff contact leaves a layer just above H_c; with little or no
+    clearance T has other roots and both rules converge algebraically: twice as many points keep
+    less than half of the error for any power of H − H_c from ½ on.
     """
 
     share: Array
@@ -69,8 +70,8 @@ def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
     rules = gauss_legendre(count), gauss_legendre(2 * count - 2)
     t, contact_w = (0.5 * np.concatenate(both) for both in zip(*rules, strict=True))
     t += 0.5
-    interpolation, used = np.zeros(points), np.arange(points) != points // 2
     # All points but the middle one, exact for as many degrees as are left.
+    interpolation, used = np.zeros(points), np.arange(points) != points // 2
     every = legvander(x[used], points - 2)
     interpolation[used] = np.linalg.solve(every.T, np.eye(points - 1)[0])
     value = np.asarray(legvander(x, highest), dtype=float)
@@ -92,15 +93,12 @@ class Elements(NamedTuple):
     """Solutions of single elements, each of mass 1; every array (elements, …).
 
     ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
-    p e^(−log_factor)/T; ``values`` and ``enriched_values`` (elements, points) are p at the points
-    ``x`` with ``weights``. ``residual`` is relative to the terms that cancel in it;
-    ``net_flux`` is the mean of J and ``one_way`` the terms that cancel in that.
-    ``coefficient_error`` is the largest relative error of the coefficients, ``slope_error`` the
-    error that it leaves in ln p from one end to the other.
+    p e^(−log_factor)/T; ``values`` and ``enriched_values`` are p at the points ``x`` with
+    ``weights``. ``residual`` is relative to its terms, ``one_way`` are those of the mean
+    ``net_flux`` of J. ``coefficient_error`` is the largest relative one, ``slope_error``
+    what it leaves in ln p from one end to the other.
     """
 
-    left: Array
-    right: Array
     coefficient_error: Array
     slope_error: Array
     u: Array
@@ -116,24 +114,15 @@ class Elements(NamedTuple):
 
 
 def solve_elements(
-    process: Process,
-    left: Array,
-    right: Array,
-    degree: int,
-    null_vectors: NullVectors | None = None,
+    process: Process, nodes: Array, degree: int, null_vectors: NullVectors | None = None
 ) -> Elements:
-    """Solve the elements between ``left`` and ``right`` in ``degree`` and in the enriched one.
+    """Solve the elements between ``nodes`` in ``degree`` and in the enriched one.
 
-    u = p/T is the phase-space density, and J = T (F u − ½ b u') with F the part of the drift due to
-    damping; the noise part of the drift, ½ (bT)'/T, has cancelled, so that no derivative of b is
-    needed, and u is smooth where T is not. The exact solution has J = 0 at every point, so that any
-    points serve the Galerkin equations. Integrals of p are another matter: above an energy where
-    contact begins T has half-integer powers, and the element that begins there has points of its
-    own for them. ``null_vectors(process, nodes, degree, points)`` gives u of all elements and the
-    residual by another solver of the same equations.
+    ``null_vectors(process, nodes, degree, points)`` gives u of all elements and the residual by
+    another solver of the same equations.
     """
-    rule, h = element_rule(degree, process.degrees_of_freedom), (right - left)[:, None]
-    contact = np.flatnonzero([H in process.nonsmooth for H in left.tolist()])
+    rule, left, h = element_rule(degree, process.degrees_of_freedom), nodes[:-1], np.diff(nodes)
+    contact, h = np.flatnonzero(np.isin(left, process.nonsmooth)), h[:, None]
     x, points = left[:, None] + h * rule.share, rule.share.size
     inner = left[contact, None] + h[contact] * rule.contact_share
     flat = process.coefficients(np.concatenate([x.ravel(), inner.ravel()]))
@@ -151,7 +140,6 @@ def solve_elements(
     if null_vectors is None:
         u, enriched = (_null_vectors(A, m) for m in degrees)
     else:
-        nodes = np.append(left, right[-1])
         (u, own), (enriched, _) = (null_vectors(process, nodes, m, points) for m in degrees)
     residual, net_flux, one_way = _residuals(A, u)
     values, better = (T * (f @ rule.P[: f.shape[1]]) for f in (u, enriched))
@@ -179,8 +167,6 @@ def solve_elements(
     if process.state_damping:
         slope_error = (h * rule.weight * log_density_slope_error(c)).sum(axis=1)
     return Elements(
-        left=left,
-        right=right,
         coefficient_error=error,
         slope_error=slope_error,
         u=u / mass,
@@ -197,10 +183,7 @@ def solve_elements(
 
 
 def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
-    """Largest residual of A u = 0 of each element, relative to the terms in it, (elements,).
-
-    Then residual and size of the terms of the first equation.
-    """
+    """Residual of A u = 0 relative to its terms; residual and terms of the first equation."""
     # All terms are zero where an element is so short that the damping in it underflows.
     terms = A[:, : u.shape[1] - 1, : u.shape[1]] * u[:, None]
     residual, size = np.abs(terms.sum(axis=2)), np.abs(terms).sum(axis=2)
@@ -211,22 +194,13 @@ def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
 def _null_vectors(A: Array, degree: int) -> Array:
     """Return u (elements, ``degree`` + 1), u_0 = 1, that the first rows of A map to zero.
 
-    A (elements, m, m + 1) has rows of the size one, each of a test function, of rising degree. u_0
-    is the mean of u over the element, which is not zero as u does not change sign. Where T spans
-    hundreds of decades in one element some directions of u have no weight in any equation, and
-    elimination comes upon a zero: the least u is taken.
+    u_0 is the mean of u over the element, which is not zero as u does not change sign. Where T
+    spans hundreds of decades in one element some directions of u have no weight in any equation,
+    and elimination comes upon a zero: the least u is taken.
     """
-    u = np.ones((len(A), degree + 1))
     B, right = A[:, :degree, 1 : degree + 1], -A[:, :degree, :1]
     try:
         rest = np.linalg.solve(B, right)
     except np.linalg.LinAlgError:
         rest = np.linalg.pinv(B) @ right
-    u[:, 1:] = rest[:, :, 0]
-    return u
-
-
-def joined(parts: Sequence[Elements]) -> Elements:
-    """Return all elements in one record, ascending."""
-    order = np.argsort(np.concatenate([part.left for part in parts]))
-    return Elements(*(np.concatenate(x)[order] for x in zip(*parts, strict=True)))
+    return np.hstack([np.ones((len(A), 1)), rest[:, :, 0]])

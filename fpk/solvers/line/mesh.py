@@ -1,22 +1,37 @@
-"""Meshes of one energy: how they follow the coefficients, and where a motion starts and ends."""
+"""Where the density of one energy lies, and meshes that follow the coefficients from there.
+
+A process is probed before there is any mesh, from far below to far above its energy scale. Elements
+then are as long as the density falls by some nats; layers lie where smoothness is lost, and short
+elements where a motion starts or ends.
+"""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from fpk.numeric.arrays import Array
-from fpk.solvers.probe import Probe, probed
-from fpk.system.process import Process
+from fpk.numeric.arrays import EPS, Array
+from fpk.numeric.errors import NotCertified
+from fpk.system.ends import FAR_OUT, OUT_OF_RANGE, require_falling
+from fpk.system.process import Coefficients, Process, log_density_slope
 
+GRID = np.concatenate(
+    [np.logspace(-3.0, 0.0, 10), np.logspace(0.1, 2.0, 20), np.logspace(2.25, 4.0, 8), FAR_OUT[1:]]
+)
+"""Energies of a probe, in units of the process's scale."""
+SAGITTA = 1.0
+"""Largest (d²ln(p H)/d(ln H)²)·(Δ ln H)² between two points of a probe: eight times what ln p H
+may rise above its chord. Asked for where p is within exp(−``DEEP``) of its maximum."""
+DEEP = 100.0
+"""Nats below the largest p H down to which a probe resolves it: 1e-43 of the mass."""
 NATS = 3.0
 """Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
 SMOOTH_NATS = 4.0
 """Fall of ln(p/T) over one element where ln(p/T) is linear in H: over n nats a polynomial of degree
-p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the
-degree of a tolerance (four more than its digits) 1e-1 to 1e-2 of the tolerance."""
-LOG_GROWTH = math.log(1.75)
-"""ln of how many times ``SMOOTH_NATS`` an element may have where little of the mass is left: over 7
-nats p still exceeds its error at the far end (of degree 6 and more), so that it stays positive."""
+p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the degree of a
+tolerance (four more than its digits) 1e-1 to 1e-2 of the tolerance."""
 SPREAD = 20.0
 """Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
@@ -35,16 +50,102 @@ SAME = 1e-3
 LAYER = 0.5
 """Length of the elements at a start or a limit, in units of the width of the density there at the
 first time."""
-THINNEST = 1e-12
-"""Least length of the elements at a limit, relative to the limit: shorter elements do not tell
-energies apart. A start farther from the limit has not failed at times for which they are too
-long."""
 FAST = 20.0
 """Largest |z| t of the Laplace variables z of a contour that contribute at the time t."""
 LARGEST_VALUE = 100.0
 """Largest value at H = 0, relative to the norm in π ~ H^(n−1), of a polynomial that is taken: it
 multiplies round-off."""
-NONE: Array = np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """Where a process is sampled first to learn its scales; the answer does not rest on it.
+
+    ``slope`` is d ln p/dH and ``roughness`` |d ln(p/T)/dH| at ``energy``, all (points,).
+    """
+
+    energy: Array
+    slope: Array
+    roughness: Array
+
+    @cached_property
+    def rate(self) -> Array:
+        """d ln(p H)/d ln H, linear in ln H in between."""
+        return 1.0 + self.energy * self.slope
+
+    @cached_property
+    def log_mass(self) -> Array:
+        """ln(p H) up to a constant."""
+        steps = 0.5 * (self.rate[1:] + self.rate[:-1]) * np.diff(np.log(self.energy))
+        return np.append(0.0, steps.cumsum())
+
+    def extent(self, tail: float) -> float:
+        """Return an energy with the share ``tail`` of mass beyond, or raise ``NotCertified``."""
+        if not np.isfinite(self.log_mass).all():
+            raise NotCertified(OUT_OF_RANGE)
+        energy, rate = self.energy, self.rate
+        wanted = float(self.log_mass.max()) + math.log(tail)
+        i = int(np.flatnonzero(~(self.log_mass < wanted))[-1]) + 1
+        if i == energy.size:
+            raise NotCertified(
+                "the density does not fall off: damping does not balance the noise at high energy"
+            )
+        length = math.log(energy[i] / energy[i - 1])
+        bend = (rate[i] - rate[i - 1]) / length
+        fall = self.log_mass[i - 1] - wanted
+        root = math.sqrt(max(rate[i - 1] ** 2 - 2.0 * bend * fall, 0.0))
+        return float(energy[i - 1] * math.exp(min(2.0 * fall / (root - rate[i - 1]), length)))
+
+    def tail_bound(self, end: float, density_at_end: float) -> float:
+        """Return a bound of the mass above ``end`` from p there; infinite where p does not fall.
+
+        Between two energies of the probe p falls at the lesser of the rates there.
+        """
+        first = int(np.searchsorted(self.energy, end, side="right"))
+        rate = -np.append(np.interp(end, self.energy, self.slope), self.slope[first:])
+        least = np.minimum(rate[:-1], rate[1:])
+        with np.errstate(all="ignore"):
+            fall = least * np.diff(self.energy[first:], prepend=end)
+            share = np.exp(-np.append(0.0, fall.cumsum()))
+            length = float(np.sum(-np.diff(share) / least) + share[-1] / rate[-1])
+        # Not where p rises beyond all bounds, or at the end; and not 0 · ∞.
+        falls = rate[-1] > 0.0 and math.isfinite(length)
+        return density_at_end * length if falls else math.inf
+
+    def e_fold(self, end: float) -> float:
+        """Return the mean energy over which p/T changes by the factor e, below ``end``."""
+        energy = np.concatenate([[0.0], self.energy[self.energy < end], [end]])
+        return end / float(np.trapezoid(np.interp(energy, self.energy, self.roughness), energy))
+
+
+def probed(process: Process) -> Probe:
+    """Return the probe of a process, with points between which no maximum of p can hide.
+
+    Raises ``NotCertified`` where the density does not fall off at the highest energies.
+    """
+    energy = process.energy_scale * GRID
+
+    def sampled(c: Coefficients) -> tuple[Array, Array]:
+        return log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
+
+    # Of energies farther out than that, those whose coefficients overflow are not judged.
+    with np.errstate(over="ignore", invalid="ignore"):
+        c = process.coefficients(energy)
+        finite = np.isfinite(log_density_slope(c) * energy) | (FAR_OUT[0] >= GRID)
+        c = Coefficients(*(np.broadcast_to(a, GRID.shape)[finite] for a in c))
+        probe = Probe(energy[finite], *sampled(c))
+        require_falling(probe.energy, c, probe.slope)
+    while process.state_damping:
+        bulk = np.maximum(probe.log_mass[1:], probe.log_mass[:-1]) > probe.log_mass.max() - DEEP
+        bent = np.abs(np.diff(probe.rate)) * np.diff(np.log(probe.energy)) > SAGITTA
+        i = np.flatnonzero(bulk & bent)
+        if not i.size:
+            break
+        energy = np.sqrt(probe.energy[i] * probe.energy[i + 1])
+        added = energy, *sampled(process.coefficients(energy))
+        of = probe.energy, probe.slope, probe.roughness
+        probe = Probe(*(np.insert(x, i + 1, new) for x, new in zip(of, added, strict=True)))
+    return probe
 
 
 def initial_nodes(
@@ -58,30 +159,23 @@ def initial_nodes(
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
 
     ``nats`` is the fall of ln(p/T) over one element. Geometric ``layers`` lie above every nonsmooth
-    energy (below it, the density is smooth up to it). Where that is tiny beside its element, T
-    still changes with H/H_c: elements grow from there.
+    energy H_c. Where that is tiny beside its element, T still changes with H/H_c: elements grow.
     """
+    # As many nodes between two ends as ∫rate asks for, in equal shares of it.
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
-    nodes: Array = _placed(probe.energy, probe.roughness / nats, ends)
+    grid = np.linspace(0.0, end, 65)
+    rate = np.interp(grid, probe.energy, probe.roughness / nats)
+    total = np.append(0.0, (0.5 * grid[1] * (rate[1:] + rate[:-1])).cumsum())
+    amount = np.interp(ends, grid, total)
+    number = np.append(0.0, np.maximum(np.ceil(np.diff(amount)), 1.0).cumsum())
+    # The number of a node is linear in the amount between two ends.
+    nodes: Array = np.interp(np.interp(np.arange(number[-1] + 1.0), number, amount), total, grid)
+    nodes[number.astype(int)] = ends
     for H in ends[1:-1]:
         if nodes[np.searchsorted(nodes, H) + 1] > SPREAD * H:
             steps = np.arange(1.0, math.log(end / H) / math.log(SPREAD))
             nodes = np.unique(np.append(nodes, H * SPREAD**steps))
     return with_layers(nodes, nonsmooth, count=layers)
-
-
-def _placed(energy: Array, rate: Array, ends: Array) -> Array:
-    """Nodes among them ``ends``, as many between two as ∫rate asks for, in equal shares of it."""
-    grid = ends[-1] / 64.0 * np.arange(65.0)
-    on_grid = np.interp(grid, energy, rate)
-    total = np.append(0.0, (0.5 * grid[1] * (on_grid[1:] + on_grid[:-1])).cumsum())
-    amount = np.interp(ends, grid, total)
-    pieces = np.maximum(np.ceil(amount[1:] - amount[:-1]), 1.0)
-    # The number of a node, counted by pieces, is linear in the amount between two ends.
-    number = np.append(0.0, pieces.cumsum())
-    nodes: Array = np.interp(np.interp(np.arange(number[-1] + 1.0), number, amount), total, grid)
-    nodes[number.astype(int)] = ends
-    return nodes
 
 
 def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRADED_LAYERS) -> Array:
@@ -99,9 +193,9 @@ def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRAD
     return nodes
 
 
-def split_points(left: Array, right: Array, special: Array) -> Array:
-    """Return where to cut elements in two: towards a special point they begin at, else half-way."""
-    share = np.where(np.isin(left, special), GRADING, 0.5)
+def split_points(left: Array, right: Array, nonsmooth: tuple[float, ...]) -> Array:
+    """Return where to cut elements in two: half-way, towards 0 and nonsmooth left ends."""
+    share = np.where(np.isin(left, [0.0, *nonsmooth]), GRADING, 0.5)
     return left + share * (right - left)
 
 
@@ -116,9 +210,9 @@ def first_degree(degree: int, n: int) -> int:
 
 
 def layer_at(process: Process, limit: float, time: float) -> tuple[float, float]:
-    """Return the ``limit`` and the length of elements there: p falls to 0 over √(b t)."""
+    """Return ``limit`` and the length of elements there, ~ √(b t), that still tells them apart."""
     b = float(process.coefficients(np.array([limit])).diffusion[0])
-    return limit, max(LAYER * math.sqrt(b * time), THINNEST * limit)
+    return limit, max(LAYER * math.sqrt(b * time), 1e4 * EPS * limit)
 
 
 def time_nodes(
@@ -126,34 +220,32 @@ def time_nodes(
     end: float,
     degree: int,
     *,
-    fine: tuple[tuple[float, float], ...] = (),
-    more: Array = NONE,
+    fine: Sequence[tuple[float, float]] = (),
+    more: Array | Sequence[float] = (),
 ) -> Array:
     """Return nodes from 0 to ``end`` for questions of time: fine where a motion starts or ends.
 
-    They are those of the stationary density. ``fine`` holds energies, which become nodes, and the
-    lengths of the elements beside them, which grow from there until those of the density are
-    shorter. ``more`` are nodes that are added, but for those that nearly are others.
+    To those of the density come energies of ``fine``, with the lengths of the elements beside them,
+    which grow from there, and ``more`` nodes, but for those that nearly are others.
     """
     n = process.degrees_of_freedom
     nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)
     added = [nodes, more, end * np.array([0.25, 0.5, 0.75])]  # four elements at least
-    beside_zero = [length for energy, length in fine if energy == 0.0]
     if n > 2:
         # Of degree k the first element gives k + 2 times as many digits as its share of the scale.
-        scale = min([process.energy_scale, end, *(n * length / FAST for length in beside_zero)])
+        beside_zero = [n * length / FAST for energy, length in fine if energy == 0.0]
+        scale = min([process.energy_scale, end, *beside_zero])
         first = 10.0 ** (-16.0 / (first_degree(degree - 1, n) + 2)) * scale
         # ln T ~ (n − 1) ln H.
         ratio = min(math.exp(SMOOTH_NATS / (n - 1)), GROWTH if beside_zero else np.inf)
         if first < 0.5 * nodes[1]:
             steps = int(math.log(end / first) / math.log(ratio))
             added.append(first * ratio ** np.arange(steps + 1.0))
-        fine = tuple(x for x in fine if x[0] > 0.0)
+        fine = [x for x in fine if x[0] > 0.0]
     gaps = np.diff(nodes)
     for energy, length in fine:
-        lengths = length * GROWTH ** np.arange(
-            1.0 + max(math.log(end / length), 0.0) / math.log(GROWTH)
-        )
+        count = 1.0 + max(math.log(end / length), 0.0) / math.log(GROWTH)
+        lengths = length * GROWTH ** np.arange(count)
         ends = lengths.cumsum()
         added.append(np.array([energy]))
         for side in (1.0, -1.0):

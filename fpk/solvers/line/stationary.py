@@ -16,17 +16,17 @@ from scipy.ndimage import maximum_filter1d
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify, outside
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.numeric.piecewise import Piecewise
-from fpk.solvers.line.elements import Elements, NullVectors, element_rule, joined, solve_elements
+from fpk.solvers.line.elements import Elements, NullVectors, element_rule, solve_elements
 from fpk.solvers.line.mesh import (
     GRADED_LAYERS,
-    LOG_GROWTH,
     NATS,
     SMOOTH_NATS,
+    Probe,
     initial_nodes,
+    probed,
     split_points,
     with_layers,
 )
-from fpk.solvers.probe import Probe, probed
 from fpk.system.process import Process
 
 SAFETY = 2.0
@@ -47,10 +47,9 @@ HALF_WAVE = 4
 class StationarySolution:
     """Finite element density p(H) with its error estimate and certificate.
 
-    ``answer`` is u = p/T, and ``enriched`` that of a higher degree,
-    there for the pointwise error. ``common_error`` is the relative error that shifts all of p
-    alike, of the coefficients and of the mass. ``measured`` is what ``certificate`` was made of, to
-    the tolerance asked for: densities made of the solution are certified from it.
+    ``answer`` is u = p/T, ``enriched`` that of a higher degree. ``common_error`` is the relative
+    error that shifts all of p alike, of the coefficients and of the mass. ``measured`` is what
+    ``certificate``, and that of any density made of the solution, follows from.
     """
 
     process: Process
@@ -98,17 +97,17 @@ class StationarySolution:
         return self._error(energy, np.zeros(np.shape(energy)))
 
     def _error(self, energy: Array, factor: Array) -> Array:
-        """Error of u e^``factor``: distance to the enriched one, and what shifts all of p alike."""
+        """Error of u e^``factor``: its own, and what shifts all of p alike."""
+        log_error, relative = self._of_elements
         x = np.asarray(energy, dtype=float)
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
         share = np.clip((x - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k]), 0.0, 1.0)
-        count = self._log_distance.shape[1] - 1
-        point = (np.arccos(1.0 - 2.0 * share) * count / np.pi).astype(int)
-        ends = self._log_distance[k, point], self._log_distance[k, np.minimum(point + 1, count)]
-        distance = np.exp(np.maximum(*ends) + factor)
-        floor = self.common_error + outside(self.measured)
-        error = POINTWISE_SAFETY * distance + floor * np.abs(self.answer(x, log_factor=factor))
-        return np.asarray(error + np.exp(np.interp(x, *self._log_round_off) + factor))
+        at = np.arccos(1.0 - 2.0 * share) * (log_error.shape[1] - 1) / np.pi
+        point = np.minimum(at.astype(int), log_error.shape[1] - 2)
+        below, above = log_error[k, point], log_error[k, point + 1]
+        own = np.exp(below + (at - point) * (above - below) + factor)
+        floor = self.common_error + outside(self.measured) + relative[k]
+        return np.asarray(own + floor * np.abs(self.answer(x, log_factor=factor)))
 
     def _log_states(self, energy: Array) -> Array:
         """ln T at energies of any shape; beyond the last node, ln T of that node."""
@@ -118,64 +117,48 @@ class StationarySolution:
         return np.where(positive | (np.asarray(energy) > end), log_T, -np.inf)
 
     @cached_property
-    def _log_distance(self) -> Array:
-        """ln of the largest distance of u to the enriched solution around points of each element.
+    def _of_elements(self) -> tuple[Array, Array]:
+        """ln of the error of u around points of each element, and its relative round-off in each.
 
-        It is an array (elements, points), the points at equal angles θ, H rising as 1 − cos θ over
-        the element: so the distance has about as many half-waves of one length as its degree. The
-        error does not vanish where the distance does, and where T changes by decades in an element
-        both may be as small as each other over a half-wave: the largest within two is taken, as
-        √T u, since the equations weight errors of u by T, which rises like H^(n−1) at the most.
+        At equal angles θ, H rising as 1 − cos θ over the element, the distance to the enriched
+        solution has half-waves of one length. The error does not vanish where that does: the
+        largest within two is taken, as √T u, since the equations weight errors of u by T.
+
+        Elimination of m unknowns leaves between m and m² roundings of the largest p everywhere in
+        the element, m^(3/2) by the largest that was measured, in both solutions alike. At a node
+        where p is much less it spoils the scale of all elements on the side of less mass.
         """
-        count = self.enriched.coefficients.shape[1] - 1
-        t = -np.cos(np.pi * np.arange(HALF_WAVE * count + 1) / (HALF_WAVE * count))
+        count = HALF_WAVE * (self.enriched.coefficients.shape[1] - 1)
+        t = -np.cos(np.pi * np.arange(count + 1) / count)
         u, better = (
             f.coefficients @ legvander(t, f.coefficients.shape[1] - 1).T
             for f in (self.answer, self.enriched)
         )
-        log_scale = np.array([self.answer.log_scale, self.enriched.log_scale])
-        distance = np.abs(u - np.exp(log_scale[1] - log_scale[0])[:, None] * better)
+        scale, other = np.array([self.answer.log_scale, self.enriched.log_scale])[..., None]
+        distance = np.abs(u - np.exp(other - scale) * better)
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * 0.5 * (1.0 + t)
-        n = self.process.degrees_of_freedom
-        first = self.nodes[1] * element_rule(self.degree, n).share[0]
-        log_root = 0.5 * (n - 1) * np.log(np.maximum(x, first))
+        share = element_rule(self.degree, self.process.degrees_of_freedom).share[0]
+        log_T = self._log_states(np.maximum(x, self.nodes[1] * share))
         # A filter of maxima drops what is no number: that is as far as can be.
         distance = np.nan_to_num(distance, nan=np.inf, posinf=np.inf)
-        weighted = np.log(np.maximum(distance, SMALLEST)) + log_root
+        weighted = np.log(np.maximum(distance, SMALLEST)) + 0.5 * log_T
         around = maximum_filter1d(weighted, 4 * HALF_WAVE + 1, axis=1, mode="nearest")
-        return np.asarray(around - log_root + log_scale[0][:, None])
-
-    @cached_property
-    def _log_round_off(self) -> tuple[Array, Array]:
-        """Energies, and the logarithm of the round-off of u there.
-
-        Elimination of m unknowns, sums of m terms in m steps, leaves between m and m² roundings of
-        the largest p in the element, everywhere in it, m^(3/2) by the largest that was measured;
-        the answer and the enriched solution have them alike. At a node where p is much less it
-        spoils the scale of all elements on the side of less mass.
-        """
-        share = element_rule(self.degree, self.process.degrees_of_freedom).share
-        share = np.concatenate([[0.0], share, [1.0]])
-        x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * share
-        x[0, 0] = x[0, 1]  # towards H = 0 p/T has no bound
-        log_T = self._log_states(x)
-        p = np.abs(self.answer(x, log_factor=log_T))
+        p = np.abs(u) * np.exp(log_T + scale)
         most = self.degree**1.5 * p.max(axis=1)
-        at_nodes = np.maximum(p[:-1, -1], SMALLEST)
-        steps, top = (most[:-1] + most[1:]) / at_nodes, int(most.argmax())
+        steps, top = (most[:-1] + most[1:]) / np.maximum(p[:-1, -1], SMALLEST), int(most.argmax())
         # Added up from the most massive element outwards: farther out they grow without bound.
         below, above = np.cumsum(steps[:top][::-1])[::-1], np.cumsum(steps[top:])
         relative = self.nodes.size + np.concatenate([below, [0.0], above])
-        error = 2.0 * EPS * (most[:, None] + relative[:, None] * p)
-        return x.ravel(), (np.log(np.maximum(error, SMALLEST)) - log_T).ravel()
+        own = math.log(POINTWISE_SAFETY) + around - 0.5 * log_T + scale
+        rounding = np.log(np.maximum(2.0 * EPS * most[:, None], SMALLEST)) - log_T
+        return np.logaddexp(own, rounding), 2.0 * EPS * relative
 
 
 def solve_stationary(
     process: Process, *, tol: float = 1e-10, degree: int | None = None
 ) -> StationarySolution:
-    """Return the stationary density to the L1 tolerance ``tol``, adapting the mesh.
+    """Return the stationary density to the L1 tolerance ``tol``, or what failed in its certificate.
 
-    The degree follows from ``tol`` unless given. The answer is certified or says what failed.
     Raises ``NotCertified`` where no stationary density exists.
     """
     # u is smooth where T is not, as long as 2 F/b does not depend on H.
@@ -184,27 +167,22 @@ def solve_stationary(
         digits = round(-math.log10(tol))
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
     probe = probed(process)
-    end = probe.extent(1e-2 * tol)
     nats: Array | float = NATS
     if smooth:
-        # The error of an element counts by its mass, and rises with the nats to this power.
+        # The error of an element counts by its mass, and rises with the nats to this power; over 7
+        # nats p still exceeds its error at the far end, so that it stays positive.
         fall = probe.log_mass.max() - probe.log_mass
-        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), LOG_GROWTH))
-    layers = 0 if smooth else GRADED_LAYERS
+        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
+    end, layers = probe.extent(1e-2 * tol), 0 if smooth else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
-    elements = solve_elements(process, nodes[:-1], nodes[1:], degree)
-    special = np.array([0.0, *process.nonsmooth])
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
-        solution, marked = _assembled(process, probe, elements, degree, tol)
-        if not marked.any() or marked.size > MOST_ELEMENTS:
+        elements = solve_elements(process, nodes, degree)
+        solution, marked = _assembled(process, probe, nodes, elements, degree, tol)
+        cut = split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
+        finer = np.unique(np.append(nodes, cut))
+        if not cut.size or marked.size > MOST_ELEMENTS or finer.size < nodes.size + cut.size:
             break
-        left, right = elements.left[marked], elements.right[marked]
-        cut = split_points(left, right, special)
-        if np.any((cut <= left) | (cut >= right)):
-            break
-        halves = np.concatenate([left, cut]), np.concatenate([cut, right])
-        new = solve_elements(process, *halves, degree)
-        elements = joined([Elements(*(x[~marked] for x in elements)), new])
+        nodes = finer
     return solution
 
 
@@ -217,20 +195,19 @@ def solve_on_mesh(
     null_vectors: NullVectors | None = None,
 ) -> StationarySolution:
     """Return the finite element solution on a given mesh; ``null_vectors`` as in elements."""
-    elements = solve_elements(process, nodes[:-1], nodes[1:], degree, null_vectors)
-    return _assembled(process, probed(process), elements, degree, tol)[0]
+    elements = solve_elements(process, nodes, degree, null_vectors)
+    return _assembled(process, probed(process), nodes, elements, degree, tol)[0]
 
 
 def _assembled(
-    process: Process, probe: Probe, e: Elements, degree: int, tol: float
+    process: Process, probe: Probe, nodes: Array, e: Elements, degree: int, tol: float
 ) -> tuple[StationarySolution, Flags]:
     """Return the elements scaled to one density, judged, and which of them to cut in two."""
-    nodes = np.append(e.left, e.right[-1])
     series = e.u, e.enriched
     signed, log_scale, share = zip(*(_chained(u, e.log_factor) for u in series), strict=True)
     p, better = share[0][:, None] * e.values, share[1][:, None] * e.enriched_values
-    difference = np.abs(p - better)
-    distance = float((e.weights * difference).sum())
+    own = (e.weights * np.abs(p - better)).sum(axis=1)
+    distance = float(own.sum())
     # The enriched solution has the mass 1 by a lesser rule: by that of the answer it has another,
     # by which the two differ everywhere alike, so that their distance may vanish where p is wrong.
     enriched_mass = float((e.weights * better).sum())
@@ -272,22 +249,14 @@ def _assembled(
     # Half of the tolerance is left to the tail, the coefficients and round-off.
     if SAFETY * distance <= 0.5 * tol and least >= NEGATIVE * most:
         return solution, np.zeros(size.size, dtype=bool)
-    # What of the distance is an element's own making: that in shape, and a wrong step between two
-    # neighbours, which moves the smaller of the masses on its sides.
-    own = size * np.sum(e.weights * np.abs(e.values - e.enriched_values), axis=1)
-    below = below[:-1]
-    step = np.abs(np.diff(log_scale[0] - log_scale[1]))
-    step *= np.minimum(below, np.maximum(1.0 - below, 0.0))
-    own += np.append(step, 0.0) + np.append(0.0, step)
     return solution, (p.min(axis=1) < NEGATIVE * most) | (own > 0.1 * tol / own.size)
 
 
 def _chained(u: Array, log_factor: Array) -> tuple[Array, Array, Array]:
     """Scale elements so that they match at the nodes and make a density of mass 1.
 
-    ``u`` (elements, terms) are Legendre series of which each has the mass 1 times e^``log_factor``.
-    Returned are these with signs, positive where mass is most, the logarithms of their scales, and
-    the masses with signs. Scales are added up as logarithms, so that no density is too steep.
+    ``u`` (elements, terms) are Legendre series of the mass 1 times e^``log_factor`` each. Returned
+    are these with signs, positive where mass is most, ln of their scales, and masses with signs.
     """
     # P_j is (−1)^j at the left end and 1 at the right one.
     ends = np.stack([u @ (-1.0) ** np.arange(u.shape[1]), u.sum(axis=1)])

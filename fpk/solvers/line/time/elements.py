@@ -17,12 +17,13 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.polynomial.legendre import legint, legvander
+from numpy.typing import ArrayLike
 from scipy.special import roots_jacobi
 
 from fpk.numeric.arrays import Array, Flags, Integers
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.solvers.line.elements import ENRICHMENT
-from fpk.solvers.line.mesh import HIGHEST, NONE, first_degree, split_points
+from fpk.solvers.line.mesh import HIGHEST, first_degree, split_points
 from fpk.solvers.plane.elements import shape_functions
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
@@ -30,6 +31,8 @@ SAFETY = 3.0
 """Factor on the distance to the enriched solution, of densities, first passage and rates."""
 MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
 """Most rounds of cutting elements in two, and elements beyond which none is cut."""
+TAIL = (1e-3, 1e-8)
+"""Share of the tolerance that may lie beyond the mesh: of the answer, and of the enriched one."""
 Settings = dict[str, str | float | int]
 
 
@@ -39,14 +42,14 @@ class Elements:
 
     π is e^``log_scale`` times the local density in which the integrals are given. ``shapes`` (…,
     degree + 1, functions) has in its columns the coefficients of h_0, h_1 and the v_j in the
-    ``shape_functions``: of these f_i are ``mass`` ∫π f_i f_j and ``drift`` ∫π F f_i' f_j (…,
-    functions, functions), F the part of the drift due to damping; ``conductance`` is 1/∫dx/m, and
-    ∫m v_j'² = 1. At H = 0 no flux is natural: in the first element h_0 = 0, h_1 = 1 and v_j(0) is
-    free; it may have fewer v_j, and the others are 0. ``x`` and ``weight`` (…, points) integrate π
-    times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln π/T, less its value at
-    the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from 0 to 1.
-    ``relative_error`` is the error of π and m by the coefficients; ``slope_error`` the error that
-    it leaves in ln π from one end to the other.
+    ``shape_functions``: of these f_i are ``mass`` ∫π f_i f_j, ``load`` ∫π f_i and ``drift``
+    ∫π F f_i' f_j, F the part of the drift due to damping. ``conductance`` is 1/∫dx/m, ∫m v_j'² = 1,
+    ``relaxation`` ∫π v_j². At H = 0 no flux is natural: in the first element h_0 = 0, h_1 = 1 and
+    v_j(0) is free; it may have fewer v_j, and the others are 0. ``x`` and ``weight`` (…, points)
+    integrate π times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln π/T, less its
+    value at the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from
+    0 to 1. ``relative_error`` is that of π and m by the coefficients, ``slope_error`` what it
+    leaves in ln π from one end to the other.
     """
 
     process: Process
@@ -55,6 +58,8 @@ class Elements:
     contact: Flags
     shapes: Array
     mass: Array
+    load: Array
+    relaxation: Array
     drift: Array
     conductance: Array
     x: Array
@@ -95,16 +100,6 @@ class Elements:
         return np.exp(-np.diff(self.log_scale))
 
     @cached_property
-    def load(self) -> Array:
-        """∫π f_i (elements, functions)."""
-        return self.mass[:, :, 0] + self.mass[:, :, 1]
-
-    @cached_property
-    def relaxation(self) -> Array:
-        """ν_j = ∫π v_j² of the v_j (elements, degree − 1), their relaxation times."""
-        return np.asarray(np.einsum("eii->ei", self.mass)[:, 2:])
-
-    @cached_property
     def log_mass(self) -> Array:
         """ln ∫π over each element."""
         return np.asarray(self.log_scale + np.log(self.load[:, :2].sum(axis=1)))
@@ -117,9 +112,8 @@ class Elements:
     def coefficient_error(self, upto: float = 0.0) -> float:
         """Relative error that the coefficients leave in densities and rates.
 
-        An element counts by its share of the mass and of the way through the bulk, beyond which is
-        1e-6 of the mass, in units of √b: near a contact energy errors are large on very short
-        elements. ``upto`` is an energy that the way reaches at least.
+        An element counts by its share of the mass and of the way, in units of √b, up to ``upto`` or
+        through all but 1e-6 of the mass: near a contact energy errors are large on short elements.
         """
         mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
         bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
@@ -127,13 +121,14 @@ class Elements:
         weights = mass + way / way[bulk].sum()
         return float(weights @ self.relative_error + self.slope_error.sum())
 
-    def element_of(self, x: Array) -> Integers:
-        """Elements that hold the points x."""
-        return np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.count - 1)
+    def within(self, x: Array) -> tuple[Integers, Array]:
+        """Return the elements that hold the points x, and the shares of these that lie below."""
+        k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.count - 1)
+        return k, np.clip((x - self.left[k]) / (self.right[k] - self.left[k]), 0.0, 1.0)
 
     def functions(self, x: Array) -> tuple[Integers, Array]:
         """Return the elements of the points x and their f_i there, (points, functions)."""
-        k, t = self._within(x)
+        k, t = self.within(x)
         return k, np.einsum("px,xpi->xi", shape_functions(self.degree, t)[0], self.shapes[k])
 
     def at(self, x: Array, f: Array, size: Array | None = None) -> tuple[Array, Array]:
@@ -151,18 +146,12 @@ class Elements:
 
     def log_density(self, x: Array, *, of_states: bool = False) -> Array:
         """Return ln π at points x > 0, in the unit of ``log_scale``; or ln π/T, ``of_states``."""
-        k, t = self._within(x)
+        k, t = self.within(x)
         s = np.where(self.contact[k], np.cbrt(t), t)
         series = legvander(2.0 * s - 1.0, self.log_rise.shape[1] - 1)
         log_u = self.log_u[k] + (series * self.log_rise[k]).sum(axis=1)
-        if of_states:
-            return np.asarray(log_u)
-        return np.asarray(log_u + self.process.coefficients(x).log_density_of_states)
-
-    def _within(self, x: Array) -> tuple[Integers, Array]:
-        """The elements of the points x and the shares of these that lie below, in [0, 1]."""
-        k = self.element_of(x)
-        return k, np.clip((x - self.left[k]) / (self.right[k] - self.left[k]), 0.0, 1.0)
+        log_T = 0.0 if of_states else self.process.coefficients(x).log_density_of_states
+        return np.asarray(log_u + log_T)
 
 
 Answer = TypeVar("Answer")
@@ -173,9 +162,8 @@ Pair = tuple[Elements, Elements]
 class Evolved(NamedTuple):
     """A density of ``elements`` at several times: the coefficients ``values`` of p/π.
 
-    They are in the units 1/e^``log_scale`` of the elements, ``size`` the sizes of the terms that
-    cancel in them; both are (times, elements, functions). ``residual`` is the largest one of the
-    equations solved, relative to the terms that cancel. What is no density has no such units.
+    They are in the units 1/e^``log_scale`` of the elements, but for what is no density, ``size``
+    those of the terms that cancel in them, (times, elements, functions). ``residual`` is relative.
     """
 
     elements: Elements
@@ -190,21 +178,20 @@ class Evolved(NamedTuple):
         """
         e = self.elements
         p, size = e.at(x, self.values, self.size)
-        factor = np.exp(e.log_density(x, of_states=of_states) - e.log_scale[e.element_of(x)])
+        factor = np.exp(e.log_density(x, of_states=of_states) - e.log_scale[e.within(x)[0]])
         return p * factor, size * factor
 
 
 @lru_cache
 def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
-    """Return points t on [0, 1] of an element of ``degree``, which may begin at ``contact``.
+    """Return points t on [0, 1] of an element, which may begin at ``contact``, and their weights.
 
-    With their weights; Legendre polynomials of s there (points, terms), s = ∛t at contact and t
-    elsewhere; the coefficients (terms, points) of such a series of ∫_0^t; the ``shape_functions``
-    and their slopes (points, degree + 1). Where π ~ t^``steepness`` with more than a few powers
-    the points are Gauss and Jacobi's; over such an element, which is short, what else varies is
-    linear.
+    They are Gauss points of s, s = ∛t at contact, above which π is smooth in ∛(H − H_c), and t
+    elsewhere. Then Legendre polynomials of s there (points, terms), coefficients (terms, points) of
+    such a series of ∫_0^t, ``shape_functions`` and their slopes (points, degree + 1). Where
+    π ~ t^``steepness`` with more than a few powers the points are Gauss and Jacobi's; over such an
+    element, which is short, what else varies is linear.
     """
-    # π is no polynomial, and above a contact energy it is smooth in the cubic root of H − H_c.
     count = 3 * degree + 8 if contact else degree + 6
     steep = steepness > 7 and not contact
     x, w = roots_jacobi(count, 0, steepness) if steep else gauss_legendre(count)
@@ -228,37 +215,22 @@ def elements(
 
     The element at H = 0 may be of a lower degree; ``enriched`` has it one higher.
     """
-    contact, first = np.isin(left, np.array(process.nonsmooth)), left == 0.0
-    kinds = ((first == a) & (contact == b) for a in (True, False) for b in (True, False))
-    alike = [np.flatnonzero(kind) for kind in kinds if kind.any()]
-    return _joined(
-        *(
-            _alike(process, left[k], right[k], degree, first[k[0]], contact[k[0]], enriched)
-            for k in alike
-        )
-    )
-
-
-def _joined(*parts: Elements, chosen: Flags | slice = slice(None)) -> Elements:
-    """The elements of all parts in one record, ascending; of the first part the ``chosen`` ones."""
-
-    def every(name: str) -> Array:
-        first, *others = (getattr(part, name) for part in parts)
-        return np.concatenate([first[chosen], *others])
-
-    order = np.argsort(every("left"))
+    kind = np.isin(left, process.nonsmooth) + 2 * (left == 0.0)
+    alike = [np.flatnonzero(kind == k) for k in np.unique(kind)]
+    parts = [_alike(process, left[k], right[k], degree, enriched=enriched) for k in alike]
+    order = np.argsort(np.concatenate(alike))
     arrays: dict[str, Any] = {
-        x.name: every(x.name)[order] for x in fields(Elements) if x.name != "process"
+        x.name: np.concatenate([getattr(part, x.name) for part in parts])[order]
+        for x in fields(Elements)
+        if x.name != "process"
     }
     return replace(parts[0], **arrays)
 
 
-def _alike(
-    process: Process, left: Array, right: Array, degree: int, first: bool, contact: bool,
-    enriched: bool,
-) -> Elements:  # fmt: skip
+def _alike(process: Process, left: Array, right: Array, degree: int, *, enriched: bool) -> Elements:
     """Elements that all begin at H = 0, or at contact, or all do not."""
-    n = process.degrees_of_freedom
+    n, first = process.degrees_of_freedom, left[0] == 0.0
+    contact = bool(left[0] in process.nonsmooth)
     t, w, series, integral, values, derivatives = rule(degree, contact, n - 1 if first else 0)
     h = (right - left)[:, None]
     x = left[:, None] + h * t
@@ -294,14 +266,17 @@ def _alike(
         steps = (h * log_density_slope_error(c)) @ integral.sum(axis=0)
     # All kinds of elements have as many points and terms as the kind that has the most.
     more = rule(degree, bool(process.nonsmooth), 0)[0].size - t.size
-    behind = np.zeros((left.size, max(more, 0)))
+    behind = np.zeros((left.size, more))
+    mass = np.swapaxes(f, 1, 2) @ (weight[:, :, None] * f)
     return Elements(
         process=process,
         left=left,
         right=right,
         contact=np.full(left.size, contact),
         shapes=shapes,
-        mass=np.swapaxes(f, 1, 2) @ (weight[:, :, None] * f),
+        mass=mass,
+        load=mass[:, :, 0] + mass[:, :, 1],
+        relaxation=np.einsum("eii->ei", mass)[:, 2:],
         drift=slopes @ ((weight * c.dissipation)[:, :, None] * f),
         conductance=np.zeros(left.size) if first else R[:, own, own] ** 2,
         x=np.hstack([x, behind + x[:, -1:]]),
@@ -318,7 +293,7 @@ def degree_for(tol: float) -> int:
     return int(np.clip(round(-math.log10(tol)), 4, HIGHEST - 4)) + 4
 
 
-def meshed(process: Process, nodes: Array, degree: int, *, beyond: Array = NONE) -> Pair:
+def meshed(process: Process, nodes: Array, degree: int, *, beyond: ArrayLike = ()) -> Pair:
     """Return elements between ``nodes``; those of the enriched solution end at ``beyond``, too."""
     every = np.append(nodes, beyond)
     return (
@@ -328,22 +303,13 @@ def meshed(process: Process, nodes: Array, degree: int, *, beyond: Array = NONE)
 
 
 def refined(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
-    """Return the answer of ``solve`` on a pair whose elements are cut until it marks none.
-
-    Marked elements of the answer are cut in two in both, towards a singular point if they begin
-    there.
-    """
+    """Return the answer of ``solve`` on a pair whose elements are cut until it marks none."""
     for _ in range(MOST_ROUNDS):
         answer, marked = solve(pair)
         if not marked.any() or marked.size > MOST_ELEMENTS:
             break
-        process, left, right = pair[0].process, pair[0].left[marked], pair[0].right[marked]
-        at = split_points(left, right, np.array([0.0, *process.nonsmooth]))
-        ends = np.append(left, at), np.append(at, right)
-        kept = [np.append(~marked, np.ones(e.count - marked.size, dtype=bool)) for e in pair]
-        halves = [elements(process, *ends, e.degree, enriched=e is pair[1]) for e in pair]
-        own, enriched = (
-            _joined(*parts, chosen=k) for *parts, k in zip(pair, halves, kept, strict=True)
-        )
-        pair = own, enriched
+        e, every = pair[0], pair[1].nodes
+        at = split_points(e.left[marked], e.right[marked], e.process.nonsmooth)
+        nodes = np.sort(np.append(e.nodes, at))
+        pair = meshed(e.process, nodes, e.degree, beyond=every[e.count + 1 :])
     return answer

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial.legendre import legint, legvander
 from scipy.integrate import solve_ivp
-from scipy.sparse import block_diag, coo_array, csc_array, kron
+from scipy.sparse import csc_array, kron
 from scipy.sparse.linalg import splu
 from scipy.special import roots_jacobi
 
@@ -23,8 +23,9 @@ from fpk.answer.evolution import LARGEST_ERROR, NO_NOISE_YET, Transient
 from fpk.answer.observable import number_text
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.solvers.line.time.elements import SAFETY, Elements, Evolved, Settings
-from fpk.solvers.line.time.transition import Source, Transition, adapted, judged, posed
+from fpk.solvers.line.time.elements import SAFETY, Elements, Evolved, Pair, Settings
+from fpk.solvers.line.time.resolvent import matrices
+from fpk.solvers.line.time.transition import Question, Source, Transition, adapted, judged, posed
 from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
@@ -38,6 +39,8 @@ LEVELS = (1, 4)
 """Halvings of all steps: those with which the mesh is adapted, and the most."""
 Processes = Callable[[float], Process]
 """The process of an energy under F times the noise intensity, by F."""
+Carried = tuple[Evolved, Array, Array]
+"""A density at the times asked for, numbers that follow from it, and errors of those."""
 
 
 def quiet_until(modulation: Modulation, source: Source) -> float:
@@ -53,32 +56,6 @@ def quiet_until(modulation: Modulation, source: Source) -> float:
             "start", f"H={number_text(source.energy)}", f"{remedy}, at rest or from noise=F"
         )
     return modulation.quiet
-
-
-def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
-    """Return M, K and C of the free functions, scaled to a mass of one, for the reference noise.
-
-    No flux leaves at the last end, or it absorbs. The last matrix (functions of all elements, free
-    functions) has e^(½ ``log_scale``) times the factor of each free function, where it is one of
-    the element's.
-    """
-    size = e.degree + 1
-    K_local = np.tile(np.eye(size), (e.count, 1, 1))
-    K_local[:, :2, :2] = e.conductance[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    # A vertex is of two elements, of which the one on its left has the function h_1.
-    place = np.arange(e.count * size).reshape(e.count, size)
-    place[1:, 0] = place[:-1, 1]
-    masses = np.einsum("eii->ei", e.mass)
-    used = masses != 0.0
-    used[-1, 1] &= not absorbing
-    numbers, free = np.unique(place[used], return_inverse=True)
-    unit = np.broadcast_to(e.log_scale[:, None], place.shape)[used]
-    log_mass = np.full(numbers.size, -np.inf)
-    np.logaddexp.at(log_mass, free, np.log(masses[used]) + unit)
-    factor, shape = np.exp(0.5 * (unit - log_mass[free])), (used.size, numbers.size)
-    spread = csc_array(coo_array((factor, (np.flatnonzero(used), free)), shape))
-    blocks = (block_diag(A, format="csc") for A in (e.mass, K_local, e.drift))
-    return *(csc_array(spread.T @ A @ spread) for A in blocks), spread
 
 
 @lru_cache
@@ -99,11 +76,11 @@ def steps_of(
     *,
     level: int,
 ) -> Iterator[tuple[float, float, Array, float]]:
-    """Yield the steps from the start up to the last of ``times`` > 0.
+    """Yield end and length of each step up to the last of ``times`` > 0, g, and a residual.
 
-    The end and the length of each, g at its stages (stages, functions), and the relative residual.
-    e² is in units of ``unit``, the reference's. Steps grow like the time, end at the times and at
-    the kinks of e, and there are 2^``level`` of them in each of the level 0.
+    g is at its stages (stages, functions), the residual relative. e² is in units of ``unit``, the
+    reference's. Steps grow like the time, end at the times and at the kinks of e, and there are
+    2^``level`` of them in each of the level 0.
     """
     stops = np.unique(np.append(times, modulation.times[modulation.times < times[-1]]))
     stops = stops[stops > 0.0]
@@ -141,8 +118,7 @@ def stepped(
 ) -> tuple[Evolved, Array, Array, Array]:
     """Return the density at ``times`` > 0 of what begins with ``load``, by ``steps_of``.
 
-    No flux leaves at the last end, or it is ``absorbing``. With it come the times of the stages of
-    all steps, weights that integrate over time, and the mass there, (steps · stages,) each.
+    Then times of the stages, weights that integrate over time, and the mass, (steps · stages,).
     """
     *MKC, spread = matrices(e, absorbing=absorbing)
     root, (A, c) = np.exp(0.5 * e.log_scale)[:, None], radau()
@@ -159,82 +135,77 @@ def stepped(
     )
 
 
-def modulated_transition(
-    under: Processes, modulation: Modulation, source: Source, times: Array, *, tol: float
-) -> Transition:
-    """Return the density at ``times`` > 0 of an energy that begins with ``source``.
-
-    ``under(F)`` is its process under F times the noise intensity. By steps of Radau IIA of the
-    order 9 on elements that adapt; the error is the distance to elements of a higher degree and to
-    steps twice as long, and settings have the order that the last three levels of steps show.
-    Without noise it is the equation of the decay alone, of first order. Raises ``InvalidInput`` for
-    times at which the density is still one energy, and as ``quiet_until`` and ``posed`` do.
-    """
-    quiet = quiet_until(modulation, source)
-    if times[0] <= quiet:
-        raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
-    modulation, times = modulation.after(quiet), times - quiet
-    unit = modulation.largest or 1.0
-    first = float(modulation.energy(times[0])) / unit
-    question, pair = posed(under(unit), source, first, tol)
-
-    @lru_cache(maxsize=4)
-    def carried(e: Elements, level: int) -> Evolved:
-        return stepped(e, source.load(e), modulation, unit, times, level=level)[0]
-
-    solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0]))
-    e, finer = solved.elements, solved.enriched.elements
-
-    def values(level: int) -> Array:
-        return carried(e, level).density(e.x.ravel())[0] * e.weight.ravel()
-
-    def l1(moved: Array, _: Array) -> float:
-        return float(moved.sum(axis=1).max())
-
-    level, settings = halved(e, values, l1, 0.25 * tol, tol)
-    own, longer, enriched = carried(e, level), carried(e, level - 1), carried(finer, level - 1)
-
-    def apart(x: Array) -> Array:
-        """What twice as long steps change, and with them a higher degree: errors may cancel."""
-        p, in_longer, in_both = (f.density(x)[0] for f in (own, longer, enriched))
-        return np.asarray(np.abs(p - in_longer) + np.abs(in_longer - in_both))
-
-    distance = apart(e.x.ravel()).reshape(-1, *e.x.shape)
-    solved, _, _ = judged(question, own, enriched, distance=distance)
-    # At the ends of elements, where no point is, distances are largest while there is no noise.
-    at_ends = apart(e.right)
-    beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
-    distance = np.maximum(solved.distance, beside[..., None])
-    return replace(solved, distance=distance, settings={**solved.settings, **settings})
-
-
 def halved(
-    e: Elements,
-    values: Callable[[int], Array],
+    question: Question,
+    pair: Pair,
+    carried: Callable[[Elements, int], Carried],
     size: Callable[[Array, Array], float],
     wanted: float,
-    tol: float,
-) -> tuple[int, Settings]:
-    """Halve all steps until the ``values(level)`` change by no more than ``wanted``.
+) -> tuple[Transition, list[Carried]]:
+    """Halve all steps until the numbers of ``carried(elements, level)`` change by ``wanted``.
 
-    ``size(changes, values)`` is what counts of the absolute changes. Returned are the last level
-    and the settings, with the order that the changes show.
+    ``size(changes, numbers)`` is what counts of them. Returned are the density on elements that
+    adapt, with the order that the changes show among its settings, and what was carried: the
+    answer, by steps twice as long, and by these on the elements of a higher degree.
     """
-    sizes: list[float] = []
+    carried = lru_cache(maxsize=4)(carried)
+    solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0])[0])
+    e, sizes = solved.elements, []
     for level in range(LEVELS[0] + 1, LEVELS[1] + 1):
-        coarse, finer = values(level - 1), values(level)
-        sizes.append(size(np.abs(finer - coarse), finer))
+        numbers = carried(e, level)[1]
+        sizes.append(size(np.abs(numbers - carried(e, level - 1)[1]), numbers))
         if SAFETY * sizes[-1] <= wanted:
             break
     settings: Settings = {
         "equation": f"modulated noise, Radau IIA of order {2 * STAGES - 1}",
         "elements": e.count,
         "halvings of the steps": level,
-        "tol": tol,
+        "tol": question.tol,
     }
     if len(sizes) > 1 and sizes[-1] > 0.0:
         settings["observed order"] = math.log2(sizes[-2] / sizes[-1])
-    return level, settings
+    longer = carried(e, level - 1), carried(solved.enriched.elements, level - 1)
+    return replace(solved, settings=settings), [carried(e, level), *longer]
+
+
+def modulated_transition(
+    under: Processes, modulation: Modulation, source: Source, times: Array, *, tol: float
+) -> Transition:
+    """Return the density at ``times`` > 0 of an energy that begins with ``source``.
+
+    The error is the distance to elements of a higher degree and to steps twice as long. Without
+    noise it is the equation of the decay alone, of first order. Raises ``InvalidInput`` for times
+    at which the density is still one energy, and as ``quiet_until`` and ``posed`` do.
+    """
+    quiet = quiet_until(modulation, source)
+    if times[0] <= quiet:
+        raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
+    modulation, times = modulation.after(quiet), times - quiet
+    unit = modulation.largest or 1.0
+    question, pair = posed(under(unit), source, float(modulation.energy(times[0])) / unit, tol)
+
+    def carried(e: Elements, level: int) -> Carried:
+        g = stepped(e, source.load(e), modulation, unit, times, level=level)[0]
+        return g, g.density(e.x.ravel())[0] * e.weight.ravel(), np.zeros(0)
+
+    def l1(moved: Array, _: Array) -> float:
+        return float(moved.sum(axis=1).max())
+
+    solved, found = halved(question, pair, carried, l1, 0.25 * tol)
+    e, (own, _, enriched) = solved.elements, (each[0] for each in found)
+
+    def apart(x: Array) -> Array:
+        """What twice as long steps change, and with them a higher degree: errors may cancel."""
+        p, in_longer, in_both = (each[0].density(x)[0] for each in found)
+        return np.asarray(np.abs(p - in_longer) + np.abs(in_longer - in_both))
+
+    distance = apart(e.x.ravel()).reshape(-1, *e.x.shape)
+    answer, _, _ = judged(question, own, enriched, distance=distance)
+    # At the ends of elements, where no point is, distances are largest while there is no noise.
+    at_ends = apart(e.right)
+    beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
+    distance = np.maximum(distance, beside[..., None])
+    return replace(answer, distance=distance, settings={**answer.settings, **solved.settings})
 
 
 def modulated_transient(

@@ -6,7 +6,7 @@ forward equation, whose mass is P(T > t).
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -16,28 +16,16 @@ from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.elements import ENRICHMENT
-from fpk.solvers.line.mesh import HIGHEST, NONE, layer_at, time_nodes
-from fpk.solvers.line.time.elements import (
-    SAFETY,
-    Elements,
-    Evolved,
-    Pair,
-    Settings,
-    degree_for,
-    meshed,
-    refined,
-)
-from fpk.solvers.line.time.modulated import LEVELS, Processes, halved, quiet_until, stepped
+from fpk.solvers.line.mesh import HIGHEST, layer_at, probed, time_nodes
+from fpk.solvers.line.time.elements import SAFETY, Elements, Pair, degree_for, meshed, refined
+from fpk.solvers.line.time.modulated import Carried, Processes, halved, quiet_until, stepped
 from fpk.solvers.line.time.resolvent import evolved, moment
-from fpk.solvers.line.time.transition import Source, adapted, posed
-from fpk.solvers.probe import probed
+from fpk.solvers.line.time.transition import Source, posed
 from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
 FARTHEST = 900.0
 """Fall of ln(π H) from its maximum to the limit beyond which none is solved for: e^900 times."""
-LARGEST_MEAN = 1e300
-"""Mean times beyond it are out of the range of double precision in what is made of them."""
 MOST_STEPS = 2_000
 """Most iterations for the failure rate; a hundred do for a hundred masses."""
 SHARE = 0.1
@@ -58,15 +46,9 @@ class FirstPassage:
         return [moment(e, e.load) for e in self.pair]
 
     @cached_property
-    def from_rest(self) -> list[float]:
-        """Mean time from H = 0, the longest, by both elements."""
-        each = zip(self.pair, self.means, strict=True)
-        return [float(e.at(np.zeros(1), T)[0][0]) for e, T in each]
-
-    @property
     def longest(self) -> float:
         """Mean time from H = 0."""
-        return self.from_rest[0]
+        return float(self.pair[0].at(np.zeros(1), self.means[0])[0][0])
 
     @property
     def round_off(self) -> float:
@@ -83,8 +65,7 @@ class FirstPassage:
         e, T = self.pair[0], self.means[0]
         mass = np.exp(e.log_mass - e.log_mass.max())
         below = np.cumsum(e.relative_error * mass) / np.maximum(np.cumsum(mass), SMALLEST)
-        fall = T[:, 0] - T[:, 1]
-        fall[0] = self.longest - T[0, 1]
+        fall = np.append(self.longest, T[1:, 0]) - T[:, 1]
         own = (e.relative_error + below + e.slope_error.sum()) * fall
         return np.asarray(own[::-1].cumsum()[::-1])
 
@@ -94,10 +75,7 @@ class FirstPassage:
         return float(self._coefficients[0]) / self.longest + self.round_off
 
     def moments(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Return mean and variance of the time from the starts x, each with its error after it.
-
-        In units of the ``longest`` mean time and of its square.
-        """
+        """Return mean and variance from the starts x, each with its error, by ``longest``."""
         values = []
         for e, mean in zip(self.pair, self.means, strict=True):
             f = mean / self.longest
@@ -108,7 +86,7 @@ class FirstPassage:
         # T is about linear in H_f − x, and has the round-off of energies.
         rounding = ROUNDINGS * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
         error = SAFETY * np.abs(T - better) + rounding * T + self.round_off * of_T
-        error += self._coefficients[self.pair[0].element_of(x)] / self.longest
+        error += self._coefficients[self.pair[0].within(x)[0]] / self.longest
         V = 2.0 * U - T**2
         distance = np.abs(V - 2.0 * half + better**2)
         # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
@@ -141,10 +119,7 @@ class FirstPassage:
         return value, error
 
     def failures(self, times: Array, x: Array) -> tuple[Array, Array]:
-        """Return P(T <= t) (2, times, points) from the starts x by both elements, and its terms.
-
-        These are the sizes of the terms that cancel in it.
-        """
+        """Return P(T <= t) (2, times, points) from the starts x by both elements, and the terms."""
         p, size = np.zeros((2, 2, times.size, x.size))
         later = times > 0.0
         for k, e in enumerate(self.pair):
@@ -167,30 +142,28 @@ def _by_coefficients(relative: float, failure: Array) -> Array:
 
 
 def first_passage(
-    process: Process, limit: float, *, times: Array, tol: float = 1e-10, nodes: Array = NONE
+    process: Process, limit: float, times: Array, tol: float = 1e-10, source: Source | None = None
 ) -> FirstPassage:
     """Return the first passage of ``limit`` > 0 with errors below ``tol`` where that is possible.
 
-    Errors are relative ones of the moments and of the rate, absolute ones of the probability of
-    failure at ``times`` >= 0. The mesh adapts; elements end at ``nodes``, too. Raises
-    ``InvalidInput`` for a limit whose mean time is beyond double precision.
+    They are relative for moments and rate, absolute for the probability of failure at ``times``,
+    which ascend. Raises ``InvalidInput`` for a limit whose mean time is beyond double precision.
     """
     degree, wanted = degree_for(tol), 0.25 * tol
-    beyond = InvalidInput("limit", limit, BEYOND_RANGE)
-    later = times[times > 0.0]
-    fine = (layer_at(process, limit, float(later.min())),) if later.size else ()
-    probe = probed(process)
+    beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probed(process)
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
     if not probe.log_mass.max() - log_mass < FARTHEST:
         raise beyond
-    nodes = time_nodes(process, limit, degree, fine=fine, more=nodes)
+    fine = [layer_at(process, limit, time) for time in times[times > 0.0][:1]]
+    more = source.nodes(limit, HIGHEST) if source else ()
+    nodes = time_nodes(process, limit, degree, fine=fine, more=more)
 
     def solved(pair: Pair) -> tuple[FirstPassage, Flags]:
         # Sums to beyond the range are judged below.
         with np.errstate(over="ignore", invalid="ignore"):
             answer = FirstPassage(limit, pair)
             longest = answer.longest
-        if not longest < LARGEST_MEAN:
+        if not longest < 1.0 / SMALLEST:
             raise beyond
         a, b = pair
         unit = np.exp(a.log_local - b.log_local)
@@ -199,10 +172,9 @@ def first_passage(
         for own, better in ((a.conductance, b.conductance), masses):
             marked |= np.abs(own * unit - better) > wanted * better
         if times.size:
-            x = panel_rule(a.nodes, 5)[0].ravel()
-            p, better = answer.failures(times, x)[0]
-            distance = np.abs(p - better)
-            marked |= (distance.max(axis=0) > wanted).reshape(a.count, -1).any(axis=1)
+            p, better = answer.failures(times, panel_rule(a.nodes, 5)[0].ravel())[0]
+            distance = np.abs(p - better).max(axis=0)
+            marked |= (distance > wanted).reshape(a.count, -1).any(axis=1)
         return answer, marked
 
     return refined(meshed(process, nodes, degree), solved)
@@ -216,14 +188,11 @@ def fem_passage(
     Of a density that begins beyond the limit in part, that part has failed at the time 0. Raises
     ``InvalidInput`` where the mean time is beyond double precision.
     """
-    nodes = source.nodes(limit, HIGHEST)
-    solved = first_passage(process, limit, times=times, tol=tol, nodes=nodes)
-    e = solved.pair[0]
+    solved = first_passage(process, limit, times=times, tol=tol, source=source)
+    e, unit = solved.pair[0], solved.longest
     # The means over the source by the points of the elements, and by those of the enriched ones.
-    x, weights = source.samples(e)
-    y, better = source.samples(solved.pair[1])
-    unit, beyond = solved.longest, float(1.0 - weights.sum())
-    off = 0.0 if source.process is None else solved.round_off
+    (x, weights), (y, better) = (source.samples(each) for each in solved.pair)
+    beyond, off = float(1.0 - weights.sum()), 0.0 if source.process is None else solved.round_off
     starts, both = np.linspace(0.0, limit, STARTS), x.size + y.size
 
     def over(values: Array, errors: Array) -> tuple[Array, Array]:
@@ -233,7 +202,6 @@ def fem_passage(
 
     T, T_error, V, V_error = solved.moments(np.concatenate([x, y, starts]))
     share, share_error = map(float, over(T, T_error))
-    mean = share * unit
     # The variance is that of each start, and of their means: (E T − mean)² − mean² + mean².
     own, own_error = over(V, V_error)
     spread, spread_error = over(T * (T - 2.0 * share), 2.0 * np.abs(T - share) * T_error)
@@ -242,9 +210,9 @@ def fem_passage(
             float(a * unit * unit) for a in (own + (spread + share**2), own_error + spread_error)
         )
         curves = T * unit, T_error * unit, V * unit * unit, V_error * unit * unit
-    numbers = Number(mean, share_error * unit), Number(variance, variance_error)
+    mean = Number(share * unit, share_error * unit)
     # Forward and backward equation are compared at the mean time where no other is asked for.
-    compared = times if times.size else np.array([mean])
+    compared = times if times.size else np.array([mean.value])
     failure, failure_error = over(*solved.failure(compared, np.append(x, y)))
     failure = failure + beyond
     failure_error = failure_error + SAFETY * np.abs(weights.sum() - better.sum()) + off
@@ -253,11 +221,11 @@ def fem_passage(
     g = evolved(e, load, compared[later], held=0.0)
     kept = np.full(compared.size, load[:, :2].sum())
     kept[later] = np.einsum("tei,ei->t", g.values, e.load)
-    settings: Settings = {"degree": e.degree, "elements": e.count, "tol": tol}
+    settings = {"degree": e.degree, "elements": e.count, "tol": tol}
     if source.process is not None:
-        settings["beyond the limit at the start"] = float(beyond)
+        settings["beyond the limit at the start"] = beyond
     return certified_passage(
-        (*numbers, Number(*solved.rate())),
+        (mean, Number(variance, variance_error), Number(*solved.rate())),
         times,
         failure[: times.size],
         failure_error[: times.size],
@@ -297,21 +265,18 @@ def modulated_passage(
         raise NotApplicable(
             "damping feeds energy in at the limit: while there is no noise, no mesh sees it"
         )
-    modulation = modulation.after(quiet)
+    modulation, asked = modulation.after(quiet), np.maximum(times - quiet, 0.0)
     end = float(modulation.times[-1])
-    asked = np.maximum(times - quiet, 0.0)
     asked = asked if last else np.minimum(asked, end)
     stops = np.unique([0.0, *asked, end])
-    later = first_passage(under(last), limit, times=NONE, tol=0.01 * tol) if last else None
+    later = first_passage(under(last), limit, times=stops[:0], tol=0.01 * tol) if last else None
     first = float(modulation.energy(stops[1])) / unit
-    question, pair = posed(process, source, first, SHARE * tol, limit=limit)
 
-    @lru_cache(maxsize=4)
-    def solve(e: Elements, level: int) -> tuple[Evolved, Array, Array]:
+    def carried(e: Elements, level: int) -> Carried:
         """p at the stops > 0; P(T > t) at all stops, E T and E T², and errors by ``later``.
 
-        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end, and those of the time that
-        is left, E(t_e + τ)², over the density of then; the errors are of the two moments.
+        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end t_e, and those of the time
+        τ that is left, E(t_e + τ)², over the density of then.
         """
         load = source.load(e)
         g, t, weight, mass = stepped(
@@ -332,17 +297,14 @@ def modulated_passage(
             lost += [one[1], 2.0 * end * one[1] + two[1]]
         return g, np.append(kept, moments), lost
 
-    solved = adapted(question, pair, lambda e, **_: solve(e, LEVELS[0])[0])
-    e, finer = solved.elements, solved.enriched.elements
-
     def size(moved: Array, numbers: Array) -> float:
         return float(np.max(moved / np.maximum(numbers, 1.0)))
 
-    level, settings = halved(e, lambda level: solve(e, level)[1], size, SHARE * tol, tol)
-    g, numbers, lost = solve(e, level)
+    posed_to = posed(process, source, first, SHARE * tol, limit=limit)
+    solved, found = halved(*posed_to, carried, size, SHARE * tol)
+    e, (numbers, longer, both) = solved.elements, (each[1] for each in found)
     # What twice as long steps change, and with them a higher degree: errors of both may cancel.
-    longer = solve(e, level - 1)[1]
-    error = SAFETY * (np.abs(numbers - longer) + np.abs(longer - solve(finer, level - 1)[1]))
+    error = SAFETY * (np.abs(numbers - longer) + np.abs(longer - both))
     failure, at = 1.0 - numbers[:-2], np.searchsorted(stops, asked)
     relative = 2.0 * e.coefficient_error(source.energy)
     relative += ROUNDINGS * EPS * (e.count + e.log_range)
@@ -351,13 +313,19 @@ def modulated_passage(
     moments: tuple[Number, Number, Number | None] = (never, never, None)
     if later is not None:
         mean, square = numbers[-2:].tolist()
-        mean_error, square_error = (error[-2:] + lost + 2.0 * relative * numbers[-2:]).tolist()
+        lost = error[-2:] + found[0][2] + 2.0 * relative * numbers[-2:]
+        mean_error, square_error = lost.tolist()
         moments = (
             Number(mean + quiet, mean_error),
             Number(square - mean**2, square_error + 2.0 * mean * mean_error),
             Number(*later.rate()),
         )
-    answer = failure[at], failure_error[at]
     return certified_passage(
-        moments, times, *answer, tol=tol, residual=g.residual, settings=settings
+        moments,
+        times,
+        failure[at],
+        failure_error[at],
+        tol=tol,
+        residual=found[0][0].residual,
+        settings={**solved.settings, "tol": tol},
     )

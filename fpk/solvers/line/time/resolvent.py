@@ -1,31 +1,98 @@
-"""The chain of elements of one energy: its equations, solved along it from H = 0 upwards.
+"""The chain of elements of one energy in Laplace variables, and its relaxation rates.
 
 At the ends of the elements an equation (zM + A) f = load is one of conductances in series and
 admittances to ground. Eliminated from one side, all terms of all sums have one sign (z > 0), or
 lie in one sector of the complex plane: nothing cancels, whatever range the density spans.
 """
 
+from dataclasses import replace
 from itertools import accumulate
-from typing import Any
+from math import acosh, ceil, log, pi, sin
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.sparse import block_diag, coo_array, csc_array
+from scipy.sparse.linalg import eigsh
 
-from fpk.numeric.arrays import EPS, SMALLEST, Array
-from fpk.solvers.contour import contours
-from fpk.solvers.line.time.elements import Elements, Evolved
+from fpk.answer.dynamics import Rates, certified_rates
+from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes, Integers
+from fpk.numeric.errors import NotCertified
+from fpk.solvers.line.mesh import probed, split_points, time_nodes
+from fpk.solvers.line.time.elements import (
+    MOST_ELEMENTS,
+    SAFETY,
+    TAIL,
+    Elements,
+    Evolved,
+    degree_for,
+    meshed,
+)
+from fpk.system.process import Process
 
+SPREAD = 10.0
+"""Largest ratio of the times that share one contour: 75 points, where one time has 46."""
+PHI = 0.5
+"""Inclination of the hyperbola. Faster converging ones (1.17) lie flat along the negative axis,
+where the transform of what has drifted for a time t_0 grows as e^(−z t_0): that cancels to
+less than a millionth where many masses start from rest."""
+GROWTH = 6.0
+"""z t where the contour crosses the real axis, times 1/(1 − sin φ): e^3.1 multiplies round-off."""
+LONGER = 1.3
+"""Factor on the last energy from one round to the next."""
+WAVES = 10
+"""Waves of an eigenfunction that an element takes."""
+ROUNDS = 6
+"""Most rounds, at every second of which all elements are cut in two."""
+SHIFT = 0.1
+"""Shift below 0 of the inverse, in units of the scale of the rates: K alone is singular."""
 Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 """Real numbers, or complex ones where the Laplace variables are."""
+
+
+class Contour(NamedTuple):
+    """Points ``z`` and ``factors`` e^(z t) w (times, points) for f(t) = Im Σ e^(z t) w F(z).
+
+    The trapezoidal rule on the hyperbola z(θ) = μ (1 + sin(iθ − φ)) around the negative real axis,
+    of which the half with Im z > 0 is enough: f is real. For errors of the rule and of where it
+    ends see J. A. C. Weideman and L. N. Trefethen, Math. Comp. 76 (2007) 1341, section 4.
+    ``places`` are the places of the times among those asked for.
+    """
+
+    places: Integers
+    z: Complexes
+    factors: Complexes
+
+
+def contours(times: Array, *, more: int = 0) -> list[Contour]:
+    """Return contours for ``times`` > 0 in any order, with ``more`` points than round-off asks.
+
+    The rule errs by e^(μt − 2πφ/h), and ends where e^(z t) is round-off at the first time.
+    """
+    order, found, digits = np.argsort(times, kind="stable"), [], -log(EPS)
+    while order.size:
+        first = times[order[0]]
+        together = order[times[order] <= SPREAD * first]
+        order = order[together.size :]
+        last = float(times[together[-1]])
+        mu, reach = GROWTH / last, digits * last / float(first) + GROWTH
+        step = 2.0 * pi * PHI / (GROWTH + digits)
+        points = ceil(acosh(reach / (GROWTH * sin(PHI))) / step)
+        step *= points / (points + more)
+        theta = step * (np.arange(points + more) + 0.5)
+        z = mu * (1.0 + np.sin(1j * theta - PHI))
+        weights = step / pi * mu * 1j * np.cos(1j * theta - PHI)
+        factors = np.exp(np.multiply.outer(times[together], z)) * weights
+        found.append(Contour(together, z, factors))
+    return found
 
 
 def eliminated(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
     """Return the elements at the Laplace variables ``z`` (points,), each with all below eliminated.
 
-    Every array is (elements, …, points): ``series``, the conductance of an element from end to end;
-    ``shunt`` (elements, 2, …), what flows off at each of its ends; ``damped``, 1 + zν of its own
-    functions; ``total``, the admittance at its left end, its own conductance included; ``ratio``,
-    the share of that conductance in it, by which the right end acts on the left one; ``passed``,
-    what of the rest is seen through it from the right. The first element conducts nothing.
+    Arrays (elements, …, points): ``series`` conducts from end to end, ``shunt`` flows off at both
+    ends, ``damped`` is 1 + zν of its own functions, ``total`` the admittance at the left end with
+    the share ``ratio`` of series; ``passed`` is what of the rest is seen from the right. The first
+    element conducts nothing.
     """
     coupling, own = e.mass[:, 2:, :2], e.load[:, 2:]
     damped = 1.0 + e.relaxation[:, :, None] * z
@@ -51,9 +118,8 @@ def resolvent(
 
     ``end`` (points,) is f at the right end of the last element; None: no flux leaves there. A
     ``density`` is f = p/π of the unit 1/e^``log_scale`` in each element, its load (elements,
-    functions) physical; otherwise f has one unit, and the load is ∫π f_i … in the units of the
-    elements. Of a density is returned, too, the residual of the equations at the nodes, relative to
-    their terms.
+    functions) physical, and has a relative residual at the nodes; otherwise f has one unit, and
+    the load those of the elements.
     """
     series, shunt, damped, total, ratio, passed = eliminated(e, z)
     coupling = e.mass[:, 2:, :2]
@@ -90,8 +156,7 @@ def evolved(
 ) -> Evolved:  # fmt: skip
     """Return the coefficients at ``times`` > 0 of what begins with ``load``, as of ``resolvent``.
 
-    Contours have ``more`` points. The last end is ``held`` at a value from the time 0 on; None: no
-    flux leaves there.
+    Contours have ``more`` points. The last end is ``held`` at a value, or no flux leaves there.
     """
     values, size = np.zeros((2, times.size, e.count, e.degree + 1))
     residuals = [0.0]
@@ -112,3 +177,95 @@ def moment(e: Elements, load: Array) -> Array:
     drop = np.append(current[:0:-1] / e.conductance[:0:-1], 0.0)
     ends = np.append(0.0, np.cumsum(drop))[::-1]
     return np.concatenate([ends[:-1, None], ends[1:, None], load[:, 2:]], axis=1)
+
+
+def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
+    """Return M, K and C of the free functions, scaled to a mass of one, for the reference noise.
+
+    No flux leaves at the last end, or it absorbs. The last matrix (functions of all elements, free
+    functions) holds e^(½ ``log_scale``) times the factor of each free function.
+    """
+    size = e.degree + 1
+    K_local = np.tile(np.eye(size), (e.count, 1, 1))
+    K_local[:, :2, :2] = e.conductance[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    # A vertex is of two elements, of which the one on its left has the function h_1.
+    place = np.arange(e.count * size).reshape(e.count, size)
+    place[1:, 0] = place[:-1, 1]
+    masses = np.einsum("eii->ei", e.mass)
+    used = masses != 0.0
+    used[-1, 1] &= not absorbing
+    numbers, free = np.unique(place[used], return_inverse=True)
+    unit = np.broadcast_to(e.log_scale[:, None], place.shape)[used]
+    log_mass = np.full(numbers.size, -np.inf)
+    np.logaddexp.at(log_mass, free, np.log(masses[used]) + unit)
+    factor, shape = np.exp(0.5 * (unit - log_mass[free])), (used.size, numbers.size)
+    spread = csc_array(coo_array((factor, (np.flatnonzero(used), free)), shape))
+    blocks = (block_diag(A, format="csc") for A in (e.mass, K_local, e.drift))
+    return *(csc_array(spread.T @ A @ spread) for A in blocks), spread
+
+
+def eigenvalues_below(e: Elements, rates: Array) -> Integers:
+    """Return how many eigenvalues, 0 among them, are less than each of ``rates`` (points,).
+
+    As many as pivots of A − λM are negative (Wittrick and Williams, Q. J. Mech. Appl. Math. 24
+    (1971) 263).
+    """
+    _, shunt, damped, total, _, passed = eliminated(e, -rates)
+    inner, ends = (damped < 0.0).sum(axis=(0, 1)), (total[1:] < 0.0).sum(axis=0)
+    return np.asarray(inner + ends + (passed[-1] + shunt[-1, 1] < 0.0))
+
+
+def eigenvalues(e: Elements, count: int, scale: float) -> Array:
+    """Return the ``count`` least eigenvalues > 0 of −L; ``scale`` is of their order."""
+    M, K, *_ = matrices(e)
+    first = np.linspace(1.0, 2.0, M.shape[0])
+    shift = -SHIFT * scale
+    try:
+        found = eigsh(K, count + 1, M, sigma=shift, v0=first, return_eigenvectors=False)
+    except RuntimeError as error:  # of the factorisation, or of an iteration that does not end
+        raise NotCertified(f"the relaxation rates were not found: {error}") from None
+    return np.asarray(np.sort(found)[1:])
+
+
+def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
+    """Return the ``count`` least eigenvalues of −L but 0, all of them real.
+
+    To the relative tolerance ``tol``, up to where π φ², φ ~ H^``count``, has the share ``TAIL``.
+    """
+    degree, scale = degree_for(tol), process.energy_scale
+    order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
+    temperature = scale / process.degrees_of_freedom
+    # φ rises from the temperature on. Of a Laguerre polynomial of the norm 1, with φ ~ H^count, the
+    # largest π φ² far out is 4^count.
+    probe = probed(process)
+    rise = np.where(probe.energy > temperature, 2.0 * count / probe.energy, 0.0)
+    grown = replace(probe, slope=probe.slope + rise)
+    try:
+        ends = np.array([grown.extent(tail * tol * 0.25**count) for tail in TAIL])
+    except NotCertified:
+        words = "the density does not fall faster than the eigenfunctions rise"
+        raise NotCertified(words) from None
+    # Towards H = 0 the k-th eigenfunction has k waves a temperature.
+    fine = [(0.0, WAVES / count * temperature)] if count > WAVES else []
+    for turn in range(ROUNDS):
+        end, last = LONGER**turn * ends
+        nodes = time_nodes(process, end, degree, fine=fine)
+        for _ in range(turn // 2):
+            at = split_points(nodes[:-1], nodes[1:], process.nonsmooth)
+            nodes = np.sort(np.append(nodes, at))
+        pair = meshed(process, nodes, degree, beyond=[last])
+        answer, (rates, better) = pair[0], (eigenvalues(e, count, order) for e in pair)
+        common = 2.0 * answer.coefficient_error()
+        common += ROUNDINGS * EPS * (answer.count + answer.log_range)
+        errors = SAFETY * np.abs(rates - better) + common * rates
+        # Round-off of the inverse, relative to its largest eigenvalue, as one of λ.
+        errors += ROUNDINGS * EPS * (rates + SHIFT * order) ** 2 / (SHIFT * order)
+        if (errors <= tol * rates).all() or 2 * answer.count > MOST_ELEMENTS:
+            break
+    # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost. And
+    # no rate is missed.
+    beyond = rates[-1] + max(float(errors[-1]), tol * float(rates[-1]))
+    below = eigenvalues_below(answer, np.array([0.5 * rates[0], beyond]))
+    residual = float(below.tolist() != [1, count + 1])
+    settings = {"elements": answer.count, "tol": tol}
+    return certified_rates(rates, errors, tol=tol, residual=residual, settings=settings)

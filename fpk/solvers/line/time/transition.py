@@ -12,9 +12,10 @@ from fpk.answer.observable import number_text
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput
 from fpk.solvers.line.elements import ENRICHMENT
-from fpk.solvers.line.mesh import GROWTH, HIGHEST, LAYER, NONE, layer_at, time_nodes
+from fpk.solvers.line.mesh import GROWTH, HIGHEST, LAYER, layer_at, probed, time_nodes
 from fpk.solvers.line.time.elements import (
     SAFETY,
+    TAIL,
     Elements,
     Evolved,
     Pair,
@@ -25,11 +26,8 @@ from fpk.solvers.line.time.elements import (
     refined,
 )
 from fpk.solvers.line.time.resolvent import evolved
-from fpk.solvers.probe import probed
 from fpk.system.process import Process
 
-TAIL = (1e-3, 1e-8)
-"""Share of the tolerance that may lie beyond the mesh: of the answer, and of the enriched one."""
 FARTHEST = -600.0
 """ln of the least stationary probability beyond a start that double precision can relate to one;
 four times as much where the start is a density and not one energy (at −5000 errors exceed it)."""
@@ -42,21 +40,15 @@ class Source:
     energy: float = 0.0
     process: Process | None = None
 
-    def load(self, e: Elements) -> Array:
-        """Return its moments with the functions of each element, (elements, functions)."""
-        x, weights = self.samples(e)
-        k, values = e.functions(x)
-        load = np.zeros(e.load.shape)
-        np.add.at(load, k, weights[:, None] * values)
-        return load
+    @cached_property
+    def extent(self) -> float:
+        """Energy above which no more than the round-off of the source is."""
+        return self.energy if self.process is None else float(probed(self.process).extent(EPS))
 
     def nodes(self, end: float, degree: int) -> Array:
-        """Return energies up to ``end`` at which elements have to end to see the source.
-
-        Beyond its extent they grow: it spreads from there.
-        """
+        """Return ends of elements that see the source; beyond it they grow up to ``end``."""
         if self.process is None:
-            return NONE
+            return np.zeros(0)
         last = min(end, self.extent)
         steps = np.arange(1.0, np.log(end / last) / np.log(GROWTH))
         return np.append(time_nodes(self.process, last, degree), last * GROWTH**steps)
@@ -65,26 +57,25 @@ class Source:
         """Return energies within the elements, and their weights in a mean over the source."""
         if self.process is None:
             return np.array([self.energy]), np.ones(1)
-        k = int(np.searchsorted(e.left, self.extent))
-        own, x = elements(self.process, e.left[:k], e.right[:k], e.degree), e.x[:k].ravel()
-        # Its mass, in the unit in which u = 1 at H = 0.
         nodes = time_nodes(self.process, self.extent, HIGHEST)
-        whole = elements(self.process, nodes[:-1], nodes[1:], HIGHEST)
-        log = own.log_density(x) - np.logaddexp.reduce(whole.log_mass)
-        return x, e.weight[:k].ravel() * np.exp(log)
+        own = elements(self.process, nodes[:-1], nodes[1:], HIGHEST)
+        k = e.left < self.extent
+        x = e.x[k].ravel()
+        log_p = own.log_density(x) - np.logaddexp.reduce(own.log_mass)
+        return x, e.weight[k].ravel() * np.exp(log_p)
 
-    @cached_property
-    def extent(self) -> float:
-        """Energy above which no more than the round-off of the source is."""
-        return self.energy if self.process is None else float(probed(self.process).extent(EPS))
+    def load(self, e: Elements) -> Array:
+        """Return its moments with the functions of each element, (elements, functions)."""
+        x, weights = self.samples(e)
+        k, values = e.functions(x)
+        load = np.zeros(e.load.shape)
+        np.add.at(load, k, weights[:, None] * values)
+        return load
 
 
 @dataclass(frozen=True)
 class Question:
-    """A density that begins with ``source``, to the L1 tolerance ``tol``.
-
-    ``width`` is that of the density at the first of the times.
-    """
+    """A density from ``source``, ``width`` wide at the first time, to the L1 tolerance ``tol``."""
 
     source: Source
     width: float
@@ -94,14 +85,13 @@ class Question:
         """Return errors that the densities ``p`` at x have in common on any elements.
 
         By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more
-        the smaller p is. By the rounding of energies: p changes over the width of the density at
-        the first time. By what cancels in p, of which ``size`` is that of the terms.
+        the smaller p is. By the rounding of energies, and of terms of ``size`` that cancel.
         """
         rounding = ROUNDINGS * EPS * (1.0 + x / self.width + e.log_range)
         top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
         steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
         coefficients = 2.0 * e.coefficient_error(self.source.energy) * steep
-        coefficients += e.relative_error[e.element_of(x)]
+        coefficients += e.relative_error[e.within(x)[0]]
         return np.asarray((coefficients + rounding) * np.abs(p) + ROUNDINGS * EPS * size)
 
 
@@ -109,8 +99,8 @@ class Question:
 class Transition:
     """The density of an energy at several times after a start, with its error and certificate.
 
-    ``distance`` (times, elements, points) is that to more accurate solutions at the ``points`` of
-    the elements, ``top`` (times,) the largest density there.
+    ``distance`` (times, elements, points) is that to more accurate solutions, ``top`` (times,) the
+    largest density.
     """
 
     question: Question
@@ -140,7 +130,7 @@ class Transition:
         end = float(e.right[-1])
         inside, positive = e.process.on_mesh(x, end)
         p, size = self.solution.density(inside)
-        error = SAFETY * self.distance.max(axis=2)[:, e.element_of(inside)]
+        error = SAFETY * self.distance.max(axis=2)[:, e.within(inside)[0]]
         error = error + self.question.common_error(e, p, size, inside)
         # Far from the peak p is a difference of larger numbers.
         error += ROUNDINGS * EPS * self.top[:, None]
@@ -149,21 +139,9 @@ class Transition:
 
 
 def transition(process: Process, source: Source, times: Array, *, tol: float = 1e-10) -> Transition:
-    """Return the density at ``times`` > 0 after ``source``, to the L1 tolerance ``tol``.
-
-    The mesh adapts, fine at the start; what is not met is said in the certificate. Raises
-    ``InvalidInput`` for a start beyond the range of double precision.
-    """
-
+    """Return the density at ``times`` > 0 after ``source``, to ``tol`` if certified."""
     question, pair = posed(process, source, float(times.min()), tol)
-    # The mesh is adapted at six of the times first, then at all.
-    few = np.unique(np.linspace(0, times.size - 1, 6).astype(int))
-    for chosen in (times[few], times) if few.size < times.size else (times,):
-        solved = adapted(
-            question, pair, lambda e, more, t=chosen: evolved(e, source.load(e), t, more=more)
-        )
-        pair = solved.elements, solved.enriched.elements
-    return solved
+    return adapted(question, pair, lambda e, more: evolved(e, source.load(e), times, more=more))
 
 
 def posed(
@@ -177,47 +155,40 @@ def posed(
     over that beyond H_0; and from H_0 itself still less. Raises ``InvalidInput`` for a start beyond
     the range of double precision.
     """
-    degree, start = degree_for(tol), source.energy
-    width, fine, beyond = process.energy_scale, [], NONE
+    degree, start, width, fine = degree_for(tol), source.energy, process.energy_scale, []
     if source.process is None:
         # √(b t), b ~ H at H = 0, where b' is wanted beside it.
-        c = process.coefficients(np.array([max(start, 1e-9 * process.energy_scale)]))
+        c = process.coefficients(np.array([max(start, 1e-9 * width)]))
         spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0
         width = max(spread, 0.5 * float(c.divergence[0]) * time)
         fine.append((start, LAYER * width))
     if limit is not None:
         fine.append(layer_at(process, limit, time))
-        end = limit
-    else:
-        probe = probed(process)
-        top, shares = int(probe.log_mass.argmax()), [0.0, 0.0]
-        for k, energy in enumerate((start, source.extent)):
-            if energy > probe.energy[top]:
-                above = np.interp(np.log(energy), np.log(probe.energy), probe.log_mass)
-                shares[k] = float(above - probe.log_mass[top])
-        if shares[0] < FARTHEST or shares[1] < 4.0 * FARTHEST:
-            remedy = "the stationary probability beyond it is out of the range of double precision"
-            raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
-        ends = []
-        for tail in TAIL:
-            extents = [probe.extent(math.exp(math.log(tail * tol) + shares[0])), 1.05 * start]
-            if source.process is not None:
-                extents.append(probed(source.process).extent(tail * tol))
-            ends.append(max(extents))
-        # The enriched solution reaches farther, by a fiftieth at least.
-        end, last = ends[0], max(ends[1], 1.02 * ends[0])
-    nodes = time_nodes(process, end, degree, fine=tuple(fine), more=source.nodes(end, degree))
-    if limit is None:
-        length = float(nodes[-1] - nodes[-2])
-        beyond = np.linspace(end, last, 1 + max(1, math.ceil((last - end) / length)))[1:]
-    return Question(source, width, tol), meshed(process, nodes, degree, beyond=beyond)
+        nodes = time_nodes(process, limit, degree, fine=fine, more=source.nodes(limit, degree))
+        return Question(source, width, tol), meshed(process, nodes, degree)
+    probe, share = probed(process), 0.0
+    top, least = int(probe.log_mass.argmax()), FARTHEST * (1.0 if source.process is None else 4.0)
+    if source.extent > probe.energy[top]:
+        above = np.interp(np.log(source.extent), np.log(probe.energy), probe.log_mass)
+        share = float(above - probe.log_mass[top])
+    if share < least:
+        remedy = "the stationary probability beyond it is out of the range of double precision"
+        raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
+    ends = []
+    for tail in TAIL:
+        if source.process is None:
+            ends.append(max(probe.extent(math.exp(math.log(tail * tol) + share)), 1.05 * start))
+        else:
+            ends.append(max(each.extent(tail * tol) for each in (probe, probed(source.process))))
+    # The enriched solution reaches farther, by a fiftieth at least.
+    end, last = ends[0], max(ends[1], 1.02 * ends[0])
+    nodes = time_nodes(process, end, degree, fine=fine, more=source.nodes(end, degree))
+    beyond = np.linspace(end, last, 1 + math.ceil((last - end) / float(nodes[-1] - nodes[-2])))
+    return Question(source, width, tol), meshed(process, nodes, degree, beyond=beyond[1:])
 
 
 def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Transition:
-    """Return what ``solve(e=elements, more=0)`` gives on meshes cut where they have to be, judged.
-
-    For the enriched solution ``more`` is ``ENRICHMENT``.
-    """
+    """Return what ``solve(e=elements, more=degrees)`` gives on meshes that adapt, judged."""
     before, tol = math.inf, question.tol
 
     def solved(pair: Pair) -> tuple[Transition, Flags]:
@@ -235,10 +206,9 @@ def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Tr
 def judged(
     question: Question, own: Evolved, finer: Evolved, *, distance: Array | None = None
 ) -> tuple[Transition, Array, Array]:
-    """Return the solution, judged, each element's part of its error, and of its round-off.
+    """Return the solution, judged by its ``distance``, to the enriched one ``finer`` unless given.
 
-    Its error is the ``distance`` (times, elements, points), to the enriched solution ``finer``
-    unless given.
+    Then each element's part of the error, and of its round-off.
     """
     answer, enriched = own.elements, finer.elements
     x, w = answer.x, answer.weight
