@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, Self
 
-from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.laplace import by_lines
 from fpk.answer.certificate import tolerance
 from fpk.answer.method import ROUTES, Method, Route, Solves, register
@@ -63,7 +62,7 @@ class Theory(Method):
         """Return the tolerance asked for, or else one that the density of states allows."""
         if self.route.named:
             return tolerance(self.tol, UNIFORM)
-        lines = by_lines(system.fact(EnergyShell))
+        lines = by_lines(system)
         return tolerance(self.tol, DEFAULT_BY_LINES if lines else DEFAULT)
 
     @classmethod

@@ -7,22 +7,33 @@ of a damping term of degree d ``~ H^(1 + d/2)``. Contact multiplies the first tw
 
 from collections.abc import Callable
 from math import gamma, lgamma, pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import beta
 
-from averaging.shell.energy_shell import TARGET, EnergyShell
+from averaging.shell.energy_shell import MOMENTS, EnergyShell, parts_of
 from averaging.shell.laplace import PartitionLines, by_lines
-from averaging.shell.parts import ROUND_OFF, parts_along_rays, parts_of
-from fpk.numeric.arrays import EPS, Array
+from averaging.shell.rays import Stops, gauss_rules, ray_integrals
+from fpk.numeric.arrays import EPS, Array, Integers
 from fpk.numeric.piecewise import Piecewise, fit
-from fpk.numeric.quadrature import panel_rule
-from fpk.system.system import System
+from fpk.numeric.quadrature import gauss_legendre, panel_rule
+from fpk.system.system import System, looks_the_same_mirrored
 
+RULES = (14, 18, 24, 48, 96, 192)
+"""Gauss points per panel, in the order in which an integral is refined."""
+RADIAL_RULE = 2
+"""Index of the rule of 24 points, enough along a ray for any contact stiffness, not over angles."""
+TARGET = 3e-12
+"""Relative disagreement of two rules that ends the refinement and is reported as the error."""
 TARGETS = (8e-13, 3e-14)
-"""Disagreement of two rules, for n = 1 and more, that ends the refinement of the power over one
-contact mass, near round-off: the power cancels against the noise, and its error adds up in ln p."""
+"""The same, for n = 1 and more, of the power over one contact mass, near round-off: the power
+cancels against the noise, and its error adds up in ln p."""
+ROUND_OFF = 2e-15
+"""Relative error of a sum of some dozens of positive terms."""
+ROOT_ROUND_OFF = 4e-13
+"""Relative error of a sum of a system of one mass, ε points²: its integrand is 1/√v, v = 1 − V/H,
+where v ~ 1/points² at the Gauss point next to the turning point."""
 GRADING, LAYERS = 0.2, 5
 """Panels of a table shrink by this ratio towards each contact energy from above, where (H − H_c)³
 or rougher terms begin, and as many times at first."""
@@ -88,22 +99,21 @@ def shell_columns(system: System, energy: Array) -> Array:
     touching = (energy > first * (1.0 - slack)).nonzero()[0]
     if touching.size:
         above = energy[touching]
-        if shell.count == 1:
+        if len(system.contact_masses) == 1:
             columns[touching] = _along_rays(system, above)
-        elif by_lines(shell):
+        elif by_lines(system):
             columns[touching] = system.fact(PartitionLines)(above, shell_columns)
         else:
             columns[touching] = system.fact(_table)(above)
-    columns[:, 1, 3:] += ROUND_OFF * parts.scale  # of the parts, however they are integrated
+    columns[:, 1, 3:] += MOMENTS * parts.scale  # of the parts, however they are integrated
     return columns
 
 
 def _along_rays(system: System, energy: Array) -> Array:
     """The columns above the first contact energy, by quadrature over one or two contact masses."""
     shell, parts = system.fact(EnergyShell), system.fact(parts_of)
-    n, c = system.n, shell.count
-    target = TARGETS[min(n, 2) - 1] if c == 1 else TARGET
-    sums, errors = shell.integrals(energy, *system.fact(parts_along_rays), target)
+    n, c = system.n, len(system.contact_masses)
+    sums, errors = _integrals(system, energy)
     a = n - 0.5 * c - 1.0
     flat = (2.0 * pi) ** (0.5 * c) * float(beta(a + 1.0, 0.5 * c)) / gamma(0.5 * c)
     states = sums[:, :1]
@@ -117,14 +127,124 @@ def _along_rays(system: System, energy: Array) -> Array:
         rises = rises / energy[:, None] + 4.0 * EPS * np.array([-1.0, 1.0])[:, None, None]
         beyond = np.diff(np.sqrt(np.maximum(rises, 0.0)), axis=0)[0].sum(axis=1) / pi
         columns[:, 1, :2] += beyond[:, None] * flat / states
-    if not parts.degrees.size:
-        return columns
     shifted, most = np.split(sums[:, 3:], 2, axis=1)
     columns[:, 0, 3:] = (shifted - 2.0 * most) / states
     # The errors of shifted (at most 3 of most), of 2 most and of T (g is at most most).
     largest = errors[:, [0, *range(3, errors.shape[1])]].max(axis=1, keepdims=True)
     columns[:, 1, 3:] = 6.0 * largest * most / states
     return columns
+
+
+def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
+    """Integrals over the shells (energies, quantities), and their errors, of that shape.
+
+    These are T, phase volume and H T', then for each degree d T g_d plus twice a bound of it, so
+    that it is positive, and the bound: each the sum over all directions of integrals along rays.
+    Errors are relative, of H T' to T at the least. The rules are refined until the errors are below
+    ``TARGET``, over one contact mass those of the power below ``TARGETS``.
+    """
+    shell, parts = system.fact(EnergyShell), system.fact(parts_of)
+    n, c, stops = system.n, len(system.contact_masses), shell.stops
+    add_rays = ray_integrals(shell.laws, 2 * n - c - 2 <= 0)
+    cuts = _cut_angles(shell, energy) if c == 2 else np.empty((energy.size, 0))
+    mirror = system.fact(looks_the_same_mirrored)
+
+    def sums(i: Integers, rules: range) -> Array:
+        """The quantities at some energies by some of the ``RULES``, (rules, energies, ·)."""
+        which, directions, weights = _rays(cuts[i], RULES[rules[0]], mirror=mirror)
+        H = energy[i[which]]
+        reach = directions @ stops.reach.T
+        met = stops.touch < reach * np.sqrt(2.0 * H)[:, None]
+        touch = np.divide(stops.touch, reach, out=np.full(reach.shape, np.inf), where=met)
+        order, ray = touch.argsort(axis=1, kind="stable"), np.arange(len(touch))[:, None]
+        nearest = reach[ray, order], touch[ray, order], *(x[order] for x in stops[2:])
+        last = len(RULES) if c == 1 else RADIAL_RULE
+        radial = gauss_rules(tuple(RULES[min(k, last)] for k in rules))
+        out = np.zeros((len(rules), which.size, 3 + len(parts.along)))
+        add_rays(H, c, Stops(*nearest), n, parts.along, *radial, out)
+        if parts.degrees.size:
+            of_degree, odd = parts.of_group @ (parts.of_degree > 0.0), parts.powers % 2
+            widest = np.linalg.norm(shell.L, axis=1)
+            radial_parts = out[..., 3 + parts.column] * parts.rest
+            q = (directions @ shell.L.T)[:, None, :]
+            # |q| <= ½ (f + q²/f), f the largest |q|: smooth, as a kink would spoil the rules.
+            bound = 0.5 * (widest + q * q / widest)
+            power = parts.coefficient * np.prod(q**parts.powers, axis=2)
+            most = parts.size * np.prod(q ** (parts.powers - odd) * bound**odd, axis=2)
+            power, most = ((radial_parts * x) @ (of_degree) for x in (power, most))
+            # Positive, so that no error is relative to nothing.
+            out = np.concatenate([out[..., :3], power + 2.0 * most, most], axis=-1)
+        begins = np.searchsorted(which, np.arange(i.size))
+        return np.add.reduceat(weights[:, None] * out, begins, axis=1)
+
+    def error_of(coarse: Array, fine: Array) -> Array:
+        size = np.abs(fine)
+        size[:, 2] = np.maximum(size[:, 2], fine[:, 0])
+        return np.abs(coarse - fine) / size + (ROUND_OFF if n > 1 else ROOT_ROUND_OFF)
+
+    # Rays of one contact mass serve both rules; of two each rule has its own.
+    first = [range(2)] if c == 1 else [range(1), range(1, 2)]
+    coarse, fine = np.concatenate([sums(np.arange(energy.size), rules) for rules in first])
+    error = error_of(coarse, fine)
+    targets = np.full(fine.shape[1], TARGETS[min(n, 2) - 1] if c == 1 else TARGET)
+    targets[:3] = TARGET
+    for rule in range(2, len(RULES)):
+        i = np.flatnonzero(~np.all(error <= targets, axis=1))  # no number is refined, too
+        if not i.size:
+            break
+        (finer,) = sums(i, range(rule, rule + 1))
+        error[i], fine[i] = error_of(fine[i], finer), finer
+    return fine, np.where(np.isnan(error), np.inf, error)
+
+
+def _cut_angles(shell: EnergyShell, energy: Array) -> Array:
+    """Angles (energies, cuts) where a stop joins or leaves the shell; 0 for no cut."""
+    fixed = [0.0, 0.5 * pi, *np.arctan2(shell.corners[:, 1], shell.corners[:, 0])]
+    touch, rows = shell.first_touch, shell.stops.reach
+    angles = np.zeros((2, len(touch), energy.size))
+    stop, level = np.nonzero(shell.potential(touch)[:, None] < energy)
+    if stop.size:
+        # On the line where a stop is just touched V is convex: H is met once on either side of the
+        # lowest point, no farther than where the springs alone reach it.
+        (x0, y0), H = touch[stop].T, energy[level]
+        dx, dy = np.array([-rows[stop, 1], rows[stop, 0]]) / np.linalg.norm(rows[stop], axis=1)
+        end = np.array([[1.0], [-1.0]]) * (1.000000001 * np.sqrt(2.0 * H) + np.hypot(x0, y0))
+
+        def excess(t: Array, *line: Array) -> Array:
+            x0, y0, dx, dy, H = line
+            return shell.potential(np.stack([x0 + t * dx, y0 + t * dy], axis=-1)) - H
+
+        from scipy.optimize import elementwise  # noqa: PLC0415  (it takes 0.2 s)
+
+        find_root: Any = elementwise.find_root  # typed without further arguments
+        t = find_root(excess, (0.0 * end, end), args=(x0, y0, dx, dy, H)).x
+        angles[:, stop, level] = np.arctan2(y0 + t * dy, x0 + t * dx)
+    crossings = angles.reshape(-1, energy.size).T
+    return np.hstack([np.tile(fixed, (energy.size, 1)), crossings])
+
+
+def _rays(cuts: Array, nodes: int, *, mirror: bool) -> tuple[Integers, Array, Array]:
+    """Index of each ray's energy (rays,), the directions (rays, c), the weights (rays,).
+
+    Without ``cuts`` (energies, cuts) one mass has contact; of two there are Gauss panels over the
+    angle between these: sin² towards both ends of a panel turns the half-integer powers that Hertz
+    contact leaves there into smooth functions. ``mirror`` says that V is even.
+    """
+    if not cuts.shape[1]:
+        sides = np.array([[1.0]] if mirror else [[1.0], [-1.0]])
+        which = np.repeat(np.arange(len(cuts)), len(sides))
+        return which, np.tile(sides, (len(cuts), 1)), np.full(which.size, 2.0 / len(sides))
+    period = pi if mirror else 2.0 * pi
+    cuts = np.sort(cuts % period, axis=1)
+    cuts = np.concatenate([cuts, cuts[:, :1] + period], axis=1)
+    t, w = gauss_legendre(nodes)
+    psi = 0.25 * pi * (1.0 + t)
+    share, slope = np.sin(psi) ** 2, 0.25 * pi * np.sin(2.0 * psi) * w
+    length = np.diff(cuts, axis=1)[:, :, None]
+    angle, weight = cuts[:, :-1, None] + length * share, length * slope
+    keep = weight != 0.0  # a cut that is no number makes a sum that is none
+    directions = np.stack([np.cos(angle[keep]), np.sin(angle[keep])], axis=1)
+    return np.nonzero(keep)[0], directions, weight[keep] * (2.0 * pi / period)
 
 
 def _table(system: System) -> Callable[[Array], Array]:

@@ -18,12 +18,11 @@ from math import ceil, log
 
 import numpy as np
 from scipy.special import erfc, gammaln
+from threadpoolctl import threadpool_limits
 
 from averaging.conditional import DEPTH, WIDTHS_PER_PANEL, conditionals, stop_panels
-from averaging.shell.energy_shell import EnergyShell
-from averaging.shell.parts import parts_of
+from averaging.shell.energy_shell import EnergyShell, parts_of
 from fpk.numeric.arrays import EPS, Array, Complexes
-from fpk.numeric.compiling import cached_njit
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.system.system import System
@@ -31,8 +30,8 @@ from fpk.system.system import System
 POINTS = (15, 16)
 """Gauss points per panel, of the rule that estimates the error and of the answer."""
 RADIANS, RISE = 1.8, 16.0
-"""Most radians of exp(−i Im β V) between two points of the answer where V, of springs or of a stop,
-is up to ``RISE``/β₀: sixteen points integrate 29 radians to about 1e-13 of what is left there."""
+"""Most radians of exp(−i Im β V) between two points of the answer where V of springs or a stop is
+up to ``RISE``/β₀: sixteen points integrate 29 radians to about 1e-13 of the integrand there."""
 MISSING = 1e-13
 """Share of R by which the nearest alias of the trapezoidal rule is down, T(H + 2π/step)
 e^(−2πβ₀/step) or the same of the power times T, and by which a line ends."""
@@ -53,9 +52,9 @@ masses, 3 to 20 masses, stops 1e-2 to 1e5 of the springs, against integrals alon
 CHECKED = 4
 """Parts of a line at whose ends the rule over displacements is checked by a lower one."""
 MOST_POINTS = 4000
-"""Points along one displacement: the kernel between two of them takes 256 MB then."""
+"""Largest number of points along one displacement: a pass takes seconds then."""
 ROWS = 32
-"""Points of one mass at which the integral over the next one is evaluated at once."""
+"""Points of one mass at which the integral over the next one is evaluated at once, in the cache."""
 WINDOW = (0.3, 3.6)
 """Share of a line up to which nothing is taken off, and steepness of the fall to nothing."""
 MOST_MASSES = 10
@@ -106,7 +105,8 @@ class PartitionLines:
         index = np.floor(np.log(energy / self.unit) / np.log(self.factor)).astype(int)
         for k in np.unique(index).tolist():
             if k not in self.lines:
-                self.lines[k] = self._line(self.first * self.n / (self.unit * self.factor**k))
+                with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small
+                    self.lines[k] = self._line(self.first * self.n / (self.unit * self.factor**k))
             (beta, change, error, known), here = self.lines[k], index == k
             # Windows that end the line, and end it earlier. One that is flat at 0 moves T only by
             # what is not smooth over 1/(its end).
@@ -187,20 +187,20 @@ class PartitionLines:
         f: Complexes = np.ones((beta.size, 1, len(powers)), dtype=complex)
         springs = [law.precision for law in conditionals(system, masses)]
         befores = [np.zeros(1), *(q for q, _ in grids[:-1])]
-        step = (beta[-1] - beta[0]).imag / max(beta.size - 1, 1)
         links = zip(masses, springs, grids, befores, powers.T, strict=True)
         for mass, stiffness, (q, weights), before, power in reversed(list(links)):
             g = np.exp(-beta[:, None] * system.contact_energy(mass, q)) * weights
             g = f * g[:, :, None] * q[:, None] ** power
             f = np.empty((beta.size, before.size, len(powers)), dtype=complex)
             reach = np.sqrt(2.0 * DEPTH / (beta[0].real * stiffness))
-            # Few rows at once stay in the cache, and see few columns.
             for rows in np.array_split(np.arange(before.size), ceil(before.size / ROWS)):
                 x = before[rows, None]
                 low, high = np.searchsorted(q, [x[0, 0] - reach, x[-1, 0] + reach])
                 height = 0.5 * stiffness * (x - q[low:high]) ** 2
-                part = np.ascontiguousarray(g[:, low:high])
-                f[:, rows] = transfer(height, beta[0].real, step, part).swapaxes(1, 2)
+                kernel, turn = (np.exp(-b * height) for b in (beta[0], beta[1] - beta[0]))
+                for k in range(beta.size):
+                    f[k, rows] = kernel @ g[k, low:high]
+                    kernel *= turn
             f *= np.sqrt(beta * stiffness / (2.0 * np.pi))[:, None, None]
         moments = f[:, 0] * beta[:, None] ** (0.5 * powers.sum(axis=1))
         first, *others = moments.T[column.ravel()]
@@ -249,39 +249,8 @@ class PartitionLines:
         return grids
 
 
-def by_lines(shell: EnergyShell) -> bool:
+def by_lines(system: System) -> bool:
     """Whether averages over the shell follow from the partition function, not along rays."""
-    degree = max((term.degree for term in shell.system.damping_terms), default=0)
-    return shell.count > 2 or (shell.count == 2 and shell.system.n + 0.25 * degree > MOST_MASSES)
-
-
-@cached_njit()
-def transfer(height: Array, begin: float, step: float, g: Complexes) -> Complexes:
-    """Return f_kmr = Σ_c exp(−β_k height_rc) g_kcm (points, m, rows) at β_k = begin + i k step.
-
-    One integral operator of the chain: ``height`` (rows, columns) are the energies of the spring.
-    A library's product of matrices is no faster for so few columns, and its threads wait for each
-    other where another program runs.
-    """
-    rows, columns = height.shape
-    points, _, count = g.shape
-    # Real and imaginary parts apart: loops over rows become vector instructions.
-    z, factor = np.empty((2, rows)), np.empty((2, rows))
-    real, imaginary = np.zeros((points, count, rows)), np.zeros((points, count, rows))
-    for c in range(columns):
-        for r in range(rows):
-            z[0, r], z[1, r] = np.exp(-begin * height[r, c]), 0.0
-            if points > 1:
-                angle = step * height[r, c]
-                factor[0, r], factor[1, r] = np.cos(angle), -np.sin(angle)
-        for k in range(points):
-            for m in range(count):
-                x, y = g[k, c, m].real, g[k, c, m].imag
-                for r in range(rows):
-                    real[k, m, r] += z[0, r] * x - z[1, r] * y
-                    imaginary[k, m, r] += z[0, r] * y + z[1, r] * x
-            for r in range(rows):
-                turned = z[0, r] * factor[0, r] - z[1, r] * factor[1, r]
-                z[1, r] = z[0, r] * factor[1, r] + z[1, r] * factor[0, r]
-                z[0, r] = turned
-    return real + 1j * imaginary
+    count = len(system.contact_masses)
+    degree = max((term.degree for term in system.damping_terms), default=0)
+    return count > 2 or (count == 2 and system.n + 0.25 * degree > MOST_MASSES)

@@ -24,16 +24,17 @@ NEWTON_STEPS = 100
 
 
 class Stops(NamedTuple):
-    """One-sided stops of a system: the overlap at y is ``reach @ y − touch``.
+    """One-sided stops along rays, nearest first: the overlap at r is ``reach`` (r − ``touch``).
 
-    Of a ray, nearest first: the overlap at the distance r is ``reach`` (r − ``touch``).
+    Arrays are (rays, stops), of one ray (stops,). ``touch`` is ∞ where the ray meets no such stop
+    in its shell; ``law`` counts the laws in the order of their names.
     """
 
-    reach: Array  # (stops, c); of a ray (stops,)
-    touch: Array  # (stops,)
-    stiffness: Array  # (stops,)
-    exponent: Array  # (stops,)
-    law: Integers  # (stops,), of the laws in order of their names
+    reach: Array
+    touch: Array
+    stiffness: Array
+    exponent: Array
+    law: Integers
 
 
 @lru_cache
@@ -62,7 +63,7 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
     @cached_njit()
     def add_rays(
         energy: Array,
-        directions: Array,
+        c: int,
         stops: Stops,
         n: int,
         orders: Integers,
@@ -72,34 +73,55 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
     ) -> int:
         """Add the integrals along rays by each rule to ``out``, (rules, rays, 3 + orders).
 
-        ``energy`` (rays,) and unit vectors ``directions`` (rays, c). ``rule`` and ``ends`` as
-        ``gauss_rules`` returns them. With v = 1 − V/H and lengths in units of √H the integrals are
-        those of v^a r^(c−1) (1, v, w), which belong to T, the phase volume and H T', then of
+        ``energy`` (rays,), of ``c`` masses with contact. ``rule`` and ``ends`` as ``gauss_rules``
+        returns them. With v = 1 − V/H and lengths in units of √H the integrals are
+        v^a r^(c−1) (1, v, w), which belong to T, the phase volume and H T', then
         v^(a+j) r^(c−1+k) for the rows (k, j) of ``orders``. For a > 0, w = a/v is the derivative
         under the integral; otherwise that diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²)
         comes from differentiating with V as the variable. Returns the checksum of the sources.
         """
-        total, c = stops.reach.shape
         a = n - 0.5 * c - 1.0
         whole, half = int(np.ceil(a)), a % 1.0 > 0.0
-        none, size = np.empty(total), rule.shape[1]
-        ray = Stops(none, none.copy(), none.copy(), none.copy(), np.empty(total, dtype=np.int64))
-        r, dx, v = np.empty(size), np.empty(size), np.empty(size)
+        r, dx, v = np.empty((3, rule.shape[1]))
         for i in range(energy.size):
             H, scale = energy[i], 1.0 / np.sqrt(energy[i])
-            count = _along(np.sqrt(2.0 * H), directions[i], stops, ray)
-            for k in range(count + 1):  # stops engaged
+            reach, touch, stiffness, exponent, law = stops
+            ray = Stops(reach[i], touch[i], stiffness[i], exponent[i], law[i])
+            for k in range(ray.touch.size + 1):  # stops engaged
                 start = ray.touch[k - 1] if k > 0 else 0.0
-                length = ray.touch[k] - start if k < count else np.inf
+                length = ray.touch[k] - start if k < ray.touch.size else np.inf
                 height = H - 0.5 * start * start
                 for s in range(k):
                     height -= _of_stop(U, ray, s, ray.reach[s] * (start - ray.touch[s]))
-                if height <= 0.0:
+                if not height > 0.0:
                     break
                 if length <= 0.0:
                     continue
                 X = _turning_point(height, start, k, ray, U, g)
-                _points(H, start, X, min(length, X), k, ray, rule, r, dx, v, U, g)
+                span, top = min(length, X), np.sqrt(X)
+                # Before the first stop only the root at X is removed, by √(X − x) as the variable:
+                # that takes no sine at each point.
+                width = span / (top + np.sqrt(X - span))
+                end = 0.5 * np.pi if span == X else np.arctan2(np.sqrt(span), np.sqrt(X - span))
+                for j in range(r.size):
+                    if k == 0:
+                        root = top - width * rule[0, j]
+                        x, left = width * rule[0, j] * (top + root), root * root
+                        dx[j] = 2.0 * root * width * rule[1, j]
+                    else:
+                        sine, cosine = rule[2, j], rule[3, j]
+                        if span < X:
+                            sine, cosine = np.sin(end * rule[0, j]), np.cos(end * rule[0, j])
+                        x, left = X * sine * sine, X * cosine * cosine
+                        dx[j] = 2.0 * X * end * sine * cosine * rule[1, j]
+                    # v H is the fall of springs and stops between X and x.
+                    fall = left * (start + 0.5 * (X + x))
+                    for s in range(k):
+                        begun = ray.reach[s] * (start - ray.touch[s])
+                        last = _of_stop(U, ray, s, begun + ray.reach[s] * X)
+                        low, rise = begun + ray.reach[s] * x, ray.reach[s] * left
+                        fall += _gain(low, rise, last, ray, s, U, g)
+                    r[j], v[j] = start + x, fall / H
                 for m in range(out.shape[0]):
                     for j in range(ends[m], ends[m + 1]):
                         states = dx[j] * v[j] ** whole * scale
@@ -119,28 +141,6 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         return sources
 
     return add_rays
-
-
-@inlined
-def _along(span: float, direction: Array, stops: Stops, ray: Stops) -> int:
-    """Write the stops that the ray touches within ``span`` to ``ray``; return their number."""
-    count = 0
-    for s in range(stops.touch.size):
-        reach = 0.0
-        for j in range(direction.size):
-            reach += stops.reach[s, j] * direction[j]
-        if reach <= 0.0 or stops.touch[s] >= reach * span:
-            continue
-        touch, k = stops.touch[s] / reach, count
-        while k > 0 and ray.touch[k - 1] > touch:
-            for part in (ray.reach, ray.touch, ray.stiffness, ray.exponent):
-                part[k] = part[k - 1]
-            ray.law[k] = ray.law[k - 1]
-            k -= 1
-        ray.reach[k], ray.touch[k], ray.stiffness[k] = reach, touch, stops.stiffness[s]
-        ray.exponent[k], ray.law[k] = stops.exponent[s], stops.law[s]
-        count += 1
-    return count
 
 
 @inlined
@@ -194,49 +194,6 @@ def _turning_point(height: float, start: float, k: int, ray: Stops, U: Any, g: A
         if abs(factor - 1.0) < 1e-8:
             return x
     return np.nan
-
-
-@inlined
-def _points(
-    H: float,
-    start: float,
-    X: float,
-    span: float,
-    k: int,
-    ray: Stops,
-    rule: Array,
-    r: Array,
-    dx: Array,
-    v: Array,
-    U: Any,
-    g: Any,
-) -> None:
-    """Write r, dr and v = 1 − V/H at the points of a panel of length ``span``.
-
-    v is the fall of springs and stops between X and x = r − ``start``. Before the first stop only
-    the root at X is removed, by √(X − x) as the variable: that takes no sine at each point.
-    """
-    share, weight, sine, cosine = rule[0], rule[1], rule[2], rule[3]
-    top = np.sqrt(X)
-    width = span / (top + np.sqrt(X - span))
-    end = 0.5 * np.pi if span == X else np.arctan2(np.sqrt(span), np.sqrt(X - span))
-    for j in range(r.size):
-        if k == 0:
-            root = top - width * share[j]
-            x, left = width * share[j] * (top + root), root * root
-            dx[j] = 2.0 * root * width * weight[j]
-        else:
-            s, c = sine[j], cosine[j]
-            if span < X:
-                s, c = np.sin(end * share[j]), np.cos(end * share[j])
-            x, left = X * s * s, X * c * c
-            dx[j] = 2.0 * X * end * s * c * weight[j]
-        fall = left * (start + 0.5 * (X + x))
-        for i in range(k):
-            reach, begun = ray.reach[i], ray.reach[i] * (start - ray.touch[i])
-            last = _of_stop(U, ray, i, begun + reach * X)
-            fall += _gain(begun + reach * x, reach * left, last, ray, i, U, g)
-        r[j], v[j] = start + x, fall / H
 
 
 @inlined

@@ -11,7 +11,7 @@ from averaging.closed_form import log_gibbs_norm
 from averaging.energy_process import energy_process
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
-from averaging.shell import energy_shell, laplace
+from averaging.shell import averages, laplace
 from averaging.shell.averages import shell_averages, shell_columns
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.laplace import PartitionLines
@@ -59,7 +59,7 @@ def test_two_contact_masses_of_a_long_chain(monkeypatch, n):
     system = chain(n, (3, n - 10))
     H = energies(system)
     ratios = shell_averages(system, H)
-    monkeypatch.setattr(energy_shell, "RADIAL_RULE", 4)
+    monkeypatch.setattr(averages, "RADIAL_RULE", 4)
     monkeypatch.setattr(laplace, "MOST_MASSES", 30)
     reference = shell_averages(chain(n, (3, n - 10)), H)
     assert np.all(np.abs(ratios.states / reference.states - 1.0) <= ratios.error + reference.error)
@@ -95,7 +95,7 @@ def test_damping_power_by_lines_agrees_with_rays(monkeypatch, n, terms):
     monkeypatch.setattr(laplace, "MOST_MASSES", 0)
     power, error = term_power(one)(H)
     monkeypatch.setattr(laplace, "MOST_MASSES", 20)
-    monkeypatch.setattr(energy_shell, "RADIAL_RULE", 4)
+    monkeypatch.setattr(averages, "RADIAL_RULE", 4)
     reference, bound = term_power(two)(H)
     assert np.all(np.abs(power - reference) <= error + bound)
     assert np.all(error < (1e-6 if n == 4 else 1e-10) * np.abs(reference).max())
