@@ -1,20 +1,13 @@
 """The exact stationary solution (7), (22), where damping and noise are in proportion (8)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from averaging.back_transformation import back_transformed, crossing_rates
 from averaging.closed_form import state_closed_form
 from averaging.energy_process import damping_by_energy, energy_process
-from averaging.theory import Theory, energy_only_refusal
+from averaging.theory import EnergyTheory
 from averaging.weyl import StateDensity
-from fpk.answer.dynamics import Curve
-from fpk.answer.method import Plan, Progress, Result
-from fpk.answer.observable import Observable
-from fpk.answer.question import Asked, answer
 from fpk.numeric.arrays import ROUND_OFF, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.system.system import System
@@ -52,7 +45,7 @@ def compatibility(system: System) -> Array:
 
 
 @dataclass(frozen=True)
-class Exact(Theory):
+class Exact(EnergyTheory):
     """Exact stationary density C exp(−∫h dH) of the full system, Eqs. (7), (22), (23).
 
     It exists where (8) holds; with constant damping h is a constant, and the normalisation the
@@ -70,37 +63,20 @@ class Exact(Theory):
     solvers = (("closed-form", "exact", "(7)"),)
     colour = "#056c66"
 
-    def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` where (8) does not hold."""
+    def exponential(self, system: System) -> bool:
+        """Return whether h is a constant; raise ``NotApplicable`` where (8) does not hold."""
         h = compatibility(system)
         energy_process(system)
+        return h.size == 1
+
+    def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
+        """Return u, which solves the full equation, and h; the residual is what is left of (8)."""
+        h = compatibility(system)
         settings: dict[str, str | float | int] = {"equation": "(7), (22)", "h": float(h[0])}
-        for power, coefficient in enumerate(h[1:], start=1):
-            settings[f"h, H^{power}"] = float(coefficient)
-
-        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            source = _source(system, h)
-            densities = tuple(
-                back_transformed(source, o, tol=self.wanted(system)) for o in observables
-            )
-            return Result(self, densities, settings=settings)
-
-        return Plan(partial(energy_only_refusal, system, exponential=h.size == 1), solve)
-
-    @answer
-    def crossings(self, asked: Asked) -> Curve:
-        """Return the upcrossings per unit time of q, by Rice's formula."""
-        source = _source(asked.system, compatibility(asked.system))
-        return crossing_rates(
-            source, asked.row, asked.at, tol=asked.tol or self.wanted(asked.system)
-        )
-
-
-def _source(system: System, h: Array) -> StateDensity:
-    """Density of the state; u solves the full equation, what is left of (8) is its residual."""
-    constant, D = 0.5 * (system.damping + system.damping.T), h[0] * system.noise_matrix
-    left = float(np.max(np.abs(constant - D)) / np.max(np.abs(D)))
-    return state_closed_form(system, h, residual=None if h.size > 1 else left)
+        settings |= {f"h, H^{power}": x for power, x in enumerate(h[1:].tolist(), start=1)}
+        constant, D = 0.5 * (system.damping + system.damping.T), h[0] * system.noise_matrix
+        left = float(np.max(np.abs(constant - D)) / np.max(np.abs(D)))
+        return state_closed_form(system, h, residual=None if h.size > 1 else left), settings
 
 
 Exact.register()

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +23,6 @@ from fpk.numeric.errors import NotApplicable
 from fpk.system.escape import require_held
 from fpk.system.modulation import require_constant_noise
 from fpk.system.system import System
-
-Answer = TypeVar("Answer", Transient, Passage, Rates)
 
 
 @dataclass(frozen=True)
@@ -107,36 +105,29 @@ class Integrable(Theory):
     def transient(self, asked: Asked) -> Transient:
         """Return the densities of modal energies, or of one or two of (q, p), at times."""
         require_held(asked.system)
-        modes = self._in_time(asked.system)
-        settled = settled_energies(asked, asked.tol or TOL, modes)
-        if self.solver == "closed-form":
-            answer = closed_form.transient(modes, settled)
-        else:
-            require_constant_noise(asked.system.modulation)
-            answer = elements.transient(modes, settled)
-        return _with_contacts(answer, asked.system, modes)
+        solved: Transient = self._in_time(
+            "transient", asked, modulated=self.solver == "closed-form"
+        )
+        return solved
 
     @answer
     def passage(self, asked: Asked) -> Passage:
         """Return the first passage of modal energies or of their sum."""
-        require_constant_noise(asked.system.modulation)
-        modes = self._in_time(asked.system)
-        settled = settled_energies(asked, asked.tol or TOL, modes)
-        solved = closed_form.passage if self.solver == "closed-form" else elements.passage
-        return _with_contacts(solved(modes, settled), asked.system, modes)
+        solved: Passage = self._in_time("passage", asked)
+        return solved
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
         """Return the slowest relaxation rates of the modal energies."""
         require_held(asked.system)
-        require_constant_noise(asked.system.modulation)
-        modes = self._in_time(asked.system)
-        solved = closed_form.relaxation if self.solver == "closed-form" else elements.relaxation
-        answer = solved(modes, asked.count, tol=asked.tol or TOL)
-        return _with_contacts(answer, asked.system, modes)
+        solved: Rates = self._in_time("relaxation", asked)
+        return solved
 
-    def _in_time(self, system: System) -> ModalAnalysis:
-        """The modes; raises ``NotApplicable`` where the theory or the solver does not hold."""
+    def _in_time(self, question: str, asked: Asked, *, modulated: bool = False) -> Any:
+        """The answer by the solver; raises ``NotApplicable`` where that or the theory fails."""
+        system, tol = asked.system, asked.tol or TOL
+        if not modulated:
+            require_constant_noise(system.modulation)
         modes = system.fact(modal_analysis)
         require_no_resonance(system, modes)
         if self.solver in ("quadrature", "scikit-fem"):
@@ -144,7 +135,14 @@ class Integrable(Theory):
             raise NotApplicable(f"{self.solver} {words}")
         if reason := unsolved(modes, self.solver):
             raise NotApplicable(reason)
-        return modes
+        by = closed_form if self.solver == "closed-form" else elements
+        if question == "relaxation":
+            answer = by.relaxation(modes, asked.count, tol=tol)
+        else:
+            answer = getattr(by, question)(modes, settled_energies(asked, tol, modes))
+        neglected = _contacts_left_out(system, modes)
+        left_out = {"contacts left out": neglected} if neglected else {}
+        return replace(answer, settings={**answer.settings, **left_out})
 
     def _refusal(self, observable: Observable, modes: ModalAnalysis) -> str | None:
         """Why the solver does not give this observable."""
@@ -155,13 +153,6 @@ class Integrable(Theory):
         if modes.constant and self.solver != "closed-form" and (total or kinds[0] != "H"):
             return f"{name}: by {self.solver}, only modal energies H1, H2, … ; use closed-form"
         return None
-
-
-def _with_contacts(answer: Answer, system: System, modes: ModalAnalysis) -> Answer:
-    """The answer with the contacts that are left out among its settings."""
-    neglected = _contacts_left_out(system, modes)
-    left_out = {"contacts left out": neglected} if neglected else {}
-    return replace(answer, settings={**answer.settings, **left_out})
 
 
 def _contacts_left_out(system: System, modes: ModalAnalysis) -> str:

@@ -1,26 +1,23 @@
 """Stochastic averaging of quasi-non-integrable Hamiltonian systems as a method, section 4."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from averaging.back_transformation import back_transformed, crossing_rates
 from averaging.closed_form import averaged_rate, state_closed_form
 from averaging.energy_process import damping_and_noise, energy_process
 from averaging.gaussian_state import state_rows
 from averaging.modal.time.closed_form import orbit_transient
-from averaging.theory import Theory, energy_only_refusal
+from averaging.theory import EnergyTheory, energy_only_refusal
 from averaging.time.start import limited_modes, settled_energies
 from averaging.time.states import state_transient
 from averaging.weyl import StateDensity, tabulated
 from averaging.zero_flux import solved_energies
-from fpk.answer.dynamics import Curve, Rates
+from fpk.answer.dynamics import Rates
 from fpk.answer.evolution import Passage, Transient, checked_times
-from fpk.answer.method import Plan, Progress, Result
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.observable import Coordinate
 from fpk.answer.question import Asked, answer
 from fpk.numeric.errors import NotApplicable
 from fpk.solvers.line.stationary import StationarySolution
@@ -31,11 +28,9 @@ from fpk.solvers.line.time.transition import Source, transition
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.escape import require_held
-from fpk.system.modulation import ROUND_OFF, Modulation, require_constant_noise
+from fpk.system.modulation import ROUND_OFF, require_constant_noise
 from fpk.system.process import Process
 from fpk.system.system import System
-
-Settings = dict[str, str | float | int]
 
 MODULATED_TOL = 1e-6
 """Least tolerance by finite elements under modulated noise where none is given: it takes a second;
@@ -43,7 +38,7 @@ MODULATED_TOL = 1e-6
 
 
 @dataclass(frozen=True)
-class NonIntegrable(Theory):
+class NonIntegrable(EnergyTheory):
     """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements, "scikit-fem" by
@@ -74,27 +69,10 @@ class NonIntegrable(Theory):
     solves = "averaged"
     colour = "#e07500"
 
-    def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
-        process = energy_process(system)
-        exponential = self.solver == "closed-form" and averaged_rate(system).size == 1
-
-        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            source, settings = self._state_density(system, process)
-            densities = tuple(
-                back_transformed(source, o, tol=self.wanted(system)) for o in observables
-            )
-            return Result(self, densities, settings=settings)
-
-        return Plan(partial(energy_only_refusal, system, exponential=exponential), solve)
-
-    @answer
-    def crossings(self, asked: Asked) -> Curve:
-        """Return the upcrossings per unit time of q, by Rice's formula."""
-        source, _ = self._state_density(asked.system, energy_process(asked.system))
-        return crossing_rates(
-            source, asked.row, asked.at, tol=asked.tol or self.wanted(asked.system)
-        )
+    def exponential(self, system: System) -> bool:
+        """Return whether u is exp(−αH) in closed form; raise ``NotApplicable`` as (24) does."""
+        energy_process(system)
+        return self.solver == "closed-form" and averaged_rate(system).size == 1
 
     @answer
     def transient(self, asked: Asked) -> Transient:
@@ -121,16 +99,17 @@ class NonIntegrable(Theory):
             # At temperature 1; K and M are not coupled.
             shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]
             return orbit_transient([(closed, energy, shape)], asked)
+        source, under = _source(asked), partial(_under, system)
         if modulation is None:
-            solved = transition(process, _source(asked), times, tol=tol)
+            solved = transition(process, source, times, tol=tol)
         elif of_energy:
-            return modulated_transient(*_modulated(asked), times, at[0], tol=tol)
+            return modulated_transient(under, modulation, source, times, at[0], tol=tol)
         elif not modulation.last and times[-1] > modulation.times[-1]:
             raise NotApplicable(
                 "after the end of the noise fem gives densities of the energy only, not of q, p"
             )
         else:
-            solved = modulated_transition(*_modulated(asked), times, tol=tol)
+            solved = modulated_transition(under, modulation, source, times, tol=tol)
         if not of_energy:
             return state_transient(solved, asked)
         numbers = solved.density(at[0])
@@ -153,9 +132,11 @@ class NonIntegrable(Theory):
         if self.solver != "fem":
             closed, energies = square_root(system, self.solver), asked.start.known()
             return closed.passage(limit, float(energies[0]), times, tol=asked.tol)
-        if system.modulation is not None:
-            return modulated_passage(*_modulated(asked), limit, times, tol=asked.tol)
-        return fem_passage(process, limit, _source(asked), times, tol=asked.tol)
+        source, modulation = _source(asked), system.modulation
+        if modulation is None:
+            return fem_passage(process, limit, source, times, tol=asked.tol)
+        under = partial(_under, system)
+        return modulated_passage(under, modulation, source, limit, times, tol=asked.tol)
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
@@ -169,24 +150,25 @@ class NonIntegrable(Theory):
         return square_root(system, self.solver).rates(asked.count, tol=tol)
 
     def _settled(self, asked: Asked) -> Asked:
+        """The question from the total energy at time 0, to the tolerance asked for or default."""
         modulated = asked.system.modulation is not None and self.solver == "fem"
         default = max(self.wanted(asked.system), MODULATED_TOL if modulated else 0.0)
         return settled_energies(asked, asked.tol or default)
 
-    def _state_density(self, system: System, process: Process) -> tuple[StateDensity, Settings]:
+    def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
+        """Return u = p/T, p the density of the averaged energy, and how it was solved for."""
         if self.solver == "closed-form":
             return state_closed_form(system, averaged_rate(system)), {"equation": "(29)"}
-        solution = solved_energies(process, self.solver, tol=self.wanted(system))
+        tol = self.wanted(system)
+        solution = solved_energies(energy_process(system), self.solver, tol=tol)
         assert not isinstance(solution, PlaneSolution)
-        settings: Settings = {"equation": "(11)", "panels": solution.nodes.size - 1}
+        settings: dict[str, str | float | int] = {"equation": "FPK of (24)"}
         if isinstance(solution, StationarySolution):
-            settings = {
-                "equation": "FPK of (24)",
-                "degree": solution.degree,
-                "elements": solution.nodes.size - 1,
-                "unknowns": solution.unknowns,
-            }
-        settings |= {"last energy": float(solution.nodes[-1]), "tol": self.wanted(system)}
+            numbers = {"degree": solution.degree, "elements": solution.nodes.size - 1}
+            settings |= {**numbers, "unknowns": solution.unknowns}
+        else:
+            settings = {"equation": "(11)", "panels": solution.nodes.size - 1}
+        settings |= {"last energy": float(solution.nodes[-1]), "tol": tol}
         return tabulated(system, solution), settings
 
 
@@ -208,7 +190,7 @@ def square_root(system: System, solver: str) -> SquareRoot:
     return SquareRoot(n, damping / n, noise / n, error, system.modulation)
 
 
-def _process(system: System, factor: float) -> Process:
+def _under(system: System, factor: float) -> Process:
     """The averaged energy under ``factor`` times the noise intensity."""
     if factor == 1.0:  # the system keeps what follows from it
         return energy_process(system)
@@ -219,13 +201,7 @@ def _source(asked: Asked) -> Source:
     """Where the density of the energy begins."""
     if asked.start.noise is None:
         return Source(float(asked.start.energies[0]))
-    return Source(process=_process(asked.system, asked.start.noise))
-
-
-def _modulated(asked: Asked) -> tuple[Callable[[float], Process], Modulation, Source]:
-    """The energy under a factor of the noise intensity, the factor in time, and the start."""
-    assert asked.system.modulation is not None
-    return partial(_process, asked.system), asked.system.modulation, _source(asked)
+    return Source(process=_under(asked.system, asked.start.noise))
 
 
 NonIntegrable.register()

@@ -1,13 +1,18 @@
-"""Base class of the methods that solve equations: exact, linear, nonintegrable and integrable."""
+"""Base classes of the methods that solve equations: exact, linear, nonintegrable and integrable."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, Self
 
+from averaging.back_transformation import back_transformed, crossing_rates
 from averaging.shell.laplace import by_lines
+from averaging.weyl import StateDensity
 from fpk.answer.certificate import tolerance
-from fpk.answer.method import ROUTES, Method, Route, Solves, register
+from fpk.answer.dynamics import Curve
+from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, Solves, register
 from fpk.answer.observable import Observable, observable_name
+from fpk.answer.question import Asked, answer
 from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 
@@ -27,10 +32,8 @@ class Theory(Method):
     """Method that answers to the L1 tolerance ``tol``, or that of ``wanted``, by a solver.
 
     A subclass gives its name and colour on the command line and in pictures, and its ``solvers``,
-    the default first: (name, words for legends, equation). Each is a route.
-
-    Raises ``InvalidInput`` for an unknown solver or a tolerance below ``SMALLEST`` or above
-    ``LARGEST``.
+    the default first: (name, words for legends, equation). Each is a route. Raises ``InvalidInput``
+    for an unknown solver or a tolerance below ``SMALLEST`` or above ``LARGEST``.
     """
 
     solver: str = "closed-form"
@@ -75,13 +78,44 @@ class Theory(Method):
             register(Route(*names, False, cls.colour, make, named=named, **options))
 
 
+@dataclass(frozen=True)
+class EnergyTheory(Theory):
+    """Theory of a state whose density is u(H): marginals of u and crossing rates follow from it."""
+
+    def exponential(self, system: System) -> bool:
+        """Return whether u is exp(−αH); raise ``NotApplicable`` where the theory does not hold."""
+        raise NotImplementedError
+
+    def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
+        """Return u, solved for, and the settings of the result."""
+        raise NotImplementedError
+
+    def prepare(self, system: System) -> Plan:
+        """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
+
+        def solve(observables: Sequence[Observable], progress: Progress) -> Result:
+            source, settings = self.state(system)
+            tol = self.wanted(system)
+            densities = tuple(back_transformed(source, o, tol=tol) for o in observables)
+            return Result(self, densities, settings=settings)
+
+        refusal = partial(energy_only_refusal, system, exponential=self.exponential(system))
+        return Plan(refusal, solve)
+
+    @answer
+    def crossings(self, asked: Asked) -> Curve:
+        """Return the upcrossings per unit time of q, by Rice's formula."""
+        tol = asked.tol or self.wanted(asked.system)
+        return crossing_rates(self.state(asked.system)[0], asked.row, asked.at, tol=tol)
+
+
 def energy_only_refusal(
     system: System, observable: Observable, *, exponential: bool = False
 ) -> str | None:
     """Return why ``observable`` does not follow from a density u(H), or None where it does.
 
-    Where u is ``exponential`` the contact masses on either side of the observed ones are integrated
-    out by passes along the chain; otherwise all of them at once.
+    Where u is ``exponential`` contact masses on either side of the observed ones are integrated out
+    by passes along the chain; otherwise all of them at once.
     """
     kinds = {c.kind for c in observable}
     if "H" in kinds and (len(observable) > 1 or observable[0].index is not None):
