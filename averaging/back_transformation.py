@@ -6,7 +6,6 @@ from math import ceil, pi
 import numpy as np
 
 from averaging.conditional import (
-    DEPTH,
     Conditional,
     conditionals,
     contact_levels,
@@ -22,7 +21,7 @@ from fpk.answer.density import Density, certified_density
 from fpk.answer.dynamics import Curve, certified_curve
 from fpk.answer.observable import Coordinate, Observable
 from fpk.answer.question import QUESTIONS
-from fpk.numeric.arrays import Array
+from fpk.numeric.arrays import DEPTH, Array
 from fpk.solvers.line.mesh import DEEP_LAYERS, with_layers
 from fpk.system.system import System
 

@@ -10,7 +10,7 @@ from math import ceil, exp, log2
 
 import numpy as np
 
-from fpk.numeric.arrays import Array
+from fpk.numeric.arrays import DEPTH, Array
 from fpk.numeric.piecewise import Piecewise, fit
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.contact import Contact
@@ -19,8 +19,6 @@ from fpk.system.system import System
 WIDTHS_PER_PANEL = 1.8
 """Longest panel in units of √(T/a), T the temperature: ten Gauss points integrate exp(−½x²) over it
 to 1e-15."""
-DEPTH = 40.0
-"""Least height above rest, in units of T, that a grid reaches: e^−40 = 4e-18."""
 LEVELS = (1e-5, 1e-3, 0.1, 1.0)
 """Contact energies in units of T between which panels lie beyond a stop, then twice the one before:
 over [x, 2x] a Gauss rule of ten points misses at most 2e-12 of exp(−x), at x = 16."""

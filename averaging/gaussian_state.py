@@ -13,7 +13,7 @@ from scipy.linalg import qr, solve_triangular
 from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certified_density
 from fpk.answer.observable import Observable, observable_name
-from fpk.numeric.arrays import EPS, SMALLEST, Array
+from fpk.numeric.arrays import DEPTH, EPS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 
 REACH = 8.5
@@ -22,9 +22,6 @@ WIDTH = 3.0
 """Largest width of a panel in standard deviations of one coordinate given the other."""
 PANELS = (17, 120)
 """Least and largest number of panels along an axis; correlations above 0.999 would need more."""
-NATS = 40.0
-"""−ln of a bound of the probability beyond the last energy of the support, and of the fall of the
-integrand along the contour at which that ends."""
 NODES = (30, 40)
 """Nodes on half of the contour, of the coarser sum for the error and of the answer: 32 reach
 round-off."""
@@ -108,10 +105,10 @@ class Gaussian:
         )
 
     def _energy_density(self, observable: Observable, tol: float) -> Density:
-        largest, tail = float(np.max(self.scales)), float(np.exp(-NATS))
+        largest, tail = float(np.max(self.scales)), float(np.exp(-DEPTH))
         # Chernoff's bound at s = 7/8 of the least rate: P(X > E) <= e^(−sE) Π (1 − s λ_j)^−shape.
         s = 0.875 / largest
-        end = (NATS - self.shape * float(np.sum(np.log1p(-s * self.scales)))) / s
+        end = (DEPTH - self.shape * float(np.sum(np.log1p(-s * self.scales)))) / s
         nodes, least = [0.0], max(float(np.min(self.scales)), EPS * end)
         while nodes[-1] < end:
             nodes.append(nodes[-1] + min(max(2.0 * least, nodes[-1] / 3.0), 2.0 * largest))
@@ -175,7 +172,7 @@ def _contour(scales: Array, shape: float, x: Array, nodes: int) -> tuple[Array, 
     for _ in range(SADDLE_STEPS):
         pull = ratio / (1.0 - ratio + ratio * crossing)
         crossing = np.maximum(shape * crossing * pull.sum(axis=-1, keepdims=True), MIN_CROSSING) / t
-    step = np.sqrt(NATS / (crossing * t)) / nodes
+    step = np.sqrt(DEPTH / (crossing * t)) / nodes
     u = 1j * step * (np.arange(nodes) + 0.5)
     z = crossing * (1.0 + u) ** 2
     exponent = t * (z - 1.0)

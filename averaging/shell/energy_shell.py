@@ -53,7 +53,11 @@ class EnergyShell:
         rows = [(s.clearance, s.stiffness, s.power, self.laws.index(s.law)) for s in stops]
         touch, stiffness, exponent, law = np.reshape(rows, (-1, 4)).T.copy()
         return Stops(
-            np.reshape(reach, (-1, len(masses))), touch, stiffness, exponent, law.astype(int)
+            np.reshape(reach, (len(stops), len(masses))),
+            touch,
+            stiffness,
+            exponent,
+            law.astype(int),
         )
 
     def potential(self, y: Array) -> Array:

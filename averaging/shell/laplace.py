@@ -20,9 +20,9 @@ import numpy as np
 from scipy.special import erfc, gammaln
 from threadpoolctl import threadpool_limits
 
-from averaging.conditional import DEPTH, WIDTHS_PER_PANEL, conditionals, stop_panels
+from averaging.conditional import WIDTHS_PER_PANEL, conditionals, stop_panels
 from averaging.shell.energy_shell import EnergyShell, parts_of
-from fpk.numeric.arrays import EPS, Array, Complexes
+from fpk.numeric.arrays import DEPTH, EPS, Array, Complexes
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.system.system import System

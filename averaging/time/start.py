@@ -8,10 +8,8 @@ from averaging.modal.analysis import ModalAnalysis
 from fpk.answer.limit import Limit
 from fpk.answer.observable import Observable, number_text, observable_name
 from fpk.answer.question import Asked
-from fpk.answer.start import Start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.system.system import System
 
 TOL = 1e-8
 """Error of answers in time of modal energies where none is named."""
@@ -42,30 +40,27 @@ def settled_energies(asked: Asked, tol: float, modes: ModalAnalysis | None = Non
     the total energy is asked for, and for a total energy that several modes share in an unknown
     way.
     """
-    start = energy_start(asked.system, asked.start, modes)
-    return replace(asked, start=start, tol=tol)
-
-
-def energy_start(system: System, start: Start, modes: ModalAnalysis | None) -> EnergyStart:
-    """Return where the total energy begins, or the energies of the ``modes``."""
-    values, n = start.values, 1 if modes is None else modes.n
+    start, system, n = asked.start, asked.system, 1 if modes is None else modes.n
+    values, noise = start.values, None
     if start.rest or start.kind == "noise":
-        return EnergyStart(np.zeros(n), values.get("noise") or None)
-    if start.kind == "modal":
+        energies, noise = np.zeros(n), values.get("noise") or None
+    elif start.kind == "modal":
         if modes is None:
             words = "this theory knows the total energy only; start from H=.. or a state"
             raise NotApplicable(words)
-        return EnergyStart(np.array([values[f"H{i + 1}"] for i in range(n)]))
-    if start.kind == "energy":
+        energies = np.array([values[f"H{i + 1}"] for i in range(n)])
+    elif start.kind == "energy":
         if n > 1:
             words = "give every modal energy, H1=..,H2=..: their sum is not enough"
             raise NotApplicable(f"{start}: {words}")
-        return EnergyStart(np.array([values["H"]]))
-    q, p = start.state(system.n)
-    if modes is None:
-        return EnergyStart(np.array([float(system.hamiltonian(q, p))]))
-    Q, P = modes.mode_shapes.T @ (system.mass * q), modes.mode_shapes.T @ p
-    return EnergyStart(0.5 * (P**2 + (modes.natural_frequency * Q) ** 2))
+        energies = np.array([values["H"]])
+    else:
+        q, p = start.state(system.n)
+        energies = np.array([float(system.hamiltonian(q, p))])
+        if modes is not None:
+            Q, P = modes.mode_shapes.T @ (system.mass * q), modes.mode_shapes.T @ p
+            energies = 0.5 * (P**2 + (modes.natural_frequency * Q) ** 2)
+    return replace(asked, start=EnergyStart(energies, noise), tol=tol)
 
 
 def observed_modes(observable: Observable) -> list[int]:

@@ -19,3 +19,5 @@ ROUNDINGS = 8.0
 """Roundings that are stated of a sum, for each of its terms that cancel."""
 CHUNK = 4_000_000
 """Numbers of intermediate results that are held at once: 32 MB."""
+DEPTH = 40.0
+"""Energies above the lowest, in kT, that Gibbs integrals reach: beyond lies about e^−40 = 4e-18."""

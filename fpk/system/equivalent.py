@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
-from fpk.numeric.arrays import ROUND_OFF, Array, Integers
+from fpk.numeric.arrays import DEPTH, ROUND_OFF, Array, Integers
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.damping import DampingTerm, gaussian_moment
@@ -22,8 +22,6 @@ from fpk.system.system import System
 SEARCHED = 2.0 ** np.arange(-2.0, 54.0)
 """Temperatures searched, in units of one at which the sizes of all damping powers balance the
 noise: up to 1e16 of it, as energies in ``fpk.system.ends.FAR_OUT``."""
-DEEP = 40.0
-"""Energy of a contact mass, in kT, beyond which its Gibbs density is left out: 4e-18 of it."""
 GRID = 2**16
 """Most Gauss points of all contact masses together, 16 to 64 of each: three digits."""
 KEPT = 2**11
@@ -202,7 +200,7 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
     A mass departs from the one before it by the flexibility in between, as far as its stops let it
     go. Of many masses ``KEPT`` points are drawn again after each: weights leave few points else.
     """
-    masses, reach = system.contact_masses, sqrt(2.0 * DEEP)
+    masses, reach = system.contact_masses, sqrt(2.0 * DEPTH)
     on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= GRID]
     x, w = gauss_legendre([*on_grid, 16][0])
     flexibility = np.cumsum(1.0 / system.stiffness)[list(masses)]
@@ -212,7 +210,7 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
         low, high = mean - reach * width, mean + reach * width
         for stop in system.stops:
             if stop.index == mass:
-                end = stop.clearance + stop.overlap_at(DEEP * theta)
+                end = stop.clearance + stop.overlap_at(DEPTH * theta)
                 low = np.maximum(low, -end) if stop.sign < 0 else low
                 high = np.minimum(high, end) if stop.sign > 0 else high
         half = np.maximum(0.5 * (high - low), 0.0)
