@@ -34,11 +34,10 @@ to touch is left out. Layers beyond stops are thinner where stops are stiff, and
 
 
 def back_transformed(source: StateDensity, observable: Observable, *, tol: float) -> Density:
-    """Return the density of ``observable``, H or one or two of (q, p), from u(H).
+    """Return the density of ``observable``, H or one or two of (q, p), from u(H), judged by tol.
 
     Momenta and masses without contact are quadratic in H and integrated out exactly (Weyl
     integrals of u), hidden contact masses by quadrature, two at the most unless u is exponential.
-    ``tol`` is the L1 tolerance that was asked for.
     """
     system = source.system
     if observable[0].kind == "H":
@@ -93,11 +92,11 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
 def marginal_of(
     source: StateDensity, observable: Observable, *, flux_of: float | None = None
 ) -> tuple[Callable[..., Array], Callable[..., Array], Callable[..., Array]]:
-    """Return the integral of u(H) over everything but the observed displacements and momenta.
+    """Return the integral of u(H) over all but the observed (q, p), its error, and a part of that.
 
-    It is a function of these, broadcast together, as is its error; the part of that by tables and
-    quadrature is one of the integral and of the same points. ``flux_of``, a mass: the momentum of
-    the one displacement is integrated over its velocity > 0.
+    The first two are functions of q and p, broadcast together; the part by tables and quadrature
+    is a function of the integral and the same points. ``flux_of``, a mass: the momentum of the one
+    displacement is integrated over its velocity > 0.
     """
     system, T = source.system, source.temperature
     q = [c.row for c in observable if c.kind == "q"]
@@ -145,8 +144,8 @@ def reduced(
 ) -> tuple[float, float, tuple[Conditional, ...]]:
     """Return ν and ln of (2π)^ν/(√det T_lin) of the quadratic coordinates integrated out, and laws.
 
-    These are all but the observed ones and the displacements ``hidden``, whose laws follow on the
-    observed displacements' own. T_lin is the density of states without contact at ``unit``.
+    The laws are of the observed displacements, then of the ``hidden``. T_lin is the density of
+    states without contact at ``unit``.
     """
     q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
     laws = conditionals(system, [*q, *hidden])
@@ -173,10 +172,9 @@ def observed_energy(
 
 
 def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:
-    """Return panel nodes of q_mass (from 0) over the range that the energy ``end`` allows.
+    """Return panel nodes of q_mass (from 0) up to ``end``, a thermal displacement wide.
 
-    Panels are a thermal displacement wide, with layers beyond every stop of this mass, and on both
-    sides of where another mass, tied to it, begins to touch.
+    Layers lie beyond every stop of the mass, and around where another, tied to it, begins to touch.
     """
     compliance = system.compliance
     own = float(compliance[mass, mass])

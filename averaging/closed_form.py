@@ -34,9 +34,8 @@ def closed_form(
 ) -> ZeroFluxDensity:
     """Return C T exp(−∫_0^H h dH) with h(H) = Σ rate_e H^e.
 
-    ``norm`` is ln C and its error; ``reach`` are two energies and a bound of the probability below
-    the first and above the second, which is the last node. Where they are not known they follow
-    from quadrature and from a probe of the process, from H = 0 on.
+    ``norm`` is ln C and its error, by quadrature where not given; ``reach`` the first and last
+    energy and a bound of the probability outside, otherwise 0 and by a probe of the process.
     ``residual`` is that of the equation which p solves; the flux is measured where none is given.
     """
     if reach is None:
@@ -128,8 +127,7 @@ def state_closed_form(
 def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
     """Return −ln ∫exp(−αH) dq dp over all displacements and momenta, and its error.
 
-    Momenta, and displacements of masses without contact, are Gaussian; what contacts make of the
-    rest is one pass along the chain.
+    All are Gaussian but for the contact displacements, a pass along the chain.
     """
     masses = len(system.contact_masses)
     (coarse, _), (fine, interpolation) = (
@@ -161,8 +159,5 @@ def averaged_rate(system: System) -> Array:
 
 
 def averaged_density(system: System) -> Solution:
-    """Return p(H) = C T(H) exp(−∫α dH): (29) for any n and masses and for c(H).
-
-    The printed (29) holds for two unit masses.
-    """
+    """Return p(H) = C T exp(−∫α dH): (29), printed for two unit masses, for any and for c(H)."""
     return state_closed_form(system, averaged_rate(system)).solution

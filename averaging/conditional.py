@@ -33,10 +33,9 @@ CHUNK = 50_000
 
 @dataclass(frozen=True, eq=False)
 class Conditional:
-    """Law of one displacement of a chain given some others: ½ a (q − Σ w_k q_k)² + U(q).
+    """Law of q_mass (from 0) given others: ½ a (q − Σ w_k q_k)² + U(q), a = ``precision``.
 
-    ``mass`` counts from 0; ``precision`` is a, the stiffness of the springs to the neighbours among
-    the others, in series; ``weights`` (others,) are the w_k.
+    a is the stiffness of the springs to the neighbours among the others; ``weights`` w (others,).
     """
 
     system: System
@@ -90,10 +89,9 @@ def hidden_integral(
 ) -> Array:
     """Return ∫ f(E + V(hidden | observed)) over up to two hidden displacements, (N,).
 
-    E = ``energy`` (N,) and ``given`` (observed, N) are of the observed masses, ``laws`` of the
-    hidden displacements, each given the observed ones and the hidden ones before it. f falls by 1/e
-    over the energy ``temperature`` and vanishes beyond ``end``. A panel has ``points`` Gauss
-    points. ``beyond`` multiplies f, a function of the last displacement.
+    E = ``energy`` (N,) and ``given`` (observed, N) are of the observed masses, each of the ``laws``
+    is given these and the hidden ones before it. f falls by 1/e over ``temperature`` and vanishes
+    beyond ``end``. Panels have ``points``. ``beyond`` of the last displacement multiplies f.
     """
     if not laws:
         return f(energy)
@@ -136,9 +134,9 @@ def gibbs_integral(
     """Return ∫exp(−V(hidden | observed)/T) Π √(a_k/2πT) over all contact masses not ``observed``.
 
     With it comes the error of interpolation, to which that of the rule of ``points`` adds. ``at``
-    (observed, N) are the displacements of the observed masses. Up to two hidden masses between them
-    are integrated at once, a chain of hidden ones on either side from the last to the first: the
-    integral over all that lies beyond a mass is a smooth function of its displacement, 0 to 1.
+    (observed, N) are displacements. Up to two hidden masses between them are integrated at once, a
+    chain on either side from the last mass to the first: the integral over all that lies beyond a
+    mass is a smooth function of its displacement, 0 to 1.
     """
 
     def over(laws: Sequence[Conditional], given: Array, beyond: Piecewise | None = None) -> Array:
@@ -211,9 +209,9 @@ def _first_touch(
 def stop_panels(
     system: System, mass: int, *, width: float, end: float, levels: Sequence[float]
 ) -> Array:
-    """Return panel nodes of q_mass (from 0) over the range that the energy ``end`` allows.
+    """Return nodes of q_mass (from 0) up to the energy ``end``, at most ``width`` apart.
 
-    Panels are at most ``width`` long, and end where a stop takes up the energies ``levels``.
+    Panels also end where a stop takes up the energies ``levels``.
     """
     most = float(np.sqrt(2.0 * system.compliance[mass, mass] * end))
     stops = [stop for stop in system.stops if stop.index == mass]

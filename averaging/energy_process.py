@@ -15,20 +15,15 @@ from fpk.system.system import System
 
 
 def damping_and_noise(system: System) -> tuple[float, float]:
-    """Return Σ c_ii/m_i of the constant damping (1/time) and Σ (f D fᵀ)_ii/m_i (energy/time).
-
-    Off-diagonal entries drop out of the average ⟨v_i v_j⟩ = δ_ij τ/m_i.
-    """
-    mobility = 1.0 / system.mass
-    damping = system.damping.diagonal() @ mobility
-    return float(damping), float(system.noise_matrix.diagonal() @ mobility)
+    """Return Σ c_ii/m_i of constant damping, 1/time, and Σ (f D fᵀ)_ii/m_i, energy/time."""
+    damping, noise = system.damping.diagonal(), system.noise_matrix.diagonal()
+    return float(damping @ (1.0 / system.mass)), float(noise @ (1.0 / system.mass))
 
 
 def damping_by_energy(system: System) -> Array | None:
-    """Return the symmetric part of the damping matrix as coefficients of H^0, H^1, …, each (n, n).
+    """Return the symmetric part of the damping matrix, coefficients (n, n) of H^0, H^1, …
 
-    None where it depends on displacements or velocities, too; with c_ij(q) = −c_ji(q) it does no
-    work and leaves a density of H alone, unless velocities are in it.
+    None where it depends on q or v, too; c_ij(q) = −c_ji(q) does no work, and is left out.
     """
     parts: dict[Any, Array] = defaultdict(lambda: np.zeros((system.n, system.n)))
     parts[(), (), 0] += system.damping

@@ -37,8 +37,7 @@ class Gaussian:
     """Gaussian state (q, p) = F ξ, ξ independent standard normal, whose energy is Σ λ_j G_j.
 
     ``factor`` F (2n, k): F Fᵀ is the covariance, known to ``relative_error`` as a quadratic form.
-    ``scales`` λ_j, known to ``scale_errors``, of independent gamma variables G_j of the ``shape``.
-    ``residual`` is that of the equation which the covariance solves.
+    ``scales`` λ, ``shape`` and ``scale_errors`` as in ``gamma_sum``; ``residual`` of the equation.
     """
 
     factor: Array
@@ -66,10 +65,7 @@ class Gaussian:
         return rows, scale, np.asarray(L)
 
     def density(self, observable: Observable, *, tol: float) -> Density:
-        """Return the density of the energy H, or of one or two of (q, p).
-
-        Raises ``NotApplicable`` where there is none, see ``refusal``.
-        """
+        """Return the density of H, or of one or two of (q, p); raise as ``refusal`` says."""
         if observable[0].kind == "H":
             return self._energy_density(observable, tol)
         if reason := self.refusal(observable):
@@ -140,11 +136,10 @@ def gamma_sum(scales: Array, shape: float, errors: Array, x: Array) -> tuple[Arr
     """Return the density of Σ λ_j G_j at ``x`` of any shape, and an estimate of its error.
 
     G_j are independent gamma variables of the given ``shape`` and scale 1, λ_j >= 0 the ``scales``
-    (k,), known to ``errors`` (k,). It is the inverse Laplace transform of Π (1 + λ_j s)^−shape,
-    whose singularities lie on the negative real axis: with z = 1 + λ_max s the trapezoidal rule on
-    the parabola z = c (1 + iu)², through the saddle c or to its right, converges geometrically for
-    any ratios of the scales (Weideman and Trefethen, Math. Comp. 76 (2007) 1341), and keeps its
-    relative accuracy at small and at large x. Partial fractions cancel for nearly equal scales.
+    (k,), known to ``errors`` (k,). It is the inverse Laplace transform of Π (1 + λ_j s)^−shape:
+    with z = 1 + λ_max s the trapezoidal rule on the parabola z = c (1 + iu)², through the saddle c
+    or to its right, converges geometrically for any ratios of the scales, to a relative accuracy
+    (Weideman and Trefethen, Math. Comp. 76 (2007) 1341). Partial fractions cancel for near scales.
 
     The error holds the distance to a coarser contour, the round-off of the terms, and the
     derivatives of the density with respect to the scales, ∂ ln p^/∂λ_j = −shape s/(1 + λ_j s).

@@ -72,10 +72,9 @@ def log_linear_states(system: System, energy: Array | float) -> Array:
 def shell_averages(system: System, energy: Array) -> ShellAverages:
     """Return the averages at energies > 0 (energies,), for any contacts and damping terms.
 
-    Of the (2n−1)-fold integrals of (10) those over momenta and displacements without contact are
-    exact, which leaves ∫(H − V_red)^(n − c/2 − 1) dq_c over the c contact masses, times polynomials
-    for the power: for one it is integrated afresh, for two interpolated, for more it follows from
-    the partition function of the chain.
+    Left of (10) is ∫(H − V_red)^(n − c/2 − 1) dq_c over the c contact masses, times polynomials for
+    the power: for one it is integrated afresh, for two interpolated, for more it follows from the
+    partition function of the chain.
     """
     values, errors = np.swapaxes(shell_columns(system, energy), 0, 1)
     powers = energy[:, None] ** (1.0 + 0.5 * system.fact(parts_of).degrees)
@@ -138,10 +137,9 @@ def _along_rays(system: System, energy: Array) -> Array:
 def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
     """Integrals over the shells (energies, quantities), and their errors, of that shape.
 
-    These are T, phase volume and H T', then for each degree d T g_d plus twice a bound of it, so
-    that it is positive, and the bound: each the sum over all directions of integrals along rays.
-    Errors are relative, of H T' to T at the least. The rules are refined until the errors are below
-    ``TARGET``, over one contact mass those of the power below ``TARGETS``.
+    These are T, phase volume and H T', then for each degree T g_d plus twice a bound of it, so that
+    it is positive, and the bound: sums over all directions of integrals along rays. Errors are
+    relative, of H T' to T at the least. Rules are refined down to ``TARGET``, or ``TARGETS``.
     """
     shell, parts = system.fact(EnergyShell), system.fact(parts_of)
     n, c, stops = system.n, len(system.contact_masses), shell.stops
@@ -250,8 +248,8 @@ def _rays(cuts: Array, nodes: int, *, mirror: bool) -> tuple[Integers, Array, Ar
 def _table(system: System) -> Callable[[Array], Array]:
     """The columns over two contact masses, smooth between contact energies.
 
-    One energy takes milliseconds, and a solver asks for thousands: a panel is fitted once as many
-    energies are asked for as a fit needs. Powers are in units of their sizes.
+    One energy takes milliseconds, and a solver asks for thousands: a panel is fitted where enough
+    of them are asked for at once. Powers are in units of their sizes.
     """
     parts, breaks = system.fact(parts_of), system.fact(EnergyShell).contact_energies
     unit = np.append(np.ones(3), np.where(parts.scale > 0.0, parts.scale, 1.0))

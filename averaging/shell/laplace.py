@@ -66,9 +66,9 @@ stated (3 times of 12 masses and of 9 with a term of degree 8, 0.5 times of 8 wi
 class PartitionLines:
     """T, phase volume, T' and damping power of the shell, by lines of Z(β) on demand.
 
-    A line serves energies above n/β₀, where up to ``NATS`` digits are lost. With few masses the
-    line would have to be long; there the systems with one contact mass alone are taken off, whose
-    ratios are integrated along rays: what is left of R falls much faster.
+    A line serves energies above n/β₀, where up to ``NATS`` digits are lost. Where it would be long,
+    with few masses, the systems with one contact mass alone are taken off: their ratios follow
+    along rays, and the rest of R falls much faster.
     """
 
     def __init__(self, system: System) -> None:

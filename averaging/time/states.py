@@ -53,14 +53,14 @@ class WeylInTime:
 
     def __call__(self, energy: Array) -> Array:
         """Return Ψ at ``energy``, (*shape, times)."""
-        return self._tables[-1](energy)
+        return self.tables[-1](energy)
 
     def error(self, energy: Array) -> Array:
         """Return the error of Ψ; beyond the last element Ψ is less than its error before."""
         last = 0.5 * float(self.nodes[-2] + self.nodes[-1])
         E = np.minimum(energy, last).ravel()
         k = np.searchsorted(self.nodes, E, side="right") - 1
-        total = self._moved[k]
+        total = self.moved[k]
         if self.order == 0.0:
             total = total + self._of_u[k]
         else:
@@ -68,12 +68,6 @@ class WeylInTime:
                 powers = np.maximum(self.nodes - E[:, None], 0.0) ** self.order
             total = total + np.diff(powers, axis=1) @ self._of_u / math.gamma(self.order + 1.0)
         return np.asarray(total.reshape(*np.shape(energy), -1))
-
-    @property
-    def added(self) -> float:
-        """The error of the table relative to the largest Ψ."""
-        table = self._tables[-1]
-        return float(np.max(self._moved / np.max(np.abs(table.coefficients[:, 0]), axis=0)))
 
     def _answer(self, x: Array) -> tuple[Array, Array]:
         """u and the size of its terms (points, times); 0 beyond the last element of the answer."""
@@ -86,7 +80,7 @@ class WeylInTime:
         return Piecewise(self.nodes, interpolated(f, left, right, points - 1))
 
     @cached_property
-    def _tables(self) -> tuple[Piecewise, Piecewise, Piecewise]:
+    def tables(self) -> tuple[Piecewise, Piecewise, Piecewise]:
         """u at all times; Ψ by a coarser table, and the answer."""
         u = self._table(lambda x: self._answer(x)[0], POINTS[1])
         if self.order == 0.0:
@@ -104,7 +98,7 @@ class WeylInTime:
         x = points.ravel()
         u, size = self._answer(x)
         better, other = solved.enriched.density(x, of_states=True)
-        error = SAFETY * (np.abs(u - better.T) + np.abs(u - self._tables[0](x)))
+        error = SAFETY * (np.abs(u - better.T) + np.abs(u - self.tables[0](x)))
         within = np.minimum(x, e.right[-1])
         error += solved.question.common_error(e, u.T, size.T + other, within).T
         # Far from the peak u and p = T u are differences of larger numbers.
@@ -115,20 +109,19 @@ class WeylInTime:
         return np.asarray(error.reshape(*points.shape, -1).max(axis=1))
 
     @cached_property
-    def _moved(self) -> Array:
+    def moved(self) -> Array:
         """Largest distance of two tables in each element (elements, times)."""
         x = panel_rule(self.nodes, sum(POINTS))[0]
-        _, coarse, fine = (table(x) for table in self._tables)
+        _, coarse, fine = (table(x) for table in self.tables)
         distance = np.abs(coarse - fine).max(axis=1)
         return np.asarray(distance + ROUNDINGS * EPS * np.abs(fine).max(axis=1))
 
 
 def state_transient(solved: Transition, asked: Asked) -> Transient:
-    """Return the densities of one or two of (q, p).
+    """Return the densities of one or two of (q, p), up to one hidden contact mass by quadrature.
 
-    Momenta and masses without contact are integrated out exactly, one contact mass that is not
-    observed by quadrature. The L1 error is that of the energy, as integrating out increases none,
-    and what tables and quadrature add. Raises ``NotApplicable`` for more hidden contact masses.
+    The L1 error is that of the energy, as integrating out increases none, and what tables and
+    quadrature add. Raises ``NotApplicable`` for more hidden contact masses.
     """
     system, observable, at = asked.system, asked.observable, asked.at
     seen = [c.row for c in observable if c.kind == "q"]
@@ -154,9 +147,11 @@ def state_transient(solved: Transition, asked: Asked) -> Transient:
         (np.diag(system.compliance) if c.kind == "q" else system.mass)[c.row] for c in observable
     ]
     volume = float(np.prod(2.0 * np.sqrt(2.0 * psi.nodes[-1] * np.array(own))))
+    # The error of the table, relative to the largest Ψ.
+    added = float(np.max(psi.moved / np.abs(psi.tables[-1].coefficients[:, 0]).max(axis=0)))
     measured = replace(
         solved.measured,
-        l1_error=solved.measured.l1_error + psi.added + factor * volume * float(rule_error.max()),
+        l1_error=solved.measured.l1_error + added + factor * volume * float(rule_error.max()),
         minimum=float(values.min(initial=0.0)) / highest,
         absolute_error=float(errors.max(initial=0.0)) / highest,
     )
