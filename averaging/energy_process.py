@@ -1,17 +1,33 @@
-"""Averaged energy process of a quasi-non-integrable Hamiltonian system, Eqs. (9), (24)."""
+"""Averaged energy process of a quasi-non-integrable Hamiltonian system, Eqs. (9), (24).
+
+Its closed forms p = C T exp(−∫h dH) where the damping depends on the energy only, (7), (29), (34).
+"""
 
 from collections import defaultdict
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import polynomial
+from scipy.special import gammainccinv, gammaincinv
 
-from averaging.shell.averages import shell_averages
+from averaging.conditional import gibbs_integral, rules_of
+from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.shell.energy_shell import EnergyShell
-from fpk.numeric.arrays import EPS, Array
+from averaging.weyl import Part, Solution, StateDensity, tabulated
+from averaging.zero_flux import POINTS, ZeroFluxDensity, flux_residual
+from fpk.answer.certificate import Measured
+from fpk.numeric.arrays import EPS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.mesh import DEEP_LAYERS, Probe, initial_nodes, probed, with_layers
 from fpk.system.equivalent import equivalent_temperature
 from fpk.system.process import Coefficients, Process
 from fpk.system.system import System
+
+TAIL = 1e-17
+"""Share of the probability beyond the last energy of a closed form."""
 
 
 def damping_and_noise(system: System) -> tuple[float, float]:
@@ -91,3 +107,142 @@ def energy_process(system: System) -> Process:
         degrees_of_freedom=n,
         state_damping=bool(system.damping_terms),
     )
+
+
+def closed_form(
+    process: Process,
+    rate: Array,
+    *,
+    norm: tuple[float, float] | None = None,
+    reach: tuple[float, float, float] | None = None,
+    residual: float | None = None,
+) -> ZeroFluxDensity:
+    """Return C T exp(−∫_0^H h dH) with h(H) = Σ rate_e H^e.
+
+    ``norm`` is ln C and its error, by quadrature where not given; ``reach`` the first and last
+    energy and a bound of the probability outside, otherwise 0 and by a probe of the process.
+    ``residual`` is that of the equation which p solves; the flux is measured where none is given.
+    """
+    if reach is None:
+        probe = probed(process)
+        begin, end = 0.0, probe.extent(TAIL)
+    else:
+        begin, end, tail = reach
+        probe = Probe(np.array([0.0, end]), np.full(2, -rate[0]), np.full(2, rate[0]))
+    nodes = initial_nodes(probe, end, process.nonsmooth)
+    nodes = nodes[np.searchsorted(nodes, begin, side="right") - 1 :]
+    exponent: Array = np.asarray(polynomial.polyint(-rate), dtype=float)
+    if norm is None:
+        # −ln ∫T exp(Σ exponent_e H^e) dH and its error, that of T and round-off included.
+        panels, norms = with_layers(nodes, process.nonsmooth, count=DEEP_LAYERS), []
+        for points in POINTS:
+            energy, weights = (part.ravel() for part in panel_rule(panels, points))
+            c = process.coefficients(energy)
+            terms = c.log_density_of_states + polynomial.polyval(energy, exponent)
+            top = float(terms.max())
+            shares = weights * np.exp(terms - top)
+            norms.append(-top - float(np.log(shares.sum())))
+        relative = (c.relative_error + _round_off(exponent, energy)) @ shares / shares.sum()
+        rounding = 4.0 * EPS * (1.0 + abs(norms[1]))
+        norm = norms[1], abs(norms[1] - norms[0]) + float(relative) + rounding
+    exponent[0], error = norm
+    p = ZeroFluxDensity(
+        process,
+        nodes,
+        lambda energy: np.asarray(polynomial.polyval(energy, exponent)),
+        lambda energy: error + _round_off(exponent, energy),
+        Measured(error, np.nan, np.nan, np.nan, np.nan),
+    )
+    if residual is None:
+        residual = flux_residual(process, nodes, p.log_density)
+    if reach is None:
+        tail = probe.tail_bound(end, float(p.density(nodes[-1:])[0]))
+    return replace(p, measured=Measured(error + 2.0 * tail, np.nan, np.nan, residual, tail))
+
+
+def _round_off(exponent: Array, energy: Array) -> Array:
+    """Round-off of the exponent, relative to the sum of the absolute values of its terms."""
+    return np.asarray(2.0 * EPS * polynomial.polyval(np.abs(energy), np.abs(exponent)))
+
+
+def state_closed_form(
+    system: System, rate: Array, *, residual: float | None = None
+) -> StateDensity:
+    """Return u = C exp(−∫_0^H h dH) of the full state, h(H) = Σ rate_e H^e, Eqs. (7), (22), (29).
+
+    With a constant h the norm is the configuration integral, otherwise an integral over the shells.
+    """
+    process = energy_process(system)
+    if rate.size > 1:
+        return tabulated(system, closed_form(process, rate, residual=residual), closed=True)
+    alpha, unit = float(rate[0]), process.energy_scale
+    log_norm, error = log_gibbs_norm(system, alpha)
+    norm = log_norm + float(log_linear_states(system, unit)), error
+    exponent = np.array([norm[0], -alpha])
+
+    def weyl(order: float, energy: Array, part: Part = "value") -> Array:
+        """Ψ_ν = u/α^ν."""
+        relative = error + _round_off(exponent, energy)
+        factor = {"value": 1.0, "error": relative, "table": 0.0}[part]
+        log_u = polynomial.polyval(energy, exponent) - order * np.log(alpha)
+        return np.asarray(factor * np.exp(log_u))
+
+    # Contact only takes states away: T exp(−αH) is below that of the chain without, a Gamma law.
+    ratio = float(np.exp(log_gibbs_norm(replace(system, contacts=()), alpha)[0] - log_norm))
+    beyond = max(TAIL * ratio, SMALLEST)
+    begin, end = (float(inv(system.n, beyond)) / alpha for inv in (gammaincinv, gammainccinv))
+    tail = 2.0 * beyond / max(ratio, SMALLEST)
+    # Where none is given it is that of the flux, T τ (noise α − damping) u, whose parts cancel.
+    damping, noise = damping_and_noise(system)
+    left = abs(noise * alpha - damping) / damping if residual is None else residual
+    measured = Measured(error + 2.0 * tail, np.nan, np.nan, left, tail)
+    return StateDensity(
+        system,
+        partial(closed_form, process, rate, norm=norm, reach=(begin, end, tail), residual=residual),
+        lambda order: partial(weyl, order),
+        1.0 / alpha,
+        unit,
+        end=end,
+        measured=measured,
+        closed=True,
+        gibbs=True,
+    )
+
+
+def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
+    """Return −ln ∫exp(−αH) dq dp over all displacements and momenta, and its error.
+
+    All are Gaussian but for the contact displacements, a pass along the chain.
+    """
+    masses = len(system.contact_masses)
+    (coarse, _), (fine, interpolation) = (
+        gibbs_integral(system, (), np.zeros((0, 1)), temperature=1.0 / alpha, points=points)
+        for points in rules_of(masses if masses > 2 else 1)
+    )
+    log_norm = system.n * np.log(alpha / (2.0 * np.pi)) - float(np.log(fine[0]))
+    log_norm += 0.5 * float(np.sum(np.log(system.stiffness / system.mass)))
+    # The exponent log_norm − αH has a round-off; the mean of αH is n at the most.
+    round_off = EPS * (system.n + abs(log_norm))
+    rule = (np.abs(fine - coarse)[0] + interpolation) / fine[0]
+    return log_norm, float(rule) + round_off
+
+
+def averaged_rate(system: System) -> Array:
+    """Return α(H) = Σ c_ii(H)/m_i / Σ D_ii/m_i, coefficients in ascending powers of H, Eq. (11).
+
+    With u = p/T, zero flux in (24) is u' = −α(H) u. Raises ``NotApplicable`` where a damping term
+    depends on displacements or velocities: its average is no polynomial times τ then.
+    """
+    matrices = damping_by_energy(system)
+    if matrices is None:
+        raise NotApplicable(
+            "damping that depends on q or v leaves (11) without a closed form; "
+            "the solvers fem and quadrature evaluate it"
+        )
+    damping = np.diagonal(matrices, axis1=1, axis2=2) @ (1.0 / system.mass)
+    return np.asarray(damping / damping_and_noise(system)[1])
+
+
+def averaged_density(system: System) -> Solution:
+    """Return p(H) = C T exp(−∫α dH): (29), printed for two unit masses, for any and for c(H)."""
+    return state_closed_form(system, averaged_rate(system)).solution

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from averaging.closed_form import state_closed_form
-from averaging.energy_process import damping_by_energy, energy_process
+from averaging.energy_process import damping_by_energy, energy_process, state_closed_form
 from averaging.theory import EnergyTheory
 from averaging.weyl import StateDensity
 from fpk.numeric.arrays import ROUND_OFF, SMALLEST, Array

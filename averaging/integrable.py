@@ -11,7 +11,7 @@ from averaging.modal.observables import gaussian_modes, modal_densities, unsolve
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
-from averaging.time.start import TOL, settled_energies
+from averaging.time import TOL, settled_energies
 from fpk.answer.contacts import CLEARANCE_RULE
 from fpk.answer.density import Density
 from fpk.answer.dynamics import Curve, Rates, certified_curve, upcrossings

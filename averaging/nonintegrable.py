@@ -6,13 +6,16 @@ from functools import partial
 import numpy as np
 from scipy.linalg import block_diag
 
-from averaging.closed_form import averaged_rate, state_closed_form
-from averaging.energy_process import damping_and_noise, energy_process
+from averaging.energy_process import (
+    averaged_rate,
+    damping_and_noise,
+    energy_process,
+    state_closed_form,
+)
 from averaging.gaussian_state import state_rows
 from averaging.modal.time.closed_form import orbit_transient
 from averaging.theory import EnergyTheory, energy_only_refusal
-from averaging.time.start import limited_modes, settled_energies
-from averaging.time.states import state_transient
+from averaging.time import limited_modes, settled_energies, state_transient
 from averaging.weyl import StateDensity, tabulated
 from averaging.zero_flux import solved_energies
 from fpk.answer.dynamics import Rates

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from report import machine, markdown_table
 
-from averaging.closed_form import averaged_density
-from averaging.energy_process import energy_process
+from averaging.energy_process import averaged_density, energy_process
 from averaging.zero_flux import solve_by_quadrature
 from cases.scene.scene import load_scene
 from fpk.numeric.quadrature import panel_rule

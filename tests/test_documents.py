@@ -13,7 +13,7 @@ from averaging.phase_space import method as phase_space
 from averaging.phase_space import refinement
 from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.passage import first_passage, mesh
-from averaging.time import start
+from averaging.time import TOL
 from cases.commands import studies
 from cases.commands.app import app
 from cases.comparison import answering, claims, doubt, quantity
@@ -156,7 +156,7 @@ CONSTANTS = {
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
         f"to {short(first_passage.TOL)} (H) or"
         f" {short(first_passage.GLANCING_TOL)} (a displacement)",
-        f"of `fem` {short(theory.DEFAULT)}, with two energies {short(start.TOL)},",
+        f"of `fem` {short(theory.DEFAULT)}, with two energies {short(TOL)},",
         f"judged by an L1 error of {short(theory.DEFAULT)}, of systems with",
         f"stops on more than two masses by {short(theory.DEFAULT_BY_LINES)}.",
         f"solved to {short(sweep_answering.REFERENCE_TOL)}",

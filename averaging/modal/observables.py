@@ -9,7 +9,7 @@ from math import prod
 
 import numpy as np
 
-from averaging.closed_form import closed_form
+from averaging.energy_process import closed_form
 from averaging.gaussian_state import Gaussian
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import POINTS, joined, product_of, state_density

@@ -16,7 +16,7 @@ from coupled import Mixture
 from numpy.typing import NDArray
 from vanderpol import Averaged
 
-from averaging.closed_form import averaged_density
+from averaging.energy_process import averaged_density
 from averaging.modal.analysis import modal_analysis
 from averaging.weyl import Solution
 from fpk.numeric.quadrature import gauss_legendre, panel_rule

@@ -7,8 +7,7 @@ from math import exp
 
 import numpy as np
 
-from averaging.closed_form import averaged_density
-from averaging.energy_process import energy_process
+from averaging.energy_process import averaged_density, energy_process
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import modal_densities

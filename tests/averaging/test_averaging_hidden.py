@@ -7,13 +7,12 @@ import pytest
 from averaging_systems import TWO_MASSES, chain, exact_system
 from scipy.integrate import cubature
 
-from averaging.closed_form import averaged_density, log_gibbs_norm
 from averaging.conditional import (
     conditionals,
     gibbs_integral,
     hidden_integral,
 )
-from averaging.energy_process import energy_process
+from averaging.energy_process import averaged_density, energy_process, log_gibbs_norm
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import flux_residual

@@ -7,8 +7,7 @@ import pytest
 from averaging_systems import term_power
 from modal_terms import solved
 
-from averaging.closed_form import log_gibbs_norm
-from averaging.energy_process import energy_process
+from averaging.energy_process import energy_process, log_gibbs_norm
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from averaging.shell import averages, laplace

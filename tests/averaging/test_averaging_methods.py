@@ -13,8 +13,7 @@ from scipy.integrate import quad
 from scipy.linalg import eigvalsh
 from scipy.special import gamma as gamma_function
 
-from averaging.closed_form import averaged_density
-from averaging.energy_process import energy_process
+from averaging.energy_process import averaged_density, energy_process
 from averaging.exact import Exact, compatibility
 from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable

@@ -6,8 +6,7 @@ from averaging_systems import SKEW, TWO_MASSES, both, chain, fig6, integral
 from scipy.integrate import dblquad, quad
 from scipy.optimize import brentq
 
-from averaging.closed_form import averaged_density
-from averaging.energy_process import damping_and_noise, energy_process
+from averaging.energy_process import averaged_density, damping_and_noise, energy_process
 from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.zero_flux import solve_by_quadrature
 from fpk.numeric.errors import NotApplicable, NotCertified

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from averaging.closed_form import averaged_density
+from averaging.energy_process import averaged_density
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
 from cases.studies import prices

@@ -6,8 +6,7 @@ from fpk_processes import both, by_hand, chain, cox_ingersoll_ross, integral, re
 from scipy.integrate import quad
 from scipy.stats import gamma
 
-from averaging.closed_form import averaged_density
-from averaging.energy_process import energy_process
+from averaging.energy_process import averaged_density, energy_process
 from fpk.numeric.errors import NotCertified
 from fpk.solvers.line.stationary import NEGATIVE, solve_on_mesh, solve_stationary
 from fpk.system.contact import Contact

@@ -19,7 +19,7 @@ from scipy.special import hyp0f1, j0
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import fourier_sum, product_of
-from averaging.time.start import limited_modes, observed_modes
+from averaging.time import limited_modes, observed_modes
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.answer.evolution import Passage, Transient, certified_passage, checked_times

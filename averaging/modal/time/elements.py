@@ -11,7 +11,7 @@ import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import state_density
-from averaging.time.start import EnergyStart, limited_modes, observed_modes
+from averaging.time import EnergyStart, limited_modes, observed_modes
 from fpk.answer.certificate import Measured, outside
 from fpk.answer.density import Density, certified_density
 from fpk.answer.dynamics import Rates

@@ -1,8 +1,10 @@
-"""Densities of displacements and momenta in time from that of the energy, Eqs. (23), (30).
+"""Energies, displacements and momenta after a start, by the averaged equations.
 
-Given the energy the state is distributed over its shell as in the stationary state, so that
-ρ(q, p, t) = u(H, t), u = p(H, t)/T(H). Soon after the start u is as narrow as the noise has made it
-by then: all integrals have panels that end where the elements of p(H, t) end.
+Where energies begin, and the observables and limits of modal energies; densities of displacements
+and momenta from that of the total energy, Eqs. (23), (30). Given the energy the state is
+distributed over its shell as in the stationary state, so that ρ(q, p, t) = u(H, t),
+u = p(H, t)/T(H). Soon after the start u is as narrow as the noise has made it by then: all
+integrals have panels that end where the elements of p(H, t) end.
 """
 
 import math
@@ -14,19 +16,23 @@ import numpy as np
 
 from averaging.back_transformation import observed_energy, reduced
 from averaging.conditional import Conditional
+from averaging.modal.analysis import ModalAnalysis
 from averaging.weyl import weyl_integral
 from fpk.answer.certificate import certify
 from fpk.answer.evolution import Transient
-from fpk.answer.observable import observable_name
+from fpk.answer.limit import Limit
+from fpk.answer.observable import Observable, number_text, observable_name
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
-from fpk.numeric.errors import NotApplicable
+from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.piecewise import Piecewise, interpolated
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 from fpk.solvers.line.mesh import with_layers
 from fpk.solvers.line.time.elements import SAFETY
 from fpk.solvers.line.time.transition import Transition
 
+TOL = 1e-8
+"""Error of answers in time of modal energies where none is named."""
 RULES = (10, 14)
 """Gauss points a panel over a hidden contact mass; the distance of the two is the error."""
 ERROR_POINTS = 4
@@ -35,6 +41,85 @@ LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
 """Ends of panels beyond a stop, as shares of the way to the end: (H − V) ~ overlap^2.5 there."""
 POINTS = (20, 24)
 """Gauss points an element of the coarser table of Ψ, and of the answer."""
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyStart:
+    """The ``energies`` at time 0, or the multiple ``noise`` of D under which they are stationary.
+
+    ``energies`` are those of the modes (n,), or the total energy (1,); 0 where ``noise`` is given.
+    """
+
+    energies: Array
+    noise: float | None = None
+
+    def known(self) -> Array:
+        """Return the energies; raise ``NotApplicable`` where the start is a stationary state."""
+        if self.noise is not None:
+            words = "from a stationary state first passage has no closed form; use fem"
+            raise NotApplicable(words)
+        return self.energies
+
+
+def settled_energies(asked: Asked, tol: float, modes: ModalAnalysis | None = None) -> Asked:
+    """Return the question from the total energy, or from the energies of the ``modes``, to ``tol``.
+
+    Its ``start`` is an ``EnergyStart``. Raises ``NotApplicable`` for energies of the modes where
+    the total energy is asked for, and for a total energy that several modes share in an unknown
+    way.
+    """
+    start, system, n = asked.start, asked.system, 1 if modes is None else modes.n
+    values, noise = start.values, None
+    if start.rest or start.kind == "noise":
+        energies, noise = np.zeros(n), values.get("noise") or None
+    elif start.kind == "modal":
+        if modes is None:
+            words = "this theory knows the total energy only; start from H=.. or a state"
+            raise NotApplicable(words)
+        energies = np.array([values[f"H{i + 1}"] for i in range(n)])
+    elif start.kind == "energy":
+        if n > 1:
+            words = "give every modal energy, H1=..,H2=..: their sum is not enough"
+            raise NotApplicable(f"{start}: {words}")
+        energies = np.array([values["H"]])
+    else:
+        q, p = start.state(system.n)
+        energies = np.array([float(system.hamiltonian(q, p))])
+        if modes is not None:
+            Q, P = modes.mode_shapes.T @ (system.mass * q), modes.mode_shapes.T @ p
+            energies = 0.5 * (P**2 + (modes.natural_frequency * Q) ** 2)
+    return replace(asked, start=EnergyStart(energies, noise), tol=tol)
+
+
+def observed_modes(observable: Observable) -> list[int]:
+    """Return the modes whose energies are asked for, none for the sum of all.
+
+    Raises ``NotApplicable`` for displacements and momenta beside energies.
+    """
+    rows = [c.row for c in observable if c.index is not None]
+    if any(c.kind != "H" for c in observable) or len(observable) != max(len(rows), 1):
+        name = observable_name(observable)
+        raise NotApplicable(
+            f"{name}: in time modal energies H1, H2, …, two of them, or their sum H; "
+            "or one or two of q and p"
+        )
+    return rows
+
+
+def limited_modes(limit: Limit, start: EnergyStart) -> dict[int, float]:
+    """Return the limits of modes, none for a limit of the sum of all.
+
+    Raises ``NotApplicable`` for limits of displacements, ``InvalidInput`` where an energy, or the
+    sum of all, is at or beyond its limit at the start.
+    """
+    if limit.kind == "q":
+        raise NotApplicable(f"{limit}: averaged modal energies know no displacement; use H, H1, …")
+    reached = {f"H{m + 1}": float(H) for m, H in enumerate(start.energies)}
+    reached["H"] = sum(reached.values())
+    if any(reached[name] >= value for name, value in limit.values.items()):
+        given = ",".join(map(number_text, start.energies.tolist()))
+        raise InvalidInput("start", given, f"must be below the limit {limit}")
+    return {int(name[1:]) - 1: a for name, a in limit.values.items() if name != "H"}
 
 
 @dataclass(frozen=True, eq=False)
