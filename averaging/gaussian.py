@@ -108,9 +108,8 @@ class Linear(Theory):
     def correlation(self, asked: Asked) -> Curve:
         """Return the autocovariance (e^(At) Σ)_ii of q, with Σ of the Lyapunov equation.
 
-        It solves dC/dt = A C. In (ω Q, P) of the modes, where nothing grows, |e^(At)| <= 1:
-        round-off of A changes e^(At) by no more than t times itself and |e^(At/2)|. An error of Σ,
-        relative to it as a quadratic form, is felt by q and its forecast.
+        In (ω Q, P) of the modes |e^(At)| <= 1: round-off of A changes e^(At) by no more than t
+        times itself and |e^(At/2)|. An error of Σ, a quadratic form, is felt by q and its forecast.
         """
         density, q, v = self._state(asked)
         modes = asked.system.fact(linear_covariance)
@@ -133,13 +132,11 @@ class Linear(Theory):
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
-        """Return sums of eigenvalues of the drift matrix: those of −L are no others.
+        """Return the eigenvalues Σ n_j μ_j, n_j = 0, 1, …, of −L, μ of minus the drift matrix.
 
-        They are Σ n_j μ_j, n_j = 0, 1, …, with μ those of minus the drift matrix: the products of j
-        left eigenvectors with the state are eigenfunctions of L but for terms of lower degree. One
-        of a conjugate pair stands for both. The error is that of a change of the drift matrix by
-        its round-off, by the condition of each eigenvalue; of one that is double it is the square
-        root.
+        Products of left eigenvectors with the state are eigenfunctions of L but for terms of lower
+        degree. One of a conjugate pair stands for both. The error is that of a change of the drift
+        matrix by its round-off, by the condition of each eigenvalue, of a double one the root.
         """
         system = asked.system
         self.planned(system, ())

@@ -176,10 +176,9 @@ class NonIntegrable(EnergyTheory):
 
 
 def square_root(system: System, solver: str) -> SquareRoot:
-    """Return the total energy without contact, where τ = H/n.
+    """Return the energy without contact, dH = (n d − c H) dt + √(2 d H) dB, of ``energy_process``.
 
-    dH = (n d − c H) dt + √(2 d H) dB with c = Σ (c_ii/m_i)/n and d = Σ (D_ii/m_i)/n. Raises
-    ``NotApplicable`` where it is no such process, or the ``solver`` is none for questions of time.
+    Raises ``NotApplicable`` where it is no such process, or the ``solver`` answers none in time.
     """
     if solver != "closed-form":
         raise NotApplicable(

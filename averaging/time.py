@@ -62,11 +62,10 @@ class EnergyStart:
 
 
 def settled_energies(asked: Asked, tol: float, modes: ModalAnalysis | None = None) -> Asked:
-    """Return the question from the total energy, or from the energies of the ``modes``, to ``tol``.
+    """Return the question to ``tol``, its ``start`` an ``EnergyStart``, of the ``modes`` if given.
 
-    Its ``start`` is an ``EnergyStart``. Raises ``NotApplicable`` for energies of the modes where
-    the total energy is asked for, and for a total energy that several modes share in an unknown
-    way.
+    Raises ``NotApplicable`` for energies of modes where there are none, and for a total energy that
+    several modes share in an unknown way.
     """
     start, system, n = asked.start, asked.system, 1 if modes is None else modes.n
     values, noise = start.values, None
@@ -92,10 +91,7 @@ def settled_energies(asked: Asked, tol: float, modes: ModalAnalysis | None = Non
 
 
 def observed_modes(observable: Observable) -> list[int]:
-    """Return the modes whose energies are asked for, none for the sum of all.
-
-    Raises ``NotApplicable`` for displacements and momenta beside energies.
-    """
+    """Return the modes whose energies are asked for, none for the sum; raise for q or p."""
     rows = [c.row for c in observable if c.index is not None]
     if any(c.kind != "H" for c in observable) or len(observable) != max(len(rows), 1):
         name = observable_name(observable)
@@ -109,8 +105,7 @@ def observed_modes(observable: Observable) -> list[int]:
 def limited_modes(limit: Limit, start: EnergyStart) -> dict[int, float]:
     """Return the limits of modes, none for a limit of the sum of all.
 
-    Raises ``NotApplicable`` for limits of displacements, ``InvalidInput`` where an energy, or the
-    sum of all, is at or beyond its limit at the start.
+    Raises ``NotApplicable`` for displacements, ``InvalidInput`` for a start at or beyond the limit.
     """
     if limit.kind == "q":
         raise NotApplicable(f"{limit}: averaged modal energies know no displacement; use H, H1, …")
@@ -272,9 +267,9 @@ def _over_hidden(
 
 
 def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Array:
-    """Nodes (points, nodes) of the hidden mass, where E + V is one of ``energies`` or a stop is.
+    """Nodes (points, nodes) of the hidden mass, at stops and where E + V is one of ``energies``.
 
-    V is convex. Panels that would be beyond the last energy have no length.
+    Panels that would be beyond the last energy have no length.
     """
     halvings = math.ceil(-math.log2(EPS))
     reach = np.sqrt(2.0 * np.maximum(energies[-1] - energy, 0.0) / law.precision)

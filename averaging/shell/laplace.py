@@ -6,10 +6,9 @@ that of the chain without contact, and any β₀ > 0
 
 ``T/T_lin = 1 + Γ(n) H^(1−n)/(2πi) ∫ e^(βH) β^(−n) (R(β) − 1) dβ`` along Re β = β₀,
 
-the phase volume the same with n + 1 and T' with n − 1 in the place of n. What contact adds beyond a
-stop falls along the line like |β|^(−n) times what R − 1 falls: well conditioned near β₀ = n/H. The
-power of damping terms is the same of moments of the displacements, with weights in the pass, and
-n + 1 or more in the place of n.
+the phase volume the same with n + 1 and T' with n − 1 in the place of n; the power of damping terms
+is the same of moments of the displacements, with weights in the pass, and n + 1 or more in the
+place of n. The integrand falls like |β|^(−n) (R − 1): well conditioned near β₀ = n/H.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,9 +35,9 @@ MISSING = 1e-13
 """Share of R by which the nearest alias of the trapezoidal rule is down, T(H + 2π/step)
 e^(−2πβ₀/step) or the same of the power times T, and by which a line ends."""
 ENDS = (1.6, 16.0)
-"""A line ends at Im β = 1.6 (``MISSING`` R)^(−1/m) β₀, R at its beginning, at most at 16 β₀: beyond
-``end`` about (1.6/end)^m was measured to be missing, with Hertz stops and n = 4 to 30 masses; m is
-2n, and 2n + 3 where the systems with one contact mass are taken off."""
+"""A line ends at Im β = 1.6 (``MISSING`` R)^(−1/m) β₀, R at its beginning, at most at 16 β₀: about
+(1.6/end)^m was measured to be missing, with Hertz stops and n = 4 to 30 masses; m is 2n, and
+2n + 3 where the systems with one contact mass are taken off."""
 LONG = 10.0
 """End of a line over β₀ beyond which the systems with one contact mass are taken off."""
 NATS = (0.4, 3.5)
@@ -93,10 +92,9 @@ class PartitionLines:
         self.lines: dict[int, tuple[Complexes, Complexes, Array, float]] = {}
 
     def __call__(self, energy: Array, alone: Callable[[System, Array], Array]) -> Array:
-        """Return T/T_lin, the same of the phase volume, H T'/T and the damping power, with errors.
+        """Return the columns (energies, 2, 3 + degrees) of ``averaging.shell.averages``.
 
-        These are the columns (energies, 2, 3 + degrees) of ``averaging.shell.averages``; ``alone``
-        returns them for a system with one contact mass.
+        ``alone`` returns them for a system with one contact mass.
         """
         # Rows of the lines and their orders m: T/T_lin, the same of the phase volume and of T', the
         # power times T/T_lin; an inverse is relative to H^(n − 1 + m/2)/Γ(n + m/2).
@@ -147,9 +145,9 @@ class PartitionLines:
         return float(min(ENDS[0] * (MISSING * ratio) ** (-1.0 / order), ENDS[1]))
 
     def _line(self, real: float) -> tuple[Complexes, Complexes, Array, float]:
-        """The line Re β = ``real``: its points, the function inverted there, its error, ``known``.
+        """Points of the line Re β = ``real``, the function inverted there, its error, ``known``.
 
-        Function and error are (rows, points), of R and of the transforms of damping power, less
+        Function and error (rows, points) are of R and the transforms of damping power, less
         ``known`` times the chain without contact.
         """
         end = self._end(1.0)
