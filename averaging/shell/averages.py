@@ -258,6 +258,7 @@ def _table(system: System) -> Callable[[Array], Array]:
     # Above the highest contact energy each panel is twice as long as the one below it.
     edges = np.unique(np.concatenate([breaks, towards.ravel(), ends[-1] * 2.0 ** np.arange(60.0)]))
     panels: dict[int, Piecewise] = {}
+    single: dict[float, Array] = {}  # solvers begin by asking for the same energies
 
     def fitted(ends: Array) -> Piecewise:
         """The fit between two edges, with a constant bound of the error on each of its panels."""
@@ -287,8 +288,10 @@ def _table(system: System) -> Callable[[Array], Array]:
         for k in panels.keys() & set(used.tolist()):
             result[index == k] = panels[k](energy[index == k])
         others = ~np.isin(index, list(panels))
-        if np.any(others):
-            result[others] = _along_rays(system, energy[others]) / unit
+        asked = energy[others].tolist()
+        if new := [H for H in asked if H not in single]:
+            single.update(zip(new, _along_rays(system, np.array(new)) / unit, strict=True))
+        result[others] = np.reshape([single[H] for H in asked], (-1, 2, unit.size))
         return np.asarray(result * unit)
 
     return columns
