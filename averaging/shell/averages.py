@@ -258,7 +258,7 @@ def _table(system: System) -> Callable[[Array], Array]:
     # Above the highest contact energy each panel is twice as long as the one below it.
     edges = np.unique(np.concatenate([breaks, towards.ravel(), ends[-1] * 2.0 ** np.arange(60.0)]))
     panels: dict[int, Piecewise] = {}
-    single: dict[float, Array] = {}  # solvers begin by asking for the same energies
+    single: dict[float, Array] = {}  # the next question asks for the same: 20 ms, not 140
 
     def fitted(ends: Array) -> Piecewise:
         """The fit between two edges, with a constant bound of the error on each of its panels."""
