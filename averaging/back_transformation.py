@@ -19,7 +19,7 @@ from averaging.weyl import Part, StateDensity
 from averaging.zero_flux import density_of_energies
 from fpk.answer.density import Density, certified_density
 from fpk.answer.dynamics import Curve, certified_curve
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.answer.question import QUESTIONS
 from fpk.numeric.arrays import DEPTH, Array
 from fpk.solvers.line.mesh import DEEP_LAYERS, with_layers

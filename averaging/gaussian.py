@@ -13,7 +13,7 @@ from averaging.theory import Theory, energy_only_refusal
 from fpk.answer.density import Density
 from fpk.answer.dynamics import Curve, Rates, certified_curve, certified_rates
 from fpk.answer.method import Plan, Progress, Result
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.answer.question import QUESTIONS, Asked, answer
 from fpk.numeric.arrays import EPS
 from fpk.numeric.errors import NotApplicable

@@ -12,7 +12,7 @@ from scipy.linalg import qr, solve_triangular
 
 from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certified_density
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from fpk.numeric.arrays import DEPTH, EPS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 

@@ -17,7 +17,7 @@ from fpk.answer.density import Density
 from fpk.answer.dynamics import Curve, Rates, certified_curve, upcrossings
 from fpk.answer.evolution import Passage, Transient
 from fpk.answer.method import Plan, Progress, Result
-from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.question import QUESTIONS, Asked, answer
 from fpk.numeric.errors import NotApplicable
 from fpk.system.escape import require_held

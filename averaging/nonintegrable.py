@@ -20,7 +20,7 @@ from averaging.weyl import StateDensity, tabulated
 from averaging.zero_flux import solved_energies
 from fpk.answer.dynamics import Rates
 from fpk.answer.evolution import Passage, Transient, checked_times
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.answer.question import Asked, answer
 from fpk.numeric.errors import NotApplicable
 from fpk.solvers.line.stationary import StationarySolution

@@ -11,7 +11,7 @@ from averaging.weyl import StateDensity
 from fpk.answer.certificate import tolerance
 from fpk.answer.dynamics import Curve
 from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, Solves, register
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from fpk.answer.question import Asked, answer
 from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System

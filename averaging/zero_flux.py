@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 
 from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certified_density
-from fpk.answer.observable import Observable
+from fpk.answer.names import Observable
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Flags
 from fpk.numeric.piecewise import fit
 from fpk.numeric.quadrature import panel_rule

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import quad
 
 from fpk.answer.bins import BinAxis
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.sample.ensemble import Ensemble

@@ -29,7 +29,7 @@ import numpy as np
 import fpk
 from cases.commands.app import run_app
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from sim import MonteCarlo
 
 ROUND_OFF = 1e-10

@@ -25,7 +25,7 @@ from cases.comparison.compare import distance_between
 from cases.comparison.doubt import rms_ratios
 from cases.scene.scene import load_scene
 from fpk.answer.method import Method
-from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact
 from fpk.system.linear import natural_modes, stationary_covariance

@@ -23,7 +23,7 @@ from averaging.nonintegrable import NonIntegrable
 from cases.studies.levels import timed_first
 from fpk.answer.density import AnyDensity
 from fpk.answer.method import Method
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.ends import classify
 from fpk.system.system import System

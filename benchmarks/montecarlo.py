@@ -23,7 +23,7 @@ import numpy as np
 from accuracy import error_against_time
 from report import machine, markdown_table
 
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.sample.diagnostics import moment_products
@@ -142,7 +142,7 @@ def two_threads() -> float:
 FIRST_CHUNK = """
 import time
 from fpk.system.contact import Contact
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 start, first = time.perf_counter(), []

@@ -21,9 +21,8 @@ from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.start import REST
+from fpk.answer.names import REST, parse_limit
 from fpk.solvers.line.time.elements import SAFETY
 from fpk.solvers.line.time.passage import first_passage
 from fpk.system.system import System

@@ -24,7 +24,7 @@ from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import MEMORY
 from cases.comparison.compare import chance_l1, joined
 from fpk.answer.density import Density, l1_distance
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
 from fpk.system.contact import Contact
 from fpk.system.system import System

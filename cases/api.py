@@ -11,7 +11,7 @@ from cases.scene.scene import load_scene
 from fpk.answer.contacts import joint_at_stops
 from fpk.answer.density import AnyDensity
 from fpk.answer.method import Method
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.system import System
 

@@ -11,7 +11,7 @@ import numpy as np
 
 import fpk
 from averaging import Exact, Linear, PhaseSpace
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 
 stop = fpk.Contact(mass=1, side="both", stiffness=4.0, clearance=0.5)
 between_stops = fpk.System([1.0], [1.0], [0.6], [0.3], contacts=(stop,))

@@ -22,7 +22,7 @@ from cases.comparison.stationary import run_scene
 from cases.output.fields import write_netcdf
 from cases.output.vtk import write_vtu
 from cases.scene.scene import shipped_scenes
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 
 assert "fig3a" in shipped_scenes()
 scene = fpk.load("fig3a")

@@ -12,8 +12,7 @@ from scipy.special import expi
 
 import fpk
 from averaging import NonIntegrable
-from fpk.answer.limit import parse_limit
-from fpk.answer.start import REST
+from fpk.answer.names import REST, parse_limit
 
 times = np.linspace(1.0, 200.0, 100)
 stop = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)

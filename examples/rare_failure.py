@@ -12,8 +12,7 @@ import numpy as np
 
 import fpk
 from averaging import NonIntegrable
-from fpk.answer.limit import parse_limit
-from fpk.answer.start import REST
+from fpk.answer.names import REST, parse_limit
 from sim.questions.splitting import Splitting, rare_failure
 
 system = fpk.System([1.0], [1.0], [0.05], [0.025])

@@ -9,8 +9,7 @@ import numpy as np
 
 import fpk
 from averaging import PhaseSpace
-from fpk.answer.limit import parse_limit
-from fpk.answer.start import REST
+from fpk.answer.names import REST, parse_limit
 
 stop = fpk.Contact(mass=2, side="right", stiffness=10.0, clearance=0.5)
 system = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))

@@ -12,8 +12,7 @@ from scipy.stats import ncx2
 
 import fpk
 from averaging import NonIntegrable
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_observable, parse_start
 
 c, D, H0 = 0.1, 0.05, 0.3
 system = fpk.System([1.0], [1.0], [c], [D])

@@ -10,7 +10,7 @@ from typing import Any
 from fpk.answer.dynamics import Curve
 from fpk.answer.evolution import Passage, Transient
 from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register
-from fpk.answer.observable import Observable
+from fpk.answer.names import Observable
 from fpk.answer.question import Asked, answer
 from fpk.system.system import System
 from sim.sample.settings import Settings, require_stationary

@@ -22,9 +22,7 @@ from cases.output.fields import write_netcdf
 from cases.output.vtk import write_vtu
 from cases.scene.scene import shipped_scenes
 from fpk.answer.contacts import contact_quantities
-from fpk.answer.limit import parse_limit
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import REST, parse_start
+from fpk.answer.names import REST, parse_limit, parse_observable, parse_start
 from fpk.system.contact_law import LAWS, ContactLaw, register
 from sim.questions.splitting import Splitting, rare_failure
 

@@ -25,10 +25,8 @@ from cases.comparison.quantity import parse_definition
 from cases.comparison.routes import listed_routes
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.compiling import ROOT
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.recognition import REGISTRY, canonical, fingerprint

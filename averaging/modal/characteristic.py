@@ -11,7 +11,7 @@ from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from fpk.answer.certificate import Measured, outside, worst
 from fpk.answer.density import Density, certified_density
-from fpk.answer.observable import Observable
+from fpk.answer.names import Observable
 from fpk.numeric.arrays import CHUNK, EPS, Array
 from fpk.numeric.quadrature import panel_rule
 

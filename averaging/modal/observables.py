@@ -20,7 +20,7 @@ from averaging.zero_flux import (
     solved_energies,
 )
 from fpk.answer.density import Density, certified_density
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import CHUNK, Array
 from fpk.numeric.piecewise import fit
 from fpk.numeric.quadrature import panel_rule

@@ -15,7 +15,7 @@ from averaging.phase_space.refinement import ROUND_OFF, SAFETY, Ladder
 from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certified_density
 from fpk.answer.method import Identity
-from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.numeric.arrays import Array
 
 GRID = {1: 721, 2: 181}

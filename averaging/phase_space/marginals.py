@@ -7,7 +7,7 @@ import numpy as np
 
 from averaging.phase_space.equation.degrees import combined
 from averaging.phase_space.equation.elimination import Expansion
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import Array
 from fpk.numeric.quadrature import GAUSS_POINTS
 

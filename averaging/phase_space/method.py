@@ -24,7 +24,7 @@ from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Curve, Rates, certified_curve
 from fpk.answer.evolution import Passage
 from fpk.answer.method import Plan, Progress, Result, silent
-from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.question import Asked, answer
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.escape import require_held

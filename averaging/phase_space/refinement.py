@@ -22,7 +22,7 @@ from averaging.phase_space.equation.frame import (
 )
 from averaging.phase_space.marginals import marginal, moments
 from fpk.answer.method import Progress, silent
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.machine import usable_cores
 from fpk.numeric.quadrature import gauss_grid, integral
 

@@ -28,7 +28,7 @@ from trial import (  # first: it knows the way to ``installed``
 from installed import version_of
 
 from fpk.answer.bins import BinAxis
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from sim.sample.ensemble import Ensemble
 from sim.sample.histogram import Histogram
 from sim.step.schemes import SCHEMES

@@ -34,7 +34,7 @@ def density(asked: Asked, of: str, at: str) -> None:
     from cases.scene.points import parse_points
     from fpk.answer.dynamics import Curve
     from fpk.answer.method import Method
-    from fpk.answer.observable import observable_name
+    from fpk.answer.names import observable_name
 
     points, settings = parse_points(at, len(observable)), asked.settings
     parts.check_cluster(settings["cluster"])
@@ -120,8 +120,7 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
     system, observable = asked.scene.system, parts.observable_of(of, asked.scene)
     from cases.output.records import columns_text, listed
     from cases.scene.points import parse_points
-    from fpk.answer.observable import observable_name
-    from fpk.answer.start import parse_start
+    from fpk.answer.names import observable_name, parse_start
 
     begin = parts.read("start", start, lambda: parse_start(start, system))
     points, later = parse_points(at, len(observable)), _times(times)
@@ -150,8 +149,7 @@ def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
     from cases.comparison.rare import passage_answer
     from cases.output.records import passage_text
     from cases.scene.questions import PassageQuestion, require_below
-    from fpk.answer.limit import parse_limit
-    from fpk.answer.start import parse_start
+    from fpk.answer.names import parse_limit, parse_start
 
     system = asked.scene.system
     begin = parts.read("start", start, lambda: parse_start(start, system))

@@ -22,7 +22,7 @@ from fpk.numeric.errors import InvalidInput
 if TYPE_CHECKING:
     from cases.comparison.stationary import Outcome
     from cases.scene.scene import Scene
-    from fpk.answer.observable import Observable
+    from fpk.answer.names import Observable
 
 
 class NonEmptyPath(click.Path):
@@ -122,7 +122,7 @@ def checked(scene: str, *, tol: float | None = None, out: Path | None = None) ->
 
 def observable_of(name: str, scene: "Scene") -> "Observable":
     """Return what ``--of`` names; raise ``BadInput`` where it is no observable of the scene."""
-    from fpk.answer.observable import parse_observable
+    from fpk.answer.names import parse_observable
 
     observable: Observable = read("of", name, lambda: parse_observable(name, scene.system.n))
     return observable

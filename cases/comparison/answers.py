@@ -18,7 +18,7 @@ from cases.comparison.quantities import (
 )
 from fpk.answer.density import AnyDensity
 from fpk.answer.method import Result, Route
-from fpk.answer.observable import Level, Observable, observable_name, parse_observable
+from fpk.answer.names import Level, Observable, observable_name, parse_observable
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 

@@ -14,11 +14,9 @@ import numpy as np
 
 from cases.scene.expect import Theory
 from fpk.answer.evolution import Passage, Transient, checked_times
-from fpk.answer.limit import Limit
 from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register
-from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.names import Coordinate, Limit, Observable, Start, observable_name
 from fpk.answer.question import Asked, answer
-from fpk.answer.start import Start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.machine import usable_cores

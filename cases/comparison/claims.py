@@ -17,7 +17,7 @@ from cases.scene.questions import PassageQuestion
 from cases.written import with_error
 from fpk.answer.contacts import stop_clearances
 from fpk.answer.density import AnyDensity, distance_with_error
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
 

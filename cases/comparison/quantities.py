@@ -23,7 +23,7 @@ from cases.comparison.quantity import (
 from fpk.answer.density import AnyDensity, Density
 from fpk.answer.dynamics import upcrossings
 from fpk.answer.method import Result, Route, silent
-from fpk.answer.observable import Coordinate, Level, observable_name
+from fpk.answer.names import Coordinate, Level, observable_name
 from fpk.answer.quantities import ErrorKind, Number
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import NotApplicable, NotCertified

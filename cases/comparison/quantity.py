@@ -12,14 +12,15 @@ from math import isfinite, nan
 from cases.scene.errors import misspelt
 from fpk.answer.contacts import contact_quantity, ratio
 from fpk.answer.density import AnyDensity
-from fpk.answer.limit import Limit, parse_limit
-from fpk.answer.observable import (
+from fpk.answer.names import (
     Coordinate,
     Level,
+    Limit,
     Observable,
     displacement_row,
     number_text,
     observable_name,
+    parse_limit,
     parse_observable,
 )
 from fpk.answer.quantities import Number

@@ -17,7 +17,7 @@ from cases.written import bound
 from fpk.answer.contacts import joint_at_stops
 from fpk.answer.density import Density
 from fpk.answer.method import Method, Plan, Progress, Result, silent
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from fpk.numeric.errors import NotApplicable
 from fpk.system.system import System
 

@@ -17,7 +17,7 @@ from cases.scene.units import NO_UNITS, Units
 from cases.written import SCHEMA
 from fpk.answer.evolution import Passage
 from fpk.answer.method import Result, Route
-from fpk.answer.observable import observable_name
+from fpk.answer.names import observable_name
 from sim.sample.diagnostics import Report
 
 ROW = ("observable", "measures", "norm", "L1", "band", "error")

@@ -14,7 +14,7 @@ from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
 from fpk.answer.contacts import stop_clearances
 from fpk.answer.method import ROUTES, solvers_of
-from fpk.answer.observable import Coordinate, observable_name
+from fpk.answer.names import Coordinate, observable_name
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.ends import BoundaryClass, classify
 from fpk.system.escape import escape

@@ -19,7 +19,7 @@ from cases.output.variables import Part, Variables, by_route, time_variables
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, Units, attribute
 from fpk.answer.density import AnyDensity
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
 

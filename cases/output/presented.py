@@ -20,7 +20,7 @@ from cases.output.words import named
 from cases.scene.units import Units
 from cases.written import NOTE
 from fpk.answer.density import AnyDensity
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from fpk.numeric.errors import InvalidInput, Unavailable
 
 TAIL = 1e-6

@@ -11,7 +11,7 @@ from averaging.modal.resonance import MAX_NEGLECTED
 from cases.comparison.answers import Answers
 from cases.output.pictures.style import SUBSCRIPTS
 from cases.output.records import Record
-from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.numeric.arrays import Array
 from fpk.system.system import System
 

@@ -15,7 +15,7 @@ from cases.output.files import write_by
 from cases.scene.units import attribute, bracketed
 from fpk.answer.evolution import Transient
 from fpk.answer.field import field_of
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from fpk.numeric.arrays import Array
 from fpk.system.system import System
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from operator import ge, gt, le, lt
 from typing import Any, Literal, NamedTuple
 
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from fpk.numeric.errors import InvalidInput
 
 Theory = Literal["nonintegrable", "integrable"]

@@ -10,9 +10,16 @@ import numpy as np
 from cases.scene.errors import refused_as
 from cases.scene.expect import Range, Theory, range_of
 from fpk.answer.evolution import checked_times
-from fpk.answer.limit import Limit, parse_limit
-from fpk.answer.observable import Observable, observable_name, parse_observable
-from fpk.answer.start import REST, Start, parse_start
+from fpk.answer.names import (
+    REST,
+    Limit,
+    Observable,
+    Start,
+    observable_name,
+    parse_limit,
+    parse_observable,
+    parse_start,
+)
 from fpk.numeric.errors import InvalidInput
 from fpk.system.linear import modal_energies
 from fpk.system.system import System

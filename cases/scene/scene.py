@@ -14,7 +14,7 @@ from cases.scene.numbers import Curve, curves_of
 from cases.scene.questions import PassageQuestion, TransientQuestion, passages_of, transients_of
 from cases.scene.schema import validated
 from cases.scene.units import NO_UNITS, Units
-from fpk.answer.observable import Level, Observable, parse_observable
+from fpk.answer.names import Level, Observable, parse_observable
 from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from cases.written import SUPERSCRIPTS
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.errors import InvalidInput
 
 CONSISTENT = "the scene's own consistent units"

@@ -17,7 +17,7 @@ from averaging.zero_flux import solve_by_quadrature, solved_energies
 from cases.studies.levels import Discretisation, Solution, TimedCoefficients, density_of
 from fpk.answer.density import Density
 from fpk.answer.method import Route
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.solvers import operator

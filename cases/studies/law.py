@@ -13,7 +13,7 @@ from cases.studies.prices import NotTimed, Priced, judged
 from cases.studies.simulation import SMALL_STEP, SMALLEST, Reference, largest_stable, observed, run
 from fpk.answer.density import Density
 from fpk.answer.method import Method, Progress, silent
-from fpk.answer.observable import observable_name
+from fpk.answer.names import observable_name
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo

@@ -18,7 +18,7 @@ import numpy as np
 
 from averaging.zero_flux import POINTS, ZeroFluxDensity, density_of_energies
 from fpk.answer.density import Density
-from fpk.answer.observable import Observable
+from fpk.answer.names import Observable
 from fpk.numeric.arrays import Array
 from fpk.numeric.quadrature import gauss_grid, integral
 from fpk.solvers.line.stationary import StationarySolution

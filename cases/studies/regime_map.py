@@ -22,7 +22,7 @@ from cases.studies.sweep.result import Sweep
 from cases.studies.sweep.sweep import every_answer
 from fpk.answer.contacts import CLEARANCE_RULE, stop_clearances
 from fpk.answer.method import Progress, silent
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from sim.montecarlo import MonteCarlo
 
 THEORIES = ("nonintegrable", "integrable")

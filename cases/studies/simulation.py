@@ -13,7 +13,7 @@ from cases.studies.levels import timed_first
 from fpk.answer.certificate import Measured
 from fpk.answer.density import AnyDensity, Density, certified_density
 from fpk.answer.method import Method, Result, Solves
-from fpk.answer.observable import Coordinate, Observable, observable_name
+from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.system.system import System

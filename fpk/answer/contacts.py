@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.answer.quantities import Number, Quantities
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify, outside
-from fpk.answer.observable import Observable
+from fpk.answer.names import Observable
 from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond, with_points
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array

@@ -8,7 +8,7 @@ from time import perf_counter
 from typing import Any, Literal, Self
 
 from fpk.answer.density import AnyDensity, Density
-from fpk.answer.observable import Observable, require_observables
+from fpk.answer.names import Observable, require_observables
 from fpk.answer.question import Progress as Progress
 from fpk.answer.question import silent as silent
 from fpk.numeric.errors import NotApplicable

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from fpk.answer.certificate import Certificate
 from fpk.answer.field import field_of
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from fpk.numeric.arrays import Array, Complexes
 from fpk.numeric.errors import InvalidInput, Unavailable
 

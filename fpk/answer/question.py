@@ -26,7 +26,7 @@ from inspect import Parameter, Signature
 from math import inf, pi
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from fpk.answer.observable import Observable, displacement_row
+from fpk.answer.names import Observable, displacement_row
 from fpk.numeric.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ class Asked:
     """One question as a method receives it: fields that ``Question.takes`` does not name are unset.
 
     ``at`` are levels, angular frequencies or lags (points,), or of densities points, one array
-    (points,) for each coordinate. ``start`` is a ``fpk.answer.start.Start``, ``limit`` a
-    ``fpk.answer.limit.Limit``; ``times`` (times,) are after the start; ``count`` is how many rates.
+    (points,) for each coordinate. ``start`` is a ``fpk.answer.names.Start``, ``limit`` a
+    ``fpk.answer.names.Limit``; ``times`` (times,) are after the start; ``count`` is how many rates.
     """
 
     system: "System"

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from fpk.answer.bins import ALARM, LARGEST_LOG, NODES, BinAxis, Box, Model, boxes
 from fpk.answer.certificate import Certificate, outside
-from fpk.answer.observable import Observable
+from fpk.answer.names import Observable
 from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond
 from fpk.numeric.arrays import CHUNK, EPS, ROUND_OFF, SMALLEST, Array, Flags, Integers
 from fpk.numeric.quadrature import panel_rule

@@ -7,9 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fpk.answer.limit import Limit
-from fpk.answer.observable import Coordinate
-from fpk.answer.start import REST, Start
+from fpk.answer.names import REST, Coordinate, Limit, Start
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.linear import diffusion_matrix, drift_matrix, natural_modes

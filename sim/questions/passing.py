@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fpk.answer.limit import Limit
+from fpk.answer.names import Limit
 from fpk.numeric.arrays import SMALLEST, Array, Integers
 from fpk.numeric.compiling import cached_njit, inlined
 from fpk.system.linear import natural_modes

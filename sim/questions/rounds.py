@@ -11,8 +11,8 @@ import numpy as np
 from numpy.random import Generator
 
 from fpk.answer.certificate import tolerance
+from fpk.answer.names import Start
 from fpk.answer.question import Asked
-from fpk.answer.start import Start
 from fpk.numeric.arrays import Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.machine import left_out, usable_cores, working_time

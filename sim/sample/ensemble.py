@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.escape import escape

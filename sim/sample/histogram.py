@@ -11,7 +11,7 @@ import numpy as np
 from fpk.answer.bins import BinAxis, LogReference, no_reference
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.contacts import kinks_of
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import ROUND_OFF, SMALLEST, Array, Integers
 from fpk.system.linear import modal_energies

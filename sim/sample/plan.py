@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.special import comb, ndtr
 
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import InvalidInput
 from fpk.system.linear import drift_matrix, natural_modes

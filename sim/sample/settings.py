@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fpk.answer.observable import Observable
+from fpk.answer.names import Observable
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.machine import usable_cores
 from fpk.numeric.recognition import REGISTRY

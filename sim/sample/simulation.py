@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.answer.method import Progress, Result, silent
-from fpk.answer.observable import Observable
+from fpk.answer.names import Observable
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.machine import left_out, usable_cores, working_time

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
-from fpk.answer.observable import Observable
+from fpk.answer.names import Observable
 from fpk.numeric.arrays import ROUND_OFF, Array
 from fpk.system.damping import gaussian_moment
 from fpk.system.equivalent import damping_balance, equivalent_temperature

@@ -21,7 +21,7 @@ from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from fpk.answer.method import ROUTES
-from fpk.answer.observable import observable_name, parse_observable
+from fpk.answer.names import observable_name, parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
 

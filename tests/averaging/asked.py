@@ -2,7 +2,7 @@
 
 import fpk
 from fpk.answer.method import silent
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 
 TURNED = fpk.System([1, 2], [1, 1.5], [[0.08, 0.06], [-0.04, 0.05]], [0.01, 0.02])
 """Unequal temperatures and an antisymmetric part of the damping."""

@@ -4,7 +4,7 @@ import numpy as np
 
 from averaging.modal.analysis import modal_analysis
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.system.damping import DampingTerm
 from fpk.system.system import System

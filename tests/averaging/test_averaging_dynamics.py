@@ -13,7 +13,7 @@ from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space.method import PhaseSpace
 from fpk.answer.method import silent
-from fpk.answer.observable import Coordinate, parse_observable
+from fpk.answer.names import Coordinate, parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.linear import diffusion_matrix, drift_matrix, stationary_covariance
 

@@ -16,7 +16,7 @@ from averaging.energy_process import averaged_density, energy_process, log_gibbs
 from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import flux_residual
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.linear import displacements_given
 from fpk.system.system import System

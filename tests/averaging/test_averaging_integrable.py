@@ -24,7 +24,7 @@ from averaging.modal.resonance import (
 from averaging.nonintegrable import NonIntegrable
 from fpk.answer.contacts import stop_clearances
 from fpk.answer.density import l1_distance
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.ends import classify
 from fpk.system.linear import stationary_covariance

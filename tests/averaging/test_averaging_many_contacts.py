@@ -14,7 +14,7 @@ from averaging.shell import averages, laplace
 from averaging.shell.averages import shell_averages, shell_columns
 from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.laplace import PartitionLines
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm

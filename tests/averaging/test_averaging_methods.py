@@ -20,7 +20,7 @@ from averaging.nonintegrable import NonIntegrable
 from averaging.weyl import WeylIntegrals, continued, weyl_table
 from cases.scene.scene import load_scene
 from fpk.answer.density import l1_distance
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.contact import Contact
 from fpk.system.linear import stationary_covariance

@@ -10,7 +10,7 @@ from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.zero_flux import flux_residual
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput
 from fpk.system.linear import linear_covariance
 from fpk.system.system import System

@@ -7,7 +7,7 @@ from modal_terms import in_masses, modal_van_der_pol, refusal, solved, van_der_p
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from averaging.nonintegrable import NonIntegrable
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.system.damping import DampingTerm
 from fpk.system.system import System

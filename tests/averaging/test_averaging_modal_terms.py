@@ -20,7 +20,7 @@ from averaging.modal.resonance import (
     resonance_order,
     resonances,
 )
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.system.damping import DampingTerm
 from fpk.system.system import System

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from fpk.answer.density import l1_distance
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
 from fpk.system.system import System

@@ -10,10 +10,8 @@ from numpy.testing import assert_allclose
 
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.contact import Contact

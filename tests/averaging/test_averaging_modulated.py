@@ -8,10 +8,8 @@ from scipy.sparse import csc_array
 
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.time.modulated import steps_of

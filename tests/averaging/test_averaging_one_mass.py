@@ -12,7 +12,7 @@ from averaging.nonintegrable import NonIntegrable
 from averaging.shell.averages import shell_averages
 from averaging.shell.energy_shell import EnergyShell
 from fpk.answer.density import l1_distance
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.contact import Contact
 

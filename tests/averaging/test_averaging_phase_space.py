@@ -18,7 +18,7 @@ from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import least_distance, start
 from cases.comparison.compare import compared
 from fpk.answer.density import l1_distance
-from fpk.answer.observable import Coordinate, parse_observable
+from fpk.answer.names import Coordinate, parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import gauss_grid, integral
 from fpk.system.linear import stationary_covariance

@@ -17,7 +17,7 @@ from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import Options
 from fpk.answer.method import silent
-from fpk.answer.observable import Coordinate, parse_observable
+from fpk.answer.names import Coordinate, parse_observable
 from fpk.numeric.errors import NotApplicable
 
 ONE_SIDED = fpk.Contact(mass=1, side="right", stiffness=10.0, clearance=0.3)

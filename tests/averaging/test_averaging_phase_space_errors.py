@@ -21,7 +21,7 @@ from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import WORK, Ladder, Options, ladders
 from fpk.answer.density import l1_distance
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput, NotCertified
 
 SINGLE = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]

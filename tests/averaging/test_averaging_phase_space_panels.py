@@ -13,7 +13,7 @@ from averaging.phase_space.equation.elimination import expanded, inverted
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.refinement import fitted, refitted, start
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.quadrature import gauss_grid, integral
 
 DEGREES = Degrees(total=16, others=6, outer=18)

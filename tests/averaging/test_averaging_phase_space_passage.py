@@ -16,9 +16,8 @@ from averaging.phase_space.passage.mesh import (
 )
 from fpk import Contact, System
 from fpk.answer.evolution import Passage
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_limit, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.damping import DampingTerm

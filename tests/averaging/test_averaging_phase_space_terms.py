@@ -20,7 +20,7 @@ from averaging.phase_space.method import PhaseSpace
 from cases.comparison.compare import compared
 from fpk.answer.density import l1_distance
 from fpk.answer.method import silent
-from fpk.answer.observable import Coordinate, parse_observable
+from fpk.answer.names import Coordinate, parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.system.damping import gaussian_moment
 from sim.montecarlo import MonteCarlo

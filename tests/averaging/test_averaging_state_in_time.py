@@ -18,8 +18,7 @@ from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from averaging.nonintegrable import NonIntegrable
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.system.contact import Contact

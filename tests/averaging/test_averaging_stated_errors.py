@@ -7,7 +7,7 @@ import pytest
 
 from averaging import NonIntegrable
 from fpk import Contact, System
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 
 LAWS = ("hertz", "bilinear", "power")
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)

@@ -13,7 +13,7 @@ from averaging.exact import Exact, compatibility
 from averaging.nonintegrable import NonIntegrable
 from averaging.zero_flux import solve_by_quadrature
 from fpk.answer.density import l1_distance
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.mesh import probed

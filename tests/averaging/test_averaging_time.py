@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from averaging.nonintegrable import NonIntegrable
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.contact import Contact
 from fpk.system.system import System

@@ -5,9 +5,7 @@ import pytest
 
 from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace
 from fpk import System
-from fpk.answer.limit import parse_limit
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import REST
+from fpk.answer.names import REST, parse_limit, parse_observable
 from fpk.numeric.errors import InvalidInput
 from sim import MonteCarlo
 

@@ -11,10 +11,8 @@ from cases.comparison.attempts import LEAST, Budget, budget_of
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.stationary import run_scene
 from cases.scene.scene import load_scene
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import REST
+from fpk.answer.names import REST, parse_limit, parse_observable
 from fpk.numeric.errors import InvalidInput, NotCertified
 from sim.montecarlo import MonteCarlo
 from sim.questions.splitting.run import Splitting, rare_failure

@@ -11,7 +11,7 @@ from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Curve
 from fpk.answer.evolution import Transient
 from fpk.answer.method import ROUTES
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.system import System
 

@@ -18,7 +18,7 @@ from fpk.answer.certificate import Certificate
 from fpk.answer.contacts import StopClearance
 from fpk.answer.density import Density
 from fpk.answer.method import ROUTES
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
 
 FLAT = lambda x: np.where(np.abs(x) <= 1, 0.5, 0.0)  # noqa: E731

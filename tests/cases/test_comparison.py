@@ -12,7 +12,7 @@ from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Certificate
 from fpk.answer.density import Density, l1_distance
 from fpk.answer.method import ROUTES, Result, solvers_of
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
 
 register_routes()

@@ -20,7 +20,7 @@ from cases.studies.prices import NotTimed, Priced, crossovers, passage_routes, p
 from cases.studies.simulation import full_reference
 from cases.written import duration
 from fpk.answer.density import l1_distance
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.solvers.line.stationary import solve_stationary
 
 

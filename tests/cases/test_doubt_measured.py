@@ -5,7 +5,7 @@ import pytest
 
 from averaging import Linear, NonIntegrable
 from cases.comparison.doubt import rms_ratios
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact
 from fpk.system.linear import natural_modes, stationary_covariance

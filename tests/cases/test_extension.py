@@ -19,7 +19,7 @@ from cases.output.fields import write_netcdf
 from cases.output.report import write_report
 from cases.scene.scene import load_scene
 from fpk.answer.method import ROUTES
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.question import QUESTIONS
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.contact_law import LAWS

@@ -8,9 +8,8 @@ from scipy.special import expi
 
 from cases.comparison.rare import passage_answer
 from cases.scene.questions import PassageQuestion
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_limit, parse_start
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.passage import LEAST_FAILURES

@@ -9,7 +9,7 @@ from cases.comparison.stationary import run_scene
 from cases.output.pictures.svg import svg_text
 from cases.output.report import figures
 from cases.scene.scene import load_scene
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 
 
 def drawn(name, of, *methods):

@@ -15,7 +15,7 @@ from cases.scene.scene import load_scene
 from fpk.answer.certificate import Measured
 from fpk.answer.density import certified_density
 from fpk.answer.method import Plan
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 
 
 def shifted(density, shift, tol):

@@ -17,7 +17,7 @@ from cases.output.report import write_report
 from cases.output.slider_model import slider_model
 from cases.scene.scene import load_scene
 from fpk import Contact, System
-from fpk.answer.observable import observable_name, parse_observable
+from fpk.answer.names import observable_name, parse_observable
 
 FACTORS = {"B": [3.0], "delta": [0.6], "c": [1.2, 0.8], "D": [0.6, 0.9]}
 AT = {

@@ -16,7 +16,7 @@ from cases.scene.scene import load_scene
 from fpk.answer.certificate import Measured
 from fpk.answer.density import certified_density
 from fpk.answer.method import Method, Plan
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from cases.studies.converge import ladders
 from cases.studies.equations import energy_equation, modal_equation
 from cases.studies.orders import NEAR, observed_orders
 from fpk.answer.density import l1_distance
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.solvers.line.stationary import solve_on_mesh
 from fpk.solvers.operator import null_function, null_vectors, solve_by_scikit_fem

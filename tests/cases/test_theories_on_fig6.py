@@ -6,7 +6,7 @@ from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from cases.comparison.compare import distance_between
 from cases.scene.scene import load_scene
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from sim.montecarlo import MonteCarlo
 
 

@@ -23,11 +23,10 @@ from cases.output.vtk import write_time_pvd
 from cases.scene.scene import load_scene
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.evolution import Passage, Transient
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import ROUTES, Method, silent
+from fpk.answer.names import REST, parse_limit
 from fpk.answer.quantities import Number
 from fpk.answer.question import answer
-from fpk.answer.start import REST
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from sim.sample.diagnostics import FALSE_ALARMS
 

@@ -4,7 +4,7 @@ import pytest
 
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene, shipped_scenes
-from fpk.answer.observable import observable_name
+from fpk.answer.names import observable_name
 
 GOOD = """
 [[passage]]

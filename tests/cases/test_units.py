@@ -25,7 +25,7 @@ from cases.studies.picture import study_figure
 from cases.studies.prices import Priced
 from cases.studies.sweep.sweep import sweep
 from cases.studies.sweep.sweep_page import sweep_page
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm

@@ -15,7 +15,7 @@ from cases.scene.scene import load_scene
 from fpk.answer.certificate import Certificate
 from fpk.answer.density import Density
 from fpk.answer.field import CUT, SUBDIVISION, field_of
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 
 FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 
 from averaging import Integrable, NonIntegrable
 from fpk.answer.method import silent
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm

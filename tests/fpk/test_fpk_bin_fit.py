@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
 
 PASSED = certify(Measured(0.0, 0.0, 0.0, 0.0, 0.0), tol=1.0)

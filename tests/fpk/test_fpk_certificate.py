@@ -5,7 +5,7 @@ import numpy as np
 from fpk.answer.certificate import Measured, worst
 from fpk.answer.density import certified_density
 from fpk.answer.dynamics import certified_curve
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 
 
 def test_the_worst_of_what_was_measured_is_no_number_where_one_is_none():

@@ -14,7 +14,7 @@ from fpk.answer.density import (
     distance_with_error,
     l1_distance,
 )
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
 
 PASSED = Certificate(l1_error=0.0, mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)

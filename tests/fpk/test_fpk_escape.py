@@ -13,9 +13,7 @@ from averaging import Integrable, NonIntegrable
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.routes import listed_routes
 from cases.studies.equations import energy_equation
-from fpk.answer.limit import parse_limit
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import REST, parse_start
+from fpk.answer.names import REST, parse_limit, parse_observable, parse_start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.contact import Contact

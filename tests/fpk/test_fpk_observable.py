@@ -3,7 +3,7 @@
 import pytest
 
 from fpk.answer.method import Method
-from fpk.answer.observable import Coordinate, observable_name, parse_observable
+from fpk.answer.names import Coordinate, observable_name, parse_observable
 from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 

@@ -15,7 +15,7 @@ from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Certificate
 from fpk.answer.contacts import contact_quantities
 from fpk.answer.density import Density
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.quantities import Number
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import InvalidInput

@@ -7,7 +7,7 @@ from scipy.special import erfc
 from fpk.answer.certificate import Measured
 from fpk.answer.density import certified_density
 from fpk.answer.dynamics import upcrossings
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 
 AT = np.array([-2.0, 0.0, 0.7, 5.0])
 

@@ -11,7 +11,7 @@ from hard_units import in_units, mirrored
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
 from fpk.answer.density import Density, l1_distance
-from fpk.answer.observable import Observable, parse_observable
+from fpk.answer.names import Observable, parse_observable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.stationary import solve_on_mesh, solve_stationary
 from fpk.system.system import System

@@ -7,7 +7,7 @@ from hard_case import Check, HardCase
 from hard_systems import with_stops
 from numpy.typing import NDArray
 
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.sample.ensemble import Ensemble

@@ -20,7 +20,7 @@ from averaging.integrable import Integrable
 from cases.scene.numbers import Curve
 from cases.scene.scene import Scene, load_scene, shipped_scenes
 from fpk.answer.density import Density, l1_distance
-from fpk.answer.observable import observable_name, parse_observable
+from fpk.answer.names import observable_name, parse_observable
 from fpk.system.system import System
 
 TOLERANCES = {"three-contact-masses": 1e-4}

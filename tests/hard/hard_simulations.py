@@ -14,7 +14,7 @@ from averaging.exact import Exact
 from cases.comparison.compare import compared
 from cases.scene.scene import load_scene
 from fpk.answer.density import Density
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.system.system import System

@@ -5,7 +5,7 @@ from sim_gibbs import Gibbs
 
 from fpk.answer.contacts import contact_quantities
 from fpk.answer.dynamics import upcrossings
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from fpk.answer.evolution import Passage
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
+from fpk.answer.names import parse_limit, parse_start
 from fpk.answer.question import Asked
-from fpk.answer.start import parse_start
 from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from sim_systems import fig6
 
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import Unavailable
 from sim.montecarlo import MonteCarlo
 from sim.sample.diagnostics import Report

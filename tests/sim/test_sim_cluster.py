@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from sim_systems import fig6, ranged
 
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotCertified, Unavailable
 from sim.sample.diagnostics import moment_products
 from sim.sample.ensemble import Ensemble

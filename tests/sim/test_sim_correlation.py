@@ -9,7 +9,7 @@ from sim_systems import exact, fig6, linear
 from cases.comparison.routes import method_for
 from fpk.answer.dynamics import Curve
 from fpk.answer.method import silent
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.numeric.errors import InvalidInput
 from fpk.system.contact import Contact
 from fpk.system.system import System

@@ -11,7 +11,7 @@ from state_damping import damping_at
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.method import Result, silent
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.contact import Contact

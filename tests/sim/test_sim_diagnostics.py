@@ -9,7 +9,7 @@ from arviz_stats.base import array_stats
 from scipy.integrate import quad
 from sim_systems import exact, fig6, ranged
 
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from sim.montecarlo import MonteCarlo
 from sim.sample.diagnostics import (
     diagnosis,

@@ -10,9 +10,8 @@ from test_sim_passage import CIR_MEAN, CIR_RATE, oscillator
 
 from cases.comparison.averaged import AveragedSimulation
 from fpk.answer.evolution import Passage
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_limit, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.system import System
 from sim.questions.averaged.square_root import (

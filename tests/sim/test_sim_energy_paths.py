@@ -14,7 +14,7 @@ from cases.comparison.routes import method_for
 from cases.scene.scene import load_scene
 from fpk.answer.certificate import Certificate
 from fpk.answer.density import Density, l1_distance
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.line.stationary import solve_stationary
 from fpk.solvers.plane.stationary import solve_plane

@@ -12,8 +12,7 @@ from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.routes import method_for
 from fpk.answer.evolution import Transient
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.system import System

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from sim_systems import fig6, linear, mixed, ranged
 
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.compiling import ROOT
 from sim.sample.diagnostics import moment_products
 from sim.sample.ensemble import Ensemble

@@ -9,7 +9,7 @@ from sim_gibbs import Gibbs
 from test_sim_transient import sampled as transient
 
 from fpk.answer.dynamics import upcrossings
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
 from fpk.system.contact import Contact
 from fpk.system.system import System

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sim_systems import fig6
 
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 from sim import MonteCarlo

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 from sim_systems import fig6, linear, mixed
 
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.linear import diffusion_matrix, drift_matrix, natural_modes, stationary_covariance
 from sim.montecarlo import MonteCarlo
 

@@ -9,10 +9,8 @@ from scipy.linalg import expm
 
 from averaging.nonintegrable import NonIntegrable
 from cases.comparison.averaged import AveragedSimulation
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.system.contact import Contact

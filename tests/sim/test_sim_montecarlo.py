@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from sim_systems import exact, fig6, linear, mixed
 
 from fpk.answer.method import Result
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.contact import Contact

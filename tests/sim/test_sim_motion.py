@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sim_systems import fig6, linear, mixed
 
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.numeric.errors import NotApplicable
 from fpk.system.damping import DampingTerm
 from fpk.system.system import System

@@ -9,10 +9,8 @@ from scipy.stats import kstest
 from sim_systems import estimated, exact, fig6, linear
 
 from fpk.answer.evolution import Passage
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import silent
-from fpk.answer.observable import Coordinate
-from fpk.answer.start import parse_start
+from fpk.answer.names import Coordinate, parse_limit, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm

@@ -15,7 +15,7 @@ from random_stops import exact_density, random_stops
 from averaging.exact import Exact
 from fpk.answer.density import Density
 from fpk.answer.dynamics import upcrossings
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.numeric.arrays import Array
 from fpk.system.contact import Contact
 from fpk.system.system import System

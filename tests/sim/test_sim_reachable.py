@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import gammaincc
 
-from fpk.answer.limit import parse_limit
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import REST, parse_start
+from fpk.answer.names import REST, parse_limit, parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.contact import Contact
 from fpk.system.system import System

@@ -11,7 +11,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.stats import chi2
 from sim_systems import exact, fig6, linear, mixed, report_of
 
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.answer.quantities import Number
 from fpk.answer.sampled_density import SampledDensity
 from fpk.system.damping import DampingTerm

@@ -10,7 +10,7 @@ from sim_systems import exact, linear
 from cases.comparison.routes import method_for
 from fpk.answer.dynamics import Curve
 from fpk.answer.method import silent
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.system.contact import Contact
 from fpk.system.linear import drift_matrix, stationary_covariance
 from fpk.system.system import System

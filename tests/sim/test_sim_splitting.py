@@ -14,8 +14,7 @@ from sim_systems import exact, fig6, mixed
 
 import sim.questions.splitting.run as splitting_run
 from fpk import Contact, DampingTerm, System
-from fpk.answer.limit import parse_limit
-from fpk.answer.start import REST, Start, parse_start
+from fpk.answer.names import REST, Start, parse_limit, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.linear import natural_modes
 from sim.questions.averaged.square_root import SquareRootForm

@@ -14,11 +14,9 @@ from averaging.phase_space.method import PhaseSpace
 from cases.comparison.averaged import AveragedSimulation
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.evolution import Passage
-from fpk.answer.limit import Limit, parse_limit
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import REST, Limit, Start, parse_limit, parse_observable, parse_start
 from fpk.answer.quantities import Number
-from fpk.answer.start import REST, Start, parse_start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.contact import Contact
@@ -79,7 +77,7 @@ def drawn(number: int) -> Drawn:
     value = (mean if of_energy else size) * 10.0 ** r.uniform(-0.5, 0.5)
     value = value if near else 10.0 ** r.uniform(-3.0, 3.0)
     share, begins = r.uniform(0.5, 0.99), r.random() < 0.25
-    start = Start()
+    start = REST
     if begins and of_energy:
         start = Start("energy", {"H": share * value})
     elif begins:

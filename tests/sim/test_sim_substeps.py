@@ -12,7 +12,7 @@ from test_sim_schemes import contact
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.method import Identity
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
 from fpk.system.linear import diffusion_matrix, drift_matrix

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from fpk.answer.observable import parse_observable
+from fpk.answer.names import parse_observable
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
 from sim import MonteCarlo

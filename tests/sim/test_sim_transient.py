@@ -10,8 +10,7 @@ from sim_systems import exact, fig6, linear
 from cases.comparison.routes import method_for
 from fpk.answer.evolution import Transient
 from fpk.answer.method import silent
-from fpk.answer.observable import parse_observable
-from fpk.answer.start import parse_start
+from fpk.answer.names import parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System

@@ -7,7 +7,7 @@ import pytest
 from sim_systems import fig6, linear
 
 from fpk.answer.dynamics import Curve
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.numeric.errors import InvalidInput
 from fpk.system.contact import Contact
 from fpk.system.system import System

@@ -16,7 +16,7 @@ from fpk.answer.certificate import Measured, outside
 from fpk.answer.density import Density, certified_density
 from fpk.answer.dynamics import Rates
 from fpk.answer.evolution import LARGEST_ERROR, Passage, Transient, checked_times
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable

@@ -21,7 +21,7 @@ from averaging.phase_space.equation.elimination import Expansion, cost
 from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.marginals import SPAN, marginal, moments
 from averaging.phase_space.refinement import ROUND_OFF, Ladder, Options, falling, kept, ladders
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import Array, Complexes
 from fpk.numeric.quadrature import gauss_grid
 

@@ -17,7 +17,7 @@ from averaging.phase_space.equation.degrees import combined
 from averaging.phase_space.equation.elimination import Expansion, factored
 from averaging.phase_space.krylov import EVERY, RESIDUAL, VECTORS, krylov
 from averaging.phase_space.marginals import form_of, moments
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.numeric.arrays import EPS, Array, Complexes
 
 CONVERGED = 1e-8

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fpk.answer.observable import Coordinate
+from fpk.answer.names import Coordinate
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable
 from fpk.system.equivalent import equivalent_temperature

@@ -23,7 +23,7 @@ from cases.output.pictures.style import (
 )
 from fpk.answer.density import AnyDensity
 from fpk.answer.method import Route
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import Observable, observable_name
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
 

@@ -15,7 +15,7 @@ from cases.comparison.answers import Answers
 from cases.scene.units import NO_UNITS, Units, bracketed
 from fpk.answer.density import Density
 from fpk.answer.method import Route
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
 

@@ -27,11 +27,9 @@ from cases.studies.sweep.result import SweepPoint, Value
 from fpk.answer.density import AnyDensity
 from fpk.answer.dynamics import Curve, Rates
 from fpk.answer.evolution import Passage
-from fpk.answer.limit import parse_limit
 from fpk.answer.method import Method, silent
-from fpk.answer.observable import Observable, observable_name
+from fpk.answer.names import REST, Observable, observable_name, parse_limit
 from fpk.answer.quantities import Number
-from fpk.answer.start import REST
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo

@@ -22,7 +22,7 @@ from cases.studies.sweep.answering import REFERENCE_TOL, SIMULATION, sweep_point
 from cases.studies.sweep.grid import parse_axes, place_words
 from cases.studies.sweep.result import PointStore, Sweep, SweepPoint
 from fpk.answer.method import Method, Progress, silent
-from fpk.answer.observable import observable_name
+from fpk.answer.names import observable_name
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.machine import usable_cores
 from fpk.numeric.recognition import canonical

@@ -13,7 +13,7 @@ from numpy.random import Generator
 from fpk.answer.bins import BinAxis
 from fpk.answer.evolution import Passage, Transient
 from fpk.answer.method import Progress, silent
-from fpk.answer.observable import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.answer.question import Asked
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags, Integers

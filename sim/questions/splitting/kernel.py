@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fpk.answer.limit import Limit
-from fpk.answer.observable import Coordinate
-from fpk.answer.start import Start
+from fpk.answer.names import Coordinate, Limit, Start
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import cached_njit, inlined
 from fpk.system.compiled_laws import of_law

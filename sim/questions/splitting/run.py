@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from fpk.answer.limit import Limit
 from fpk.answer.method import Progress, silent
-from fpk.answer.start import Start
+from fpk.answer.names import Limit, Start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.numeric.machine import usable_cores, working_time

@@ -20,7 +20,7 @@ from scipy.special import roots_jacobi
 
 from fpk.answer.certificate import certify
 from fpk.answer.evolution import LARGEST_ERROR, NO_NOISE_YET, Transient
-from fpk.answer.observable import number_text
+from fpk.answer.names import number_text
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.line.time.elements import SAFETY, Elements, Evolved, Pair, Settings

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from fpk.answer.certificate import Certificate, Measured, certify
-from fpk.answer.observable import number_text
+from fpk.answer.names import number_text
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput
 from fpk.solvers.line.elements import ENRICHMENT

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import LinearOperator, aslinearoperator, eigs
 
 from fpk.answer.dynamics import Rates, certified_rates
 from fpk.answer.evolution import BEYOND_RANGE, Passage, certified_passage
-from fpk.answer.observable import number_text
+from fpk.answer.names import number_text
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotCertified

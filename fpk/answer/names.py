@@ -1,0 +1,227 @@
+"""Names that users write: observables q1..qn, p1..pn, H, H1..Hn and pairs, limits and starts.
+
+This file imports no numerical library at its top: the command line reads it for its help.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, isfinite
+from typing import TYPE_CHECKING, Any, Literal
+
+from fpk.numeric.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from fpk.numeric.arrays import Array
+    from fpk.system.system import System
+
+LEAST = 1e-100
+"""Least limit: of a smaller one the square of the mean time leaves the range of double precision
+in units not far from it."""
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One observed quantity: displacement, momentum, energy (index None) or modal energy.
+
+    ``index`` counts from 0 inside; the name that users write and read counts from 1.
+    """
+
+    kind: Literal["q", "p", "H"]
+    index: int | None = None
+
+    @property
+    def row(self) -> int:
+        """The index of a coordinate that has one: all but the total energy H."""
+        assert self.index is not None
+        return self.index
+
+    def __str__(self) -> str:
+        """Return the user's name, such as ``q2``."""
+        return self.kind if self.index is None else f"{self.kind}{self.index + 1}"
+
+
+Observable = tuple[Coordinate, ...]
+"""One coordinate, or two for a joint density."""
+
+Level = tuple[Observable, float]
+"""A level of one coordinate."""
+
+
+def parse_observable(text: str, n: int) -> Observable:
+    """Return the observable that ``text`` names in a system of ``n`` masses.
+
+    Raises ``InvalidInput`` for an unknown name, an index beyond ``n``, or a coordinate named twice.
+    """
+    remedy = f"is not an observable; use q1..q{n}, p1..p{n}, H, H1..H{n}, or two of them as a,b"
+    coordinates = []
+    for part in text.split(","):
+        match = re.fullmatch(r"([qp](?=\d)|H)([1-9][0-9]{0,3})?", part.strip(), flags=re.ASCII)
+        index = int(match[2]) - 1 if match and match[2] else None
+        if match is None or (index is not None and index >= n):
+            raise InvalidInput("observable", text, remedy)
+        coordinates.append(Coordinate(match[1], index))  # type: ignore[arg-type]
+    if not 1 <= len(coordinates) <= 2 or len(set(coordinates)) != len(coordinates):
+        raise InvalidInput("observable", text, remedy)
+    return tuple(coordinates)
+
+
+def observable_name(observable: Observable) -> str:
+    """Return the name that a user writes, such as ``q2,p2``."""
+    return ",".join(map(str, observable))
+
+
+def displacement_row(observable: Observable) -> int:
+    """Return the index from 0 of the mass whose displacement is observed, else ``InvalidInput``."""
+    require_observables([observable])
+    if len(observable) != 1 or observable[0].kind != "q":
+        words = "is not a displacement; use q1, q2, ..."
+        raise InvalidInput("observable", observable_name(observable), words)
+    return observable[0].row
+
+
+def require_observables(observables: Sequence[Any]) -> None:
+    """Raise ``InvalidInput`` for what is no observable: a name has to be parsed first."""
+    for observable in observables:
+        parsed = isinstance(observable, tuple) and len(observable) in (1, 2)
+        if not parsed or not all(isinstance(c, Coordinate) for c in observable):
+            words = 'is not parsed; use parse_observable("q2", system.n)'
+            raise InvalidInput("observable", observable, words)
+
+
+def number_text(value: float) -> str:
+    """Return the shortest text that reads as ``value`` again, whole numbers without a point."""
+    return repr(float(value)).removesuffix(".0")
+
+
+def parse_numbers(
+    key: str, text: str, kinds: Iterable[tuple[str, Sequence[str], int]], remedy: str
+) -> tuple[str, dict[str, float]]:
+    """Return the kind and the numbers that ``text`` gives by name, as ``a=1,b=2``, each once.
+
+    The first of ``kinds``, (name, names of its numbers, how many it needs), with all names given is
+    the kind. Raises ``InvalidInput`` of ``key`` without such a kind or finite numbers.
+    """
+    values: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, number = (word.strip() for word in part.partition("="))
+        try:
+            value = float(number)
+        except ValueError:
+            value = inf
+        if name in values or not isfinite(value):
+            raise InvalidInput(key, text, remedy)
+        values[name] = value
+    for kind, names, needed in kinds:
+        if values.keys() <= {*names} and len(values) >= needed:
+            return kind, values
+    raise InvalidInput(key, text, remedy)
+
+
+@dataclass(frozen=True)
+class Named:
+    """Numbers by the names of what they are of, and the ``kind`` of these names."""
+
+    kind: str
+    values: Mapping[str, float]
+
+    def __str__(self) -> str:
+        """Return the name that a user writes."""
+        return ",".join(f"{k}={number_text(v)}" for k, v in self.values.items()) or "rest"
+
+
+class Limit(Named):
+    """The end of safe operation: the first time at which one of ``values`` is passed.
+
+    ``kind`` is "H" (the energy; of the modes alone, the sum of theirs), "modal" (energies H1..,
+    any of those named) or "q" (|q_i| of one displacement).
+    """
+
+    @property
+    def value(self) -> float:
+        """The limit, where there is one."""
+        (value,) = self.values.values()
+        return value
+
+    def observable(self, n: int) -> Observable:
+        """Return what has the limit, where there is one."""
+        (name,) = self.values
+        return parse_observable(name, n)
+
+
+def parse_limit(text: str, n: int) -> Limit:
+    """Return the limit that ``text`` names in a system of ``n`` masses.
+
+    Of the energy, of modal energies (whichever is passed first), of a displacement::
+
+        parse_limit("H=1.5", 2), parse_limit("H1=0.4,H2=0.6", 2), parse_limit("q2=1.2", 2)
+
+    Raises ``InvalidInput`` for an unknown name, several limits that are not modal energies, or one
+    that is not a finite number of at least ``LEAST``.
+    """
+    kinds = [("modal", [f"H{i + 1}" for i in range(n)], 1), ("H", ["H"], 1)]
+    kinds += [("q", [f"q{i + 1}"], 1) for i in range(n)]
+    remedy = "use H=1.5, H1=0.4 or H1=0.4,H2=0.6 (whichever is passed first), or q2=1.2 for |q2|"
+    limit = Limit(*parse_numbers("limit", text, kinds, remedy))
+    if min(limit.values.values()) < LEAST:
+        raise InvalidInput("limit", text, f"must be > 0, {LEAST:g} at least")
+    return limit
+
+
+class Start(Named):
+    """The state at time 0, where a motion begins.
+
+    ``values`` are of ``kind`` "state" displacements q1.. and momenta p1.. (those left out are 0, so
+    that no name at all is rest), of "energy" H, of "modal" all modal energies H1.., of "noise" the
+    factor ``noise`` on D under which the state is stationary at 0.
+    """
+
+    @property
+    def rest(self) -> bool:
+        """Whether nothing moves or is stretched, as of what is stationary without noise."""
+        return not any(self.values.values())
+
+    def state(self, n: int) -> "tuple[Array, Array]":
+        """Return q and p (n,) each, of the kind "state"."""
+        import numpy as np  # noqa: PLC0415  (see above)
+
+        q, p = (np.array([self.values.get(f"{k}{i + 1}", 0.0) for i in range(n)]) for k in "qp")
+        return q, p
+
+
+REST = Start("state", {})
+
+
+def parse_start(text: str, system: "System") -> Start:
+    """Return the start that ``text`` names in ``system``.
+
+    At rest, at an energy, stationary under half the noise, at a state::
+
+        parse_start("rest", system), parse_start("H=0.3", system), parse_start("noise=0.5", system)
+        parse_start("q1=0.2,p1=0.1", system)
+
+    Raises ``InvalidInput`` for an unknown name, a mixture of kinds, a number that is not finite, an
+    energy or a factor below 0, modal energies that are not all there, or a stationary state where
+    the motion escapes.
+    """
+    from fpk.system.escape import escape  # noqa: PLC0415  (see above)
+
+    if text.strip() == "rest":
+        return REST
+    q, p, modal = ([f"{kind}{i + 1}" for i in range(system.n)] for kind in "qpH")
+    kinds = ("state", q + p, 1), ("energy", ["H"], 1), ("modal", modal, system.n)
+    start = Start(
+        *parse_numbers(
+            "start",
+            text,
+            (*kinds, ("noise", ["noise"], 1)),
+            "use rest, H=0.3, modal energies H1=0.1,H2=0.2, a state q1=0.2,p1=0.1,.. (what is left "
+            "out is 0), or noise=0.5 for the stationary state under that multiple of the noise "
+            "intensity",
+        )
+    )
+    if start.kind != "state" and min(start.values.values()) < 0.0:
+        raise InvalidInput("start", text, "must not be negative")
+    if start.kind == "noise" and not start.rest and (reason := system.fact(escape)):
+        raise InvalidInput("start", text, f"there is no stationary state: {reason}")
+    return start
