@@ -14,8 +14,7 @@ from averaging.theory import Theory
 from averaging.time import TOL, settled_energies
 from fpk.answer.contacts import CLEARANCE_RULE
 from fpk.answer.density import Density
-from fpk.answer.dynamics import Curve, Rates, certified_curve, upcrossings
-from fpk.answer.evolution import Passage, Transient
+from fpk.answer.dynamics import Curve, Passage, Rates, Transient, certified_curve, upcrossings
 from fpk.answer.method import Plan, Progress, Result
 from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.question import QUESTIONS, Asked, answer

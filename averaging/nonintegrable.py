@@ -18,8 +18,7 @@ from averaging.theory import EnergyTheory, energy_only_refusal
 from averaging.time import limited_modes, settled_energies, state_transient
 from averaging.weyl import StateDensity, tabulated
 from averaging.zero_flux import solved_energies
-from fpk.answer.dynamics import Rates
-from fpk.answer.evolution import Passage, Transient, checked_times
+from fpk.answer.dynamics import Passage, Rates, Transient, checked_times
 from fpk.answer.names import Coordinate
 from fpk.answer.question import Asked, answer
 from fpk.numeric.errors import NotApplicable

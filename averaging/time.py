@@ -19,7 +19,7 @@ from averaging.conditional import Conditional
 from averaging.modal.analysis import ModalAnalysis
 from averaging.weyl import weyl_integral
 from fpk.answer.certificate import certify
-from fpk.answer.evolution import Transient
+from fpk.answer.dynamics import Transient
 from fpk.answer.names import Limit, Observable, number_text, observable_name
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array

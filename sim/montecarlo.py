@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from fpk.answer.dynamics import Curve
-from fpk.answer.evolution import Passage, Transient
+from fpk.answer.dynamics import Curve, Passage, Transient
 from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register
 from fpk.answer.names import Observable
 from fpk.answer.question import Asked, answer

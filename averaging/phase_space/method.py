@@ -21,8 +21,7 @@ from averaging.phase_space.passage.first_passage import first_passage
 from averaging.phase_space.refinement import MEMORY, Ladder, Options, better, ladder_of, ladders
 from averaging.theory import Theory
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.dynamics import Curve, Rates, certified_curve
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Curve, Passage, Rates, certified_curve
 from fpk.answer.method import Plan, Progress, Result, silent
 from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.question import Asked, answer

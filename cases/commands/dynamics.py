@@ -170,7 +170,7 @@ def _times(text: str | None) -> Any:
     import numpy as np
 
     from cases.scene.points import parse_points
-    from fpk.answer.evolution import checked_times
+    from fpk.answer.dynamics import checked_times
 
     if text is None:
         return np.zeros(0)

@@ -13,7 +13,7 @@ from cases.comparison.attempts import Attempts, Budget
 from cases.comparison.in_time import Given, Replies, failure_of
 from cases.comparison.rare import SPLITTING, split_passage, splitting_of
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Passage
 from fpk.answer.method import Method, Progress, silent
 from fpk.answer.question import QUESTIONS
 from fpk.numeric.arrays import Array

@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from cases.scene.expect import Theory
-from fpk.answer.evolution import Passage, Transient, checked_times
+from fpk.answer.dynamics import Passage, Transient, checked_times
 from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register
 from fpk.answer.names import Coordinate, Limit, Observable, Start, observable_name
 from fpk.answer.question import Asked, answer

@@ -25,7 +25,7 @@ from cases.comparison.compare import (
     what_is_measured,
 )
 from cases.scene.questions import Question
-from fpk.answer.evolution import LARGEST_ERROR, Passage, Transient
+from fpk.answer.dynamics import LARGEST_ERROR, Passage, Transient
 from fpk.answer.method import Route
 from fpk.numeric.arrays import Array
 from sim.sample.diagnostics import FALSE_ALARMS

@@ -10,7 +10,7 @@ from averaging.energy_process import energy_process
 from cases.scene.questions import PassageQuestion
 from cases.written import bound
 from fpk.answer.certificate import Measured, certify, tolerance
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Passage
 from fpk.answer.method import Progress, Route
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array

@@ -15,7 +15,7 @@ from cases.output.words import stationary_note
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import NO_UNITS, Units
 from cases.written import SCHEMA
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Passage
 from fpk.answer.method import Result, Route
 from fpk.answer.names import observable_name
 from sim.sample.diagnostics import Report

@@ -27,7 +27,7 @@ from cases.output.pictures.style import (
 from cases.output.records import Record
 from cases.output.slider_model import slider_model, slider_series
 from cases.scene.questions import TransientQuestion
-from fpk.answer.evolution import Passage, Transient
+from fpk.answer.dynamics import Passage, Transient
 from fpk.answer.names import Observable, observable_name
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array

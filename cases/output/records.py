@@ -13,8 +13,7 @@ from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
 from cases.written import bound
 from fpk.answer.certificate import Certificate
-from fpk.answer.dynamics import Curve, Rates
-from fpk.answer.evolution import Passage, Transient
+from fpk.answer.dynamics import Curve, Passage, Rates, Transient
 from fpk.answer.method import Method
 from fpk.answer.question import QUESTIONS, Question
 from fpk.numeric.arrays import Array

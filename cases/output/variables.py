@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cases.comparison.in_time import Replies, failure_of
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import Units, attribute
-from fpk.answer.evolution import Transient
+from fpk.answer.dynamics import Transient
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 

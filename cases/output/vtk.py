@@ -13,7 +13,7 @@ from cases.comparison.stationary import Outcome
 from cases.output.fields import attributes_of, curve_numbers, variable_name
 from cases.output.files import write_by
 from cases.scene.units import attribute, bracketed
-from fpk.answer.evolution import Transient
+from fpk.answer.dynamics import Transient
 from fpk.answer.field import field_of
 from fpk.answer.names import Observable, observable_name
 from fpk.numeric.arrays import Array

@@ -9,7 +9,7 @@ import numpy as np
 
 from cases.scene.errors import refused_as
 from cases.scene.expect import Range, Theory, range_of
-from fpk.answer.evolution import checked_times
+from fpk.answer.dynamics import checked_times
 from fpk.answer.names import (
     REST,
     Limit,

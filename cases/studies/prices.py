@@ -16,7 +16,7 @@ import numpy as np
 from cases.comparison.routes import listed_routes
 from cases.scene.questions import PassageQuestion
 from cases.studies.levels import Level, timed_first, timing
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Passage
 from fpk.answer.method import Progress, silent
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array

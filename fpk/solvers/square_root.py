@@ -10,15 +10,16 @@ import numpy as np
 from scipy.special import gammaln, ive, xlogy
 
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.dynamics import Rates, certified_rates
-from fpk.answer.evolution import (
+from fpk.answer.dynamics import (
     BEYOND_RANGE,
     NO_NOISE_YET,
     STARTS,
     Passage,
+    Rates,
     StartCurve,
     Transient,
     certified_passage,
+    certified_rates,
 )
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes

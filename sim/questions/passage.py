@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from fpk.answer.certificate import Measured, certify, tolerance
-from fpk.answer.evolution import Passage, checked_times
+from fpk.answer.dynamics import Passage, checked_times
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import Array, Flags

@@ -9,7 +9,7 @@ import numpy as np
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Measured, certify, outside, tolerance, worst
-from fpk.answer.evolution import Transient, checked_times
+from fpk.answer.dynamics import Transient, checked_times
 from fpk.answer.names import Observable
 from fpk.answer.question import Asked
 from fpk.answer.sampled_density import SampledDensity

@@ -15,7 +15,7 @@ from averaging.phase_space.passage.mesh import (
     oscillator_of,
 )
 from fpk import Contact, System
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Passage
 from fpk.answer.method import silent
 from fpk.answer.names import parse_limit, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified

@@ -8,8 +8,7 @@ import pytest
 
 from cases.comparison.routes import listed_routes, method_for
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.dynamics import Curve
-from fpk.answer.evolution import Transient
+from fpk.answer.dynamics import Curve, Transient
 from fpk.answer.method import ROUTES
 from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact

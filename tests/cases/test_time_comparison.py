@@ -22,7 +22,7 @@ from cases.output.text import rendered
 from cases.output.vtk import write_time_pvd
 from cases.scene.scene import load_scene
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.evolution import Passage, Transient
+from fpk.answer.dynamics import Passage, Transient
 from fpk.answer.method import ROUTES, Method, silent
 from fpk.answer.names import REST, parse_limit
 from fpk.answer.quantities import Number

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Passage
 from fpk.answer.method import silent
 from fpk.answer.names import parse_limit, parse_start
 from fpk.answer.question import Asked

@@ -9,7 +9,7 @@ from sim_systems import fig6, linear
 from test_sim_passage import CIR_MEAN, CIR_RATE, oscillator
 
 from cases.comparison.averaged import AveragedSimulation
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Passage
 from fpk.answer.method import silent
 from fpk.answer.names import parse_limit, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable

@@ -10,7 +10,7 @@ from test_sim_passage import oscillator
 
 from cases.comparison.averaged import AveragedSimulation
 from cases.comparison.routes import method_for
-from fpk.answer.evolution import Transient
+from fpk.answer.dynamics import Transient
 from fpk.answer.method import silent
 from fpk.answer.names import parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import kstest
 from sim_systems import estimated, exact, fig6, linear
 
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Passage
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate, parse_limit, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable

@@ -13,7 +13,7 @@ from averaging.gaussian import Linear
 from averaging.phase_space.method import PhaseSpace
 from cases.comparison.averaged import AveragedSimulation
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Passage
 from fpk.answer.method import silent
 from fpk.answer.names import REST, Limit, Start, parse_limit, parse_observable, parse_start
 from fpk.answer.quantities import Number

@@ -8,7 +8,7 @@ from scipy.stats import norm
 from sim_systems import exact, fig6, linear
 
 from cases.comparison.routes import method_for
-from fpk.answer.evolution import Transient
+from fpk.answer.dynamics import Transient
 from fpk.answer.method import silent
 from fpk.answer.names import parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput

@@ -21,8 +21,14 @@ from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import fourier_sum, product_of
 from averaging.time import limited_modes, observed_modes
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.dynamics import Rates, certified_rates
-from fpk.answer.evolution import Passage, Transient, certified_passage, checked_times
+from fpk.answer.dynamics import (
+    Passage,
+    Rates,
+    Transient,
+    certified_passage,
+    certified_rates,
+    checked_times,
+)
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array

@@ -14,8 +14,7 @@ from averaging.modal.characteristic import state_density
 from averaging.time import EnergyStart, limited_modes, observed_modes
 from fpk.answer.certificate import Measured, outside
 from fpk.answer.density import Density, certified_density
-from fpk.answer.dynamics import Rates
-from fpk.answer.evolution import LARGEST_ERROR, Passage, Transient, checked_times
+from fpk.answer.dynamics import LARGEST_ERROR, Passage, Rates, Transient, checked_times
 from fpk.answer.names import Coordinate
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array

@@ -13,7 +13,7 @@ from averaging.phase_space.passage.mesh import (
     oscillator_of,
 )
 from fpk.answer.certificate import tolerance
-from fpk.answer.evolution import Passage, certified_passage, checked_times
+from fpk.answer.dynamics import Passage, certified_passage, checked_times
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import EPS, ROUND_OFF, ROUNDINGS, Array
@@ -45,7 +45,7 @@ def first_passage(asked: Asked) -> Passage:
     """Return the first passage that is asked for, with the reliability at its times.
 
     Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,
-    absolute in the reliability. Raises as ``fpk.answer.evolution`` says.
+    absolute in the reliability. Raises as ``fpk.answer.dynamics`` says.
     """
     times, o = checked_times(asked.times), oscillator_of(asked.system)
     limit, start = asked.limit, asked.start

@@ -24,7 +24,7 @@ from cases.output.pictures.style import (
     words_of,
 )
 from cases.scene.questions import PassageQuestion, TransientQuestion
-from fpk.answer.evolution import Passage, Transient
+from fpk.answer.dynamics import Passage, Transient
 from fpk.answer.method import Route
 from fpk.numeric.arrays import Array
 

@@ -25,8 +25,7 @@ from cases.scene.questions import PassageQuestion
 from cases.studies.simulation import best_answer, deterministic
 from cases.studies.sweep.result import SweepPoint, Value
 from fpk.answer.density import AnyDensity
-from fpk.answer.dynamics import Curve, Rates
-from fpk.answer.evolution import Passage
+from fpk.answer.dynamics import Curve, Passage, Rates
 from fpk.answer.method import Method, silent
 from fpk.answer.names import REST, Observable, observable_name, parse_limit
 from fpk.answer.quantities import Number

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.random import Generator
 
 from fpk.answer.bins import BinAxis
-from fpk.answer.evolution import Passage, Transient
+from fpk.answer.dynamics import Passage, Transient
 from fpk.answer.method import Progress, silent
 from fpk.answer.names import Coordinate, Observable
 from fpk.answer.question import Asked

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 from scipy.special import roots_jacobi
 
 from fpk.answer.certificate import certify
-from fpk.answer.evolution import LARGEST_ERROR, NO_NOISE_YET, Transient
+from fpk.answer.dynamics import LARGEST_ERROR, NO_NOISE_YET, Transient
 from fpk.answer.names import number_text
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable

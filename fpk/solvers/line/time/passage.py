@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fpk.answer.evolution import BEYOND_RANGE, STARTS, Passage, StartCurve, certified_passage
+from fpk.answer.dynamics import BEYOND_RANGE, STARTS, Passage, StartCurve, certified_passage
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable

@@ -11,8 +11,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, eigs
 
-from fpk.answer.dynamics import Rates, certified_rates
-from fpk.answer.evolution import BEYOND_RANGE, Passage, certified_passage
+from fpk.answer.dynamics import BEYOND_RANGE, Passage, Rates, certified_passage, certified_rates
 from fpk.answer.names import number_text
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes

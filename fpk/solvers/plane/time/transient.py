@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.evolution import LARGEST_ERROR, Transient
+from fpk.answer.dynamics import LARGEST_ERROR, Transient
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array
 from fpk.numeric.quadrature import gauss_grid, panel_rule
 from fpk.solvers.plane.elements import Nodes, factorised
