@@ -25,7 +25,7 @@ from cases.scene import schema
 from cases.studies import converge_page, cost_page, levels, orders
 from cases.studies.orders import grid_convergence
 from cases.studies.sweep import answering as sweep_answering
-from fpk.answer import bins, contacts, field
+from fpk.answer import bins, contacts, quantities
 from fpk.numeric.errors import InvalidInput
 from fpk.solvers.line.time.resolvent import SPREAD
 from fpk.system import damping
@@ -160,8 +160,8 @@ CONSTANTS = {
         f"judged by an L1 error of {short(theory.DEFAULT)}, of systems with",
         f"stops on more than two masses by {short(theory.DEFAULT_BY_LINES)}.",
         f"solved to {short(sweep_answering.REFERENCE_TOL)}",
-        f"within {short(field.SUBDIVISION)} of the largest density",
-        f"is at least {short(field.CUT)} of its maximum",
+        f"within {short(quantities.SUBDIVISION)} of the largest density",
+        f"is at least {short(quantities.CUT)} of its maximum",
     ),
     "cluster.md": (f"Every {workers.INTERVAL:g} seconds of a simulation",),
     "faq.md": (f"gives it to {short(phase_space.UNASKED_TOL)} or better",),

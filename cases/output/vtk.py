@@ -14,8 +14,8 @@ from cases.output.fields import attributes_of, curve_numbers, variable_name
 from cases.output.files import write_by
 from cases.scene.units import attribute, bracketed
 from fpk.answer.dynamics import Transient
-from fpk.answer.field import field_of
 from fpk.answer.names import Observable, observable_name
+from fpk.answer.quantities import field_of
 from fpk.numeric.arrays import Array
 from fpk.system.system import System
 

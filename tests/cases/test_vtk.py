@@ -14,8 +14,8 @@ from cases.output.vtk import write_vtu
 from cases.scene.scene import load_scene
 from fpk.answer.certificate import Certificate
 from fpk.answer.density import Density
-from fpk.answer.field import CUT, SUBDIVISION, field_of
 from fpk.answer.names import parse_observable
+from fpk.answer.quantities import CUT, SUBDIVISION, field_of
 
 FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
 
