@@ -102,37 +102,27 @@ class Quantities(ABC):
 
     def std(self) -> Number:
         """Return the standard deviation, √E (X − E X)²."""
-        return self._of_moments(lambda m: np.sqrt(m[1] - m[0] ** 2))
+        return self._of_moments(lambda m: np.sqrt(m[1]))
 
     def variance(self) -> Number:
         """Return E (X − E X)²."""
-        return self._of_moments(lambda m: m[1] - m[0] ** 2)
+        return self._of_moments(lambda m: m[1])
 
     def skewness(self) -> Number:
         """Return E (X − E X)³ over the cube of the standard deviation, 0 of a symmetric density."""
-        return self._of_moments(
-            lambda m: (m[2] - 3.0 * m[0] * m[1] + 2.0 * m[0] ** 3) / (m[1] - m[0] ** 2) ** 1.5
-        )
+        return self._of_moments(lambda m: (m[2] - 3.0 * m[0] * m[1]) / m[1] ** 1.5)
 
     def kurtosis(self) -> Number:
         """Return E (X − E X)⁴ over the square of the variance: 3 of a Gaussian."""
-        return self._of_moments(
-            lambda m: (
-                (m[3] - 4.0 * m[0] * m[2] + 6.0 * m[0] ** 2 * m[1] - 3.0 * m[0] ** 4)
-                / (m[1] - m[0] ** 2) ** 2
-            )
-        )
+        return self._of_moments(lambda m: (m[3] - 4.0 * m[0] * m[2]) / m[1] ** 2)
 
     def covariance(self) -> Number:
         """Return E (X − E X)(Y − E Y) of a joint density."""
-        return self._of_moments(lambda m: m[3] - m[0] * m[1], pair=True)
+        return self._of_moments(lambda m: m[3], pair=True)
 
     def correlation(self) -> Number:
         """Return the covariance over both standard deviations, from −1 to 1 but for its error."""
-        return self._of_moments(
-            lambda m: (m[3] - m[0] * m[1]) / np.sqrt((m[2] - m[0] ** 2) * (m[4] - m[1] ** 2)),
-            pair=True,
-        )
+        return self._of_moments(lambda m: m[3] / np.sqrt(m[2] * m[4]), pair=True)
 
     def cdf(self, x: float) -> Number:
         """Return P(X <= x). Raises ``InvalidInput`` unless x is a number."""
@@ -197,7 +187,10 @@ class Quantities(ABC):
     def _of_moments(
         self, function: Callable[[Complexes], Any], *, pair: bool = False, central: bool = True
     ) -> Number:
-        """A ``function`` of the first four moments, of a pair five, about the mean or about 0."""
+        """A ``function`` of the first four moments, of a pair five, about the mean or about 0.
+
+        Of moments about the mean it is right to the first order in those that then are 0.
+        """
         if not pair:
             self._axis()
         elif len(self.panels) != 2:

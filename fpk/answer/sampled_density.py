@@ -125,23 +125,22 @@ class SampledDensity(Quantities):
         )
 
     @cached_property
-    def samples_per_visit(self) -> float:
-        """Samples in an excursion: variance over mean in a cell that not all batches visited."""
+    def visit(self) -> float:
+        """Share of the samples that come together in one excursion, 0 where it is not known.
+
+        Their number is variance over mean in a cell that not all batches visited, at least 1.
+        """
         if not self.samples > 0.0:
-            return 1.0
+            return 0.0
         few = self.joined(min(self.values.shape) // 100)  # cells of a hundredth of the axis
         batches = len(few.batch_values)
         held = (few.batch_values * few.areas).reshape(batches, -1) * (self.samples / batches)
         visited = np.count_nonzero(held, axis=0)
         rare = held[:, (visited > 0) & (visited < batches)]
-        if not rare.size:
-            return 1.0
-        return max(1.0, float(rare.var(axis=0, ddof=1).sum() / rare.mean(axis=0).sum()))
-
-    @property
-    def visit(self) -> float:
-        """Share of the samples that come together in one excursion."""
-        return self.samples_per_visit / self.samples if self.samples > 0.0 else 0.0
+        together = (
+            float(rare.var(axis=0, ddof=1).sum() / rare.mean(axis=0).sum()) if rare.size else 1.0
+        )
+        return max(1.0, together) / self.samples
 
     @cached_property
     def fits(self) -> Fits:

@@ -176,7 +176,7 @@ def test_rare_bins_are_worth_their_visits_not_their_samples() -> None:
             Q1, (BinAxis(edges),), counts.sum(axis=0) / (whole * h), 64 * counts / (whole * h),
             PASSED, samples=whole,
         )  # fmt: skip
-        assert 5.0 < sampled.samples_per_visit < 13.0
+        assert 5.0 < sampled.visit * sampled.samples < 13.0
         value, error = sampled.at(x)
         squares.append(((value - norm.pdf(x)) / error) ** 2)
     assert 0.2 < np.mean(squares) < 1.25
