@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 from cases.comparison.answers import Answers, presented
 from cases.comparison.compare import Comparison
 from cases.comparison.routes import all_methods, method_for
-from cases.comparison.stationary import answers_of
+from cases.comparison.stationary import answers_of, joint_at_stops
 from cases.scene.scene import load_scene
-from fpk.answer.contacts import joint_at_stops
 from fpk.answer.density import AnyDensity
 from fpk.answer.method import Method
 from fpk.answer.names import parse_observable

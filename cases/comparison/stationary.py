@@ -14,12 +14,18 @@ from cases.comparison.in_time import Replies
 from cases.scene.questions import Question
 from cases.scene.scene import Scene
 from cases.written import bound
-from fpk.answer.contacts import joint_at_stops
 from fpk.answer.density import Density
 from fpk.answer.method import Method, Plan, Progress, Result, silent
-from fpk.answer.names import Observable, observable_name
+from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.numeric.errors import NotApplicable
 from fpk.system.system import System
+
+
+def joint_at_stops(system: System, observables: Sequence[Observable]) -> list[Observable]:
+    """Return the pairs (q, p), not observed, of masses at stops with q observed: for rates."""
+    touching = [Coordinate("q", i) for i in system.contact_masses]
+    pairs = [(q, Coordinate("p", q.row)) for q in touching if (q,) in observables]
+    return [pair for pair in pairs if pair not in observables]
 
 
 def answers_of(

@@ -1,16 +1,15 @@
-"""Contacts in answers: clearances over the motion, kinks of densities, quantities at stops."""
+"""Contacts in answers: clearances over the motion, and quantities at stops."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from fpk.answer.names import Coordinate, Observable
 from fpk.answer.quantities import Number, Quantities
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact
-from fpk.system.linear import natural_modes, stationary_covariance
+from fpk.system.linear import stationary_covariance
 from fpk.system.system import System
 
 CLEARANCE_RULE = 2.0
@@ -46,25 +45,6 @@ def stop_clearances(system: System) -> tuple[StopClearance, ...]:
     )
 
 
-def kinks_of(system: System, coordinate: Coordinate) -> list[float]:
-    """Return the values, ascending, at which the density of a coordinate may have a kink.
-
-    Of q_i the stops of mass i; of H the least energy to touch each stop, ½ δ²/C_ii and the contact
-    energy of nearer stops, C the compliance; of H_m by mode m alone, ½ (ω_m δ/T_im)².
-    """
-    at = [(stop.index, stop.sign * stop.clearance) for stop in system.stops]
-    kinks: list[float] = []
-    if coordinate.kind == "q":
-        kinks = [x for i, x in at if i == coordinate.row]
-    elif coordinate.kind == "H" and coordinate.index is None:
-        C = system.compliance
-        kinks = [0.5 * x * x / float(C[i, i]) + float(system.contact_energy(i, x)) for i, x in at]
-    elif coordinate.kind == "H":
-        shapes, omega = (x[..., coordinate.row] for x in natural_modes(system))
-        kinks = [0.5 * float(omega * x / shapes[i]) ** 2 for i, x in at if shapes[i] != 0.0]
-    return sorted(set(kinks))
-
-
 def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, Number]:
     """Return numbers of the contact at a one-sided ``stop``, by their names.
 
@@ -96,13 +76,6 @@ def contact_quantity(name: str, stop: Contact, displacement: Quantities) -> Numb
         return overlap if name == "mean overlap" else np.asarray(stop.force(overlap))
 
     return displacement.expectation(value, kinks=(at,))
-
-
-def joint_at_stops(system: System, observables: Sequence[Observable]) -> list[Observable]:
-    """Return the pairs (q, p), not observed, of masses at stops with q observed: for rates."""
-    touching = [Coordinate("q", i) for i in system.contact_masses]
-    pairs = [(q, Coordinate("p", q.row)) for q in touching if (q,) in observables]
-    return [pair for pair in pairs if pair not in observables]
 
 
 def ratio(a: Number, b: Number) -> Number:

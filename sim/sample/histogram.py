@@ -10,11 +10,10 @@ import numpy as np
 
 from fpk.answer.bins import BinAxis, LogReference, no_reference
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.contacts import kinks_of
 from fpk.answer.names import Coordinate, Observable
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import ROUND_OFF, SMALLEST, Array, Integers
-from fpk.system.linear import modal_energies
+from fpk.system.linear import modal_energies, natural_modes
 from fpk.system.system import System, effects_of
 from sim.step.step_size import temperature
 
@@ -87,6 +86,25 @@ def binned(
         edges[-1][-1] = b
     known = tuple(inside)
     return BinAxis(np.concatenate(edges), known, known if widening else (), reference)
+
+
+def kinks_of(system: System, coordinate: Coordinate) -> list[float]:
+    """Return the values, ascending, at which the density of a coordinate may have a kink.
+
+    Of q_i the stops of mass i; of H the least energy to touch each stop, ½ δ²/C_ii and the contact
+    energy of nearer stops, C the compliance; of H_m by mode m alone, ½ (ω_m δ/T_im)².
+    """
+    at = [(stop.index, stop.sign * stop.clearance) for stop in system.stops]
+    kinks: list[float] = []
+    if coordinate.kind == "q":
+        kinks = [x for i, x in at if i == coordinate.row]
+    elif coordinate.kind == "H" and coordinate.index is None:
+        C = system.compliance
+        kinks = [0.5 * x * x / float(C[i, i]) + float(system.contact_energy(i, x)) for i, x in at]
+    elif coordinate.kind == "H":
+        shapes, omega = (x[..., coordinate.row] for x in natural_modes(system))
+        kinks = [0.5 * float(omega * x / shapes[i]) ** 2 for i, x in at if shapes[i] != 0.0]
+    return sorted(set(kinks))
 
 
 def axis_of(
