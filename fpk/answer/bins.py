@@ -75,13 +75,6 @@ class BinAxis:
         """Numbers of the edges at both ends and at the kinks, ascending."""
         return sorted({0, self.edges.size - 1, *np.searchsorted(self.edges, self.kinks).tolist()})
 
-    @property
-    def pieces(self) -> Iterator[tuple[float, float, int, bool]]:
-        """Yield both ends between each two kinks, the number of bins, and whether they widen."""
-        for a, b in pairwise(self.cuts):
-            low, high = self.edges[[a, b]].tolist()
-            yield low, high, b - a, low in self.widening
-
     def number(self, x: Array, bins: Integers) -> Array:
         """Return at ``x`` within ``bins`` a number smooth between kinks, whole at each edge."""
         value = np.empty(x.shape)

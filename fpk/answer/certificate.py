@@ -95,11 +95,14 @@ def worst(values: Iterable[float | None]) -> float | None:
     return float(np.max(given)) if given else None
 
 
-def forbid_nan(answer: Any) -> None:
-    """Certify no ``answer`` with a NaN among its values and errors: its ``__post_init__``."""
-    if missing := int(np.isnan(answer.values).sum() + np.isnan(answer.errors).sum()):
-        words = f"{missing} of the values and errors are not numbers"
-        object.__setattr__(answer, "certificate", answer.certificate.with_failures(words))
+class WithoutNaN:
+    """An answer that is not certified with a NaN among its ``values`` and ``errors``."""
+
+    def __post_init__(self: Any) -> None:
+        """Add the failure to the certificate."""
+        if missing := int(np.isnan(self.values).sum() + np.isnan(self.errors).sum()):
+            words = f"{missing} of the values and errors are not numbers"
+            object.__setattr__(self, "certificate", self.certificate.with_failures(words))
 
 
 def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certificate:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fpk.answer.certificate import Certificate, Measured, certify, forbid_nan, worst
+from fpk.answer.certificate import Certificate, Measured, WithoutNaN, certify, worst
 from fpk.answer.density import RULES, SAFETY, AnyDensity, Density
 from fpk.answer.quantities import ErrorKind, Number
 from fpk.answer.sampled_density import SampledDensity
@@ -26,7 +26,7 @@ L1 error above which nothing is known of a density: its errors are then infinite
 
 
 @dataclass(frozen=True)
-class Curve:
+class Curve(WithoutNaN):
     """Values at the points asked for, and the certificate of all of them.
 
     Each has an estimate of its numerical error, or one standard error of sampling. ::
@@ -41,10 +41,6 @@ class Curve:
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "numerical"
-
-    def __post_init__(self) -> None:
-        """Let no NaN be certified."""
-        forbid_nan(self)
 
 
 @dataclass(frozen=True)
@@ -141,7 +137,7 @@ def checked_times(times: Array, *, positive: bool = False) -> Array:
 
 
 @dataclass(frozen=True)
-class Transient:
+class Transient(WithoutNaN):
     """Densities at several times at the points asked for.
 
     ``values`` and ``errors`` are (times, points); ``error_kind`` says whether an error is an
@@ -159,10 +155,6 @@ class Transient:
     error_kind: ErrorKind
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Let no NaN be certified."""
-        forbid_nan(self)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ probability of 1.4e-11 at most: docs/theory.md, "The step of the simulation".
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from math import ceil, inf, isfinite, log, sqrt
 from typing import Literal
 
@@ -269,7 +270,9 @@ def watched(
     for m, histogram in enumerate(histograms):
         for k, (c, axis) in enumerate(zip(histogram.observable, histogram.bins, strict=True)):
             rows[m, k], bins[m, k], begin = row_of(c), axis.edges.size - 1, len(pieces)
-            for low, high, count, widens in axis.pieces:
+            for first_edge, last_edge in pairwise(axis.cuts):
+                low, high = axis.edges[[first_edge, last_edge]].tolist()
+                widens, count = low in axis.widening, last_edge - first_edge
                 unit = 1.0 if widens else float(count)
                 pieces.append((low, high, count, unit / (high - low), widens))
             piece[m, k] = begin, len(pieces)
