@@ -14,7 +14,7 @@ from scipy.special import beta
 
 from averaging.shell.energy_shell import MOMENTS, EnergyShell, parts_of
 from averaging.shell.laplace import PartitionLines, by_lines
-from averaging.shell.rays import Stops, gauss_rules, ray_integrals
+from averaging.shell.rays import gauss_rules, ray_integrals
 from fpk.numeric.arrays import EPS, Array, Integers
 from fpk.numeric.piecewise import Piecewise, fit
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
@@ -126,11 +126,12 @@ def _along_rays(system: System, energy: Array) -> Array:
         rises = rises / energy[:, None] + 4.0 * EPS * np.array([-1.0, 1.0])[:, None, None]
         beyond = np.diff(np.sqrt(np.maximum(rises, 0.0)), axis=0)[0].sum(axis=1) / pi
         columns[:, 1, :2] += beyond[:, None] * flat / states
-    shifted, most = np.split(sums[:, 3:], 2, axis=1)
-    columns[:, 0, 3:] = (shifted - 2.0 * most) / states
-    # The errors of shifted (at most 3 of most), of 2 most and of T (g is at most most).
-    largest = errors[:, [0, *range(3, errors.shape[1])]].max(axis=1, keepdims=True)
-    columns[:, 1, 3:] = 6.0 * largest * most / states
+    if parts.degrees.size:
+        shifted, most = np.split(sums[:, 3:], 2, axis=1)
+        columns[:, 0, 3:] = (shifted - 2.0 * most) / states
+        # The errors of shifted (at most 3 of most), of 2 most and of T (g is at most most).
+        largest = errors[:, [0, *range(3, errors.shape[1])]].max(axis=1, keepdims=True)
+        columns[:, 1, 3:] = 6.0 * largest * most / states
     return columns
 
 
@@ -142,7 +143,7 @@ def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
     relative, of H T' to T at the least. Rules are refined down to ``TARGET``, or ``TARGETS``.
     """
     shell, parts = system.fact(EnergyShell), system.fact(parts_of)
-    n, c, stops = system.n, len(system.contact_masses), shell.stops
+    n, c = system.n, len(system.contact_masses)
     add_rays = ray_integrals(shell.laws, 2 * n - c - 2 <= 0)
     cuts = _cut_angles(shell, energy) if c == 2 else np.empty((energy.size, 0))
     mirror = system.fact(looks_the_same_mirrored)
@@ -151,15 +152,11 @@ def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
         """The quantities at some energies by some of the ``RULES``, (rules, energies, ·)."""
         which, directions, weights = _rays(cuts[i], RULES[rules[0]], mirror=mirror)
         H = energy[i[which]]
-        reach = directions @ stops.reach.T
-        met = stops.touch < reach * np.sqrt(2.0 * H)[:, None]
-        touch = np.divide(stops.touch, reach, out=np.full(reach.shape, np.inf), where=met)
-        order, ray = touch.argsort(axis=1, kind="stable"), np.arange(len(touch))[:, None]
-        nearest = reach[ray, order], touch[ray, order], *(x[order] for x in stops[2:])
+        nearest = shell.sides if c == 1 else shell.nearest(directions)
         last = len(RULES) if c == 1 else RADIAL_RULE
         radial = gauss_rules(tuple(RULES[min(k, last)] for k in rules))
         out = np.zeros((len(rules), which.size, 3 + len(parts.along)))
-        add_rays(H, c, Stops(*nearest), n, parts.along, *radial, out)
+        add_rays(H, c, nearest, n, parts.along, *radial, out)
         if parts.degrees.size:
             of_degree, odd = parts.of_group @ (parts.of_degree > 0.0), parts.powers % 2
             widest = np.linalg.norm(shell.L, axis=1)

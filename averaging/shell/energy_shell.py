@@ -18,7 +18,7 @@ from averaging.shell.rays import Stops
 from fpk.numeric.arrays import Array, Integers
 from fpk.system.damping import gaussian_moment
 from fpk.system.equivalent import power_given
-from fpk.system.system import System
+from fpk.system.system import System, looks_the_same_mirrored
 
 SAME = 1e-11
 """Relative distance below which two energies are one: mirror images differ by roundings, minima
@@ -59,6 +59,20 @@ class EnergyShell:
             exponent,
             law.astype(int),
         )
+
+    def nearest(self, directions: Array) -> Stops:
+        """The stops (rays, stops) in the order in which rays along ``directions`` meet them."""
+        reach = directions @ self.stops.reach.T
+        touch = np.full(reach.shape, np.inf)
+        np.divide(self.stops.touch, reach, out=touch, where=reach > 0.0)
+        order, ray = touch.argsort(axis=1, kind="stable"), np.arange(len(touch))[:, None]
+        return Stops(reach[ray, order], touch[ray, order], *(x[order] for x in self.stops[2:]))
+
+    @cached_property
+    def sides(self) -> Stops:
+        """The stops of one contact mass on both its sides, or on one where they are alike."""
+        alike = self.system.fact(looks_the_same_mirrored)
+        return self.nearest(np.array([[1.0]] if alike else [[1.0], [-1.0]]))
 
     def potential(self, y: Array) -> Array:
         """V_red at whitened coordinates of shape (..., c)."""

@@ -86,7 +86,8 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         for i in range(energy.size):
             H, scale = energy[i], 1.0 / np.sqrt(energy[i])
             reach, touch, stiffness, exponent, law = stops
-            ray = Stops(reach[i], touch[i], stiffness[i], exponent[i], law[i])
+            m = i % len(reach)  # rays of one contact mass go to its sides in turn
+            ray = Stops(reach[m], touch[m], stiffness[m], exponent[m], law[m])
             for k in range(ray.touch.size + 1):  # stops engaged
                 start = ray.touch[k - 1] if k > 0 else 0.0
                 length = ray.touch[k] - start if k < ray.touch.size else np.inf

@@ -122,7 +122,7 @@ def solve_elements(
     another solver of the same equations.
     """
     rule, left, h = element_rule(degree, process.degrees_of_freedom), nodes[:-1], np.diff(nodes)
-    contact, h = np.flatnonzero(np.isin(left, process.nonsmooth)), h[:, None]
+    contact, h = np.flatnonzero([H in process.nonsmooth for H in left.tolist()]), h[:, None]
     x, points = left[:, None] + h * rule.share, rule.share.size
     inner = left[contact, None] + h[contact] * rule.contact_share
     flat = process.coefficients(np.concatenate([x.ravel(), inner.ravel()]))

@@ -132,8 +132,10 @@ def probed(process: Process) -> Probe:
     with np.errstate(over="ignore", invalid="ignore"):
         c = process.coefficients(energy)
         finite = np.isfinite(log_density_slope(c) * energy) | (FAR_OUT[0] >= GRID)
-        c = Coefficients(*(np.broadcast_to(a, GRID.shape)[finite] for a in c))
-        probe = Probe(energy[finite], *sampled(c))
+        if not finite.all():
+            energy = energy[finite]
+            c = Coefficients(*(np.broadcast_to(a, GRID.shape)[finite] for a in c))
+        probe = Probe(energy, *sampled(c))
         require_falling(probe.energy, c, probe.slope)
     while process.state_damping:
         bulk = np.maximum(probe.log_mass[1:], probe.log_mass[:-1]) > probe.log_mass.max() - DEEP
@@ -163,7 +165,7 @@ def initial_nodes(
     """
     # As many nodes between two ends as ∫rate asks for, in equal shares of it.
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
-    grid = np.linspace(0.0, end, 65)
+    grid = end / 64.0 * np.arange(65.0)
     rate = np.interp(grid, probe.energy, probe.roughness / nats)
     total = np.append(0.0, (0.5 * grid[1] * (rate[1:] + rate[:-1])).cumsum())
     amount = np.interp(ends, grid, total)

@@ -178,11 +178,12 @@ def solve_stationary(
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
         elements = solve_elements(process, nodes, degree)
         solution, marked = _assembled(process, probe, nodes, elements, degree, tol)
-        cut = split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
-        finer = np.unique(np.append(nodes, cut))
-        if not cut.size or marked.size > MOST_ELEMENTS or finer.size < nodes.size + cut.size:
+        if not marked.any() or marked.size > MOST_ELEMENTS:
             break
-        nodes = finer
+        cut = split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
+        before, nodes = nodes, np.unique(np.append(nodes, cut))
+        if nodes.size < before.size + cut.size:
+            break
     return solution
 
 
