@@ -192,15 +192,13 @@ class SquareRoot:
             powers = np.exp(np.multiply.outer(self.c * times, a))
             bound = np.nanmin(powers * (ratio.real * (1.0 + relative)), axis=1)
         later = np.flatnonzero((times > 0.0) & (bound > NEGLIGIBLE))
-        for contour, other in zip(
-            *(contours(times[later], more=k) for k in (MORE, 0)), strict=True
-        ):
-            at, values = later[contour.places], []
-            for c in (other, contour):
-                ratio, relative = self._transform(c.z / self.c, x0, xf)
+        for both in zip(*(contours(times[later], more=k) for k in (0, MORE)), strict=True):
+            at, values = later[both[0][0]], []
+            for _, z, factors in both:
+                ratio, relative = self._transform(z / self.c, x0, xf)
                 with np.errstate(invalid="ignore", over="ignore"):
-                    values.append((c.factors @ (ratio / c.z)).imag)
-                    sizes = np.abs(c.factors) * np.abs(ratio / c.z)
+                    values.append((factors @ (ratio / z)).imag)
+                    sizes = np.abs(factors) * np.abs(ratio / z)
                     error[at] = sizes @ relative + ROUNDINGS * EPS * sizes.sum(axis=1)
             p[at] = values[1]
             error[at] += np.abs(values[1] - values[0])

@@ -4,15 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.sparse import csc_array
 
+from averaging.energy_process import energy_process
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from fpk.answer.method import silent
 from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.time.modulated import steps_of
+from fpk.solvers.line.time.elements import meshed
+from fpk.solvers.line.time.modulated import stepped
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
 from fpk.system.modulation import Modulation
@@ -182,12 +183,15 @@ def test_the_tolerance_that_is_asked_for_is_the_one_that_judges(name, monkeypatc
 
 
 def test_steps_of_nothing_have_no_residual_and_one_that_is_no_number_stays(recwarn):
-    m = (csc_array(np.eye(2)),) * 3
+    process = energy_process(FREE)
+    e, _ = meshed(process, np.linspace(0.0, 4.0 * process.energy_scale, 9), 6)
     always, times = Modulation([0.0], [1.0]), np.array([1.0])
-    for _, _, stages, residual in steps_of(m, np.zeros(2), always, 1.0, times, level=0):
-        assert residual == 0.0 and not stages.any() and not recwarn.list
-    for *_, residual in steps_of(m, np.array([np.nan, 1.0]), always, 1.0, times, level=0):
-        assert np.isnan(residual)
+    nothing = np.zeros(e.load.shape)
+    evolved, _, _, mass = stepped(e, nothing, always, 1.0, times, level=0)
+    assert evolved.residual == 0.0 and not evolved.values.any() and not recwarn.list
+    assert not mass.any()
+    nothing[2, 1] = np.nan
+    assert np.isnan(stepped(e, nothing, always, 1.0, times, level=0)[0].residual)
 
 
 def test_after_the_noise_none_fails():

@@ -6,10 +6,9 @@ M ∂g/∂t = (−e² K + (1 − e²) C) g.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial.legendre import legint, legvander
@@ -58,54 +57,6 @@ def quiet_until(modulation: Modulation, source: Source) -> float:
     return modulation.quiet
 
 
-@lru_cache
-def radau() -> tuple[Array, Array]:
-    """Return the coefficients a_ij and the points c_i of Radau IIA, the last of which is 1."""
-    x = np.append(roots_jacobi(STAGES - 1, 1, 0)[0], 1.0)
-    V = legvander(x, STAGES - 1)
-    A = 0.5 * legvander(x, STAGES) @ legint(np.linalg.inv(V), lbnd=-1.0)
-    return A, 0.5 * (1.0 + x)
-
-
-def steps_of(
-    MKC: tuple[csc_array, ...],
-    load: Array,
-    modulation: Modulation,
-    unit: float,
-    times: Array,
-    *,
-    level: int,
-) -> Iterator[tuple[float, float, Array, float]]:
-    """Yield end and length of each step up to the last of ``times`` > 0, g, and a residual.
-
-    g is at its stages (stages, functions), the residual relative. e² is in units of ``unit``, the
-    reference's. Steps grow like the time, end at the times and at the kinks of e, and there are
-    2^``level`` of them in each of the level 0.
-    """
-    stops = np.unique(np.append(times, modulation.times[modulation.times < times[-1]]))
-    stops = stops[stops > 0.0]
-    first = FIRST * stops[0]
-    grown = first * RATIO ** np.arange(0.0, np.ceil(np.log(stops[-1] / first) / np.log(RATIO)))
-    ends = [0.0]
-    for stop in stops.tolist():
-        inner = grown[(grown > ends[-1] * (1.0 + FIRST)) & (grown < stop * (1.0 - FIRST))]
-        ends += [*inner.tolist(), stop]
-    number, parts = np.arange(len(ends)), 2**level
-    M, K, C = MKC
-    (A, c), eye = radau(), np.eye(STAGES)
-    for before, end in pairwise(np.interp(np.arange(number[-1] * parts + 1) / parts, number, ends)):
-        step = end - before
-        r = modulation(before + step * c) ** 2 / unit
-        system = csc_array(kron(M, eye) + kron(K, step * A * r) - kron(C, step * A * (1.0 - r)))
-        right = np.repeat(load, STAGES)
-        stages = splu(system).solve(right)
-        size = float(np.max(abs(system) @ np.abs(stages)))
-        missed = float(np.max(np.abs(system @ stages - right)))
-        residual = missed / size if size > 0.0 else missed  # all is 0: nothing is left
-        load = M @ stages[STAGES - 1 :: STAGES]
-        yield end, step, stages.reshape(-1, STAGES).T, residual
-
-
 def stepped(
     e: Elements,
     load: Array,
@@ -116,22 +67,48 @@ def stepped(
     level: int,
     absorbing: bool = False,
 ) -> tuple[Evolved, Array, Array, Array]:
-    """Return the density at ``times`` > 0 of what begins with ``load``, by ``steps_of``.
+    """Return the density at ``times`` > 0 of what begins with ``load``, e² in units of ``unit``.
 
     Then times of the stages, weights that integrate over time, and the mass, (steps · stages,).
+    Steps of Radau IIA grow like the time, end at the times and at the kinks of e, and there are
+    2^``level`` of them in each of the level 0.
     """
-    *MKC, spread = matrices(e, absorbing=absorbing)
-    root, (A, c) = np.exp(0.5 * e.log_scale)[:, None], radau()
+    # The points c_i, the last of which is 1, and the coefficients a_ij.
+    x = np.append(roots_jacobi(STAGES - 1, 1, 0)[0], 1.0)
+    A = legint(np.linalg.inv(legvander(x, STAGES - 1)), lbnd=-1.0)
+    A, c, eye = 0.5 * legvander(x, STAGES) @ A, 0.5 * (1.0 + x), np.eye(STAGES)
+    M, K, C, spread = matrices(e, absorbing=absorbing)
+    root = np.exp(0.5 * e.log_scale)[:, None]
     begun, shares = (spread.T @ each.ravel() for each in (load / root, e.load * root))
-    steps = list(steps_of(tuple(MKC), begun, modulation, unit, times, level=level))
-    ends, lengths = np.array([step[:2] for step in steps]).T[:, :, None]
-    last = np.array([steps[k][2][-1] for k in np.searchsorted(ends[:, 0], times)])
+    stops = np.unique(np.append(times, modulation.times[modulation.times < times[-1]]))
+    stops = stops[stops > 0.0]
+    first = FIRST * stops[0]
+    grown = first * RATIO ** np.arange(0.0, np.ceil(np.log(stops[-1] / first) / np.log(RATIO)))
+    ends = [0.0]
+    for stop in stops.tolist():
+        inner = grown[(grown > ends[-1] * (1.0 + FIRST)) & (grown < stop * (1.0 - FIRST))]
+        ends += [*inner.tolist(), stop]
+    number, parts = np.arange(len(ends)), 2**level
+    ends = np.interp(np.arange(number[-1] * parts + 1) / parts, number, ends)
+    reached, residuals = [], []
+    for before, step in zip(ends[:-1], np.diff(ends), strict=True):
+        r = modulation(before + step * c) ** 2 / unit
+        system = csc_array(kron(M, eye) + kron(K, step * A * r) - kron(C, step * A * (1.0 - r)))
+        right = np.repeat(begun, STAGES)
+        stages = splu(system).solve(right)
+        size = float(np.max(abs(system) @ np.abs(stages)))
+        missed = float(np.max(np.abs(system @ stages - right)))
+        residuals.append(missed / size if size > 0.0 else missed)  # all is 0: nothing is left
+        reached.append(stages.reshape(-1, STAGES).T)
+        begun = M @ reached[-1][-1]
+    at_stages, lengths = np.array(reached), np.diff(ends)[:, None]
+    last = at_stages[np.searchsorted(ends[1:], times), -1]
     values = root * (spread @ last.T).T.reshape(-1, *e.load.shape)
     return (
-        Evolved(e, values, np.abs(values), float(np.max([step[3] for step in steps]))),
-        (ends - lengths * (1.0 - c)).ravel(),
+        Evolved(e, values, np.abs(values), float(np.max(residuals))),
+        (ends[1:, None] - lengths * (1.0 - c)).ravel(),
         (lengths * A[-1]).ravel(),
-        np.array([step[2] @ shares for step in steps]).ravel(),
+        (at_stages @ shares).ravel(),
     )
 
 

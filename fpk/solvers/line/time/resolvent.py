@@ -8,7 +8,7 @@ lie in one sector of the complex plane: nothing cancels, whatever range the dens
 from dataclasses import replace
 from itertools import accumulate
 from math import acosh, ceil, log, pi, sin
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.sparse import block_diag, coo_array, csc_array
@@ -49,24 +49,13 @@ Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 """Real numbers, or complex ones where the Laplace variables are."""
 
 
-class Contour(NamedTuple):
-    """Points ``z`` and ``factors`` e^(z t) w (times, points) for f(t) = Im Σ e^(z t) w F(z).
-
-    The trapezoidal rule on the hyperbola z(θ) = μ (1 + sin(iθ − φ)) around the negative real axis,
-    of which the half with Im z > 0 is enough: f is real. For errors of the rule and of where it
-    ends see J. A. C. Weideman and L. N. Trefethen, Math. Comp. 76 (2007) 1341, section 4.
-    ``places`` are the places of the times among those asked for.
-    """
-
-    places: Integers
-    z: Complexes
-    factors: Complexes
-
-
-def contours(times: Array, *, more: int = 0) -> list[Contour]:
+def contours(times: Array, *, more: int = 0) -> list[tuple[Integers, Complexes, Complexes]]:
     """Return contours for ``times`` > 0 in any order, with ``more`` points than round-off asks.
 
-    The rule errs by e^(μt − 2πφ/h), and ends where e^(z t) is round-off at the first time.
+    Each is the places of its times among ``times``, the points z, and the factors e^(z t) w (times,
+    points) of f(t) = Im Σ e^(z t) w F(z): the trapezoidal rule on the half with Im z > 0 of the
+    hyperbola z(θ) = μ (1 + sin(iθ − φ)). It errs by e^(μt − 2πφ/h), and ends where e^(z t) is
+    round-off at the first time: J. A. C. Weideman and L. N. Trefethen, Math. Comp. 76 (2007) 1341.
     """
     order, found, digits = np.argsort(times, kind="stable"), [], -log(EPS)
     while order.size:
@@ -82,7 +71,7 @@ def contours(times: Array, *, more: int = 0) -> list[Contour]:
         z = mu * (1.0 + np.sin(1j * theta - PHI))
         weights = step / pi * mu * 1j * np.cos(1j * theta - PHI)
         factors = np.exp(np.multiply.outer(times[together], z)) * weights
-        found.append(Contour(together, z, factors))
+        found.append((together, z, factors))
     return found
 
 
@@ -160,11 +149,11 @@ def evolved(
     """
     values, size = np.zeros((2, times.size, e.count, e.degree + 1))
     residuals = [0.0]
-    for c in contours(times, more=more):
-        end = None if held is None else held / c.z
-        f, residual = resolvent(e, c.z, load, end, density=density)
-        values[c.places] = np.einsum("tz,eiz->tei", c.factors, f).imag
-        size[c.places] = np.einsum("tz,eiz->tei", np.abs(c.factors), np.abs(f))
+    for places, z, factors in contours(times, more=more):
+        end = None if held is None else held / z
+        f, residual = resolvent(e, z, load, end, density=density)
+        values[places] = np.einsum("tz,eiz->tei", factors, f).imag
+        size[places] = np.einsum("tz,eiz->tei", np.abs(factors), np.abs(f))
         residuals.append(residual)
     return Evolved(e, values, size, float(np.max(residuals)))
 
@@ -215,18 +204,6 @@ def eigenvalues_below(e: Elements, rates: Array) -> Integers:
     return np.asarray(inner + ends + (passed[-1] + shunt[-1, 1] < 0.0))
 
 
-def eigenvalues(e: Elements, count: int, scale: float) -> Array:
-    """Return the ``count`` least eigenvalues > 0 of −L; ``scale`` is of their order."""
-    M, K, *_ = matrices(e)
-    first = np.linspace(1.0, 2.0, M.shape[0])
-    shift = -SHIFT * scale
-    try:
-        found = eigsh(K, count + 1, M, sigma=shift, v0=first, return_eigenvectors=False)
-    except RuntimeError as error:  # of the factorisation, or of an iteration that does not end
-        raise NotCertified(f"the relaxation rates were not found: {error}") from None
-    return np.asarray(np.sort(found)[1:])
-
-
 def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
     """Return the ``count`` least eigenvalues of −L but 0, all of them real.
 
@@ -253,8 +230,16 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
         for _ in range(turn // 2):
             at = split_points(nodes[:-1], nodes[1:], process.nonsmooth)
             nodes = np.sort(np.append(nodes, at))
-        pair = meshed(process, nodes, degree, beyond=[last])
-        answer, (rates, better) = pair[0], (eigenvalues(e, count, order) for e in pair)
+        pair, found = meshed(process, nodes, degree, beyond=[last]), []
+        for e in pair:
+            M, K, *_ = matrices(e)
+            first, shift = np.linspace(1.0, 2.0, M.shape[0]), -SHIFT * order
+            try:
+                own = eigsh(K, count + 1, M, sigma=shift, v0=first, return_eigenvectors=False)
+            except RuntimeError as error:  # of the factorisation, or of an endless iteration
+                raise NotCertified(f"the relaxation rates were not found: {error}") from None
+            found.append(np.sort(own)[1:])
+        answer, (rates, better) = pair[0], found
         common = 2.0 * answer.coefficient_error()
         common += ROUNDINGS * EPS * (answer.count + answer.log_range)
         errors = SAFETY * np.abs(rates - better) + common * rates
