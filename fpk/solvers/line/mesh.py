@@ -59,10 +59,7 @@ multiplies round-off."""
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """Where a process is sampled first to learn its scales; the answer does not rest on it.
-
-    ``slope`` is d ln p/dH and ``roughness`` |d ln(p/T)/dH| at ``energy``, all (points,).
-    """
+    """The ``slope`` d ln p/dH and ``roughness`` |d ln(p/T)/dH| at ``energy``, all (points,)."""
 
     energy: Array
     slope: Array
@@ -125,8 +122,8 @@ def probed(process: Process) -> Probe:
     """
     energy = process.energy_scale * GRID
 
-    def sampled(c: Coefficients) -> tuple[Array, Array]:
-        return log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
+    def sampled(energy: Array, c: Coefficients) -> tuple[Array, Array, Array]:
+        return energy, log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
 
     # Of energies farther out than that, those whose coefficients overflow are not judged.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -135,7 +132,7 @@ def probed(process: Process) -> Probe:
         if not finite.all():
             energy = energy[finite]
             c = Coefficients(*(np.broadcast_to(a, GRID.shape)[finite] for a in c))
-        probe = Probe(energy, *sampled(c))
+        probe = Probe(*sampled(energy, c))
         require_falling(probe.energy, c, probe.slope)
     while process.state_damping:
         bulk = np.maximum(probe.log_mass[1:], probe.log_mass[:-1]) > probe.log_mass.max() - DEEP
@@ -144,7 +141,7 @@ def probed(process: Process) -> Probe:
         if not i.size:
             break
         energy = np.sqrt(probe.energy[i] * probe.energy[i + 1])
-        added = energy, *sampled(process.coefficients(energy))
+        added = sampled(energy, process.coefficients(energy))
         of = probe.energy, probe.slope, probe.roughness
         probe = Probe(*(np.insert(x, i + 1, new) for x, new in zip(of, added, strict=True)))
     return probe
@@ -197,8 +194,8 @@ def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRAD
 
 def split_points(left: Array, right: Array, nonsmooth: tuple[float, ...]) -> Array:
     """Return where to cut elements in two: half-way, towards 0 and nonsmooth left ends."""
-    share = np.where(np.isin(left, [0.0, *nonsmooth]), GRADING, 0.5)
-    return left + share * (right - left)
+    begins = (left[:, None] == np.array([0.0, *nonsmooth])).any(axis=1)
+    return np.asarray(left + np.where(begins, GRADING, 0.5) * (right - left))
 
 
 def first_degree(degree: int, n: int) -> int:

@@ -165,10 +165,9 @@ def modulated_transition(
         g = stepped(e, source.load(e), modulation, unit, times, level=level)[0]
         return g, g.density(e.x.ravel())[0] * e.weight.ravel(), np.zeros(0)
 
-    def l1(moved: Array, _: Array) -> float:
-        return float(moved.sum(axis=1).max())
-
-    solved, found = halved(question, pair, carried, l1, 0.25 * tol)
+    solved, found = halved(
+        question, pair, carried, lambda moved, _: float(moved.sum(axis=1).max()), 0.25 * tol
+    )
     e, (own, _, enriched) = solved.elements, (each[0] for each in found)
 
     def apart(x: Array) -> Array:

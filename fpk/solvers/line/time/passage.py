@@ -297,11 +297,12 @@ def modulated_passage(
             lost += [one[1], 2.0 * end * one[1] + two[1]]
         return g, np.append(kept, moments), lost
 
-    def size(moved: Array, numbers: Array) -> float:
-        return float(np.max(moved / np.maximum(numbers, 1.0)))
-
-    posed_to = posed(process, source, first, SHARE * tol, limit=limit)
-    solved, found = halved(*posed_to, carried, size, SHARE * tol)
+    solved, found = halved(
+        *posed(process, source, first, SHARE * tol, limit=limit),
+        carried,
+        lambda moved, numbers: float(np.max(moved / np.maximum(numbers, 1.0))),
+        SHARE * tol,
+    )
     e, (numbers, longer, both) = solved.elements, (each[1] for each in found)
     # What twice as long steps change, and with them a higher degree: errors of both may cancel.
     error = SAFETY * (np.abs(numbers - longer) + np.abs(longer - both))
