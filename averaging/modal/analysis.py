@@ -242,7 +242,7 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
     own = np.flatnonzero(powers)
     x, velocity = np.vstack([np.ones(n), shapes / omega, shapes])[own], (own == 0) | (own > n)
     parts = np.equal.outer(velocity, velocity)[:, :, None] * (x[:, None] * x)
-    flow = gaussian_moment(parts, tuple(powers[own].tolist()))
+    flow = np.asarray(gaussian_moment(parts, tuple(powers[own].tolist())))
     counts = (np.indices(flow.shape[1:])[..., None] == np.arange(n)).sum(axis=0)
     shares = factorial(counts).prod(axis=-1, keepdims=True) * (1.0 + counts)
     flow = flow / np.moveaxis(shares, -1, 0)

@@ -18,7 +18,7 @@ from scipy.special import hyp0f1, j0
 
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.characteristic import fourier_sum, product_of
+from averaging.modal.observables import fourier_sum, product_of
 from averaging.time import limited_modes, observed_modes
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import (

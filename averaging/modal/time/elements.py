@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.characteristic import state_density
+from averaging.modal.observables import state_density
 from averaging.time import EnergyStart, limited_modes, observed_modes
 from fpk.answer.certificate import Measured, outside
 from fpk.answer.density import Density, certified_density
