@@ -13,12 +13,7 @@ from scipy.special import j0
 from averaging.energy_process import closed_form
 from averaging.gaussian_state import Gaussian, state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.zero_flux import (
-    ZeroFluxDensity,
-    density_of_energies,
-    flux_residual,
-    solved_energies,
-)
+from averaging.zero_flux import ZeroFluxDensity, density_of_energies, flux_residual, solved_energies
 from fpk.answer.certificate import Measured, outside, worst
 from fpk.answer.density import Density, certified_density
 from fpk.answer.names import Coordinate, Observable
@@ -114,13 +109,16 @@ def solved_group(
     else:
         p = solved_energies(process, solver, tol=share)
 
-    def of_modes(*energies: Array) -> Array:
-        reach = sum(1.0 + H / scale for H, scale in zip(energies, theta, strict=True))
-        return np.asarray(modes.relative_error * reach)
-
     observable = tuple(Coordinate("H", m) for m in group)
     panels = p.panels if isinstance(p.panels, tuple) else (p.panels,)
-    return density_of_energies(observable, p, panels, of_modes, tol=tol, added=True)
+    return density_of_energies(
+        observable,
+        p,
+        panels,
+        lambda *H: modes.relative_error * sum(1.0 + x / s for x, s in zip(H, theta, strict=True)),
+        tol=tol,
+        added=True,
+    )
 
 
 def _product(observable: Observable, parts: Sequence[Density], tol: float) -> Density:
@@ -164,13 +162,8 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
     nodes = nodes[np.append(True, np.diff(nodes) > 1e-12 * end)]
     t, w = panel_rule(np.array([0.0, 1.0]), POINTS)
 
-    def joint(x: Array, y: Array) -> tuple[Array, Array]:
-        if len(parts) == 1:
-            return parts[0].at(x, y)
-        return product_of([parts[0].at(x), parts[1].at(y)])
-
     def along(energy: Array) -> Array:
-        """∫joint(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
+        """∫p(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
         sums = []
         size = energy.size * POINTS * (panels[0].size + panels[1].size)
         for part in np.array_split(energy, 1 + 2 * size // CHUNK):
@@ -179,8 +172,10 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
             ends = np.sort(np.clip(ends, 0.0, np.minimum(H, panels[0][-1])), axis=1)
             length = np.diff(ends, axis=1)[:, :, None]
             x = ends[:, :-1, None] + length * t
-            values = np.stack(joint(x, np.clip(H[:, :, None] - x, 0.0, None)), axis=-1)
-            sums.append(np.einsum("hkt,hktc->hc", length * w, values))
+            at = x, np.clip(H[:, :, None] - x, 0.0, None)
+            axes = (at,) if len(parts) == 1 else zip(at)  # both energies, or one for each part
+            values = product_of(p.at(*own) for p, own in zip(parts, axes, strict=True))
+            sums.append(np.einsum("hkt,chkt->hc", length * w, values))
         return np.concatenate(sums)
 
     both = fit(
@@ -193,7 +188,7 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
     local = 2.0 * both.error / np.diff(both.nodes)
 
     def pointwise(energy: Array) -> Array:
-        k = np.clip(np.searchsorted(both.nodes, energy, side="right") - 1, 0, local.size - 1)
+        k = np.searchsorted(both.nodes[1:-1], energy, side="right")
         return np.asarray(np.abs(both(energy)[..., 1]) + local[k])
 
     return certified_density(
