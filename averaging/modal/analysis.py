@@ -233,7 +233,6 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
     With Q_m = √(2 H_m)/ω_m cos φ_m and Q̇_m = −√(2 H_m) sin φ_m, exponential energies of means θ_m
     make the modes Gaussian, and E Π H_m^α_m = Π α_m! θ_m^α_m: the phase average has the
     coefficients of the Gaussian moment, a polynomial in θ by Isserlis' theorem, divided by Π α_m!.
-    Of the Gaussian state E[Q̇_k f(v)] = Σ_b T_bk θ_k E ∂f/∂v_b.
     """
     n = omega.size
     # Q̇ of all modes, q and v of the masses, which Q̇ and v alone are correlated with.

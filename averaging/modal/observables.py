@@ -13,15 +13,13 @@ from scipy.special import j0
 from averaging.energy_process import closed_form
 from averaging.gaussian_state import Gaussian, state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.zero_flux import ZeroFluxDensity, density_of_energies, flux_residual, solved_energies
+from averaging.zero_flux import density_of_energies, flux_residual, solved_energies
 from fpk.answer.certificate import Measured, outside, worst
 from fpk.answer.density import Density, certified_density
 from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import CHUNK, EPS, Array
 from fpk.numeric.piecewise import fit
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.stationary import StationarySolution
-from fpk.solvers.plane.solution import PlaneSolution
 
 Group = tuple[int, ...]
 BY_ELEMENTS = ("fem", "scikit-fem")
@@ -72,9 +70,7 @@ def modal_densities(
     # An observable of all groups adds errors of its own.
     parts = max((len(b) * (2 - own) for own, b in zip(energies, behind, strict=True)), default=1)
 
-    @cache
-    def solved(group: Group) -> Density:
-        return solved_group(modes, group, solver, share=tol / parts, tol=tol)
+    solved = cache(partial(solved_group, modes, solver=solver, share=tol / parts, tol=tol))
 
     def density(observable: Observable, of_energies: bool, behind: list[Group]) -> Density:
         if closed and not of_energies:
@@ -92,23 +88,21 @@ def modal_densities(
 
 
 def solved_group(
-    modes: ModalAnalysis, group: Group, solver: str, *, share: float, tol: float
+    modes: ModalAnalysis, group: Group, *, solver: str, share: float, tol: float
 ) -> Density:
     """Return the density of the energies of one or two modes on which no other acts.
 
     To the L1 error ``share``, judged by ``tol``. The round-off of γ θ/d counts by 1 + H/θ each.
     """
     process, theta = modes.process(group), modes.temperature[list(group)]
-    p: PlaneSolution | StationarySolution | ZeroFluxDensity
-    if solver == "closed-form":
+    if solver != "closed-form":
+        p = solved_energies(process, solver, tol=share)
+    else:
         factors, (m,) = modes.averaged.factors, group  # γ/d in ascending powers of H_m
         alone = np.isin(factors, [0, m + 1]).all(axis=1)
         degree = np.count_nonzero(factors[alone], axis=1)
         rate = np.bincount(degree, modes.averaged.values[alone, m, m])
         p = closed_form(process, rate / modes.noise[m])
-    else:
-        p = solved_energies(process, solver, tol=share)
-
     observable = tuple(Coordinate("H", m) for m in group)
     panels = p.panels if isinstance(p.panels, tuple) else (p.panels,)
     return density_of_energies(
@@ -346,13 +340,10 @@ def _transformed(group: Density, size: Array) -> Array:
         *np.meshgrid(*energies, indexing="ij", sparse=True)
     )
     shares = shares.reshape(2, energies[0].size, -1)
-    total = np.empty((2, len(size)))
-    step = max(CHUNK // sum(H.size for H in energies), 1)
-    for start in range(0, len(size), step):
-        part = slice(start, start + step)
+    total = []
+    for part in np.array_split(size, 1 + len(size) * sum(H.size for H in energies) // CHUNK):
         first, *second = (
-            j0(np.multiply.outer(z, np.sqrt(H)))
-            for z, H in zip(size[part].T, energies, strict=True)
+            j0(np.multiply.outer(z, np.sqrt(H))) for z, H in zip(part.T, energies, strict=True)
         )
-        total[:, part] = np.sum((first @ shares) * prod(second), axis=2)
-    return total
+        total.append(np.sum((first @ shares) * prod(second), axis=2))
+    return np.concatenate(total, axis=1)
