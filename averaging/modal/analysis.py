@@ -5,7 +5,7 @@ Damping averaged over the phases is a polynomial in the modal energies, section 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from math import comb
 
 import numpy as np
@@ -15,7 +15,7 @@ from scipy.special import factorial
 from fpk.numeric.arrays import EPS, ROUND_OFF, Array, Integers
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.solvers.line.mesh import probed
-from fpk.system.damping import DampingTerm
+from fpk.system.damping import DampingTerm, gaussian_moment
 from fpk.system.ends import require_confined
 from fpk.system.equivalent import equivalent_temperature
 from fpk.system.linear import natural_modes
@@ -233,29 +233,15 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
     With Q_m = √(2 H_m)/ω_m cos φ_m and Q̇_m = −√(2 H_m) sin φ_m, exponential energies of means θ_m
     make the modes Gaussian, and E Π H_m^α_m = Π α_m! θ_m^α_m: the phase average has the
     coefficients of the Gaussian moment, a polynomial in θ by Isserlis' theorem, divided by Π α_m!.
-    Of the Gaussian state E[Q̇_k f(v)] = Σ_b T_bk θ_k E ∂f/∂v_b.
     """
     n = omega.size
-    rms = np.vstack([shapes / omega, shapes])  # of q and v of the masses where θ_m = 1
-
-    @cache
-    def moment(factors: tuple[int, ...]) -> Array:
-        """E of a product of q_a (a < n) and v_a (n + a), Σ moment_lm.. θ_l θ_m .., 0 if odd."""
-        total = np.zeros((n,) * (len(factors) // 2)) if factors else np.ones(())
-        for i, other in enumerate(factors[1:], start=1):
-            if (factors[0] < n) == (other < n):
-                rest = moment(factors[1:i] + factors[i + 1 :])
-                total = total + np.multiply.outer(rms[factors[0]] * rms[other], rest)
-        return total
-
-    powers = [*term.powers("q", n), *term.powers("v", n)]
-    powers[n + term.column] += 1
-    factors = tuple(a for a, power in enumerate(powers) for _ in range(power))
-    flow = sum(
-        np.multiply.outer(shapes[a - n], moment(factors[:i] + factors[i + 1 :]))
-        for i, a in enumerate(factors)
-        if a >= n
-    )
+    # Q̇ of all modes, q and v of the masses, which Q̇ and v alone are correlated with.
+    powers = np.array([1, *term.powers("q", n), *term.powers("v", n)])
+    powers[1 + n + term.column] += 1
+    own = np.flatnonzero(powers)
+    x, velocity = np.vstack([np.ones(n), shapes / omega, shapes])[own], (own == 0) | (own > n)
+    parts = np.equal.outer(velocity, velocity)[:, :, None] * (x[:, None] * x)
+    flow = np.asarray(gaussian_moment(parts, tuple(powers[own].tolist())))
     counts = (np.indices(flow.shape[1:])[..., None] == np.arange(n)).sum(axis=0)
     shares = factorial(counts).prod(axis=-1, keepdims=True) * (1.0 + counts)
     flow = flow / np.moveaxis(shares, -1, 0)

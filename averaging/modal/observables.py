@@ -3,33 +3,40 @@
 The modal energies fall into groups that the damping couples; each is solved once.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache, partial, reduce
 from math import prod
 
 import numpy as np
+from scipy.special import j0
 
 from averaging.energy_process import closed_form
-from averaging.gaussian_state import Gaussian
+from averaging.gaussian_state import Gaussian, state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.characteristic import POINTS, joined, product_of, state_density
-from averaging.zero_flux import (
-    ZeroFluxDensity,
-    density_of_energies,
-    flux_residual,
-    solved_energies,
-)
+from averaging.zero_flux import density_of_energies, flux_residual, solved_energies
+from fpk.answer.certificate import Measured, outside, worst
 from fpk.answer.density import Density, certified_density
 from fpk.answer.names import Coordinate, Observable
-from fpk.numeric.arrays import CHUNK, Array
+from fpk.numeric.arrays import CHUNK, EPS, Array
 from fpk.numeric.piecewise import fit
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.stationary import StationarySolution
-from fpk.solvers.plane.solution import PlaneSolution
 
 Group = tuple[int, ...]
 BY_ELEMENTS = ("fem", "scikit-fem")
 """Solvers of two energies at once."""
+POINTS = 24
+"""Gauss points per panel where an energy is integrated out: over three e-folds they miss 1e-30."""
+FIRST_BAND = 8.0
+"""Highest wave number of the first attempt, in units of 1/rms: φ of a Gaussian is e^-32 there."""
+WIDER = 2.0**0.5
+"""Factor from one highest wave number s to the next. The norm of φ beyond s is taken for
+1/(√2 − 1) of that between s/√2 and s, as where |φ| falls as s^-2."""
+MAX_WAVES = 40_000
+"""Largest number of waves; the estimate of what further ones would add goes into the error."""
+PHASE = {1: 30.0, 2: 16.0}
+"""Largest phase over a panel by the number of coordinates: 20 and 12 points integrate to 1e-9."""
+HALF_PANELS = (4.0, 400.0)
+"""Least and largest number of panels of an axis on either side of 0."""
 
 
 def unsolved(modes: ModalAnalysis, solver: str) -> str | None:
@@ -63,9 +70,7 @@ def modal_densities(
     # An observable of all groups adds errors of its own.
     parts = max((len(b) * (2 - own) for own, b in zip(energies, behind, strict=True)), default=1)
 
-    @cache
-    def solved(group: Group) -> Density:
-        return solved_group(modes, group, solver, share=tol / parts, tol=tol)
+    solved = cache(partial(solved_group, modes, solver=solver, share=tol / parts, tol=tol))
 
     def density(observable: Observable, of_energies: bool, behind: list[Group]) -> Density:
         if closed and not of_energies:
@@ -83,30 +88,31 @@ def modal_densities(
 
 
 def solved_group(
-    modes: ModalAnalysis, group: Group, solver: str, *, share: float, tol: float
+    modes: ModalAnalysis, group: Group, *, solver: str, share: float, tol: float
 ) -> Density:
     """Return the density of the energies of one or two modes on which no other acts.
 
     To the L1 error ``share``, judged by ``tol``. The round-off of γ θ/d counts by 1 + H/θ each.
     """
     process, theta = modes.process(group), modes.temperature[list(group)]
-    p: PlaneSolution | StationarySolution | ZeroFluxDensity
-    if solver == "closed-form":
+    if solver != "closed-form":
+        p = solved_energies(process, solver, tol=share)
+    else:
         factors, (m,) = modes.averaged.factors, group  # γ/d in ascending powers of H_m
         alone = np.isin(factors, [0, m + 1]).all(axis=1)
         degree = np.count_nonzero(factors[alone], axis=1)
         rate = np.bincount(degree, modes.averaged.values[alone, m, m])
         p = closed_form(process, rate / modes.noise[m])
-    else:
-        p = solved_energies(process, solver, tol=share)
-
-    def of_modes(*energies: Array) -> Array:
-        reach = sum(1.0 + H / scale for H, scale in zip(energies, theta, strict=True))
-        return np.asarray(modes.relative_error * reach)
-
     observable = tuple(Coordinate("H", m) for m in group)
     panels = p.panels if isinstance(p.panels, tuple) else (p.panels,)
-    return density_of_energies(observable, p, panels, of_modes, tol=tol, added=True)
+    return density_of_energies(
+        observable,
+        p,
+        panels,
+        lambda *H: modes.relative_error * sum(1.0 + x / s for x, s in zip(H, theta, strict=True)),
+        tol=tol,
+        added=True,
+    )
 
 
 def _product(observable: Observable, parts: Sequence[Density], tol: float) -> Density:
@@ -115,28 +121,25 @@ def _product(observable: Observable, parts: Sequence[Density], tol: float) -> De
         return parts[0]
     panels = {c: x for part in parts for c, x in zip(part.observable, part.panels, strict=True)}
 
-    def marginals(which: str, energies: Sequence[Array]) -> list[Array]:
-        """The densities of the groups, or their errors, integrated over energies not asked for."""
+    def both(*energies: Array) -> tuple[Array, Array]:
+        """The density and its error, the groups integrated over energies not asked for."""
         given, factors = dict(zip(observable, energies, strict=True)), []
         for part in parts:
-            function: Callable[..., Array] = getattr(part, which)
-            if hidden := [c for c in part.observable if c not in given]:
+            hidden = [c for c in part.observable if c not in given]
+            if not hidden:
+                factors.append(part.at(*(given[c] for c in part.observable)))
+            else:
                 x, w = (a.ravel() for a in panel_rule(panels[hidden[0]], 2 * POINTS))
                 at = (given[c][..., None] if c in given else x for c in part.observable)
-                factors.append(np.asarray(function(*at) @ w))
-            else:
-                factors.append(function(*(given[c] for c in part.observable)))
-        return factors
-
-    def pointwise(*energies: Array) -> Array:
-        both = (marginals(which, energies) for which in ("pdf", "pointwise"))
-        return product_of(zip(*both, strict=True))[1]
+                p, error = part.at(*at)
+                factors.append((p @ w, error @ w))
+        return product_of(factors)
 
     return certified_density(
         observable,
         tuple(panels[c] for c in observable),
-        lambda *energies: np.asarray(prod(marginals("pdf", energies))),
-        pointwise,
+        lambda *energies: both(*energies)[0],
+        lambda *energies: both(*energies)[1],
         measured=joined(parts),
         tol=tol,
     )
@@ -153,13 +156,8 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
     nodes = nodes[np.append(True, np.diff(nodes) > 1e-12 * end)]
     t, w = panel_rule(np.array([0.0, 1.0]), POINTS)
 
-    def joint(x: Array, y: Array) -> tuple[Array, Array]:
-        if len(parts) == 1:
-            return parts[0].at(x, y)
-        return product_of([parts[0].at(x), parts[1].at(y)])
-
     def along(energy: Array) -> Array:
-        """∫joint(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
+        """∫p(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
         sums = []
         size = energy.size * POINTS * (panels[0].size + panels[1].size)
         for part in np.array_split(energy, 1 + 2 * size // CHUNK):
@@ -168,8 +166,10 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
             ends = np.sort(np.clip(ends, 0.0, np.minimum(H, panels[0][-1])), axis=1)
             length = np.diff(ends, axis=1)[:, :, None]
             x = ends[:, :-1, None] + length * t
-            values = np.stack(joint(x, np.clip(H[:, :, None] - x, 0.0, None)), axis=-1)
-            sums.append(np.einsum("hkt,hktc->hc", length * w, values))
+            at = x, np.clip(H[:, :, None] - x, 0.0, None)
+            axes = (at,) if len(parts) == 1 else zip(at)  # both energies, or one for each part
+            values = product_of(p.at(*own) for p, own in zip(parts, axes, strict=True))
+            sums.append(np.einsum("hkt,chkt->hc", length * w, values))
         return np.concatenate(sums)
 
     both = fit(
@@ -182,7 +182,7 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
     local = 2.0 * both.error / np.diff(both.nodes)
 
     def pointwise(energy: Array) -> Array:
-        k = np.clip(np.searchsorted(both.nodes, energy, side="right") - 1, 0, local.size - 1)
+        k = np.searchsorted(both.nodes[1:-1], energy, side="right")
         return np.asarray(np.abs(both(energy)[..., 1]) + local[k])
 
     return certified_density(
@@ -215,3 +215,135 @@ def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
         scale_errors=modes.relative_error * theta,
         residual=float(np.max([flux(m) for m in range(modes.n)])),
     )
+
+
+def fourier_sum(phases: Array, coefficients: Array, x: Array, y: Array | float = 0.0) -> Array:
+    """Return Σ_km coefficients_km exp(i (k a_0 + m a_1)) where |a| <= π, else 0, a = ``phases`` x.
+
+    ``phases`` (2, 2) is lower triangular; ``coefficients`` (functions, k = 0 .. K, m = −M .. M)
+    have k and −k in one. Points broadcast together; the answer is (functions, ...).
+    """
+    K, M = np.array(coefficients.shape[1:]) // [1, 2] - [1, 0]
+    (u, i), (v, j) = (np.unique(z, return_inverse=True) for z in (x, y))
+    k, m = 1j * np.arange(K + 1), 1j * np.arange(-M, M + 1)
+    rows = np.exp(np.outer(phases[0, 0] * u, k)) @ coefficients
+    rows = rows * np.exp(np.outer(phases[1, 0] * u, m))
+    columns = np.exp(np.outer(m, phases[1, 1] * v))
+    i, j = np.broadcast_arrays(i.reshape(np.shape(x)), j.reshape(np.shape(y)))
+    if u.size * v.size <= 4 * i.size:  # a grid
+        total = (rows @ columns).real[:, i, j]
+    else:
+        total = np.einsum("c...m,m...->c...", rows[:, i], columns[:, j]).real
+    a = np.tensordot(phases, np.array(np.broadcast_arrays(x, y)), 1)
+    return np.where(np.all(np.abs(a) <= np.pi, axis=0), total, 0.0)
+
+
+def state_density(
+    modes: ModalAnalysis, groups: Sequence[Density], observable: Observable, *, tol: float
+) -> Density:
+    """Return the density of one or two displacements and momenta from that of the energies.
+
+    An observed x is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m), X = T Q (14) and p_i = m_i Ẋ_i, with
+    independent uniform phases: ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``. A
+    Fourier series on the bounded support has no aliasing error; what lies beyond the band is
+    estimated from its outermost ring. The transform does not increase an L1 error.
+    """
+    count = len(observable)
+    rows = np.sqrt(2.0) * modes.state_shapes[state_rows(observable, modes.n)]
+    U, W = rows[:, : modes.n], rows[:, modes.n :]
+    mean, largest = np.zeros(modes.n), np.zeros(modes.n)
+    for group in groups:
+        for m, x in zip(group.observable, group.panels, strict=True):
+            mean[m.row] = group.moment(*(int(other == m) for other in group.observable)).value
+            largest[m.row] = np.sqrt(x[-1])
+    whitened = np.linalg.inv(np.linalg.cholesky((U * mean) @ U.T / 2 + (W * mean) @ W.T / 2))
+    box = np.hypot(whitened @ U, whitened @ W) @ largest
+    phases = np.pi * whitened / box[:, None]
+    scale = float(np.prod(np.diag(whitened) / (2.0 * box)))
+    band, beyond = FIRST_BAND, 1.0 / (WIDER - 1.0)
+    while True:  # until the waves beyond the band add less than a tenth of the tolerance
+        K, M = np.pad(np.ceil(band * box / np.pi).astype(int), (0, 2 - count))
+        k, m = np.mgrid[0 : K + 1, -M : M + 1]
+        waves = np.stack([k.ravel(), m.ravel()][:count], axis=1) @ phases
+        # E Π_m J0(√H_m size_m), and the transform of its error: that of each group times p of the
+        # others.
+        size = np.hypot(waves @ U, waves @ W)
+        p, error = np.ones(len(size)), np.zeros(len(size))
+        for group in groups:
+            own, own_error = _transformed(group, size[:, [c.row for c in group.observable]])
+            p, error = p * own, error * own + p * own_error
+        both_signs = np.where(k == 0, 1.0, 2.0)
+        ring = np.abs(p.reshape(k.shape))
+        ring *= np.maximum(k / K, np.abs(m) / max(M, 1)) > 1.0 / WIDER
+        # ∫|·| over the box is at most √Σ|φ|², by Parseval and Cauchy-Schwarz.
+        l1_beyond = beyond * float(np.sqrt(np.sum(both_signs * ring**2)))
+        if l1_beyond <= 0.1 * tol or np.prod(2.0 * WIDER * np.array([K, M]) + 1.0) > MAX_WAVES:
+            break
+        band *= WIDER
+    coefficients = scale * both_signs * np.stack([p, error]).reshape(2, *k.shape)
+    both = partial(fourier_sum, np.pad(phases, (0, 2 - count)), coefficients)
+    from_modes = modes.relative_error * 2.0 * count  # of T and ω, in the coordinates
+    relative = sum(group.l1_error for group in groups) + from_modes
+    round_off = 8.0 * EPS * float(k.size) ** 0.5
+    floor = beyond * scale * float(np.sum(both_signs * ring))
+    floor += round_off * float(both(np.zeros(1))[0, 0])
+
+    def pointwise(*x: Array) -> Array:
+        p, error = both(*x)
+        return np.asarray(np.abs(error) + relative * np.abs(p) + floor)
+
+    extent = np.hypot(U, W) @ largest
+    # Panels over which the phase at the edge of the band, where next to nothing is left, turns by
+    # ``PHASE``, and no more of them than are affordable.
+    turns = extent * (np.array([K, M])[:count] @ np.abs(phases)) / PHASE[count]
+    halves = np.ceil(np.clip(turns, *HALF_PANELS)).astype(int)
+    return certified_density(
+        observable,
+        tuple(np.linspace(-e, e, 1 + 2 * half) for e, half in zip(extent, halves, strict=True)),
+        lambda *x: both(*x)[0],
+        pointwise,
+        measured=joined(groups, from_modes + l1_beyond + round_off),
+        tol=tol,
+    )
+
+
+def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
+    """Return what was measured on independent densities, for one that depends on them all."""
+    checks = [part.certificate for part in parts]
+    return Measured(
+        l1_error=sum(part.l1_error for part in parts) + added,
+        mass_defect=sum(c.mass_defect for c in checks if c.mass_defect is not None),
+        minimum=None,
+        residual=worst(c.residual for c in checks),
+        tail_mass=sum(outside(c) for c in checks),
+        net_flux=worst(c.net_flux for c in checks),
+        failures=tuple(dict.fromkeys(words for c in checks for words in c.failures)),
+    )
+
+
+def product_of(factors: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return the product of numbers with errors, and its error."""
+    value, error = np.ones(()), np.zeros(())
+    for x, e in factors:
+        value, error = value * x, error * (np.abs(x) + e) + np.abs(value) * e
+    return value, error
+
+
+def _transformed(group: Density, size: Array) -> Array:
+    """E Π J0(√H_m size_m) and its error, (2, waves), by Gauss rules that follow the phase."""
+    rules = []
+    for nodes, z in zip(group.panels, size.T, strict=True):
+        phase = float(np.max(np.diff(np.sqrt(nodes)))) * float(z.max(initial=0.0))
+        rules.append(panel_rule(nodes, POINTS + 4 * int(np.ceil(0.15 * phase))))
+    energies, weights = ([a.ravel() for a in part] for part in zip(*rules, strict=True))
+    shares = reduce(np.multiply.outer, weights) * group.at(
+        *np.meshgrid(*energies, indexing="ij", sparse=True)
+    )
+    shares = shares.reshape(2, energies[0].size, -1)
+    total = []
+    for part in np.array_split(size, 1 + len(size) * sum(H.size for H in energies) // CHUNK):
+        first, *second = (
+            j0(np.multiply.outer(z, np.sqrt(H))) for z, H in zip(part.T, energies, strict=True)
+        )
+        total.append(np.sum((first @ shares) * prod(second), axis=2))
+    return np.concatenate(total, axis=1)

@@ -123,7 +123,8 @@ class SquareRoot:
         require_constant_noise(self.modulation)
         rate, xf = self.rate(limit), limit * self.c / self.d
         starts = np.linspace(0.0, limit, STARTS)
-        x, k = np.append(starts, start) * self.c / self.d, np.arange(1.0, series_terms(xf) + 1.0)
+        x = np.append(starts, start) * self.c / self.d
+        k = np.arange(1.0, int(xf + 12.0 * sqrt(xf)) + 61.0)  # up to round-off, as of e^x
         # The coefficient of a in 1F1 is A_1 = Σ x^k/(k (n)_k), that of a² is
         # A_2 = Σ x^k (1 + … + 1/(k−1))/(k (n)_k): A(x_f) − A(x) without a difference of them.
         terms = np.cumprod(xf / (self.n + k - 1.0)) / k
@@ -157,7 +158,7 @@ class SquareRoot:
         xf = limit * self.c / self.d
         if not xf <= FARTHEST:
             raise InvalidInput("limit", limit, BEYOND_RANGE)
-        k = np.arange(1.0, series_terms(xf) + 1.0)
+        k = np.arange(1.0, int(xf + 12.0 * sqrt(xf)) + 61.0)  # as in ``passage``
         a, relative = 0.0, 4.0 * EPS * (k.size + 2.0)
         for _ in range(100):  # Newton's method rises to the root of a convex curve
             # Terms of 1F1(−a; n; x) − 1 and of its derivative in a, of which the first has a left
@@ -295,8 +296,3 @@ def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Com
     value[near] = -slopes.sum(axis=0)
     error[near] = 2.0 * ROUNDINGS * EPS * (1.0 + np.abs(slopes).sum(axis=0))
     return value, error
-
-
-def series_terms(x: float) -> int:
-    """Return the number of terms of a power series like e^x, up to round-off."""
-    return int(x + 12.0 * sqrt(x)) + 60

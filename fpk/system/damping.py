@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from functools import cache
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -101,21 +102,24 @@ class DampingTerm:
         return value
 
 
-def gaussian_moment(covariance: Array, powers: tuple[int, ...]) -> float:
+def gaussian_moment(covariance: Array, powers: tuple[int, ...]) -> Any:
     """Return E Π x_a^powers[a] of x ~ N(0, covariance), shape (n, n), by Isserlis' theorem.
 
     Integration by parts, ``E x_a f = Σ_b cov_ab E ∂f/∂x_b``, leads to monomials two degrees lower.
+    Where covariances (n, n, m) are sums over m parts the moment (m, m, ..) is one over its axes, an
+    axis for each pair of factors, the first for the pair of x_a of the least a. 0.0 if odd.
     """
 
     @cache
-    def moment(at: tuple[int, ...]) -> float:
+    def moment(at: tuple[int, ...]) -> Any:
         """E of the product of the x_a, a in ``at``, ascending."""
         if not at:
             return 1.0
         a, total = at[0], 0.0
         for b in sorted(set(at[1:])):
             k = at.index(b, 1)
-            total += float(covariance[a, b]) * at[1:].count(b) * moment(at[1:k] + at[k + 1 :])
+            rest = at[1:].count(b) * moment(at[1:k] + at[k + 1 :])
+            total = total + np.multiply.outer(covariance[a, b], rest)
         return total
 
     at = tuple(np.repeat(np.arange(len(powers)), powers).tolist())

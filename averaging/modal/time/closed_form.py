@@ -18,7 +18,7 @@ from scipy.special import hyp0f1, j0
 
 from averaging.gaussian_state import state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.characteristic import fourier_sum, product_of
+from averaging.modal.observables import fourier_sum, product_of
 from averaging.time import limited_modes, observed_modes
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import (
@@ -229,15 +229,14 @@ def _density(
     ]
     radii = np.sqrt([np.diag(orbit) for _, orbit in orbits])
     box = radii.sum(axis=0) + REACH
-    K = np.ceil(REACH * box / pi).astype(int)
-    if float(np.prod(2.0 * K + 1.0)) > 2.0 * MOST_WAVES[count]:
+    K, M = np.pad(np.ceil(REACH * box / pi).astype(int), (0, 2 - count))
+    if np.prod([2.0 * K + 1.0, 2.0 * M + 1.0]) > 2.0 * MOST_WAVES[count]:
         raise NotApplicable(
             f"at the time {t:g} the density is too narrow: the first orbit is "
             f"{float(np.max(radii.sum(axis=0))):.2g} times as far as the noise; ask for later times"
         )
-    k, m = (np.arange(low, high) for low, high in ((0, K[0] + 1), (-K[-1], K[-1] + 1)))
-    grid = np.meshgrid(k, m if count == 2 else [0], indexing="ij")
-    s = np.array([j * pi / b for j, b in zip(grid, box, strict=False)])
+    grid = np.mgrid[0 : K + 1, -M : M + 1]
+    s = grid[:count] * (pi / box)[:, None, None]
     square = np.sum(s * s, axis=0)
     arguments = [
         np.sqrt(np.maximum(np.einsum("ikm,ij,jkm->km", s, orbit, s), 0.0)) for _, orbit in orbits

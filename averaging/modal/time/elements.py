@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
-from averaging.modal.characteristic import state_density
+from averaging.modal.observables import state_density
 from averaging.time import EnergyStart, limited_modes, observed_modes
 from fpk.answer.certificate import Measured, outside
 from fpk.answer.density import Density, certified_density
@@ -23,7 +23,7 @@ from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_plane
 from fpk.solvers.plane.time.operator import PlaneStart
 from fpk.solvers.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
-from fpk.solvers.plane.time.transient import Seen, seen_at, transient_densities
+from fpk.solvers.plane.time.transient import PAIR, seen_at, transient_densities
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
@@ -36,9 +36,7 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     pair, stationary, begins = _posed(modes, rows or range(modes.n), start, tol)
     if rows == pair[::-1]:
         at = at[::-1]
-    seen: Seen = "pair" if len(rows) == 2 else "sum"
-    if len(rows) == 1:
-        seen = "first" if rows == pair[:1] else "second"
+    seen = tuple(sorted(map(pair.index, rows)))
     by_modes = partial(_by_modes, modes, pair, sorted(rows), start)
     answer, _ = transient_densities(
         stationary, begins, seen, times, at, tol=tol, coefficients_error=by_modes
@@ -104,7 +102,7 @@ def _state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     times, at, tol = asked.times, asked.at, asked.tol
     pair, stationary, start = _posed(modes, range(modes.n), asked.start, tol)
     answer, ((other_op, other), (op, g)) = transient_densities(
-        stationary, start, "pair", times, (np.zeros(0), np.zeros(0)), tol=0.5 * tol
+        stationary, start, PAIR, times, (np.zeros(0), np.zeros(0)), tol=0.5 * tol
     )
     tail = outside(answer.certificate)
     measured = Measured(start.l1_error + 2.0 * tail, None, None, g.residual, tail)
@@ -115,12 +113,12 @@ def _state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
         rounding = float(np.max(ROUNDINGS * g.rounding)) + 2.0 * mass_defect
 
         def pdf(*H: Array) -> Array:
-            return np.asarray(seen_at(op, "pair", g.values[k : k + 1], H)[0])
+            return np.asarray(seen_at(op, PAIR, g.values[k : k + 1], H)[0])
 
         def pointwise(*H: Array) -> Array:
             p = pdf(*H)
-            moved = np.abs(p - seen_at(other_op, "pair", other.values[k : k + 1], H)[0])
-            moved += np.abs(seen_at(op, "pair", g.change[k : k + 1], H)[0])
+            moved = np.abs(p - seen_at(other_op, PAIR, other.values[k : k + 1], H)[0])
+            moved += np.abs(seen_at(op, PAIR, g.change[k : k + 1], H)[0])
             relative = _by_modes(modes, pair, pair, asked.start, t, *H) + rounding
             return np.asarray(moved + relative * np.abs(p))
 

@@ -182,41 +182,31 @@ def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array, Int
     return vv, sv, vs, ss, places.ravel()
 
 
-def _lengths(nodes: tuple[Array, Array]) -> tuple[tuple[int, int], Array, Array]:
-    """Numbers of elements along both axes, and the lengths (elements, 1, 1) of the elements."""
-    h1, h2 = (h.reshape(-1, 1, 1) for h in np.meshgrid(*map(np.diff, nodes), indexing="ij"))
-    return (nodes[0].size - 1, nodes[1].size - 1), h1, h2
-
-
-def element_matrices(coefficients: Array, nodes: tuple[Array, Array], degree: int) -> Array:
+def element_matrices(coefficients: Array, nodes: Nodes, degree: int) -> Array:
     """Return the element matrices (elements, m, m), test functions first, in ``local_order``.
 
-    ``coefficients`` (5, along H1, along H2) are w a and w b on the grid of the Gauss points.
+    ``coefficients`` on the grid of the Gauss points, (.., along H1, along H2), are w a and w b (5),
+    or w (1), of the matrices ∫ w φ_i φ_j.
     """
-    counts, h1, h2 = _lengths(nodes)
-    a1, a2, b11, b12, b22 = by_element(coefficients, counts)
-    vv, sv, vs, ss, places = _products(degree, a1.shape[-1])
+    # Lengths (elements, 1, 1) of the elements.
+    h1, h2 = (h.reshape(-1, 1, 1) for h in np.meshgrid(*map(np.diff, nodes), indexing="ij"))
+    first, *more = by_element(coefficients, (nodes[0].size - 1, nodes[1].size - 1))
+    vv, sv, vs, ss, places = _products(degree, first.shape[-1])
     # Along H2 first: for every Gauss point of H1 a small matrix over (k, l).
-    slope_slope = (-0.5 * h2 / h1 * b11) @ vv
-    slope_value = (h2 * a1) @ vv
-    value_value = (h1 * a2) @ sv + (-0.5 * h1 / h2 * b22) @ ss
-    outer, inner = [ss, sv, vv], [slope_slope, slope_value, value_value]
-    if np.any(b12):
-        inner[1] += (-0.5 * b12) @ vs
-        outer.append(vs)
-        inner.append((-0.5 * b12) @ sv)
+    if not more:
+        outer, inner = [vv], [(h1 * h2 * first) @ vv]
+    else:
+        a2, b11, b12, b22 = more
+        slope_slope = (-0.5 * h2 / h1 * b11) @ vv
+        value_value = (h1 * a2) @ sv + (-0.5 * h1 / h2 * b22) @ ss
+        outer, inner = [ss, sv, vv], [slope_slope, (h2 * first) @ vv, value_value]
+        if np.any(b12):
+            inner[1] += (-0.5 * b12) @ vs
+            outer.append(vs)
+            inner.append((-0.5 * b12) @ sv)
     factors = np.concatenate(outer).T
     m = (degree + 1) ** 2
     matrices = np.empty((h1.size, m, m))
     for matrix, *parts in zip(matrices, *inner, strict=True):
         np.take((factors @ np.concatenate(parts)).ravel(), places, out=matrix.reshape(-1))
     return matrices
-
-
-def mass_matrices(weights: Array, nodes: tuple[Array, Array], degree: int) -> Array:
-    """Return ∫ w φ_i φ_j (elements, m, m), in ``local_order``, of w at Gauss points."""
-    counts, h1, h2 = _lengths(nodes)
-    w, m = by_element(weights, counts), (degree + 1) ** 2
-    vv, *_, places = _products(degree, w.shape[-1])
-    matrices = vv.T @ (h1 * h2 * w) @ vv
-    return np.take(matrices.reshape(h1.size, -1), places, axis=1).reshape(-1, m, m)

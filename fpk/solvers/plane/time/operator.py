@@ -21,7 +21,6 @@ from fpk.solvers.plane.elements import (
     element_matrices,
     flux_coefficients,
     local_numbers,
-    mass_matrices,
     shape_functions,
 )
 from fpk.solvers.plane.solution import PlaneSolution, gauss_points
@@ -134,9 +133,11 @@ class PlaneOperator:
         (x, y), ((_, v), (_, u)) = gauss_grid(self.nodes, points=self.points)
         at, numbers = self.energies(x, y), local_numbers(self.nodes, self.degree)
         parts = flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
-        w, *coefficients = self.pulled_back(x, y, parts)
-        A = assembled(element_matrices(np.stack(coefficients), self.nodes, self.degree), numbers)
-        M = assembled(mass_matrices(w, self.nodes, self.degree), numbers)
+        parts = self.pulled_back(x, y, parts)
+        A, M = (
+            assembled(element_matrices(of, self.nodes, self.degree), numbers)
+            for of in (parts[1:], parts[:1])
+        )
         S, N, k = self.functions
         A = N.T @ A @ N
         if any(self.absorbing):
@@ -144,8 +145,8 @@ class PlaneOperator:
             first, second = (self.along(axis, z.ravel()) for axis, z in enumerate((x, y)))
             slopes = [self.along(axis, z.ravel(), slope=True) for axis, z in enumerate((x, y))]
             area = v[:, None] * u
-            flux = slopes[0].T @ (area * coefficients[0]) @ second
-            flux += first.T @ (area * coefficients[1]) @ slopes[1]
+            flux = slopes[0].T @ (area * parts[1]) @ second
+            flux += first.T @ (area * parts[2]) @ slopes[1]
             of_one = N.T @ flux.ravel()
             rows = np.flatnonzero(of_one)
             A += csc_array((of_one[rows], (rows, np.full(rows.size, k))), shape=A.shape)

@@ -4,8 +4,9 @@ The action of exp(t A) is that of shift-and-invert Krylov spaces, one for times 
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import reduce
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -19,8 +20,8 @@ from fpk.solvers.plane.solution import PlaneSolution, graded
 from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators
 from fpk.solvers.plane.weight import reach
 
-Seen = Literal["pair", "first", "second", "sum"]
-"""The coordinates in which a density of two energies is seen."""
+PAIR = (0, 1)
+"""The axes along which a density of both energies is seen; one of them alone, or none: the sum."""
 HEIGHT = 12.0
 """Largest rise of −ln w up to a start, by whose root errors grow: higher up w is flatter."""
 GIVEN_UP = (13, 0.5)
@@ -122,19 +123,18 @@ Level = tuple[PlaneOperator, Evolved]
 """An operator, and its free unknowns at all times."""
 
 
-def seen_at(op: PlaneOperator, seen: Seen, g: Array, at: Sequence[Array]) -> Array:
+def seen_at(op: PlaneOperator, seen: tuple[int, ...], g: Array, at: Sequence[Array]) -> Array:
     """Return the densities (times, ...) of unknowns g (times, unknowns) at energies ``at``.
 
     These are points (points,), or of a pair also the axes (m, 1) and (1, n) of a grid.
     """
-    if seen in ("first", "second"):
-        axis = int(seen == "first")
-        y, v = (a.ravel() for a in panel_rule(op.nodes[axis], op.points))
-        if axis:
-            return np.asarray(seen_at(op, "pair", g, (at[0][:, None], y[None])) @ v)
-        return np.asarray(v @ seen_at(op, "pair", g, (y[:, None], at[0][None])))
+    if len(seen) == 1:
+        y, v = (a.ravel() for a in panel_rule(op.nodes[1 - seen[0]], op.points))
+        if seen == (0,):
+            return np.asarray(seen_at(op, PAIR, g, np.ix_(at[0], y)) @ v)
+        return np.asarray(v @ seen_at(op, PAIR, g, np.ix_(y, at[0])))
     g = op.spread(g)
-    if seen == "pair":
+    if seen == PAIR:
         first, second = (op.along(k, H.ravel()) for k, H in enumerate(at))
         if at[0].ndim == 2:
             return np.asarray((first @ g @ second.T) * op.weight(*at))
@@ -152,23 +152,22 @@ def seen_at(op: PlaneOperator, seen: Seen, g: Array, at: Sequence[Array]) -> Arr
     return np.asarray(g.reshape(len(g), -1) @ rows.reshape(len(rows), -1).T)
 
 
-def seen_grid(op: PlaneOperator, seen: Seen) -> tuple[Sequence[Array], Array, list[float]]:
+def seen_grid(
+    op: PlaneOperator, seen: tuple[int, ...]
+) -> tuple[Sequence[Array], Array, list[float]]:
     """Return axes of energies, weights of an integral on their grid, and the last energies."""
     ends = [float(x[-1]) for x in op.nodes]
-    if seen == "sum":  # panels equidistant in √H
+    if not seen:  # panels equidistant in √H
         x, w = panel_rule(graded((sum(ends), 1.0), 12)[0], 8)
         return (x.ravel(),), w.ravel(), [sum(ends)]
-    axes, grids = gauss_grid(op.nodes, points=op.degree + 2)
-    if seen == "pair":
-        return axes, np.multiply.outer(grids[0][1], grids[1][1]).ravel(), ends
-    k = int(seen == "second")
-    return (grids[k][0],), grids[k][1], [ends[k]]
+    axes, grids = gauss_grid([op.nodes[k] for k in seen], points=op.degree + 2)
+    return axes, reduce(np.multiply.outer, [w for _, w in grids]).ravel(), [ends[k] for k in seen]
 
 
 def transient_densities(
     stationary: PlaneSolution,
     start: PlaneStart,
-    seen: Seen,
+    seen: tuple[int, ...],
     times: Array,
     at: tuple[Array, ...],
     *,
