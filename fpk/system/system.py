@@ -233,11 +233,6 @@ class Effects:
     energy_damping: bool
     mirror: bool
 
-    @property
-    def contact(self) -> bool:
-        """Whether any mass can touch anything."""
-        return self.stops > 0
-
 
 def effects_of(system: System) -> Effects:
     """Return the effects that act in ``system``."""
