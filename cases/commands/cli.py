@@ -36,7 +36,7 @@ def interrupted(number: int, frame: FrameType | None) -> None:
 
 def end(status: Any) -> None:
     """Exit with ``status``, at once where a function is still being compiled for nobody."""
-    if getattr(sys.modules.get("fpk.numeric.compiling"), "is_compiling", bool)():
+    if getattr(sys.modules.get("fpk.numeric.compiling"), "abandoned", ()):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status or 0)

@@ -121,7 +121,7 @@ def facts_record(system: System) -> Record:
                 for term in system.damping_terms
             ],
         },
-        "effects": {**plain(effects), "contact_masses": masses, "contact": effects.contact},
+        "effects": {**plain(effects), "contact_masses": masses, "contact": effects.stops > 0},
         "regime": {
             "natural_frequencies": natural_modes(system)[1],
             "incompatible": incompatibility(system),

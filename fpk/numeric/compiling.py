@@ -32,7 +32,8 @@ COMPILER = "fpk compiler"
 
 _njit: Any = numba.njit
 _awaited: set[Future[Any]] = set()
-_abandoned: set[Future[Any]] = set()
+abandoned: set[Future[Any]] = set()
+"""What is being compiled though nobody waits for it any more."""
 
 
 class CheckedFiles(IndexDataCacheFile):
@@ -101,7 +102,7 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
     def compiled(signature: Any) -> Any:
         if threading.current_thread().name == COMPILER:  # for a function that calls this one
             return compile_for(signature)
-        if _abandoned:
+        if abandoned:
             raise KeyboardInterrupt
         result = Future[Any]()
 
@@ -112,7 +113,7 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
                 done = partial(result.set_exception, error)
             with suppress(InvalidStateError):  # abandoned
                 done()
-            _abandoned.discard(result)
+            abandoned.discard(result)
 
         _awaited.add(result)
         try:
@@ -131,16 +132,11 @@ def abandon() -> None:
     Compiling itself cannot be ended: a process ends after it, or by ``os._exit``.
     """
     for result in tuple(_awaited):
-        _abandoned.add(result)
+        abandoned.add(result)
         try:
             result.set_exception(KeyboardInterrupt())
         except InvalidStateError:  # it is there
-            _abandoned.discard(result)
-
-
-def is_compiling() -> bool:
-    """Return whether a function is being compiled for which nobody waits any more."""
-    return bool(_abandoned)
+            abandoned.discard(result)
 
 
 def cached_njit() -> Callable[[Function], Function]:

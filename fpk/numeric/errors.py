@@ -51,9 +51,10 @@ class Unavailable(RuntimeError):
     """Something outside that a request needs and cannot use: a file, a cluster; one line."""
 
 
-def reason_of(error: OSError) -> str:
-    """Return what the operating system said."""
-    return str(error.strerror or error)
+def require(fits: Any, key: str, value: Any, remedy: str) -> None:
+    """Raise ``InvalidInput`` of the three unless the value ``fits``."""
+    if not fits:
+        raise InvalidInput(key, value, remedy)
 
 
 def shown(value: Any, *, width: int = 60) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from threading import Lock
 from time import perf_counter
 
-from fpk.numeric.errors import Unavailable, reason_of
+from fpk.numeric.errors import Unavailable
 
 _lock = Lock()
 _within = 0
@@ -56,7 +56,7 @@ def locked(path: Path, *, needed: bool = True) -> Iterator[None]:
     try:
         file = path.open("ab")
     except OSError as error:
-        raise Unavailable(f"{words}: {reason_of(error)}") from None
+        raise Unavailable(f"{words}: {error.strerror or error}") from None
     with file:
         try:
             if sys.platform == "win32":
@@ -74,5 +74,7 @@ def locked(path: Path, *, needed: bool = True) -> Iterator[None]:
                     " ended, or give another folder"
                 ) from None
             if needed:
-                raise Unavailable(f"{words}: {reason_of(error)}; give another folder") from None
+                raise Unavailable(
+                    f"{words}: {error.strerror or error}; give another folder"
+                ) from None
         yield

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 import fpk.system.laws  # noqa: F401  (its modules register the laws)
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import require
 from fpk.numeric.recognition import REGISTRY
 from fpk.system.contact_law import LAWS
 
@@ -51,27 +51,24 @@ class Contact:
             ("clearance", Real, "a number"),
             ("exponent", Real | None, "a number"),
         ):
-            if not isinstance(getattr(self, key), kind):
-                raise InvalidInput(key, getattr(self, key), f"must be {words}")
+            value = getattr(self, key)
+            require(isinstance(value, kind), key, value, f"must be {words}")
         for key, fits, words in (
             ("side", self.side in get_args(Side), 'is not a side; use "left", "right" or "both"'),
             ("stiffness", 0 < self.stiffness < inf, "must be a finite number > 0"),
             ("clearance", 0 <= self.clearance < inf, "must be a finite number >= 0"),
             ("law", self.law in LAWS, f"is not a contact law; use one of {sorted(LAWS)}"),
         ):
-            if not fits:
-                raise InvalidInput(key, getattr(self, key), words)
-        own = LAWS[self.law].exponent
+            require(fits, key, getattr(self, key), words)
+        own, given = LAWS[self.law].exponent, self.exponent
         if own is None:
-            if self.exponent is None or not 1 <= self.exponent <= MAX_EXPONENT:
-                remedy = f'must be >= 1 and at most {MAX_EXPONENT:g} for law "{self.law}"'
-                raise InvalidInput("exponent", self.exponent, remedy)
-        elif self.exponent not in (None, own):
-            raise InvalidInput(
-                "exponent", self.exponent, f'leave it out: the law "{self.law}" has its own, {own}'
-            )
+            remedy = f'must be >= 1 and at most {MAX_EXPONENT:g} for law "{self.law}"'
+            fits = given is not None and 1 <= given <= MAX_EXPONENT
         else:
-            object.__setattr__(self, "exponent", own)
+            remedy = f'leave it out: the law "{self.law}" has its own, {own}'
+            fits = given in (None, own)
+        require(fits, "exponent", given, remedy)
+        object.__setattr__(self, "exponent", given if own is None else own)
 
     @property
     def index(self) -> int:

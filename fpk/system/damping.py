@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fpk.numeric.arrays import Array
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import require
 
 Powers = tuple[tuple[int, int], ...]
 
@@ -45,20 +45,17 @@ class DampingTerm:
 
     def __post_init__(self) -> None:
         """Check the fields, and sort the powers so that equal terms are equal."""
-        if not isfinite(self.coefficient):
-            raise InvalidInput("coefficient", self.coefficient, "must be a finite number")
+        finite = isfinite(self.coefficient)
+        require(finite, "coefficient", self.coefficient, "must be a finite number")
         for key in ("q", "v"):
             powers: Powers = tuple(sorted(getattr(self, key)))
             for mass, power in powers:
-                if power < 1:
-                    raise InvalidInput(f"{key}.{mass}", power, "must be a power of 1 or more")
+                require(power >= 1, f"{key}.{mass}", power, "must be a power of 1 or more")
             object.__setattr__(self, key, powers)
-        if self.energy < 0:
-            raise InvalidInput("energy", self.energy, "must be a power of 0 or more")
+        require(self.energy >= 0, "energy", self.energy, "must be a power of 0 or more")
         degree = sum(power for _, power in self.q + self.v) + 2 * self.energy
-        if degree > MOST_POWERS:
-            remedy = f"is the degree, an energy counting 2; use at most {MOST_POWERS}"
-            raise InvalidInput("degree", degree, remedy)
+        remedy = f"is the degree, an energy counting 2; use at most {MOST_POWERS}"
+        require(degree <= MOST_POWERS, "degree", degree, remedy)
         object.__setattr__(self, "degree", degree)
 
     @property

@@ -6,7 +6,7 @@ from itertools import pairwise
 from math import inf
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
+from scipy.linalg import block_diag, solve_continuous_lyapunov
 
 from fpk.numeric.arrays import EPS, ROUND_OFF, Array
 from fpk.numeric.errors import NotApplicable
@@ -22,8 +22,7 @@ def drift_matrix(system: System) -> Array:
 
 def diffusion_matrix(system: System) -> Array:
     """Return the constant b = 2 f D fᵀ of the momenta in x = (q, p), shape (2n, 2n)."""
-    nothing = np.zeros((system.n, system.n))
-    return np.block([[nothing, nothing], [nothing, 2.0 * system.noise_matrix]])
+    return np.asarray(block_diag(np.zeros((system.n, system.n)), 2.0 * system.noise_matrix))
 
 
 def natural_modes(system: System) -> tuple[Array, Array]:
@@ -121,7 +120,7 @@ def linear_covariance(system: System) -> LinearCovariance:
     T, omega = natural_modes(system)
     nothing = np.zeros((n, n))
     A = np.block([[nothing, np.diag(omega)], [-np.diag(omega), -T.T @ system.damping @ T]])
-    b = np.block([[nothing, nothing], [nothing, 2.0 * T.T @ system.noise_matrix @ T]])
+    b = block_diag(nothing, 2.0 * T.T @ system.noise_matrix @ T)
     covariance = correction = np.zeros((2 * n, 2 * n))
     # A first correction leaves the square of the solver's relative error, which is below 1e-6 where
     # a mode decays by more than 1e-10 of a radian; a second one shows what is left.
@@ -167,8 +166,6 @@ def stationary_covariance(system: System) -> Array:
     Raises ``NotApplicable`` as ``linear_covariance``.
     """
     modal = system.fact(linear_covariance)
-    nothing = np.zeros((system.n, system.n))
-    momenta = system.mass[:, None] * modal.shapes
-    back = np.block([[modal.shapes / modal.omega, nothing], [nothing, momenta]])
+    back = block_diag(modal.shapes / modal.omega, system.mass[:, None] * modal.shapes)
     covariance = back @ modal.covariance @ back.T
     return np.asarray(0.5 * (covariance + covariance.T))

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import hyp1f1
 
 from fpk.numeric.arrays import Array
-from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.errors import NotApplicable, require
 
 ROUND_OFF = 1e-13
 """Relative error of ``Modulation.faded``: 1F1 of SciPy has 2e-15, a decay by up to e^−700 8e-14."""
@@ -34,21 +34,17 @@ class Modulation:
                 array = np.array(getattr(self, key), dtype=float)
             except (TypeError, ValueError):
                 array = np.array(np.nan)
-            if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
-                raise InvalidInput(key, getattr(self, key), "must be a list of finite numbers")
+            fits = array.ndim == 1 and array.size > 0 and np.isfinite(array).all()
+            require(fits, key, getattr(self, key), "must be a list of finite numbers")
             array.setflags(write=False)
             object.__setattr__(self, key, array)
-        if self.times[0] != 0.0 or np.any(np.diff(self.times) <= 0.0):
-            raise InvalidInput("times", self.times, "must begin with 0 and ascend")
-        if self.factor.size != self.times.size:
-            raise InvalidInput(
-                "factor", self.factor, f"must have {self.times.size} entries, one per time"
-            )
-        if np.any(self.factor < 0.0):
-            raise InvalidInput("factor", self.factor, "must not be negative")
-        if np.any((self.factor > most) | (self.factor > 0.0) & (self.factor < least)):
-            words = f"must be 0 or from {least:g} to {most:g}, for its square"
-            raise InvalidInput("factor", self.factor, words)
+        times, e = self.times, self.factor
+        ascend = times[0] == 0.0 and np.all(np.diff(times) > 0.0)
+        require(ascend, "times", times, "must begin with 0 and ascend")
+        require(e.size == times.size, "factor", e, f"must have {times.size} entries, one per time")
+        require(np.all(e >= 0.0), "factor", e, "must not be negative")
+        words = f"must be 0 or from {least:g} to {most:g}, for its square"
+        require(np.all((e == 0.0) | (e >= least) & (e <= most)), "factor", e, words)
 
     def __call__(self, time: Array) -> Array:
         """Return e at ``time`` >= 0 of any shape."""

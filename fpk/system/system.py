@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fpk.numeric.arrays import ROUND_OFF, Array
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, require
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
 from fpk.system.modulation import Modulation
@@ -62,28 +62,24 @@ class System:
         """Check the fields, bring them to matrix form and derive f D fᵀ and K."""
         for key, kind in (("contacts", Contact), ("damping_terms", DampingTerm)):
             given = getattr(self, key)
-            if not isinstance(given, (tuple, list)) or not all(isinstance(x, kind) for x in given):
-                remedy = f"must be a tuple of {kind.__name__}, as (first, second)"
-                raise InvalidInput(key, given, remedy)
+            fits = isinstance(given, (tuple, list)) and all(isinstance(x, kind) for x in given)
+            require(fits, key, given, f"must be a tuple of {kind.__name__}, as (first, second)")
         mass, stiffness = _finite("mass", self.mass), _finite("stiffness", self.stiffness)
         for key, array in (("mass", mass), ("stiffness", stiffness)):
-            if array.ndim != 1 or array.size == 0:
-                raise InvalidInput(key, getattr(self, key), "must be a list of one number per mass")
-            if (array <= 0).any():
-                raise InvalidInput(key, getattr(self, key), "must hold positive numbers only")
+            given, fits = getattr(self, key), array.ndim == 1 and array.size > 0
+            require(fits, key, given, "must be a list of one number per mass")
+            require((array > 0).all(), key, given, "must hold positive numbers only")
         n = mass.size
-        if stiffness.size != n:
-            raise InvalidInput("stiffness", self.stiffness, f"must have {n} entries, one per mass")
-        damping = _matrix("damping", self.damping)
-        if damping.shape[0] != n:
-            raise InvalidInput("damping", self.damping, f"must have {n} entries or be {n} x {n}")
+        words = f"must have {n} entries, one per mass"
+        require(stiffness.size == n, "stiffness", self.stiffness, words)
+        damping, words = _matrix("damping", self.damping), f"must have {n} entries or be {n} x {n}"
+        require(damping.shape[0] == n, "damping", self.damping, words)
         masses = {f"contact[{k}].mass": c.mass for k, c in enumerate(self.contacts, start=1)}
         terms = []  # those that depend on the state
         for k, term in enumerate(self.damping_terms, start=1):
             masses |= {f"damping_term[{k}].{place}": at for place, at in term.masses.items()}
         for key, at in masses.items():
-            if not 1 <= at <= n:
-                raise InvalidInput(key, at, f"is not a mass; use 1 to {n}")
+            require(1 <= at <= n, key, at, f"is not a mass; use 1 to {n}")
         for term in self.damping_terms:
             if term.degree == 0:
                 damping[term.row, term.column] += term.coefficient
@@ -91,24 +87,18 @@ class System:
                 terms.append(term)
         if not terms:
             _refuse_negative("damping", damping, "does not dissipate: its symmetric part has")
-        intensity = _matrix("noise_intensity", self.noise_intensity)
-        noises = intensity.shape[0]
-        skew = np.abs(intensity - intensity.T)
-        if (skew > ROUND_OFF * np.abs(intensity)).any():
-            raise InvalidInput("noise_intensity", self.noise_intensity, "must be symmetric")
-        _refuse_negative("noise_intensity", intensity, "is not positive semidefinite: it has")
+        key, given = "noise_intensity", self.noise_intensity
+        intensity = _matrix(key, given)
+        noises, skew = intensity.shape[0], np.abs(intensity - intensity.T)
+        require((skew <= ROUND_OFF * np.abs(intensity)).all(), key, given, "must be symmetric")
+        _refuse_negative(key, intensity, "is not positive semidefinite: it has")
         if self.noise_gain is None:
-            if noises != n:
-                raise InvalidInput(
-                    "noise_intensity",
-                    self.noise_intensity,
-                    f"must have {n} entries or be {n} x {n} (or give noise_gain, {n} x {noises})",
-                )
+            require(noises == n, key, given, f"{words} (or give noise_gain, {n} x {noises})")
             gain = np.eye(n)
         else:
             gain = _finite("noise_gain", self.noise_gain)
-            if gain.shape != (n, noises):
-                raise InvalidInput("noise_gain", self.noise_gain, f"must be {n} x {noises}")
+            fits = gain.shape == (n, noises)
+            require(fits, "noise_gain", self.noise_gain, f"must be {n} x {noises}")
         extension = np.eye(n) - np.eye(n, k=-1)  # of each spring, from the displacements
         arrays = {
             "mass": mass,
@@ -198,11 +188,9 @@ def _finite(key: str, value: ArrayLike) -> Array:
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
-        raise InvalidInput(
-            key, value, "must be numbers in a list, or lists of equal length"
-        ) from None
-    if not np.isfinite(array).all():
-        raise InvalidInput(key, value, "must hold finite numbers only")
+        remedy = "must be numbers in a list, or lists of equal length"
+        raise InvalidInput(key, value, remedy) from None
+    require(np.isfinite(array).all(), key, value, "must hold finite numbers only")
     return array
 
 
@@ -210,8 +198,8 @@ def _matrix(key: str, value: ArrayLike) -> Array:
     array = _finite(key, value)
     if array.ndim == 1 and array.size:
         return np.diag(array)
-    if array.ndim != 2 or array.shape[0] != array.shape[1] or array.size == 0:
-        raise InvalidInput(key, value, "must be a list of numbers or a square matrix")
+    square = array.ndim == 2 and array.shape[0] == array.shape[1] and array.size > 0
+    require(square, key, value, "must be a list of numbers or a square matrix")
     return array
 
 
@@ -220,8 +208,8 @@ def _refuse_negative(key: str, matrix: Array, words: str) -> None:
     eigenvalues: Array = np.sort(symmetric.diagonal())
     if np.count_nonzero(symmetric) > np.count_nonzero(eigenvalues):
         eigenvalues = np.asarray(np.linalg.eigvalsh(symmetric), dtype=float)
-    if eigenvalues[0] < -ROUND_OFF * np.abs(eigenvalues).max():
-        raise InvalidInput(key, matrix, f"{words} the eigenvalue {eigenvalues[0]:.3g} < 0")
+    fits = eigenvalues[0] >= -ROUND_OFF * np.abs(eigenvalues).max()
+    require(fits, key, matrix, f"{words} the eigenvalue {eigenvalues[0]:.3g} < 0")
 
 
 @dataclass(frozen=True)
@@ -244,11 +232,6 @@ class Effects:
     state_damping: bool
     energy_damping: bool
     mirror: bool
-
-    @property
-    def contact(self) -> bool:
-        """Whether any mass can touch anything."""
-        return self.stops > 0
 
 
 def effects_of(system: System) -> Effects:

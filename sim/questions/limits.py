@@ -133,7 +133,7 @@ TOO_LONG = 4.0
 def needs_steps(system: System) -> bool:
     """Return whether the step has an error at all: without contact and terms it is exact."""
     effects = effects_of(system)
-    return effects.contact or effects.state_damping
+    return effects.stops > 0 or effects.state_damping
 
 
 def longest_step(system: System, reach: Reach) -> float:

@@ -297,7 +297,7 @@ def watched(
     )
     key = KernelKey(
         laws=effects.laws,
-        kick_first=scheme.kick_first or not (effects.contact or effects.state_damping),
+        kick_first=scheme.kick_first or not (effects.stops or effects.state_damping),
         damping=effects.state_damping,
         energy_damping=effects.energy_damping,
         energy=Coordinate("H") in observed or bool(products and effects.energy_damping),

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.numeric.compiling import ROOT, abandon, checksum
-from fpk.numeric.errors import NotCertified, Unavailable, reason_of
+from fpk.numeric.errors import NotCertified, Unavailable
 from fpk.numeric.machine import locked, working_time
 from fpk.numeric.recognition import fingerprint
 
@@ -154,7 +154,9 @@ class Checkpoint:
                 os.fsync(stream.fileno())
             os.replace(part, self.path)
         except OSError as error:
-            raise Unavailable(f"{self.path}: cannot be written: {reason_of(error)}") from None
+            raise Unavailable(
+                f"{self.path}: cannot be written: {error.strerror or error}"
+            ) from None
         finally:
             part.unlink(missing_ok=True)
         self._saved = working_time()
@@ -166,7 +168,7 @@ class Checkpoint:
         try:
             content = BytesIO(self.path.read_bytes())
         except OSError as error:
-            raise Unavailable(f"{self.path}: cannot be read: {reason_of(error)}") from None
+            raise Unavailable(f"{self.path}: cannot be read: {error.strerror or error}") from None
         try:
             with np.load(content, allow_pickle=False) as saved:
                 # NumPy checks only as much of a member as its header says, and misses none that is

@@ -13,7 +13,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from fpk.numeric.compiling import COMPILER, abandon, interruptible_compile, is_compiling
+from fpk.numeric.compiling import COMPILER, abandon, abandoned, interruptible_compile
 
 SOURCE = '''
 """A module whose folder is the test's own, and so is its cache."""
@@ -137,20 +137,20 @@ def test_who_waits_for_a_function_that_is_compiled_can_be_interrupted():
         compiled("this thread's")
     thread.join()
     pressed.join()
-    assert ended and is_compiling()
+    assert ended and abandoned
     with pytest.raises(KeyboardInterrupt):  # numba compiles one function at a time
         compiled("a later one's")
     may_end.set()
     for own in threading.enumerate():
         if own.name == COMPILER:
             own.join()
-    assert not is_compiling() and compiled(3) == 3
+    assert not abandoned and compiled(3) == 3
 
     def failing(signature):
         raise ValueError(signature)
 
     nested = interruptible_compile(lambda signature: (compiled(signature), threading.get_ident()))
-    assert nested(5)[0] == 5 and nested(5)[1] != threading.get_ident() and not is_compiling()
+    assert nested(5)[0] == 5 and nested(5)[1] != threading.get_ident() and not abandoned
     with pytest.raises(ValueError, match="reason"):
         interruptible_compile(failing)("reason")
 

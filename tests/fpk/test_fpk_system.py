@@ -150,7 +150,7 @@ def test_a_bad_field_is_named(field, value):
 
 def test_effects_follow_from_the_system():
     plain = effects_of(system())
-    assert not plain.contact and plain.mirror and plain.noise_rank == 2
+    assert plain.stops == 0 and plain.mirror and plain.noise_rank == 2
     assert not plain.correlated_noise and not plain.coupled_damping
     full = effects_of(
         system(
