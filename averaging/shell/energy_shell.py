@@ -66,7 +66,9 @@ class EnergyShell:
         touch = np.full(reach.shape, np.inf)
         np.divide(self.stops.touch, reach, out=touch, where=reach > 0.0)
         order, ray = touch.argsort(axis=1, kind="stable"), np.arange(len(touch))[:, None]
-        return Stops(reach[ray, order], touch[ray, order], *(x[order] for x in self.stops[2:]))
+        _, _, stiffness, exponent, law = self.stops
+        met = reach[ray, order], touch[ray, order]
+        return Stops(*met, stiffness[order], exponent[order], law[order])
 
     @cached_property
     def sides(self) -> Stops:
