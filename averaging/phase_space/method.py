@@ -18,7 +18,15 @@ from averaging.phase_space.equation.degrees import finer, lowest
 from averaging.phase_space.equation.elimination import cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.passage.first_passage import first_passage
-from averaging.phase_space.refinement import MEMORY, Ladder, Options, better, ladder_of, ladders
+from averaging.phase_space.refinement import (
+    MEMORY,
+    WORK,
+    Ladder,
+    Options,
+    better,
+    ladder_of,
+    ladders,
+)
 from averaging.theory import Theory
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Curve, Passage, Rates, certified_curve
@@ -119,9 +127,7 @@ class PhaseSpace(Theory):
             return f"{name}: {words}; ask for q, p or pairs of them" if energy else None
 
         def solve(
-            observables: Sequence[Observable],
-            progress: Progress,
-            beside: Sequence[Observable] = (),
+            observables: Sequence[Observable], progress: Progress, beside: Sequence[Observable] = ()
         ) -> Result:
             # For each observable the solution of the least error.
             best: dict[Observable, Ladder] = {}
@@ -230,8 +236,9 @@ class PhaseSpace(Theory):
         return first_passage(asked)
 
     def _options(self, progress: Progress = silent) -> Options:
-        more = {"threads": self.threads, "reference": self.reference, "progress": progress}
-        return Options.of(self.memory, self.work, **more)
+        # The work that goes with a memory is as N³ to N² of dense blocks.
+        work = WORK * (self.memory / MEMORY) ** 1.5 if self.work is None else self.work
+        return Options(self.memory, work, self.threads, self.reference, progress)
 
     def _frame(self, system: System) -> Frame:
         """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""

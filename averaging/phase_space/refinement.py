@@ -1,25 +1,15 @@
 """Degrees and reference that adapt until the distance to the coarser solution meets a tolerance."""
 
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
 
 import numpy as np
-from numpy.polynomial.hermite_e import hermegauss
-from scipy.linalg import solve_continuous_lyapunov
 from threadpoolctl import threadpool_limits
 
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import finer, fitting, lowest
 from averaging.phase_space.equation.elimination import CONVERGED, Expansion, cost, expanded
-from averaging.phase_space.equation.frame import (
-    Frame,
-    Reference,
-    gibbs_reference,
-    reference_of,
-    with_moments,
-)
+from averaging.phase_space.equation.frame import Frame, Reference, reference_of, start, with_moments
 from averaging.phase_space.marginals import marginal, moments
 from fpk.answer.method import Progress, silent
 from fpk.answer.names import Coordinate, Observable
@@ -52,10 +42,6 @@ MEMORY = 4.0
 """GB (1e9 bytes) that a solution may need where no other bound is given."""
 WORK = 1.2e13
 """Operations that it may need where ``MEMORY`` is the bound: about a minute on two cores."""
-ROUNDS = 20
-"""Linear systems, each with the contact force of the Gaussian state before, that make the start."""
-POINTS = 80
-"""Gauss points of the means over that state."""
 REFITS = 2
 """Solutions that the moments are taken from. The first changed variances of 119 systems by 0.3 % at
 the median and 20 % at the most, the second by 7e-8 and 7 %."""
@@ -77,11 +63,6 @@ class Options:
     threads: int | None = None
     reference: Reference | None = None
     progress: Progress = silent
-
-    @classmethod
-    def of(cls, memory: float, work: float | None = None, **more: Any) -> Self:
-        """Return options; the work that goes with a memory is as N³ to N² of dense blocks."""
-        return cls(memory, WORK * (memory / MEMORY) ** 1.5 if work is None else work, **more)
 
     def refusal(self, size: float, work: float) -> str:
         """Say why a solution of these bytes and operations is not begun; empty where it may."""
@@ -205,43 +186,6 @@ def distance(a: Expansion, b: Expansion, observable: Observable) -> float:
     second, q = marginal(b, observable)
     mesh, grids = gauss_grid(list(map(np.union1d, first, second)))
     return integral(np.abs(p(*mesh) - q(*mesh)), grids)
-
-
-def start(frame: Frame) -> Reference:
-    """Return the Gaussian state of the linear system that is nearest to a frame's.
-
-    Statistical linearisation (Roberts and Spanos, Random Vibration and Statistical Linearization,
-    1990): the contact force g(y) is E g + k (y − E y), k = E g (y − E y)/Var y, of the Gaussian y
-    that this force makes; the weight of y has the force itself. With damping terms it is the
-    ``gibbs_reference``. Raises ``LinAlgError`` where the linear system has no stationary state.
-    """
-    gibbs, n = gibbs_reference(frame), frame.n
-    if frame.system.damping_terms:
-        return gibbs
-    x, weight = hermegauss(POINTS)
-    weight /= weight.sum()
-    centre, variance = 0.0, 1.0 / gibbs.weight[1]
-    noise = np.zeros((2 * n, 2 * n))
-    noise[n:, n:] = 2.0 * frame.noise
-    for _ in range(ROUNDS):
-        y = centre + np.sqrt(variance) * x
-        force = frame.contact_force(y)
-        k = float(weight @ (force * (y - centre))) / variance
-        stiffness = frame.stiffness.copy()
-        stiffness[0, 0] += k
-        drift = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -frame.damping]])
-        with warnings.catch_warnings():
-            # Where a motion is not damped at all; the answer is then of no distribution.
-            warnings.simplefilter("ignore", RuntimeWarning)
-            covariance = solve_continuous_lyapunov(drift, -noise)
-        means = np.linalg.solve(stiffness, (k * centre - float(weight @ force)) * np.eye(n)[0])
-        if not covariance[0, 0] > 0.0:
-            raise np.linalg.LinAlgError("the linear system has no stationary state")
-        # Halfway, as a softer stop lets y out to where it is stiffer.
-        centre, variance = 0.5 * (centre + means[0]), 0.5 * (variance + covariance[0, 0])
-    # Of mirror images round-off is all that the means are.
-    mean = np.zeros(2 * n) if frame.symmetric else np.concatenate([means, np.zeros(n)])
-    return with_moments(frame, mean, covariance)
 
 
 def fitted(frame: Frame, about: Reference) -> Reference:

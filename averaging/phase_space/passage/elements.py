@@ -32,14 +32,10 @@ KRYLOV = 0.05
 def factorised(matrix: csc_array) -> Any:
     """Return the factors; raise ``NotCertified`` where the elimination breaks down."""
     right = matrix @ np.ones(matrix.shape[0])
+    symmetric: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
     for pivot in PIVOTS:
         try:
-            factors = splu(
-                matrix,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=pivot,
-                options={"SymmetricMode": True},
-            )
+            factors = splu(matrix, diag_pivot_thresh=pivot, **symmetric)
         except RuntimeError as error:
             raise NotCertified(f"the elimination breaks down: {error}") from None
         x = factors.solve(right)
