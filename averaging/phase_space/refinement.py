@@ -52,11 +52,7 @@ by which a narrower one is to bring the highest levels down."""
 
 @dataclass(frozen=True)
 class Options:
-    """The settings of ``PhaseSpace`` by which solutions are made.
-
-    From the third on none is begun that needs more than ``memory`` (GB, 1e9 bytes) or ``work``
-    (operations on real numbers).
-    """
+    """Settings; no third solution is begun beyond ``memory`` (GB) or ``work`` (operations)."""
 
     memory: float
     work: float
@@ -145,13 +141,12 @@ def ladders(frame: Frame, observables: Sequence[Observable], options: Options) -
             step = options.step("phase space", degrees.total)
             finest = expanded(frame, about, degrees, memory=memory, step=step)
             if not finest.residual < CONVERGED:
-                unsolved = f"the equations of degree {degrees.total} are not solved"
+                limit = f"the equations of degree {degrees.total} are not solved"
                 if ladder is None:
-                    raise np.linalg.LinAlgError(unsolved)
+                    raise np.linalg.LinAlgError(limit)
                 if cost(finest.basis, numbers=float)[0] > memory:
-                    unsolved += ": double precision needs more memory"
-                yield replace(ladder, limit=unsolved)
-                return
+                    limit += ": double precision needs more memory"
+                break
             degrees = finer(frame, degrees, finest.rise)
             if coarser is not None:
                 ladder = ladder_of(finest, coarser, observables, ladder)
@@ -160,9 +155,9 @@ def ladders(frame: Frame, observables: Sequence[Observable], options: Options) -
                 if degrees.outer <= MOST_OUTER:
                     limit = options.refusal(*cost(basis(frame, about, degrees)))
                 if limit:
-                    yield replace(ladder, limit=limit)
-                    return
+                    break
             coarser = finest
+        yield replace(ladder, limit=limit)
 
 
 def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
@@ -191,9 +186,8 @@ def distance(a: Expansion, b: Expansion, observable: Observable) -> float:
 def fitted(frame: Frame, about: Reference) -> Reference:
     """Return a reference with about the moments of the solution, and the best width for it.
 
-    The variance of the contact velocity is made smaller while that makes the highest levels of a
-    solution smaller: near a stiff stop p(v) has features narrower than such a Gaussian. Raises
-    ``LinAlgError`` where the moments are of no distribution.
+    The variance of the contact velocity falls while that makes the highest levels of a solution
+    smaller. Raises ``LinAlgError`` where the moments are of no distribution.
     """
     best = about
     for _ in range(REFITS):
@@ -218,5 +212,4 @@ def fitted(frame: Frame, about: Reference) -> Reference:
 def refitted(e: Expansion) -> Reference:
     """Return the reference with the first and second moments of a solution."""
     mean, covariance = moments(e)
-    # Of mirror images round-off is all that the means are.
     return with_moments(e.basis.frame, mean * (not e.basis.mirrored), covariance)

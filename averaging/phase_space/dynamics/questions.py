@@ -69,10 +69,9 @@ def adapted(
 ) -> tuple[Ladder, Answer]:
     """Return the first answer with a relative error of at most ``tol``, else the best one.
 
-    ``measure`` is called once for each solution. ``numbers`` are those of the resolvent's
-    elimination, ``what`` the words that progress is reported by. The error follows from the largest
-    relative distance as that of densities does, which meet the tolerance, too, unless there is no
-    finer solution. An earlier answer of a smaller error is kept if the later agrees within it.
+    ``measure`` is called once for each solution; ``numbers`` are those of the elimination. Errors
+    follow from the largest relative distance as those of densities, which meet the tolerance, too,
+    unless ended. An earlier answer of a smaller error is kept if the later agrees within it.
     """
     found: tuple[Ladder, Answer] | None = None
     believed: float | None = None

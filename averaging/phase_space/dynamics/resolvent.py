@@ -1,10 +1,8 @@
 """The FPK operator of an expansion off its stationary state: its resolvent and its eigenvalues.
 
-A vector of the expansion changes as du/dt = A u, A the matrix of the chain of levels: the functions
-are orthonormal in L²(w N), so that the unit matrix stands before du/dt. (A − s)⁻¹ is the same
-elimination as that of the stationary state with s off the diagonal of every level. Where mirror
-images are equally likely A does not mix what keeps its sign under them with what changes it, as
-displacements do: each has a chain of its own, of half the size.
+A vector of the expansion changes as du/dt = A u, A the matrix of the chain of levels, in
+orthonormal functions. Where mirror images are equally likely, what changes its sign under them, as
+displacements do, and what keeps it have a chain each, of half the size.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,11 +1,8 @@
 """Degrees of the Hermite polynomials and of the functions of y with each, and their operators.
 
-With the contact mass held, the others are oscillators: one for each, of a complex amplitude
-b = (ζ_v + i ζ_x)/√2, which turns. The Hermite polynomials of degree m in ζ_v and ζ_x are, in other
-combinations, those of degree j in b and k in its conjugate, j + k = m: their real and imaginary
-parts turn j − k times as fast as b, and those that turn fast are small. A product therefore counts
-by the larger one of j and k, not by j + k: half the products then reach as high a degree in the
-energy of the oscillator, where j = k.
+With the contact mass held, each other mass is an oscillator of the amplitude b = (ζ_v + i ζ_x)/√2.
+Products are of degrees j in b and k in its conjugate; those that turn fast are small: a product
+counts by the larger one of j and k, not by j + k (docs/theory.md).
 """
 
 from collections.abc import Sequence

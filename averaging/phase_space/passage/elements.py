@@ -119,24 +119,20 @@ class Elements:
         return float(np.real(y @ self.exit) / np.real(y @ self.load))
 
     @cached_property
-    def sigma(self) -> float:
-        """Four times the frequency, less where damping outdoes it; two to eight serve as well."""
+    def shifted(self) -> tuple[float, Any]:
+        """σ, four times the frequency or less (two to eight serve as well), and factors of K + σM."""
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
-        return 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
-
-    @cached_property
-    def shifted(self) -> Any:
-        """The factors of K + σM."""
-        return factorised(csc_array(self.K + self.sigma * self.M))
+        sigma = 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
+        return sigma, factorised(csc_array(self.K + sigma * self.M))
 
     def mass_defect(self, start: Array) -> float:
         """Return what is wrong with the mass at a time of exponential distribution, the mean 1/σ.
 
         By its density σ (K + σM)⁻ᵀ start, what is within and what has left add up to ``start``.
         """
-        y = self.shifted.solve(start, "T")
-        mass = y @ (self.sigma * (self.M @ self.one) + self.exit)
+        sigma, factors = self.shifted
+        mass = factors.solve(start, "T") @ (sigma * (self.M @ self.one) + self.exit)
         return abs(float(mass - start @ self.one))
 
     def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
@@ -150,7 +146,7 @@ class Elements:
         last = np.full(times.size, np.inf)
         change = before = last
         images = np.zeros((0, start.size))
-        solve, M = self.shifted.solve, self.M
+        solve, M = self.shifted[1].solve, self.M
         spaces = krylov(lambda x: solve(M @ x), self.one[:, None], VECTORS, metric=M.__matmul__)
         for V, _, closed in spaces:
             if len(V) % EVERY and not closed:
@@ -255,8 +251,7 @@ def elements(mesh: Mesh) -> Elements:
         lost = -np.asarray(K @ (~inner.ravel()).astype(float))
     free = np.flatnonzero(inner.ravel())
     load = np.asarray(M @ np.ones(total))[free]
-    if free.size < total:
-        K, M = K[free][:, free], M[free][:, free]
+    K, M = K[free][:, free], M[free][:, free]
     scale = 1.0 / np.sqrt(M.diagonal())
     for A in (K, M):
         A.data *= scale[A.indices] * np.repeat(scale, np.diff(A.indptr))
