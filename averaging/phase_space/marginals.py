@@ -20,8 +20,7 @@ POINTS_PER_WIDTH = 4.0
 """Gauss points for each standard deviation of what the contact displacement is integrated out of,
 beside one for each degree: a Gaussian on 34 of its widths is exact to round-off with 137."""
 MOST_POINTS = 4000
-"""Most of them, as a mass tied to the contact mass by a spring 1e5 times as stiff as the others
-needs; the certificate holds what fewer than needed leave."""
+"""Most of them, as a spring 1e5 times as stiff needs; the certificate holds what is left."""
 
 
 def moments(e: Expansion) -> tuple[Array, Array]:

@@ -84,8 +84,7 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
 
     One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the solution
     of (1 + (iω − s) B) u = B b is taken from the Krylov space of B and B b by Galerkin's method.
-    The first shift is 0, in real numbers; the next ones are in the middle of the frequencies left.
-    The residual is relative to the solution.
+    The first s is 0, the next in the middle of those left. The residual is relative to u.
     """
     values, worst = np.zeros(at.size, dtype=complex), 0.0
     groups, shift = [np.arange(at.size)], 0.0
@@ -169,8 +168,7 @@ def slowest_rates(
 
     The first ``count`` are the slowest, unless the words behind say what is missing. Discs, at most
     ``most``, follow each other up the imaginary axis to the largest natural frequency ``fastest``
-    and until no rate as slow can lie above: as rates of a linear system are sums of rates of its
-    modes, Im λ/Re λ of none is more than that of a mode.
+    and until no rate as slow can lie above: Im λ/Re λ of none is more than the largest found.
     """
     rates, discs, at = np.zeros(0, dtype=complex), list[tuple[float, float]](), 0.0
     while True:

@@ -69,9 +69,8 @@ class Basis:
 
     ``points`` and ``weights`` (q,) integrate f(y) w(y) dy, ∫ w = 1, w being divided by
     e^``log_norm``. ``nodes`` are the ends of the panels. The functions are columns (functions of
-    all panels, functions). Levels of even degree have the ``continuous`` ones, without a term in t
-    itself beyond a stop, whose slope in y has no bound. Levels of odd degree have the ``broken``
-    ones, which may jump at the stops, of the degrees of the derivatives of the first.
+    all panels, functions): the ``continuous`` ones of levels of even degree, without a term in t
+    itself beyond a stop, and the ``broken`` ones of odd degree, which may jump at the stops.
     ``counts[s][c]`` is how many functions of set s, in front, have c polynomials beyond a stop, 0
     for fewer than any degree has. ``mirrored``: one set is even and the other odd.
     """

@@ -93,8 +93,7 @@ def placed(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers
     """Return how many functions each degree of ``space`` has, its first unknown, and the ``ends``.
 
     What ``space`` has beyond the degrees of the basis is left out. At the highest levels the sum m
-    of the degrees in the others falls by two a level: errors of densities stay as they are without
-    these products of high degrees, and a fifth of the work is saved.
+    of the degrees in the others falls by two a level, which saves a fifth of the work.
     """
     degrees = functions.degrees
     table = np.zeros((space.level[-1] + 1, space.others.max() + 1), dtype=np.int64)
@@ -122,8 +121,7 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     """Return the equations in the functions of a basis, about its reference.
 
     ``closed``: levels meet themselves by l₁ (∂* ∂)^½ of all functions that the level above lacks,
-    not only where there is none above: else the highest degrees in y are hardly damped, and A has
-    slow eigenvalues that are none of L.
+    not only where there is none above: else A has slow eigenvalues that are none of L.
     """
     frame, reference, degrees = functions.frame, functions.reference, functions.degrees
     F, G, h = linear_part(frame, reference)

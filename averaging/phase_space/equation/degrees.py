@@ -48,7 +48,6 @@ class Degrees:
     def beyond(self, level: int, others: int) -> int:
         """Number of polynomials beyond a stop, of |k| = ``level`` and a degree in the others.
 
-        Motion turns degrees in y into those in velocities: the higher these, the fewer polynomials.
         Levels go in pairs, as the derivatives of the functions of one are those of the next.
         """
         alone = max(self.outer - level // 2 * 2, int(LEAST * self.outer))
@@ -89,8 +88,7 @@ def lowest(frame: Frame) -> Degrees:
 def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     """Return the degrees of the next solution; ``rise`` is that of the degree in the others.
 
-    N stays odd: the density of the contact displacement is then nearer. With damping terms errors
-    oscillate with the degree, the more slowly the higher it is, and degrees rise by a factor.
+    N stays odd. With damping terms errors oscillate with it, and degrees rise by a factor.
     """
     n, d = frame.n, degrees
     if frame.system.damping_terms:

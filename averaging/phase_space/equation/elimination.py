@@ -34,10 +34,8 @@ TOP_LEVELS = 4
 """Highest levels whose size is that of what the levels above them would have."""
 LARGE, NEGLIGIBLE = 0.5, 0.2
 """Size of the highest degrees in the others over that of the highest levels from which the degree
-in the others rises by two, and by one. On Fig. 6 two degrees more changed densities by 0.03 or less
-of the change by ten levels more at sizes below 0.2, by 0.25 or less below 0.5, by up to 4.6 beyond.
-"""
-
+in the others rises by two, and by one. On Fig. 6 two degrees more changed densities by 0.03 of the
+change by ten levels more at sizes below 0.2, by 0.25 below 0.5, by 4.6 beyond, at the most."""
 
 Solve = Callable[[Array], Array]
 """Returns u of A u = right, vectors of all unknowns."""
@@ -105,9 +103,8 @@ def expanded(
 ) -> Expansion:
     """Return the stationary expansion about ``reference``.
 
-    The elimination is in single precision, half the time and memory of double, and without pairs
-    unless damping terms make them large. Where its refinement does not converge it is done again in
-    double precision, with pairs, unless that takes more than ``memory`` bytes.
+    The elimination is in single precision, without pairs unless there are damping terms; where its
+    refinement does not converge, in double, with pairs, unless that takes more than ``memory``.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(functions)
@@ -164,10 +161,9 @@ def factored(
     """Eliminate the stages of the equations less ``shift`` times the unknowns, from the top down.
 
     Returned are the function that solves them, and the factor before the mass in the equation of
-    the function 1: 0 with a shift. Without one that equation, 0 = 0, is replaced by that of the
-    mass, of the size of the terms of 1: were it the largest entry, their round-off would be a
-    thousand times as large. Without ``paired`` what stages meet two below them is left out.
-    ``step`` is called with the share of the work done.
+    the function 1: 0 with a shift. Without one the mass replaces that equation, 0 = 0, by the size
+    of the terms of 1: by the largest entry round-off would be a thousand times as large. Without
+    ``paired`` what stages meet two below is left out. ``step`` is told the share of the work done.
     """
     top = chain.top
     work = np.cumsum(np.diff(chain.ends, prepend=0)[::-1].astype(float) ** 3)
@@ -219,8 +215,7 @@ def factored(
 def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
 
-    Cuts are between degrees in the other masses: displacements without their velocities are not
-    damped, and a matrix that has only these in front is singular.
+    Cuts are between degrees in the other masses: the part in front of others may be singular.
     """
     size = A.shape[0]
     inside = [cut for cut in cuts if 0 < cut < size]

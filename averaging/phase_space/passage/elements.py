@@ -99,9 +99,8 @@ class Elements:
     def moments(self, start: Array) -> tuple[float, float, float]:
         """Return E T and E T² of the functional ``start``, and the mass that round-off lost.
 
-        Where failure is rare K is nearly singular, and the density of the time spent, y = K⁻ᵀ
-        start, is right up to a factor. All fails in the end, y'(−L 1) = start'1, gives it back; how
-        far it is off from 1 is the mass lost, relative to all.
+        Where failure is rare y = K⁻ᵀ start, the density of the time spent, is right up to a factor.
+        y'(−L 1) = start'1 gives it back; how far it is off from 1 is the mass lost.
         """
         y = self.solved(start, "T")
         kept = float(y @ self.exit) / float(start @ self.one)
@@ -120,7 +119,7 @@ class Elements:
 
     @cached_property
     def shifted(self) -> tuple[float, Any]:
-        """σ, four times the frequency or less (two to eight serve as well), and factors of K + σM."""
+        """σ, four times the frequency or less (two to eight serve, too), and factors of K + σM."""
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
         sigma = 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
@@ -139,8 +138,7 @@ class Elements:
         """Return P(T <= t) at ascending times > 0, and what the last vectors changed.
 
         M F' = −K F + exit from F = 0, by Galerkin's method on the Krylov space of (K + σM)⁻¹M from
-        the function 1, orthonormal in M: neither K + Kᵀ nor its projection is negative, and nothing
-        grows. At H = E, where there are no unknowns, F is 1, which adds a constant.
+        the function 1, orthonormal in M. At H = E, without unknowns, F is 1: it adds a constant.
         """
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)

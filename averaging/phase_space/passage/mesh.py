@@ -91,12 +91,11 @@ class Oscillator:
 def oscillator_of(system: System) -> Oscillator:
     """Return the one mass of ``system``; raise ``NotApplicable`` where it is not for the method."""
     require_constant_noise(system.modulation)
+    words = "first passage in phase space is solved for"
     if system.n != 1:
-        raise NotApplicable(
-            f"first passage in phase space is solved for one mass, and there are {system.n}"
-        )
+        raise NotApplicable(f"{words} one mass, and there are {system.n}")
     if system.damping_terms:
-        raise NotApplicable("first passage in phase space is solved for constant damping only")
+        raise NotApplicable(f"{words} constant damping only")
     noise = float(system.noise_matrix[0, 0])
     if not noise > 0.0:
         raise NotApplicable("there is no noise, and first passage is not random")
