@@ -48,8 +48,7 @@ UNASKED_ACCEPTED = 1e-2
 UNASKED_WORK = 6.6e11
 """Multiplications that a solution may need unasked: some 12 s on one core, with all before it."""
 CROSSINGS_TOL, SPECTRUM_TOL, CORRELATION_TOL, RELAXATION_TOL = 1e-3, 1e-2, 1e-2, 5e-2
-"""Relative errors wanted where none is asked for. Spectra and rates converge more slowly than
-densities, and take more eliminations, those of spectra in complex numbers."""
+"""Relative errors wanted where none is asked for; spectra and rates converge most slowly."""
 
 
 @dataclass(frozen=True)

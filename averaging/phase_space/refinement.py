@@ -17,27 +17,23 @@ from fpk.numeric.machine import usable_cores
 from fpk.numeric.quadrature import gauss_grid, integral
 
 SAFETY = 2.5
-"""Factor on the error that follows from distances between solutions. Without it, of 56 errors
-against finer solutions the largest was 1.9 times the stated one."""
+"""Factor on errors by distances: without it the largest of 56 was 1.9 times the stated one."""
 FIRST = 2.0
 """Factor beside it on the error that follows from one distance alone, small by chance at times:
 without either, of 400 errors the largest was 2.2 times the stated one."""
 KEPT = 0.25
 """Least share of one distance that the next one is believed to be."""
 LIGHT, KEPT_WHERE_LIGHT = 0.01, 0.6
-"""Damping ratio of a natural mode below which more is believed, and that share: two solutions may
-share large errors of what is slow. Of 148 errors with ratios of 0.0007 to 0.005 the largest was 1.7
-times what ``KEPT`` states; of 88 with 0.011 it was 0.73 times."""
+"""Damping ratio of a natural mode below which this share is kept: of 148 errors with 0.0007 to
+0.005 the largest was 1.7 times what ``KEPT`` states; of 88 with 0.011 it was 0.73 times."""
 COMMON = 0.25
-"""Least share of the largest distance of all densities of one coordinate that any density's is
-believed to be: with light damping that of one may be small by chance."""
+"""Least share, for any density, of the largest distance of all densities of one coordinate."""
 SLOWEST = 1.25
 """Factor by which distances are believed to fall at the least."""
 ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
 MOST_OUTER = 90
-"""Polynomials on a panel up to which its Gauss points keep them orthonormal: with 88 to 6e-11, with
-100 to 2e-4, as they are none of a polynomial beyond a stop."""
+"""Polynomials on a panel that its Gauss points keep orthonormal: 88 to 6e-11, 100 to 2e-4."""
 MEMORY = 4.0
 """GB (1e9 bytes) that a solution may need where no other bound is given."""
 WORK = 1.2e13

@@ -25,10 +25,9 @@ SPACE = 1e-3
 class Answer:
     """Values (points,) of one solution; with their errors once ``adapted`` has judged them.
 
-    Errors follow from the distance of two solutions in ``compared`` (kinds, points), with ``added``
-    beside it; a tolerance is relative to ``scale``. ``residual`` is that of equations beyond those
-    of the densities. ``missing`` says which values may not be those asked for, ``limit`` why there
-    is no finer answer; both are empty where nothing is amiss.
+    Errors follow from the distance of two solutions in ``compared`` (kinds, points), beside
+    ``added``; a tolerance is relative to ``scale``. ``residual`` is of the further equations.
+    ``missing`` says which values are uncertain, ``limit`` why there is no finer answer, or "".
     """
 
     values: Array | Complexes

@@ -21,13 +21,12 @@ from fpk.numeric.arrays import EPS, Array, Complexes
 CONVERGED = 1e-8
 """Relative residual of an eigenvalue that counts as one of A."""
 BLOCK = 4
-"""Random vectors of the first block: eigenvalues of a multiplicity of up to as many are found as
-often as they occur."""
+"""Random vectors of the first block: eigenvalues are found up to as often as this."""
 SAME = 1e-6
 """Relative distance of two eigenvalues that are one of a multiplicity."""
 OVERLAP = 0.9
-"""Share of the radius about a shift within which eigenvalues count as found there, and of the step
-to the next shift: the unconverged one that ends the radius is known to some digits only."""
+"""Share of the radius about a shift within which eigenvalues count as found, and of the step to the
+next: the unconverged one that ends the radius is known to some digits only."""
 DISCS = 40
 """Most shifts at which eigenvalues are sought: a minute where eliminations are fast."""
 
@@ -70,13 +69,14 @@ def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
     density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])
     reference = np.zeros_like(density)
     reference[0] = b.continuous @ b.of_one
-
-    def times_q(u: Array) -> Array:
-        product = u @ by_y + (up + up.T) @ u
-        levels = range(len(e.levels))
-        return A.packed([product[space.span(n)] @ A.basis.of_level(n) for n in levels])
-
-    return times_q(reference), times_q(density)
+    products, levels = (
+        [u @ by_y + (up + up.T) @ u for u in (reference, density)],
+        range(len(e.levels)),
+    )
+    first, second = (
+        A.packed([u[space.span(n)] @ A.basis.of_level(n) for n in levels]) for u in products
+    )
+    return first, second
 
 
 def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:

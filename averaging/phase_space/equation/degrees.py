@@ -19,8 +19,7 @@ from averaging.phase_space.equation.frame import Frame
 from fpk.numeric.arrays import Array
 
 LEAST, LEAST_MIXED = 0.5, 0.3
-"""Least number of polynomials beyond a stop, over the most: at levels of the velocity that the stop
-turns alone, and at any."""
+"""Least share of polynomials beyond a stop: at levels of the contact velocity alone, and at any."""
 FEWER = 1.2
 """Polynomials beyond a stop that each degree in the other variables takes away."""
 
@@ -57,16 +56,13 @@ class Degrees:
         """Number of polynomials of a panel between stops, odd; one without end has ``outer`` + 1.
 
         ``width`` is in standard deviations of the weight without stops; ``beyond``: a stop is
-        touched there. It rises with ``outer``, so that the distance of solutions shows its error.
+        touched there. It rises with ``outer``, so that distances of solutions show its error.
         """
         count = 6.0 + (0.12 * width + 0.25 * beyond) * self.outer
         return 2 * ceil(0.5 * min(count, self.outer)) + 1
 
     def fewer(self, most: int, beyond: int) -> int:
-        """Number of ``most`` polynomials between stops that goes with ``beyond``; odd.
-
-        It falls half as fast: with fewer, errors were ten times larger between distant stops.
-        """
+        """Number, odd, of ``most`` polynomials between stops with ``beyond``: half as many less."""
         return 2 * int(0.25 * most * (1.0 + beyond / self.outer)) + 1
 
 

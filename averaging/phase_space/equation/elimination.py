@@ -1,8 +1,7 @@
 """Elimination of the chain of stages from the highest down, and the stationary expansion.
 
-``chain`` has the equations. Each stage costs the inverse of one dense block, and as much again
-where what stages meet two below them is eliminated, too. That is of the size of the damping:
-without it the elimination is a preconditioner, with which a few dozen vectors solve all equations.
+Each stage costs the inverse of one dense block, and as much again with what stages meet two below
+them, which is of the size of the damping: without it the elimination is a preconditioner.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,8 +25,8 @@ CORRECTED, VECTORS = 1e-4, 30
 """Residual, relative to the one before, that a correction by a Krylov space leaves in single
 precision, and the vectors of the space at the most."""
 WHILE_INVERTED, OF_EQUATIONS = 4.0, 5e3
-"""Matrices of the largest level's size beside the inverses that are kept, and bytes that equations
-and Krylov vectors take for each unknown: seven solutions took 12 to 36 % less than both say."""
+"""Matrices of the largest level's size beside the inverses, and bytes of equations and vectors for
+each unknown: seven solutions took 12 to 36 % less."""
 LEAF = 200
 """Order of a matrix up to which LAPACK inverts it; above, by quarters: products are faster."""
 TOP_LEVELS = 4
@@ -215,7 +214,7 @@ def factored(
 def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
 
-    Cuts are between degrees in the other masses: the part in front of others may be singular.
+    They lie between degrees in the other masses: a part in front of others may be singular.
     """
     size = A.shape[0]
     inside = [cut for cut in cuts if 0 < cut < size]

@@ -145,8 +145,8 @@ def start(frame: Frame) -> Reference:
 
     Statistical linearisation (Roberts and Spanos, Random Vibration and Statistical Linearization,
     1990): the contact force g(y) is E g + k (y − E y), k = E g (y − E y)/Var y, of the Gaussian y
-    that this force makes; the weight of y has the force itself. With damping terms it is the
-    ``gibbs_reference``. Raises ``LinAlgError`` where the linear system has no stationary state.
+    that this force makes. With damping terms it is the ``gibbs_reference``. Raises ``LinAlgError``
+    where the linear system has no stationary state.
     """
     gibbs, n = gibbs_reference(frame), frame.n
     if frame.system.damping_terms:

@@ -18,8 +18,7 @@ from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 MORE_POINTS = 12
-"""Gauss points in each direction beyond the degree, as the weight falls by up to e⁴⁰ over a panel:
-with 4, K + Kᵀ had negative eigenvalues there."""
+"""Gauss points beyond the degree: the weight falls by up to e⁴⁰: with 4 K + Kᵀ was indefinite."""
 PIVOTS = (1e-3, 1e-2, 1.0)
 """Least diagonal pivots relative to their columns, tried in this order: lower ones keep more of the
 symmetric ordering, but entries may grow."""
@@ -169,10 +168,8 @@ class Elements:
 
 
 def shapes(degree: int, t: Array) -> tuple[Array, Array]:
-    """Return values and slopes (points, degree + 1) at t of the polynomials of the Lobatto nodes.
-
-    Of hierarchical ones round-off takes all digits where the weight falls by e²⁰ over a panel.
-    """
+    """Return values and slopes (points, degree + 1) at t of polynomials of the Lobatto nodes."""
+    # Of hierarchical ones round-off takes all digits where the weight falls by e²⁰ over a panel.
     inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
     inverse = np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
     slopes = legval(t, legder(np.eye(degree + 1))).T

@@ -35,10 +35,9 @@ SHARE = 0.5
 States = tuple[Array, Array, Array]
 """Displacements, velocities and weights of states."""
 Level = tuple[Array, Array, Array, float, dict[str, Any]]
-"""Results on one mesh: E T, E T², rate of failure, and E T from the probe states over E T from the
-start; P(T <= t) at the times asked for; its change by the last vectors of the Krylov space;
-relative round-off of the first three; and mass defect, residual and settings by name, as
-``certified_passage`` takes them."""
+"""Results on one mesh: E T, E T², rate of failure, and E T of probe states over E T of the start;
+P(T <= t) at the times; its change by the last Krylov vectors; relative round-off of the first; and
+what ``certified_passage`` takes by name."""
 
 
 def first_passage(asked: Asked) -> Passage:
