@@ -20,7 +20,7 @@ DEEP = 75.0
 RULE_POINTS = 160
 """Gauss points of a panel: products of polynomials of degree 60 with w and the contact force."""
 SAME = 1e-3
-"""Distance of two stops, in widths of the support, below which no panel is between: 3e-8 is lost."""
+"""Distance of two stops, in widths of the support, without a panel between: 3e-8 is lost."""
 
 
 @dataclass(frozen=True, eq=False)

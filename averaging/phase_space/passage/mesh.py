@@ -22,7 +22,7 @@ GRADED = 1.1
 PANEL, FINER = 1.6, 0.93
 """Panels of the first level in kicks of noise, and the ratio of those of successive levels."""
 LEAST, CLOSER = 0.15, 0.45
-"""Least panel at a glancing point over the speed where noise outdoes the pull; its ratio by level."""
+"""Least panel at a glancing point over the speed where noise outdoes the pull; ratio of levels."""
 STOP = 1.5
 """Panels over their distance to a stop whose force is a fractional power of the overlap."""
 SAMPLES = 401
