@@ -76,9 +76,8 @@ def _density(
     known = not np.any(forms[0][2])
     linear = forms[1:] if known else forms
     # Orthonormal directions: x_a = o_a + s_a y + Σ_b L_ab t_b, t_b = e_b·ζ.
-    Q, R = np.linalg.qr(
-        np.array([direction for _, _, direction in linear]).reshape(-1, len(e.factor)).T
-    )
+    along = np.array([direction for _, _, direction in linear]).reshape(-1, len(e.factor))
+    Q, R = np.linalg.qr(along.T)
     signs = np.sign(np.diag(R))
     directions, L = (Q * signs).T, (R * signs[:, None]).T
     coefficients, scale = _projected(e, directions), float(np.prod(np.diag(L)))

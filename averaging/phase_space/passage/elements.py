@@ -18,10 +18,9 @@ from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 MORE_POINTS = 12
-"""Gauss points beyond the degree: the weight falls by up to e⁴⁰: with 4 K + Kᵀ was indefinite."""
+"""Gauss points beyond the degree, as the weight falls by e⁴⁰: with 4, K + Kᵀ was indefinite."""
 PIVOTS = (1e-3, 1e-2, 1.0)
-"""Least diagonal pivots relative to their columns, tried in this order: lower ones keep more of the
-symmetric ordering, but entries may grow."""
+"""Least diagonal pivots over their columns, in turn: low ones keep the order, entries grow."""
 GROWN = 1e-10
 """Residual of a solution, relative to the terms that cancel in it, by which entries have grown."""
 KRYLOV = 0.05
