@@ -9,7 +9,7 @@ from scipy.sparse.linalg import eigs
 
 import fpk
 from averaging.gaussian import Linear
-from averaging.phase_space.dynamics import questions, resolvent
+from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.method import PhaseSpace
 from fpk.answer.method import silent
 
