@@ -58,7 +58,7 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
         failures=(ladder.limit,) if ladder.limit and error > tol else (),
     )
 
-    def integration_error(p: Array, *x: Array) -> Array:
+    def quadrature_error(p: Array, *x: Array) -> Array:
         return np.abs(p - np.asarray(fewer(*x)))
 
     def pointwise(*x: Array) -> Array:
@@ -67,16 +67,10 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
             for a, nodes in zip(np.broadcast_arrays(*x), panels, strict=True)
         ]
         about = map_coordinates(local, np.array(place), order=1, mode="nearest")
-        return np.asarray(factor * about + floor + integration_error(pdf(*x), *x))
+        return np.asarray(factor * about + floor + quadrature_error(pdf(*x), *x))
 
     return certified_density(
-        observable,
-        panels,
-        pdf,
-        pointwise,
-        measured=measured,
-        tol=tol,
-        added_error=integration_error,
+        observable, panels, pdf, pointwise, measured=measured, tol=tol, added_error=quadrature_error
     )
 
 
@@ -138,10 +132,9 @@ def force_means(e: Expansion) -> tuple[Array, Array, Array]:
 
 
 def identities(ladder: Ladder) -> tuple[Identity, ...]:
-    """Return the balance of power, the virials, and two with functions outside the trial space.
+    """Return the balance of power, the virials, and two with f(y) outside the trial space.
 
-    For any f, E[v f(y)] = 0 and E[v₁² f'(y)] = E[f(y) ((K (y, r) + c v)₁ + g(y))]; f is the sine of
-    y in standard deviations. The error follows from the distance to the coarser solution.
+    f is the sine of y in standard deviations. Errors follow from the coarser solution.
     """
     finest, coarser = _sides(ladder.finest), _sides(ladder.coarser)
     scale, out = float(np.trace(ladder.finest.basis.frame.noise)), []

@@ -18,10 +18,9 @@ PANELS = {1: 16, 2: 10}
 stops and beyond them."""
 POINTS_PER_WIDTH = 4.0
 """Gauss points for each standard deviation of what the contact displacement is integrated out of,
-beside one for each degree: a Gaussian on 34 of its widths is exact to round-off with 137."""
+beside one a degree: 137 integrate a Gaussian on 34 of its widths to round-off."""
 MOST_POINTS = 4000
-"""Most of them, as a mass tied to the contact mass by a spring 1e5 times as stiff as the others
-needs; the certificate holds what fewer than needed leave."""
+"""Most of them, as a spring 1e5 times as stiff needs; the certificate holds what is left."""
 
 
 def moments(e: Expansion) -> tuple[Array, Array]:
@@ -59,8 +58,10 @@ def marginal(
         at, unit = e.basis.frame.place(c)
         reach = 0.5 * SPAN * np.sqrt(covariance[at, at])
         nodes = unit * (mean[at] + np.linspace(-reach, reach, PANELS[len(forms)] + 1))
-        contact = not np.any(direction)
-        panels.append(slope * e.basis.fine_nodes(PANELS[1] // 2) if contact else nodes)
+        if contact := not np.any(direction):
+            parts = [panel.parts(PANELS[1] // 2) for panel in e.basis.panels]
+            nodes = slope * np.unique(np.concatenate(parts))
+        panels.append(nodes)
     if contact and len(forms) == 2:
         pdf = _density(e, forms[::-1], share)
         return tuple(panels), lambda a, b: pdf(b, a)
@@ -75,9 +76,8 @@ def _density(
     known = not np.any(forms[0][2])
     linear = forms[1:] if known else forms
     # Orthonormal directions: x_a = o_a + s_a y + Σ_b L_ab t_b, t_b = e_b·ζ.
-    Q, R = np.linalg.qr(
-        np.array([direction for _, _, direction in linear]).reshape(-1, len(e.factor)).T
-    )
+    along = np.array([direction for _, _, direction in linear]).reshape(-1, len(e.factor))
+    Q, R = np.linalg.qr(along.T)
     signs = np.sign(np.diag(R))
     directions, L = (Q * signs).T, (R * signs[:, None]).T
     coefficients, scale = _projected(e, directions), float(np.prod(np.diag(L)))
@@ -118,7 +118,8 @@ def _density(
     width = min([b.reference.weight[1] ** -0.5, *widths])
     longest = float(np.max(np.diff(b.nodes)))
     count = POINTS_PER_WIDTH * longest / width + len(e.levels) + GAUSS_POINTS[1]
-    y, w = b.rule(ceil(share * min(count, MOST_POINTS)))
+    rules = [panel.rule(ceil(share * min(count, MOST_POINTS))) for panel in b.panels]
+    y, w = map(np.concatenate, zip(*rules, strict=True))
     c = given(y) * w
     if not any(slope for _, slope, _ in linear):
         y, c = np.zeros(1), c.sum(axis=-1, keepdims=True)
@@ -134,8 +135,7 @@ def _density(
 def _projected(e: Expansion, directions: Array) -> Array:
     """Coefficients of He_n(e₁·ζ)/√n! (He_m(e₂·ζ)/√m!), (n + 1, …, functions of all panels).
 
-    A polynomial of level n is a combination v of all k of the level, v = Σ_i e_i a_i⁺ v/√n of the
-    level below.
+    A polynomial of level n is a combination v of its k, v = Σ_i e_i a_i⁺ v/√n of the level below.
     """
     in_panels = [e.of_panels(n) for n in range(len(e.levels))]
     raising = [combined(e.space.up, direction) for direction in directions]

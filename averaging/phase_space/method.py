@@ -18,7 +18,15 @@ from averaging.phase_space.equation.degrees import finer, lowest
 from averaging.phase_space.equation.elimination import cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.passage.first_passage import first_passage
-from averaging.phase_space.refinement import MEMORY, Ladder, Options, better, ladder_of, ladders
+from averaging.phase_space.refinement import (
+    MEMORY,
+    WORK,
+    Ladder,
+    Options,
+    better,
+    ladder_of,
+    ladders,
+)
 from averaging.theory import Theory
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Curve, Passage, Rates, certified_curve
@@ -40,8 +48,7 @@ UNASKED_ACCEPTED = 1e-2
 UNASKED_WORK = 6.6e11
 """Multiplications that a solution may need unasked: some 12 s on one core, with all before it."""
 CROSSINGS_TOL, SPECTRUM_TOL, CORRELATION_TOL, RELAXATION_TOL = 1e-3, 1e-2, 1e-2, 5e-2
-"""Relative errors wanted where none is asked for. Spectra and rates converge more slowly than
-densities, and take more eliminations, those of spectra in complex numbers."""
+"""Relative errors wanted where none is asked for; spectra and rates converge most slowly."""
 
 
 @dataclass(frozen=True)
@@ -119,9 +126,7 @@ class PhaseSpace(Theory):
             return f"{name}: {words}; ask for q, p or pairs of them" if energy else None
 
         def solve(
-            observables: Sequence[Observable],
-            progress: Progress,
-            beside: Sequence[Observable] = (),
+            observables: Sequence[Observable], progress: Progress, beside: Sequence[Observable] = ()
         ) -> Result:
             # For each observable the solution of the least error.
             best: dict[Observable, Ladder] = {}
@@ -230,8 +235,9 @@ class PhaseSpace(Theory):
         return first_passage(asked)
 
     def _options(self, progress: Progress = silent) -> Options:
-        more = {"threads": self.threads, "reference": self.reference, "progress": progress}
-        return Options.of(self.memory, self.work, **more)
+        # The work that goes with a memory is as N³ to N² of dense blocks.
+        work = WORK * (self.memory / MEMORY) ** 1.5 if self.work is None else self.work
+        return Options(self.memory, work, self.threads, self.reference, progress)
 
     def _frame(self, system: System) -> Frame:
         """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""

@@ -1,25 +1,15 @@
 """Degrees and reference that adapt until the distance to the coarser solution meets a tolerance."""
 
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
 
 import numpy as np
-from numpy.polynomial.hermite_e import hermegauss
-from scipy.linalg import solve_continuous_lyapunov
 from threadpoolctl import threadpool_limits
 
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import finer, fitting, lowest
 from averaging.phase_space.equation.elimination import CONVERGED, Expansion, cost, expanded
-from averaging.phase_space.equation.frame import (
-    Frame,
-    Reference,
-    gibbs_reference,
-    reference_of,
-    with_moments,
-)
+from averaging.phase_space.equation.frame import Frame, Reference, reference_of, start, with_moments
 from averaging.phase_space.marginals import marginal, moments
 from fpk.answer.method import Progress, silent
 from fpk.answer.names import Coordinate, Observable
@@ -27,35 +17,26 @@ from fpk.numeric.machine import usable_cores
 from fpk.numeric.quadrature import gauss_grid, integral
 
 SAFETY = 2.5
-"""Factor on the error that follows from distances between solutions. Without it, of 56 errors
-against finer solutions the largest was 1.9 times the stated one."""
+"""Factor on errors by distances: without it the largest of 56 was 1.9 times the stated one."""
 FIRST = 2.0
-"""Factor beside it on the error that follows from one distance alone, small by chance at times:
-without either, of 400 errors the largest was 2.2 times the stated one."""
+"""Factor beside it where there is one distance: without either the largest of 400 was 2.2 times."""
 KEPT = 0.25
 """Least share of one distance that the next one is believed to be."""
 LIGHT, KEPT_WHERE_LIGHT = 0.01, 0.6
-"""Damping ratio of a natural mode below which more is believed, and that share: two solutions may
-share large errors of what is slow. Of 148 errors with ratios of 0.0007 to 0.005 the largest was 1.7
-times what ``KEPT`` states; of 88 with 0.011 it was 0.73 times."""
+"""Damping ratio of a natural mode below which this share is kept: of 148 errors with 0.0007 to
+0.005 the largest was 1.7 times what ``KEPT`` states; of 88 with 0.011 it was 0.73 times."""
 COMMON = 0.25
-"""Least share of the largest distance of all densities of one coordinate that any density's is
-believed to be: with light damping that of one may be small by chance."""
+"""Least share, for any density, of the largest distance of all densities of one coordinate."""
 SLOWEST = 1.25
 """Factor by which distances are believed to fall at the least."""
 ROUND_OFF = 1e-11
 """L1 error of the arithmetic in double precision: on exact densities it was up to 2.3e-12."""
 MOST_OUTER = 90
-"""Polynomials on a panel up to which its Gauss points keep them orthonormal: with 88 to 6e-11, with
-100 to 2e-4, as they are none of a polynomial beyond a stop."""
+"""Polynomials on a panel that its Gauss points keep orthonormal: 88 to 6e-11, 100 to 2e-4."""
 MEMORY = 4.0
 """GB (1e9 bytes) that a solution may need where no other bound is given."""
 WORK = 1.2e13
 """Operations that it may need where ``MEMORY`` is the bound: about a minute on two cores."""
-ROUNDS = 20
-"""Linear systems, each with the contact force of the Gaussian state before, that make the start."""
-POINTS = 80
-"""Gauss points of the means over that state."""
 REFITS = 2
 """Solutions that the moments are taken from. The first changed variances of 119 systems by 0.3 % at
 the median and 20 % at the most, the second by 7e-8 and 7 %."""
@@ -66,22 +47,13 @@ by which a narrower one is to bring the highest levels down."""
 
 @dataclass(frozen=True)
 class Options:
-    """The settings of ``PhaseSpace`` by which solutions are made.
-
-    From the third on none is begun that needs more than ``memory`` (GB, 1e9 bytes) or ``work``
-    (operations on real numbers).
-    """
+    """Settings; no third solution is begun beyond ``memory`` (GB) or ``work`` (operations)."""
 
     memory: float
     work: float
     threads: int | None = None
     reference: Reference | None = None
     progress: Progress = silent
-
-    @classmethod
-    def of(cls, memory: float, work: float | None = None, **more: Any) -> Self:
-        """Return options; the work that goes with a memory is as N³ to N² of dense blocks."""
-        return cls(memory, WORK * (memory / MEMORY) ** 1.5 if work is None else work, **more)
 
     def refusal(self, size: float, work: float) -> str:
         """Say why a solution of these bytes and operations is not begun; empty where it may."""
@@ -164,13 +136,12 @@ def ladders(frame: Frame, observables: Sequence[Observable], options: Options) -
             step = options.step("phase space", degrees.total)
             finest = expanded(frame, about, degrees, memory=memory, step=step)
             if not finest.residual < CONVERGED:
-                unsolved = f"the equations of degree {degrees.total} are not solved"
+                limit = f"the equations of degree {degrees.total} are not solved"
                 if ladder is None:
-                    raise np.linalg.LinAlgError(unsolved)
+                    raise np.linalg.LinAlgError(limit)
                 if cost(finest.basis, numbers=float)[0] > memory:
-                    unsolved += ": double precision needs more memory"
-                yield replace(ladder, limit=unsolved)
-                return
+                    limit += ": double precision needs more memory"
+                break
             degrees = finer(frame, degrees, finest.rise)
             if coarser is not None:
                 ladder = ladder_of(finest, coarser, observables, ladder)
@@ -179,9 +150,9 @@ def ladders(frame: Frame, observables: Sequence[Observable], options: Options) -
                 if degrees.outer <= MOST_OUTER:
                     limit = options.refusal(*cost(basis(frame, about, degrees)))
                 if limit:
-                    yield replace(ladder, limit=limit)
-                    return
+                    break
             coarser = finest
+        yield replace(ladder, limit=limit)
 
 
 def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
@@ -207,49 +178,11 @@ def distance(a: Expansion, b: Expansion, observable: Observable) -> float:
     return integral(np.abs(p(*mesh) - q(*mesh)), grids)
 
 
-def start(frame: Frame) -> Reference:
-    """Return the Gaussian state of the linear system that is nearest to a frame's.
-
-    Statistical linearisation (Roberts and Spanos, Random Vibration and Statistical Linearization,
-    1990): the contact force g(y) is E g + k (y − E y), k = E g (y − E y)/Var y, of the Gaussian y
-    that this force makes; the weight of y has the force itself. With damping terms it is the
-    ``gibbs_reference``. Raises ``LinAlgError`` where the linear system has no stationary state.
-    """
-    gibbs, n = gibbs_reference(frame), frame.n
-    if frame.system.damping_terms:
-        return gibbs
-    x, weight = hermegauss(POINTS)
-    weight /= weight.sum()
-    centre, variance = 0.0, 1.0 / gibbs.weight[1]
-    noise = np.zeros((2 * n, 2 * n))
-    noise[n:, n:] = 2.0 * frame.noise
-    for _ in range(ROUNDS):
-        y = centre + np.sqrt(variance) * x
-        force = frame.contact_force(y)
-        k = float(weight @ (force * (y - centre))) / variance
-        stiffness = frame.stiffness.copy()
-        stiffness[0, 0] += k
-        drift = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -frame.damping]])
-        with warnings.catch_warnings():
-            # Where a motion is not damped at all; the answer is then of no distribution.
-            warnings.simplefilter("ignore", RuntimeWarning)
-            covariance = solve_continuous_lyapunov(drift, -noise)
-        means = np.linalg.solve(stiffness, (k * centre - float(weight @ force)) * np.eye(n)[0])
-        if not covariance[0, 0] > 0.0:
-            raise np.linalg.LinAlgError("the linear system has no stationary state")
-        # Halfway, as a softer stop lets y out to where it is stiffer.
-        centre, variance = 0.5 * (centre + means[0]), 0.5 * (variance + covariance[0, 0])
-    # Of mirror images round-off is all that the means are.
-    mean = np.zeros(2 * n) if frame.symmetric else np.concatenate([means, np.zeros(n)])
-    return with_moments(frame, mean, covariance)
-
-
 def fitted(frame: Frame, about: Reference) -> Reference:
     """Return a reference with about the moments of the solution, and the best width for it.
 
-    The variance of the contact velocity is made smaller while that makes the highest levels of a
-    solution smaller: near a stiff stop p(v) has features narrower than such a Gaussian. Raises
-    ``LinAlgError`` where the moments are of no distribution.
+    The variance of the contact velocity falls while that makes the highest levels of a solution
+    smaller. Raises ``LinAlgError`` where the moments are of no distribution.
     """
     best = about
     for _ in range(REFITS):
@@ -274,5 +207,4 @@ def fitted(frame: Frame, about: Reference) -> Reference:
 def refitted(e: Expansion) -> Reference:
     """Return the reference with the first and second moments of a solution."""
     mean, covariance = moments(e)
-    # Of mirror images round-off is all that the means are.
     return with_moments(e.basis.frame, mean * (not e.basis.mirrored), covariance)

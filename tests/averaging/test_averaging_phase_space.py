@@ -12,10 +12,10 @@ from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import LEAF, expanded, inverted
-from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference
+from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference, start
 from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.refinement import least_distance, start
+from averaging.phase_space.refinement import least_distance
 from cases.comparison.compare import compared
 from fpk.answer.density import l1_distance
 from fpk.answer.names import Coordinate, parse_observable

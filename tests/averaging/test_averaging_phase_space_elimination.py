@@ -9,8 +9,7 @@ from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.chain import chain_of
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
-from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
-from averaging.phase_space.refinement import start
+from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, start
 
 DEGREES = Degrees(total=16, others=6, outer=18)
 

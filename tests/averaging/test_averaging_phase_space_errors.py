@@ -37,7 +37,7 @@ def lighter(B, clearance, factor):
 
 def solutions(system, work, *, observables=SINGLE, threads=None) -> Iterator[Ladder]:
     """Solutions of rising degrees, whatever their errors."""
-    options = replace(Options.of(4.0, work), threads=threads)
+    options = Options(4.0, work, threads)
     found = ladders(contact_frame(system), observables, options)
     # The last one comes again with what ends them.
     return (ladder for ladder in found if not ladder.limit)
@@ -178,12 +178,13 @@ def test_a_solution_takes_no_more_memory_than_stated(n, side, degrees, kind, mon
 
 
 def test_more_memory_is_more_work_too():
-    assert Options.of(4.0) == Options(4.0, WORK) and Options.of(16.0) == Options(16.0, 8.0 * WORK)
-    assert Options.of(16.0, 1e9).refusal(1.7e10, 1.0) == (
+    for memory, work in ((4.0, WORK), (16.0, 8.0 * WORK)):
+        assert PhaseSpace(memory=memory)._options() == Options(memory, work)
+    assert Options(16.0, 1e9).refusal(1.7e10, 1.0) == (
         "a finer solution needs 17 GB of memory, at most 16"
     )
-    assert "2e+09 operations, at most 1e+09" in Options.of(16.0, 1e9).refusal(1.6e10, 2e9)
-    assert not Options.of(16.0, 1e9).refusal(1.6e10, 1e9)
+    assert "2e+09 operations, at most 1e+09" in Options(16.0, 1e9).refusal(1.6e10, 2e9)
+    assert not Options(16.0, 1e9).refusal(1.6e10, 1e9)
     for memory in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(InvalidInput, match="positive number of GB"):
             PhaseSpace(memory=memory)
@@ -255,7 +256,7 @@ def test_an_answer_ends_with_the_last_solution_whose_equations_are_solved(failin
         contact_frame(SYSTEM),
         SINGLE,
         lambda e, step: questions.Answer(np.ones(1), e, np.ones(1)),
-        Options.of(4.0),
+        Options(4.0, WORK),
         compare,
         tol=1e-2,
         what="",

@@ -10,9 +10,9 @@ from averaging.phase_space.equation import degrees as degrees_module
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import Degrees, fitting, space_to
 from averaging.phase_space.equation.elimination import expanded, inverted
-from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
+from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of, start
 from averaging.phase_space.marginals import marginal
-from averaging.phase_space.refinement import fitted, refitted, start
+from averaging.phase_space.refinement import fitted, refitted
 from fpk.answer.names import parse_observable
 from fpk.numeric.quadrature import gauss_grid, integral
 

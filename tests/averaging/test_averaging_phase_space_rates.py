@@ -9,7 +9,7 @@ from scipy.sparse.linalg import eigs
 
 import fpk
 from averaging.gaussian import Linear
-from averaging.phase_space.dynamics import questions, resolvent
+from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.method import PhaseSpace
 from fpk.answer.method import silent
 
@@ -137,7 +137,7 @@ def test_a_spectrum_has_a_peak_at_the_slowest_rate_that_turns():
 
 
 def test_what_is_not_sought_is_said(monkeypatch):
-    monkeypatch.setattr(questions, "DISCS", 1)
+    monkeypatch.setattr(resolvent, "DISCS", 1)
     monkeypatch.setattr(resolvent, "VECTORS", 50)
     answer = PhaseSpace().relaxation(LIGHT, 12, tol=0.5, progress=silent)
     (words,) = [x for x in answer.certificate.failures if "not sought" in x]

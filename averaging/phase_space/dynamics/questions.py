@@ -8,15 +8,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.optimize import linear_sum_assignment
 
 from averaging.phase_space.densities import GRID
-from averaging.phase_space.dynamics.resolvent import (
-    DISCS,
-    Step,
-    decays,
-    displaced,
-    generator,
-    slowest_rates,
-    transforms,
-)
+from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.equation.elimination import Expansion, cost
 from averaging.phase_space.equation.frame import Frame
 from averaging.phase_space.marginals import SPAN, marginal, moments
@@ -33,10 +25,9 @@ SPACE = 1e-3
 class Answer:
     """Values (points,) of one solution; with their errors once ``adapted`` has judged them.
 
-    Errors follow from the distance of two solutions in ``compared`` (kinds, points), with ``added``
-    beside it; a tolerance is relative to ``scale``. ``residual`` is that of equations beyond those
-    of the densities. ``missing`` says which values may not be those asked for, ``limit`` why there
-    is no finer answer; both are empty where nothing is amiss.
+    Errors follow from the distance of two solutions in ``compared`` (kinds, points), beside
+    ``added``; a tolerance is relative to ``scale``. ``residual`` is of the further equations.
+    ``missing`` says which values are uncertain, ``limit`` why there is no finer answer, or "".
     """
 
     values: Array | Complexes
@@ -54,7 +45,7 @@ class Answer:
         return float(np.max(self.errors / self.scale))
 
 
-Measure = Callable[[Expansion, Step], Answer]
+Measure = Callable[[Expansion, resolvent.Step], Answer]
 Apart = Callable[[Ladder, Answer, Answer], Array]
 """Distances of the values of a finer and a coarser answer, (points,)."""
 
@@ -77,10 +68,9 @@ def adapted(
 ) -> tuple[Ladder, Answer]:
     """Return the first answer with a relative error of at most ``tol``, else the best one.
 
-    ``measure`` is called once for each solution. ``numbers`` are those of the resolvent's
-    elimination, ``what`` the words that progress is reported by. The error follows from the largest
-    relative distance as that of densities does, which meet the tolerance, too, unless there is no
-    finer solution. An earlier answer of a smaller error is kept if the later agrees within it.
+    ``measure`` is called once for each solution; ``numbers`` are those of the elimination. Errors
+    follow from the largest relative distance as those of densities, which meet the tolerance, too,
+    unless ended. An earlier answer of a smaller error is kept if the later agrees within it.
     """
     found: tuple[Ladder, Answer] | None = None
     believed: float | None = None
@@ -120,7 +110,7 @@ def deviations(e: Expansion, row: int) -> Array:
     return np.asarray(np.sqrt(variances[[place, frame.n + place]] / frame.system.mass[row]))
 
 
-def crossings(e: Expansion, step: Step, *, row: int, at: Array, tol: float) -> Answer:
+def crossings(e: Expansion, step: resolvent.Step, *, row: int, at: Array, tol: float) -> Answer:
     """Return the rates of upcrossing of the levels ``at``; what flows past one is an error, too."""
     (size, velocity), (up, net) = deviations(e, row), crossing_rates(e, row, at)
     return Answer(up, up[None], velocity / (2.0 * np.pi * size), added=np.abs(net))
@@ -149,7 +139,7 @@ def crossing_rates(e: Expansion, row: int, at: Array) -> tuple[Array, Array]:
     return density @ np.maximum(flux, 0.0), density @ flux
 
 
-def spectrum(e: Expansion, step: Step, *, row: int, at: Array, tol: float) -> Answer:
+def spectrum(e: Expansion, step: resolvent.Step, *, row: int, at: Array, tol: float) -> Answer:
     """Return the power spectral density S of q at ``at``.
 
     S(ω) = Re G(iω)/π, G(s) = ∫ q' (s − L)⁻¹ q' p, q' = q less its mean. Where S happens to be the
@@ -158,37 +148,37 @@ def spectrum(e: Expansion, step: Step, *, row: int, at: Array, tol: float) -> An
     has no part: G − σ_q² (s + κ)/(s² + κ s + κ²), κ = σ_v/σ_q.
     """
     w, place = np.unique(np.abs(at), return_inverse=True)
-    A, (size, velocity) = generator(e, odd=e.basis.mirrored), deviations(e, row)
-    G, residual = transforms(A, *displaced(e, row, A), w, step)
+    A, (size, velocity) = resolvent.generator(e, odd=e.basis.mirrored), deviations(e, row)
+    G, residual = resolvent.transforms(A, *resolvent.displaced(e, row, A), w, step)
     s, rate = 1j * w, velocity / size
     rest = G - size**2 * (s + rate) / (s**2 + s * rate + rate**2)
     compared = np.stack([rest, G.real])[:, place] / np.pi
     return Answer(G.real[place] / np.pi, compared, size**3 / velocity, residual=residual)
 
 
-def correlation(e: Expansion, step: Step, *, row: int, at: Array, tol: float) -> Answer:
+def correlation(e: Expansion, step: resolvent.Step, *, row: int, at: Array, tol: float) -> Answer:
     """Return the autocovariance C of q at the lags ``at``, C(t) = ∫ q' e^(Lt) q' p.
 
     Where C happens to be the same in both solutions, as of oscillations of unlike frequencies, C'
     is not: C + i C'/κ is compared, κ = 2 σ_v/σ_q.
     """
-    A, (size, velocity) = generator(e, odd=e.basis.mirrored), deviations(e, row)
-    c, b = displaced(e, row, A)
-    values, error = decays(A, c, b, at, 2.0 * velocity / size, step, tol=SPACE * tol)
+    A, (size, velocity) = resolvent.generator(e, odd=e.basis.mirrored), deviations(e, row)
+    c, b = resolvent.displaced(e, row, A)
+    values, error = resolvent.decays(A, c, b, at, 2.0 * velocity / size, step, tol=SPACE * tol)
     compared = (values[0] + 1j * values[1])[None]
     return Answer(values[0], compared, size**2, added=error + abs(float(c @ b) - size**2))
 
 
-def relaxation(e: Expansion, step: Step, *, count: int, work: float) -> Answer:
+def relaxation(e: Expansion, step: resolvent.Step, *, count: int, work: float) -> Answer:
     """Return the ``count`` slowest eigenvalues λ of −L, Im λ >= 0, each as often as it occurs."""
     parities = (True, False) if e.basis.mirrored else (False,)
-    parts = [generator(e, odd=odd, closed=True) for odd in parities]
+    parts = [resolvent.generator(e, odd=odd, closed=True) for odd in parities]
     # The largest natural frequency of the linear system with the covariances of the solution.
     n, (q, v) = e.basis.frame.n, np.split(moments(e)[1], 2)
     squares = np.linalg.eigvals(np.linalg.solve(q[:, :n], v[:, n:]))
-    most = min(DISCS, int(work / (len(parts) * cost(e.basis, numbers=complex)[1])))
+    most = min(resolvent.DISCS, int(work / (len(parts) * cost(e.basis, numbers=complex)[1])))
     fastest = float(np.sqrt(squares.real.max()))
-    rates, missing = slowest_rates(parts, count, fastest, most=most, step=step)
+    rates, missing = resolvent.slowest_rates(parts, count, fastest, most=most, step=step)
     return Answer(rates[:count], rates, np.abs(rates[:count]), missing=missing)
 
 

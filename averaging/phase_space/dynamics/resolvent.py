@@ -1,10 +1,8 @@
 """The FPK operator of an expansion off its stationary state: its resolvent and its eigenvalues.
 
-A vector of the expansion changes as du/dt = A u, A the matrix of the chain of levels: the functions
-are orthonormal in L²(w N), so that the unit matrix stands before du/dt. (A − s)⁻¹ is the same
-elimination as that of the stationary state with s off the diagonal of every level. Where mirror
-images are equally likely A does not mix what keeps its sign under them with what changes it, as
-displacements do: each has a chain of its own, of half the size.
+A vector of the expansion changes as du/dt = A u, A the matrix of the chain of levels, in
+orthonormal functions. Where mirror images are equally likely, what changes its sign under them, as
+displacements do, and what keeps it have a chain each, of half the size.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,13 +21,12 @@ from fpk.numeric.arrays import EPS, Array, Complexes
 CONVERGED = 1e-8
 """Relative residual of an eigenvalue that counts as one of A."""
 BLOCK = 4
-"""Random vectors of the first block: eigenvalues of a multiplicity of up to as many are found as
-often as they occur."""
+"""Random vectors of the first block: eigenvalues are found up to as often as this."""
 SAME = 1e-6
 """Relative distance of two eigenvalues that are one of a multiplicity."""
 OVERLAP = 0.9
-"""Share of the radius about a shift within which eigenvalues count as found there, and of the step
-to the next shift: the unconverged one that ends the radius is known to some digits only."""
+"""Share of the radius about a shift within which eigenvalues count as found, and of the step to the
+next: the unconverged one that ends the radius is known to some digits only."""
 DISCS = 40
 """Most shifts at which eigenvalues are sought: a minute where eliminations are fast."""
 
@@ -72,13 +69,14 @@ def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
     density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])
     reference = np.zeros_like(density)
     reference[0] = b.continuous @ b.of_one
-
-    def times_q(u: Array) -> Array:
-        product = u @ by_y + (up + up.T) @ u
-        levels = range(len(e.levels))
-        return A.packed([product[space.span(n)] @ A.basis.of_level(n) for n in levels])
-
-    return times_q(reference), times_q(density)
+    products, levels = (
+        [u @ by_y + (up + up.T) @ u for u in (reference, density)],
+        range(len(e.levels)),
+    )
+    first, second = (
+        A.packed([u[space.span(n)] @ A.basis.of_level(n) for n in levels]) for u in products
+    )
+    return first, second
 
 
 def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:
@@ -86,8 +84,7 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
 
     One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the solution
     of (1 + (iω − s) B) u = B b is taken from the Krylov space of B and B b by Galerkin's method.
-    The first shift is 0, in real numbers; the next ones are in the middle of the frequencies left.
-    The residual is relative to the solution.
+    The first s is 0, the next in the middle of those left. The residual is relative to u.
     """
     values, worst = np.zeros(at.size, dtype=complex), 0.0
     groups, shift = [np.arange(at.size)], 0.0
@@ -171,8 +168,7 @@ def slowest_rates(
 
     The first ``count`` are the slowest, unless the words behind say what is missing. Discs, at most
     ``most``, follow each other up the imaginary axis to the largest natural frequency ``fastest``
-    and until no rate as slow can lie above: as rates of a linear system are sums of rates of its
-    modes, Im λ/Re λ of none is more than that of a mode.
+    and until no rate as slow can lie above: Im λ/Re λ of none is more than the largest found.
     """
     rates, discs, at = np.zeros(0, dtype=complex), list[tuple[float, float]](), 0.0
     while True:

@@ -20,8 +20,7 @@ DEEP = 75.0
 RULE_POINTS = 160
 """Gauss points of a panel: products of polynomials of degree 60 with w and the contact force."""
 SAME = 1e-3
-"""Distance of two stops, in widths of the support, below which there is no panel between them: of
-(y − δ)^(5/2) in ln w, which is not smooth, 3e-8 is lost."""
+"""Distance of two stops, in widths of the support, without a panel between: 3e-8 is lost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +42,12 @@ class Panel:
     degree: int
     first: float
     recurrence: Array
+
+    def parts(self, count: int) -> Array:
+        """Ends of ``count`` parts, graded towards a stop, where y is not smooth."""
+        share = np.linspace(0.0, 1.0, count + 1)
+        length = (self.high - self.low) * (share**4 if self.direction else share)
+        return self.high - length if self.direction < 0 else self.low + length
 
     def rule(self, count: int) -> tuple[Array, Array]:
         """``count`` Gauss points y, in |y − anchor|^½ beyond a stop, and weights of dy."""
@@ -69,9 +74,8 @@ class Basis:
 
     ``points`` and ``weights`` (q,) integrate f(y) w(y) dy, ∫ w = 1, w being divided by
     e^``log_norm``. ``nodes`` are the ends of the panels. The functions are columns (functions of
-    all panels, functions). Levels of even degree have the ``continuous`` ones, without a term in t
-    itself beyond a stop, whose slope in y has no bound. Levels of odd degree have the ``broken``
-    ones, which may jump at the stops, of the degrees of the derivatives of the first.
+    all panels, functions): the ``continuous`` ones of levels of even degree, without a term in t
+    itself beyond a stop, and the ``broken`` ones of odd degree, which may jump at the stops.
     ``counts[s][c]`` is how many functions of set s, in front, have c polynomials beyond a stop, 0
     for fewer than any degree has. ``mirrored``: one set is even and the other odd.
     """
@@ -103,19 +107,6 @@ class Basis:
         inside = (y >= self.nodes[0]) & (y <= self.nodes[-1])
         log_w = _log_weight(self.frame, self.reference, np.clip(y, *self.nodes[[0, -1]]))
         return np.where(inside, np.exp(log_w - self.log_norm), 0.0)
-
-    def rule(self, count: int) -> tuple[Array, Array]:
-        """Points y, ``count`` a panel, and weights that integrate over y."""
-        y, w = zip(*(panel.rule(count) for panel in self.panels), strict=True)
-        return np.concatenate(y), np.concatenate(w)
-
-    def fine_nodes(self, count: int) -> Array:
-        """Ends of ``count`` parts of each panel, graded towards a stop, where y is not smooth."""
-        share, parts = np.linspace(0.0, 1.0, count + 1), []
-        for p in self.panels:
-            length = (p.high - p.low) * (share**4 if p.direction else share)
-            parts.append(p.high - length if p.direction < 0 else p.low + length)
-        return np.unique(np.concatenate(parts))
 
     @cached_property
     def at_points(self) -> tuple[Array, Array]:

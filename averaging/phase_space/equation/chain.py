@@ -1,26 +1,17 @@
 """The FPK equation in Hermite functions: the matrix of its equations, level by level.
 
-The density is p = w(y) N(z; 0, S) Σ_k u_k(y) He_k(C⁻¹ z)/√k!, S = C Cᵀ, z = (v, x) as in ``frame``.
-With a_i He_k = √k_i He_(k−e_i) and a_i⁺ its adjoint, Galerkin's method in L²(w N) turns Eq. (6)
-into
-
-    Σ_ij F'_ij a_i⁺ a_j u + Σ_ij (½ (F' + F'ᵀ) + G')_ij a_i⁺ a_j⁺ u
-        + Σ_i h'_i(y) a_i⁺ u + Σ_i l_i (a_i + a_i⁺) ∂* u = 0,
-
-F' = C⁻¹ F C, G' = C⁻¹ G C⁻ᵀ, h' = C⁻¹ h, z₁ = l·C⁻¹ z, ∂* the adjoint of ∂/∂y in L²(w). The first
-row of C has one entry, so that z₁ has one term. A level is all k of one sum: it meets itself, the
-two below and the one above. Where S is not that of the linear part alone the second term is not
-zero. The Hermite polynomials of the others come in other combinations (``degrees``).
-
-Levels of even degree have continuous functions of y, those of odd degree broken ones (``Basis``).
-∂* connects the two only; for a broken f and a continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
+The equations, F', G', h' and C are as in docs/theory.md ("The full equation"): the density is
+p = w(y) N(z; 0, S) Σ_k u_k(y) He_k(C⁻¹ z)/√k!, S = C Cᵀ, a_i He_k = √k_i He_(k−e_i), a_i⁺ the
+adjoint of a_i, and l₁ = C₁₁: the first row of C has one entry. Levels of even degree have
+continuous functions of y, those of odd degree broken ones (``Basis``); for a broken f and a
+continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
 
 A damping term adds the force −κ Π q_a^m Π v_a^n H^l v_j to mass i; f_i is the sum of all such
-forces, with the sign turned. Displacements are y and x + a y + x₀, and z = C ζ, ζ_j = a_j + a_j⁺:
-f_i is a polynomial in y and U(y) whose coefficients are matrices that act on the degrees k, and
-makes −Σ_j C⁻¹_ji a_j⁺ f_i u. Of degree r in z beside its v_j, it connects a level with those from r
-below to r + 2 above. Levels are then eliminated in stages of several: so many that each stage meets
-the two below and the one above. Integrals are exact, so that the truncation keeps the dissipation.
+forces, with the sign turned. With z = C ζ, ζ_j = a_j + a_j⁺, f_i is a polynomial in y and U(y)
+whose coefficients are matrices that act on the degrees k, and makes −Σ_j C⁻¹_ji a_j⁺ f_i u. Of
+degree r in z beside its v_j, it connects a level with those from r below to r + 2 above. Levels are
+then eliminated in stages of several: so many that each stage meets the two below and the one above.
+Integrals are exact, so that the truncation keeps the dissipation.
 """
 
 from collections.abc import Iterator, Sequence
@@ -102,8 +93,7 @@ def placed(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers
     """Return how many functions each degree of ``space`` has, its first unknown, and the ``ends``.
 
     What ``space`` has beyond the degrees of the basis is left out. At the highest levels the sum m
-    of the degrees in the others falls by two a level: errors of densities stay as they are without
-    these products of high degrees, and a fifth of the work is saved.
+    of the degrees in the others falls by two a level, which saves a fifth of the work.
     """
     degrees = functions.degrees
     table = np.zeros((space.level[-1] + 1, space.others.max() + 1), dtype=np.int64)
@@ -131,8 +121,7 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     """Return the equations in the functions of a basis, about its reference.
 
     ``closed``: levels meet themselves by l₁ (∂* ∂)^½ of all functions that the level above lacks,
-    not only where there is none above: else the highest degrees in y are hardly damped, and A has
-    slow eigenvalues that are none of L.
+    not only where there is none above: else A has slow eigenvalues that are none of L.
     """
     frame, reference, degrees = functions.frame, functions.reference, functions.degrees
     F, G, h = linear_part(frame, reference)

@@ -1,11 +1,8 @@
 """Degrees of the Hermite polynomials and of the functions of y with each, and their operators.
 
-With the contact mass held, the others are oscillators: one for each, of a complex amplitude
-b = (ζ_v + i ζ_x)/√2, which turns. The Hermite polynomials of degree m in ζ_v and ζ_x are, in other
-combinations, those of degree j in b and k in its conjugate, j + k = m: their real and imaginary
-parts turn j − k times as fast as b, and those that turn fast are small. A product therefore counts
-by the larger one of j and k, not by j + k: half the products then reach as high a degree in the
-energy of the oscillator, where j = k.
+With the contact mass held, each other mass is an oscillator of the amplitude b = (ζ_v + i ζ_x)/√2.
+Products are of degrees j in b and k in its conjugate; those that turn fast are small: a product
+counts by the larger one of j and k, not by j + k (docs/theory.md).
 """
 
 from collections.abc import Sequence
@@ -22,8 +19,7 @@ from averaging.phase_space.equation.frame import Frame
 from fpk.numeric.arrays import Array
 
 LEAST, LEAST_MIXED = 0.5, 0.3
-"""Least number of polynomials beyond a stop, over the most: at levels of the velocity that the stop
-turns alone, and at any."""
+"""Least share of polynomials beyond a stop: at levels of the contact velocity alone, and at any."""
 FEWER = 1.2
 """Polynomials beyond a stop that each degree in the other variables takes away."""
 
@@ -51,7 +47,6 @@ class Degrees:
     def beyond(self, level: int, others: int) -> int:
         """Number of polynomials beyond a stop, of |k| = ``level`` and a degree in the others.
 
-        Motion turns degrees in y into those in velocities: the higher these, the fewer polynomials.
         Levels go in pairs, as the derivatives of the functions of one are those of the next.
         """
         alone = max(self.outer - level // 2 * 2, int(LEAST * self.outer))
@@ -61,16 +56,13 @@ class Degrees:
         """Number of polynomials of a panel between stops, odd; one without end has ``outer`` + 1.
 
         ``width`` is in standard deviations of the weight without stops; ``beyond``: a stop is
-        touched there. It rises with ``outer``, so that the distance of solutions shows its error.
+        touched there. It rises with ``outer``, so that distances of solutions show its error.
         """
         count = 6.0 + (0.12 * width + 0.25 * beyond) * self.outer
         return 2 * ceil(0.5 * min(count, self.outer)) + 1
 
     def fewer(self, most: int, beyond: int) -> int:
-        """Number of ``most`` polynomials between stops that goes with ``beyond``; odd.
-
-        It falls half as fast: with fewer, errors were ten times larger between distant stops.
-        """
+        """Number, odd, of ``most`` polynomials between stops with ``beyond``: half as many less."""
         return 2 * int(0.25 * most * (1.0 + beyond / self.outer)) + 1
 
 
@@ -92,8 +84,7 @@ def lowest(frame: Frame) -> Degrees:
 def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     """Return the degrees of the next solution; ``rise`` is that of the degree in the others.
 
-    N stays odd: the density of the contact displacement is then nearer. With damping terms errors
-    oscillate with the degree, the more slowly the higher it is, and degrees rise by a factor.
+    N stays odd. With damping terms errors oscillate with it, and degrees rise by a factor.
     """
     n, d = frame.n, degrees
     if frame.system.damping_terms:

@@ -1,8 +1,7 @@
 """Elimination of the chain of stages from the highest down, and the stationary expansion.
 
-``chain`` has the equations. Each stage costs the inverse of one dense block, and as much again
-where what stages meet two below them is eliminated, too. That is of the size of the damping:
-without it the elimination is a preconditioner, with which a few dozen vectors solve all equations.
+Each stage costs the inverse of one dense block, and as much again with what stages meet two below
+them, which is of the size of the damping: without it the elimination is a preconditioner.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,18 +25,16 @@ CORRECTED, VECTORS = 1e-4, 30
 """Residual, relative to the one before, that a correction by a Krylov space leaves in single
 precision, and the vectors of the space at the most."""
 WHILE_INVERTED, OF_EQUATIONS = 4.0, 5e3
-"""Matrices of the largest level's size beside the inverses that are kept, and bytes that equations
-and Krylov vectors take for each unknown: seven solutions took 12 to 36 % less than both say."""
+"""Matrices of the largest level's size beside the inverses, and bytes of equations and vectors for
+each unknown: seven solutions took 12 to 36 % less."""
 LEAF = 200
 """Order of a matrix up to which LAPACK inverts it; above, by quarters: products are faster."""
 TOP_LEVELS = 4
 """Highest levels whose size is that of what the levels above them would have."""
 LARGE, NEGLIGIBLE = 0.5, 0.2
 """Size of the highest degrees in the others over that of the highest levels from which the degree
-in the others rises by two, and by one. On Fig. 6 two degrees more changed densities by 0.03 or less
-of the change by ten levels more at sizes below 0.2, by 0.25 or less below 0.5, by up to 4.6 beyond.
-"""
-
+in the others rises by two, and by one. On Fig. 6 two degrees more changed densities by 0.03 of the
+change by ten levels more at sizes below 0.2, by 0.25 below 0.5, by 4.6 beyond, at the most."""
 
 Solve = Callable[[Array], Array]
 """Returns u of A u = right, vectors of all unknowns."""
@@ -105,9 +102,8 @@ def expanded(
 ) -> Expansion:
     """Return the stationary expansion about ``reference``.
 
-    The elimination is in single precision, half the time and memory of double, and without pairs
-    unless damping terms make them large. Where its refinement does not converge it is done again in
-    double precision, with pairs, unless that takes more than ``memory`` bytes.
+    The elimination is in single precision, without pairs unless there are damping terms; where its
+    refinement does not converge, in double, with pairs, unless that takes more than ``memory``.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(functions)
@@ -164,10 +160,9 @@ def factored(
     """Eliminate the stages of the equations less ``shift`` times the unknowns, from the top down.
 
     Returned are the function that solves them, and the factor before the mass in the equation of
-    the function 1: 0 with a shift. Without one that equation, 0 = 0, is replaced by that of the
-    mass, of the size of the terms of 1: were it the largest entry, their round-off would be a
-    thousand times as large. Without ``paired`` what stages meet two below them is left out.
-    ``step`` is called with the share of the work done.
+    the function 1: 0 with a shift. Without one the mass replaces that equation, 0 = 0, by the size
+    of the terms of 1: by the largest entry round-off would be a thousand times as large. Without
+    ``paired`` what stages meet two below is left out. ``step`` is told the share of the work done.
     """
     top = chain.top
     work = np.cumsum(np.diff(chain.ends, prepend=0)[::-1].astype(float) ** 3)
@@ -219,8 +214,7 @@ def factored(
 def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
 
-    Cuts are between degrees in the other masses: displacements without their velocities are not
-    damped, and a matrix that has only these in front is singular.
+    They lie between degrees in the other masses: a part in front of others may be singular.
     """
     size = A.shape[0]
     inside = [cut for cut in cuts if 0 < cut < size]

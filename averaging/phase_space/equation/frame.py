@@ -1,14 +1,22 @@
-"""The full system (6) seen from its contact mass: linear in all else, and its reference state."""
+"""The full system (6) seen from its contact mass: linear in all else, and its reference states."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
+from scipy.linalg import solve_continuous_lyapunov
 
 from fpk.answer.names import Coordinate
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable
 from fpk.system.equivalent import equivalent_temperature
 from fpk.system.system import System, looks_the_same_mirrored
+
+ROUNDS = 20
+"""Linear systems, each with the contact force of the Gaussian state before, that make the start."""
+POINTS = 80
+"""Gauss points of the means over that state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +138,43 @@ def gibbs_reference(frame: Frame) -> Reference:
     covariance = T * np.eye(2 * n - 1)
     covariance[n:, n:] = T * np.linalg.inv(K[1:, 1:])
     return reference_of(frame, slope, np.zeros(n - 1), covariance)
+
+
+def start(frame: Frame) -> Reference:
+    """Return the Gaussian state of the linear system that is nearest to a frame's.
+
+    Statistical linearisation (Roberts and Spanos, Random Vibration and Statistical Linearization,
+    1990): the contact force g(y) is E g + k (y − E y), k = E g (y − E y)/Var y, of the Gaussian y
+    that this force makes. With damping terms it is the ``gibbs_reference``. Raises ``LinAlgError``
+    where the linear system has no stationary state.
+    """
+    gibbs, n = gibbs_reference(frame), frame.n
+    if frame.system.damping_terms:
+        return gibbs
+    x, weight = hermegauss(POINTS)
+    weight /= weight.sum()
+    centre, variance = 0.0, 1.0 / gibbs.weight[1]
+    noise = np.zeros((2 * n, 2 * n))
+    noise[n:, n:] = 2.0 * frame.noise
+    for _ in range(ROUNDS):
+        y = centre + np.sqrt(variance) * x
+        force = frame.contact_force(y)
+        k = float(weight @ (force * (y - centre))) / variance
+        stiffness = frame.stiffness.copy()
+        stiffness[0, 0] += k
+        drift = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -frame.damping]])
+        with warnings.catch_warnings():
+            # Where a motion is not damped at all; the answer is then of no distribution.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            covariance = solve_continuous_lyapunov(drift, -noise)
+        means = np.linalg.solve(stiffness, (k * centre - float(weight @ force)) * np.eye(n)[0])
+        if not covariance[0, 0] > 0.0:
+            raise np.linalg.LinAlgError("the linear system has no stationary state")
+        # Halfway, as a softer stop lets y out to where it is stiffer.
+        centre, variance = 0.5 * (centre + means[0]), 0.5 * (variance + covariance[0, 0])
+    # Of mirror images round-off is all that the means are.
+    mean = np.zeros(2 * n) if frame.symmetric else np.concatenate([means, np.zeros(n)])
+    return with_moments(frame, mean, covariance)
 
 
 def linear_part(frame: Frame, reference: Reference) -> tuple[Array, Array, Array]:

@@ -18,11 +18,9 @@ from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 MORE_POINTS = 12
-"""Gauss points in each direction beyond the degree, as the weight falls by up to e⁴⁰ over a panel:
-with 4, K + Kᵀ had negative eigenvalues there."""
+"""Gauss points beyond the degree, as the weight falls by e⁴⁰: with 4, K + Kᵀ was indefinite."""
 PIVOTS = (1e-3, 1e-2, 1.0)
-"""Least diagonal pivots relative to their columns, tried in this order: lower ones keep more of the
-symmetric ordering, but entries may grow."""
+"""Least diagonal pivots over their columns, in turn: low ones keep the order, entries grow."""
 GROWN = 1e-10
 """Residual of a solution, relative to the terms that cancel in it, by which entries have grown."""
 KRYLOV = 0.05
@@ -32,14 +30,10 @@ KRYLOV = 0.05
 def factorised(matrix: csc_array) -> Any:
     """Return the factors; raise ``NotCertified`` where the elimination breaks down."""
     right = matrix @ np.ones(matrix.shape[0])
+    symmetric: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
     for pivot in PIVOTS:
         try:
-            factors = splu(
-                matrix,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=pivot,
-                options={"SymmetricMode": True},
-            )
+            factors = splu(matrix, diag_pivot_thresh=pivot, **symmetric)
         except RuntimeError as error:
             raise NotCertified(f"the elimination breaks down: {error}") from None
         x = factors.solve(right)
@@ -103,9 +97,8 @@ class Elements:
     def moments(self, start: Array) -> tuple[float, float, float]:
         """Return E T and E T² of the functional ``start``, and the mass that round-off lost.
 
-        Where failure is rare K is nearly singular, and the density of the time spent, y = K⁻ᵀ
-        start, is right up to a factor. All fails in the end, y'(−L 1) = start'1, gives it back; how
-        far it is off from 1 is the mass lost, relative to all.
+        Where failure is rare y = K⁻ᵀ start, the density of the time spent, is right up to a factor.
+        y'(−L 1) = start'1 gives it back; how far it is off from 1 is the mass lost.
         """
         y = self.solved(start, "T")
         kept = float(y @ self.exit) / float(start @ self.one)
@@ -123,38 +116,33 @@ class Elements:
         return float(np.real(y @ self.exit) / np.real(y @ self.load))
 
     @cached_property
-    def sigma(self) -> float:
-        """Four times the frequency, less where damping outdoes it; two to eight serve as well."""
+    def shifted(self) -> tuple[float, Any]:
+        """σ, four times the frequency or less (two to eight serve, too), and factors of K + σM."""
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
-        return 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
-
-    @cached_property
-    def shifted(self) -> Any:
-        """The factors of K + σM."""
-        return factorised(csc_array(self.K + self.sigma * self.M))
+        sigma = 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
+        return sigma, factorised(csc_array(self.K + sigma * self.M))
 
     def mass_defect(self, start: Array) -> float:
         """Return what is wrong with the mass at a time of exponential distribution, the mean 1/σ.
 
         By its density σ (K + σM)⁻ᵀ start, what is within and what has left add up to ``start``.
         """
-        y = self.shifted.solve(start, "T")
-        mass = y @ (self.sigma * (self.M @ self.one) + self.exit)
+        sigma, factors = self.shifted
+        mass = factors.solve(start, "T") @ (sigma * (self.M @ self.one) + self.exit)
         return abs(float(mass - start @ self.one))
 
     def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
         """Return P(T <= t) at ascending times > 0, and what the last vectors changed.
 
         M F' = −K F + exit from F = 0, by Galerkin's method on the Krylov space of (K + σM)⁻¹M from
-        the function 1, orthonormal in M: neither K + Kᵀ nor its projection is negative, and nothing
-        grows. At H = E, where there are no unknowns, F is 1, which adds a constant.
+        the function 1, orthonormal in M. At H = E, without unknowns, F is 1: it adds a constant.
         """
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)
         change = before = last
         images = np.zeros((0, start.size))
-        solve, M = self.shifted.solve, self.M
+        solve, M = self.shifted[1].solve, self.M
         spaces = krylov(lambda x: solve(M @ x), self.one[:, None], VECTORS, metric=M.__matmul__)
         for V, _, closed in spaces:
             if len(V) % EVERY and not closed:
@@ -179,10 +167,8 @@ class Elements:
 
 
 def shapes(degree: int, t: Array) -> tuple[Array, Array]:
-    """Return values and slopes (points, degree + 1) at t of the polynomials of the Lobatto nodes.
-
-    Of hierarchical ones round-off takes all digits where the weight falls by e²⁰ over a panel.
-    """
+    """Return values and slopes (points, degree + 1) at t of polynomials of the Lobatto nodes."""
+    # Of hierarchical ones round-off takes all digits where the weight falls by e²⁰ over a panel.
     inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
     inverse = np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
     slopes = legval(t, legder(np.eye(degree + 1))).T
@@ -259,8 +245,7 @@ def elements(mesh: Mesh) -> Elements:
         lost = -np.asarray(K @ (~inner.ravel()).astype(float))
     free = np.flatnonzero(inner.ravel())
     load = np.asarray(M @ np.ones(total))[free]
-    if free.size < total:
-        K, M = K[free][:, free], M[free][:, free]
+    K, M = K[free][:, free], M[free][:, free]
     scale = 1.0 / np.sqrt(M.diagonal())
     for A in (K, M):
         A.data *= scale[A.indices] * np.repeat(scale, np.diff(A.indptr))

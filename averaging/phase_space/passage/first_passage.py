@@ -35,10 +35,9 @@ SHARE = 0.5
 States = tuple[Array, Array, Array]
 """Displacements, velocities and weights of states."""
 Level = tuple[Array, Array, Array, float, dict[str, Any]]
-"""Results on one mesh: E T, E T², rate of failure, and E T from the probe states over E T from the
-start; P(T <= t) at the times asked for; its change by the last vectors of the Krylov space;
-relative round-off of the first three; and mass defect, residual and settings by name, as
-``certified_passage`` takes them."""
+"""Results on one mesh: E T, E T², rate of failure, and E T of probe states over E T of the start;
+P(T <= t) at the times; its change by the last Krylov vectors; relative round-off of the first; and
+what ``certified_passage`` takes by name."""
 
 
 def first_passage(asked: Asked) -> Passage:
@@ -91,10 +90,9 @@ def first_passage(asked: Asked) -> Passage:
             state = orbit(o, energy, None if of_energy else most, 4 * (mesh.degree + 1))
         solved = _solved(elements(mesh), state, probes, times, tol)
         if previous is not None:
-            later = _compared(previous, solved, times, tol)
-            if later.certificate.certified:
-                return later
-            answer = _better(answer or later, later)
+            answer = _compared(previous, solved, times, tol)
+            if answer.certificate.certified:
+                break
         previous = solved
         asked.progress(level + 1, LEVELS, "first passage")
     if answer is None:
@@ -166,12 +164,3 @@ def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
     lost += krylov + krylov_before + ROUNDINGS * EPS * (times > 0.0)
     mean, variance, rate = (Number(float(x), float(e)) for x, e in zip(values, errors, strict=True))
     return certified_passage((mean, variance, rate), times, failure, lost, tol=tol, **stated)
-
-
-def _better(earlier: Passage, later: Passage) -> Passage:
-    """Return the earlier answer if its error is the smaller one and the later one agrees."""
-    a, b = ((bool(c.besides), c.missed or 0.0) for c in (earlier.certificate, later.certificate))
-    numbers = ((earlier.mean, later.mean), (earlier.variance, later.variance))
-    agreed = all(abs(x.value - y.value) <= x.error for x, y in numbers)
-    apart = np.abs(earlier.survival - later.survival)
-    return earlier if a <= b and agreed and np.all(apart <= earlier.survival_error) else later

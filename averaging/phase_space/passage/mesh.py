@@ -22,8 +22,7 @@ GRADED = 1.1
 PANEL, FINER = 1.6, 0.93
 """Panels of the first level in kicks of noise, and the ratio of those of successive levels."""
 LEAST, CLOSER = 0.15, 0.45
-"""The least panel at a glancing point in units of the speed where noise outdoes the pull, and the
-ratio of those of successive levels."""
+"""Least panel at a glancing point over the speed where noise outdoes the pull; ratio of levels."""
 STOP = 1.5
 """Panels over their distance to a stop whose force is a fractional power of the overlap."""
 SAMPLES = 401
@@ -91,12 +90,11 @@ class Oscillator:
 def oscillator_of(system: System) -> Oscillator:
     """Return the one mass of ``system``; raise ``NotApplicable`` where it is not for the method."""
     require_constant_noise(system.modulation)
+    words = "first passage in phase space is solved for"
     if system.n != 1:
-        raise NotApplicable(
-            f"first passage in phase space is solved for one mass, and there are {system.n}"
-        )
+        raise NotApplicable(f"{words} one mass, and there are {system.n}")
     if system.damping_terms:
-        raise NotApplicable("first passage in phase space is solved for constant damping only")
+        raise NotApplicable(f"{words} constant damping only")
     noise = float(system.noise_matrix[0, 0])
     if not noise > 0.0:
         raise NotApplicable("there is no noise, and first passage is not random")
@@ -158,8 +156,7 @@ class Mesh:
 def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Mesh:
     """Return the mesh of ``level`` within |q| < ``b``, with starts up to the energy of ``fastest``.
 
-    It is graded to (±b, 0), where T rises as the root of v and the sixth root of b − |q|. On a side
-    that the energy of its largest velocity does not reach it ends at the turning point.
+    It is graded to (±b, 0), where T rises as v^½ and (b − |q|)^⅙, and ends at turning points.
     """
     kick, step, ends = o.kick(b), PANEL * FINER**level * o.kick(b), np.array([-b, b])
     height, beyond = o.potential(ends), (BEYOND + 0.7 * level) * kick
