@@ -7,7 +7,7 @@ from math import prod
 import numpy as np
 from scipy.special import j0
 
-from averaging.gaussian_state import state_rows
+from averaging.gaussian import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from fpk.answer.certificate import Measured, outside, worst
 from fpk.answer.density import Density, certified_density

@@ -10,7 +10,7 @@ from math import prod
 import numpy as np
 
 from averaging.energy_process import closed_form
-from averaging.gaussian_state import Gaussian
+from averaging.gaussian import Gaussian
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.characteristic import POINTS, joined, product_of, state_density
 from averaging.zero_flux import (

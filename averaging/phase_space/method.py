@@ -9,7 +9,6 @@ from typing import Self
 
 import numpy as np
 
-from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space.densities import density_of, identities, settings_of
 from averaging.phase_space.dynamics import questions
@@ -19,7 +18,7 @@ from averaging.phase_space.equation.elimination import cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.passage.first_passage import first_passage
 from averaging.phase_space.refinement import MEMORY, Ladder, Options, better, ladder_of, ladders
-from averaging.theory import Theory
+from averaging.theory import Exact, Theory
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Curve, Passage, Rates, certified_curve
 from fpk.answer.method import Plan, Progress, Result, silent
