@@ -341,7 +341,7 @@ class Linear(Theory):
             raise NotApplicable(f"no noise reaches mass {row + 1}, which is at rest")
         q, p = np.sqrt(variances).tolist()
         scale, tol = (
-            QUESTIONS[question].scale(q, p / system.mass[row]),
+            QUESTIONS[question].scale(q, p / float(system.mass[row])),
             asked.tol or self.wanted(system),
         )
         return scale, q, partial(certified_curve, scale=scale, of=density, tol=tol)
