@@ -340,10 +340,8 @@ class Linear(Theory):
         if not np.min(variances) > 0.0:
             raise NotApplicable(f"no noise reaches mass {row + 1}, which is at rest")
         q, p = np.sqrt(variances).tolist()
-        scale, tol = (
-            QUESTIONS[question].scale(q, p / float(system.mass[row])),
-            asked.tol or self.wanted(system),
-        )
+        tol = asked.tol or self.wanted(system)
+        scale = QUESTIONS[question].scale(q, p / float(system.mass[row]))
         return scale, q, partial(certified_curve, scale=scale, of=density, tol=tol)
 
 
