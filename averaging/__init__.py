@@ -10,16 +10,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from averaging.exact import Exact
     from averaging.gaussian import Linear
     from averaging.integrable import Integrable
     from averaging.nonintegrable import NonIntegrable
     from averaging.phase_space.method import PhaseSpace
+    from averaging.theory import Exact
 
 __all__ = ["Exact", "Integrable", "Linear", "NonIntegrable", "PhaseSpace"]
 
 _HOME = {
-    "Exact": "averaging.exact",
+    "Exact": "averaging.theory",
     "Integrable": "averaging.integrable",
     "Linear": "averaging.gaussian",
     "NonIntegrable": "averaging.nonintegrable",

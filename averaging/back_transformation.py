@@ -1,26 +1,25 @@
-"""From a density of the energy to q, p and crossing rates, Eqs. (23), (30)."""
+"""From a density of the energy to q, p and the flux of q, Eqs. (23), (30)."""
 
 from collections.abc import Callable
+from functools import partial
 from math import ceil, pi
 
 import numpy as np
 
 from averaging.conditional import (
+    RULES,
     Conditional,
     conditionals,
     contact_levels,
     gibbs_integral,
     hidden_integral,
-    rules_of,
     stop_panels,
 )
 from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.weyl import Part, StateDensity
 from averaging.zero_flux import density_of_energies
 from fpk.answer.density import Density, certified_density
-from fpk.answer.dynamics import Curve, certified_curve
 from fpk.answer.names import Coordinate, Observable
-from fpk.answer.question import QUESTIONS
 from fpk.numeric.arrays import DEPTH, Array
 from fpk.solvers.line.mesh import DEEP_LAYERS, with_layers
 from fpk.system.system import System
@@ -28,9 +27,6 @@ from fpk.system.system import System
 TIED = 0.2
 """Width of a displacement given another one, relative to its own, below which the joint density is
 a ridge that panels of one thermal displacement do not resolve."""
-SAME = 1e-10
-"""Distance from another node, relative to the support, below which a node where a tied mass begins
-to touch is left out. Layers beyond stops are thinner where stops are stiff, and are all kept."""
 
 
 def back_transformed(source: StateDensity, observable: Observable, *, tol: float) -> Density:
@@ -104,7 +100,7 @@ def marginal_of(
     order, log_factor, laws = reduced(system, observable, hidden, source.unit)
     if flux_of is not None:  # dx of x = p²/2m in the place of dp
         order, log_factor = order + 0.5, log_factor - 0.5 * np.log(2.0 * pi * flux_of)
-    coarse, fine = rules_of(len(hidden))
+    coarse, fine = RULES[min(len(hidden), len(RULES) - 1)]
     laws_hidden, weyl = laws[len(q) :], source.weyl(order)
     widths = np.prod([np.sqrt(2.0 * pi * T / law.precision) for law in laws_hidden])
 
@@ -116,19 +112,14 @@ def marginal_of(
             own = error * weyl(energy) if part == "table" else factor * weyl(energy, part)
             result = widths * own
         else:
+            f, end = partial(weyl, part=part), source.end
             result = hidden_integral(
-                lambda E: weyl(E, part),
-                energy,
-                Q,
-                laws_hidden,
-                temperature=T,
-                end=source.end,
-                points=points,
+                f, energy, Q, laws_hidden, temperature=T, end=end, points=points
             )
             if part == "table":
                 # The grids leave out V above the end, and ``DEPTH`` above E. Contact only adds to
                 # V: the rest is below Ψ at that energy times a width for each mass.
-                top = np.maximum(source.end, energy + DEPTH * T)
+                top = np.maximum(end, energy + DEPTH * T)
                 result = result + len(hidden) * widths * weyl(top)
         return np.asarray(np.exp(log_factor) * result).reshape(arrays[0].shape)
 
@@ -181,7 +172,7 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
     thermal = float(np.sqrt(own * temperature))
     levels = contact_levels(temperature, end)
     nodes = stop_panels(system, mass, width=thermal, end=end, levels=levels)
-    low, high, parts = -nodes[0], nodes[-1], [np.empty(0)]
+    low, high, parts = nodes[0], nodes[-1], [nodes]
     for stop in system.stops:
         if stop.index == mass:
             continue
@@ -191,23 +182,6 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
         (other,) = conditionals(system, [mass, stop.index])[1:]
         width = np.sqrt(temperature / other.precision) / share
         if width < thermal:
-            steps = width * 2.0 ** np.arange(-1.0, ceil(np.log2(2.0 * (high + low) / width)))
+            steps = width * 2.0 ** np.arange(-1.0, ceil(np.log2(2.0 * (high - low) / width)))
             parts.append(touch + np.concatenate([-steps, [0.0], steps]))
-    more, same = np.unique(np.concatenate(parts)), SAME * (high + low)
-    more = more[(more > -low) & (more < high) & (np.diff(more, append=np.inf) > same)]
-    apart = np.abs(more[:, None] - nodes).min(axis=1) > same
-    return np.union1d(nodes, more[apart])
-
-
-def crossing_rates(source: StateDensity, row: int, at: Array, *, tol: float) -> Curve:
-    """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row`` (from 0).
-
-    Rice's ∫_0^∞ v f(q, p) dp, v = p/m, is an integral over p²/2m: a Weyl integral of half an order
-    above that of p(q). The scale is σ_v/(2πσ_q).
-    """
-    observable, mass = (Coordinate("q", row),), float(source.system.mass[row])
-    q = back_transformed(source, observable, tol=tol)
-    p = back_transformed(source, (Coordinate("p", row),), tol=tol)
-    flux, error, _ = marginal_of(source, observable, flux_of=mass)
-    scale = QUESTIONS["crossings"].scale(q.std().value, p.std().value / mass)
-    return certified_curve(flux(at), error(at), scale=scale, of=q, tol=tol)
+    return np.unique(np.clip(np.concatenate(parts), low, high))

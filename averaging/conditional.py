@@ -71,11 +71,6 @@ def conditionals(system: System, masses: Sequence[int]) -> tuple[Conditional, ..
     return tuple(conditional(system, mass, masses[:k]) for k, mass in enumerate(masses))
 
 
-def rules_of(hidden: int) -> tuple[int, int]:
-    """Return the points of both rules for a number of hidden contact masses."""
-    return RULES[min(hidden, len(RULES) - 1)]
-
-
 def hidden_integral(
     f: Callable[[Array], Array],
     energy: Array,

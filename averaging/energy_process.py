@@ -12,13 +12,13 @@ import numpy as np
 from numpy.polynomial import polynomial
 from scipy.special import gammainccinv, gammaincinv
 
-from averaging.conditional import gibbs_integral, rules_of
+from averaging.conditional import RULES, gibbs_integral
 from averaging.shell.averages import log_linear_states, shell_averages
-from averaging.shell.energy_shell import EnergyShell
+from averaging.shell.rays import EnergyShell
 from averaging.weyl import Part, Solution, StateDensity, tabulated
 from averaging.zero_flux import POINTS, ZeroFluxDensity, flux_residual
 from fpk.answer.certificate import Measured
-from fpk.numeric.arrays import EPS, SMALLEST, Array
+from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.mesh import DEEP_LAYERS, Probe, initial_nodes, probed, with_layers
@@ -52,6 +52,37 @@ def damping_by_energy(system: System) -> Array | None:
         if not q:
             matrices[power] = 0.5 * (c + c.T)
     return matrices
+
+
+def compatibility(system: System) -> Array:
+    """Return h(H) of the compatibility condition (8), ``2 c_ij = h b_ij`` with ``b = 2 f D fᵀ``.
+
+    Coefficients in ascending powers of H, one for constant damping. The antisymmetric part of c
+    does no work and does not enter, unless it depends on velocities. Raises ``NotApplicable``
+    where no h meets the condition, or h is not positive at high energy.
+    """
+    D = system.noise_matrix
+    if not np.any(D):
+        raise NotApplicable("condition (8) needs noise, and there is none")
+    matrices = damping_by_energy(system)
+    if matrices is None:
+        raise NotApplicable(
+            "the compatibility condition (8) is not met: the damping depends on q or v beside H"
+        )
+    if not np.any(matrices):
+        raise NotApplicable("nothing is damped: (8) holds with h = 0 only, no stationary density")
+    h: Array = np.einsum("eij,ij->e", matrices, D) / np.sum(D * D)
+    sizes = np.maximum(np.max(np.abs(matrices), axis=(1, 2)), SMALLEST)
+    left = np.max(np.abs(matrices - h[:, None, None] * D), axis=(1, 2)) / sizes
+    worst = float(left.max())
+    h = np.asarray(np.trim_zeros(h, "b"), dtype=float)
+    if not h.size or h[-1] <= 0 or worst > ROUND_OFF:
+        best = ", ".join(f"{part:.4g}" for part in h) or "0"
+        raise NotApplicable(
+            "the compatibility condition (8), c_ij = h (f D fᵀ)_ij for all i, j, is not met: "
+            f"even with the best h = {best}, an entry is off by {worst:.2g} of the largest damping"
+        )
+    return h
 
 
 def energy_process(system: System) -> Process:
@@ -214,10 +245,10 @@ def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
 
     All are Gaussian but for the contact displacements, a pass along the chain.
     """
-    masses = len(system.contact_masses)
+    rules = RULES[-1 if len(system.contact_masses) > 2 else 1]
     (coarse, _), (fine, interpolation) = (
         gibbs_integral(system, (), np.zeros((0, 1)), temperature=1.0 / alpha, points=points)
-        for points in rules_of(masses if masses > 2 else 1)
+        for points in rules
     )
     log_norm = system.n * np.log(alpha / (2.0 * np.pi)) - float(np.log(fine[0]))
     log_norm += 0.5 * float(np.sum(np.log(system.stiffness / system.mass)))

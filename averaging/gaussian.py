@@ -1,21 +1,26 @@
-"""Linear scenes: the Gaussian density by the Lyapunov equation, and their motion, exact in time."""
+"""Gaussian states, and linear scenes: their density by the Lyapunov equation, and their motion.
+
+The energy of a Gaussian state is a sum of independent gamma variables.
+"""
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from math import erfc
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag, eig, expm
+from scipy.linalg import block_diag, eig, expm, qr, solve_triangular
 
-from averaging.gaussian_state import Gaussian
 from averaging.theory import Theory, energy_only_refusal
-from fpk.answer.density import Density
+from fpk.answer.certificate import Measured
+from fpk.answer.density import Density, certified_density
 from fpk.answer.dynamics import Curve, Rates, certified_curve, certified_rates
 from fpk.answer.method import Plan, Progress, Result
-from fpk.answer.names import Coordinate, Observable
+from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.question import QUESTIONS, Asked, answer
-from fpk.numeric.arrays import EPS
+from fpk.numeric.arrays import DEPTH, EPS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.system.linear import linear_covariance, stationary_covariance
 from fpk.system.system import System
@@ -23,6 +28,166 @@ from fpk.system.system import System
 EXPM = 160.0
 """Round-off of e^(At) in units of that of t A, and of the masses: against 50 digits, of 800 lags of
 270 systems, one to three masses, up to 1e4 radians, 80 was the most."""
+REACH = 8.5
+"""Half-width of the support in standard deviations."""
+WIDTH = 3.0
+"""Largest width of a panel in standard deviations of one coordinate given the other."""
+PANELS = (17, 120)
+"""Least and largest number of panels along an axis; correlations above 0.999 would need more."""
+NODES = (30, 40)
+"""Nodes on half of the contour, of the coarser sum for the error and of the answer: 32 reach
+round-off."""
+MIN_CROSSING = 2.0
+"""Least product of x and the point where the contour crosses the real axis: nearer to the
+singularity the sum needs more nodes, farther from it large terms cancel."""
+SADDLE_STEPS = 12
+"""Fixed-point steps to the saddle; any point between it and the first guess serves."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """Gaussian state (q, p) = F ξ, ξ independent standard normal, whose energy is Σ λ_j G_j.
+
+    ``factor`` F (2n, k): F Fᵀ is the covariance, known to ``relative_error`` as a quadratic form.
+    ``scales`` λ, ``shape`` and ``scale_errors`` as in ``gamma_sum``; ``residual`` of the equation.
+    """
+
+    factor: Array
+    relative_error: float
+    scales: Array
+    shape: float
+    scale_errors: Array
+    residual: float
+
+    def refusal(self, observable: Observable) -> str | None:
+        """Return why there is no density: two of (q, p) are in one proportion at all times."""
+        if len(observable) < 2:
+            return None
+        rows, _, L = self._standardised(observable)
+        if np.min(np.abs(np.diag(L))) > 8.0 * EPS * rows.shape[1]:
+            return None
+        name = observable_name(observable)
+        return f"{name}: one is a multiple of the other at all times: there is no joint density"
+
+    def _standardised(self, observable: Observable) -> tuple[Array, Array, Array]:
+        """Rows of F, their scales, and L with x/scale = L y and independent standard y."""
+        rows = self.factor[state_rows(observable, self.factor.shape[0] // 2)]
+        scale = np.linalg.norm(rows, axis=1)
+        L = qr((rows / scale[:, None]).T, mode="r")[0][: len(observable)].T
+        return rows, scale, np.asarray(L)
+
+    def density(self, observable: Observable, *, tol: float) -> Density:
+        """Return the density of H, or of one or two of (q, p); raise as ``refusal`` says."""
+        if observable[0].kind == "H":
+            return self._energy_density(observable, tol)
+        if reason := self.refusal(observable):
+            raise NotApplicable(reason)
+        count = len(observable)
+        rows, scale, L = self._standardised(observable)
+        # Round-off of the rows counts by the condition of L.
+        relative = self.relative_error + 8.0 * EPS * rows.shape[1] * float(np.linalg.cond(L))
+        height = (2.0 * np.pi) ** (-0.5 * count) / abs(float(np.prod(np.diag(L)) * np.prod(scale)))
+        width = WIDTH * float(np.min(np.abs(np.diag(L))))
+        panels = int(np.clip(np.ceil(2.0 * REACH / width), *PANELS))
+
+        def half_square(x: Sequence[Array]) -> Array:
+            z = np.stack(np.broadcast_arrays(*x))
+            y = solve_triangular(L, z.reshape(count, -1) / scale[:, None], lower=True)
+            return np.asarray(0.5 * np.sum(y * y, axis=0).reshape(z.shape[1:]))
+
+        def pointwise(*x: Array) -> Array:
+            # d ln p = ½ yᵀ E y − ½ tr E, where E = L⁻¹ dR L⁻ᵀ is at most ``relative`` in norm.
+            exponent = half_square(x)
+            return np.asarray(relative * (exponent + 0.5 * count) * height * np.exp(-exponent))
+
+        tail = count * erfc(REACH * 0.5**0.5)
+        return certified_density(
+            observable,
+            tuple(np.linspace(-REACH * s, REACH * s, panels + 1) for s in scale),
+            lambda *x: height * np.exp(-half_square(x)),
+            pointwise,
+            measured=Measured(count * relative + tail, np.nan, np.inf, self.residual, tail),
+            tol=tol,
+            # The mass is measured at x = scale L y, where no correlation makes a ridge.
+            frame=(scale[:, None] * L, (np.linspace(-REACH, REACH, PANELS[0] + 1),) * count),
+        )
+
+    def _energy_density(self, observable: Observable, tol: float) -> Density:
+        largest, tail = float(np.max(self.scales)), float(np.exp(-DEPTH))
+        # Chernoff's bound at s = 7/8 of the least rate: P(X > E) <= e^(−sE) Π (1 − s λ_j)^−shape.
+        s = 0.875 / largest
+        end = (DEPTH - self.shape * float(np.sum(np.log1p(-s * self.scales)))) / s
+        nodes, least = [0.0], max(float(np.min(self.scales)), EPS * end)
+        while nodes[-1] < end:
+            nodes.append(nodes[-1] + min(max(2.0 * least, nodes[-1] / 3.0), 2.0 * largest))
+
+        def pdf(energy: Array) -> Array:  # a third of the cost of its error
+            terms, *_ = _contour(self.scales, self.shape, energy, NODES[1])
+            return np.asarray(terms.real.sum(axis=-1))
+
+        def error(energy: Array) -> Array:
+            return gamma_sum(self.scales, self.shape, self.scale_errors, energy)[1]
+
+        return certified_density(
+            observable,
+            (np.array([*nodes[:-1], end]),),
+            pdf,
+            error,
+            measured=Measured(tail, np.nan, np.inf, self.residual, tail),
+            tol=tol,
+            added_error=lambda p, energy: error(energy),
+        )
+
+
+def state_rows(observable: Observable, n: int) -> list[int]:
+    """Return where the coordinates of ``observable`` stand in (q, p) of n masses."""
+    return [c.row + (n if c.kind == "p" else 0) for c in observable]
+
+
+def gamma_sum(scales: Array, shape: float, errors: Array, x: Array) -> tuple[Array, Array]:
+    """Return the density of Σ λ_j G_j at ``x`` of any shape, and an estimate of its error.
+
+    G_j are independent gamma variables of the given ``shape`` and scale 1, λ_j >= 0 the ``scales``
+    (k,), known to ``errors`` (k,). It is the inverse Laplace transform of Π (1 + λ_j s)^−shape:
+    with z = 1 + λ_max s the trapezoidal rule on the parabola z = c (1 + iu)², through the saddle c
+    or to its right, converges geometrically for any ratios of the scales, to a relative accuracy
+    (Weideman and Trefethen, Math. Comp. 76 (2007) 1341). Partial fractions cancel for near scales.
+
+    The error holds the distance to a coarser contour, the round-off of the terms, and the
+    derivatives of the density with respect to the scales, ∂ ln p^/∂λ_j = −shape s/(1 + λ_j s).
+    """
+    terms, exponent, z = _contour(scales, shape, x, NODES[1])
+    density: Array = terms.real.sum(axis=-1)
+    error = np.abs(density - _contour(scales, shape, x, NODES[0])[0].real.sum(axis=-1))
+    largest = np.max(scales)
+    for r, of_scale in zip(scales / largest, errors, strict=True):
+        slope = np.sum(terms * (z - 1.0) / (1.0 - r + r * z), axis=-1).real
+        error += np.abs(slope) * (shape / largest * of_scale)
+    error += EPS * np.sum(np.abs(terms) * (4.0 + np.abs(exponent)), axis=-1)
+    return density, error
+
+
+def _contour(scales: Array, shape: float, x: Array, nodes: int) -> tuple[Array, Array, Array]:
+    """Terms of the sum, their exponents and z, (*shape of x, nodes).
+
+    The terms are 0 for x < 0, and at 0 those of the limit from above.
+    """
+    largest = float(np.max(scales))
+    t = np.maximum(x / largest, SMALLEST**0.5)[..., None]
+    ratio = scales / largest
+    crossing = scales.size * shape / t
+    for _ in range(SADDLE_STEPS):
+        pull = ratio / (1.0 - ratio + ratio * crossing)
+        crossing = np.maximum(shape * crossing * pull.sum(axis=-1, keepdims=True), MIN_CROSSING) / t
+    step = np.sqrt(DEPTH / (crossing * t)) / nodes
+    u = 1j * step * (np.arange(nodes) + 0.5)
+    z = crossing * (1.0 + u) ** 2
+    exponent = t * (z - 1.0)
+    for r in ratio:
+        factor = 1.0 - r + r * z  # whose complex logarithm takes three times as long
+        exponent -= shape * (np.log(np.abs(factor)) + 1j * np.angle(factor))
+    length = np.where(x[..., None] >= 0.0, 2.0 * crossing * step / (np.pi * largest), 0.0)
+    return np.exp(exponent) * (1.0 + u) * length, exponent, z
 
 
 @dataclass(frozen=True)
@@ -76,13 +241,11 @@ class Linear(Theory):
     @answer
     def crossings(self, asked: Asked) -> Curve:
         """Return Rice's rates σ_v/(2πσ_q) exp(−a²/2σ_q²) of a Gaussian at the levels a."""
-        density, q, v = self._state(asked)
+        scale, std, certified = self._curve(asked, "crossings")
         relative = asked.system.fact(linear_covariance).relative_error + 4.0 * EPS
-        scale, square = QUESTIONS["crossings"].scale(q, v), (asked.at / q) ** 2
+        square = (asked.at / std) ** 2
         values = scale * np.exp(-0.5 * square)
-        errors = values * relative * (1.0 + 0.5 * square)
-        tol = asked.tol or self.wanted(asked.system)
-        return certified_curve(values, errors, scale=scale, of=density, tol=tol)
+        return certified(values, values * relative * (1.0 + 0.5 * square))
 
     @answer
     def spectrum(self, asked: Asked) -> Curve:
@@ -92,7 +255,7 @@ class Linear(Theory):
         a perturbation of all entries of h⁻¹ by their round-off.
         """
         system, row, w = asked.system, asked.row, asked.at[:, None, None]
-        density, q, v = self._state(asked)
+        _, _, certified = self._curve(asked, "spectrum")
         K, M, c = system.stiffness_matrix, np.diag(system.mass), system.damping
         h = np.linalg.inv(K - w**2 * M + 1j * w * c)
         rounding = 4.0 * EPS * system.n * (np.abs(K) + w**2 * M + np.abs(w * c))
@@ -100,9 +263,7 @@ class Linear(Theory):
         changed = (size[:, row, None] @ rounding @ size)[:, 0]
         values = np.einsum("wi,ij,wj->w", own, D, own.conj()).real / np.pi
         errors = np.einsum("wi,ij,wj->w", changed + EPS * size[:, row], np.abs(D), size[:, row])
-        tol = asked.tol or self.wanted(system)
-        scale = QUESTIONS["spectrum"].scale(q, v)
-        return certified_curve(values, 2.0 * errors / np.pi, scale=scale, of=density, tol=tol)
+        return certified(values, 2.0 * errors / np.pi)
 
     @answer
     def correlation(self, asked: Asked) -> Curve:
@@ -111,7 +272,7 @@ class Linear(Theory):
         In (ω Q, P) of the modes |e^(At)| <= 1: round-off of A changes e^(At) by no more than t
         times itself and |e^(At/2)|. An error of Σ, a quadratic form, is felt by q and its forecast.
         """
-        density, q, v = self._state(asked)
+        scale, _, certified = self._curve(asked, "correlation")
         modes = asked.system.fact(linear_covariance)
         A, Sigma, n = modes.drift, modes.covariance, asked.system.n
         w = np.append(modes.shapes[asked.row] / modes.omega, np.zeros(n))
@@ -126,9 +287,7 @@ class Linear(Theory):
             felt = np.sqrt(own * max(float(forecast @ Sigma @ forecast), 0.0))
             errors[k] = rounding * float(np.linalg.norm(w) * np.linalg.norm(Sigma @ w))
             errors[k] += modes.relative_error * felt
-        scale, tol = QUESTIONS["correlation"].scale(q, v), asked.tol or self.wanted(asked.system)
-        left = scale - np.abs(values)
-        return certified_curve(values, errors, scale=scale, of=density, tol=tol, positive=left)
+        return certified(values, errors, positive=scale - np.abs(values))
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
@@ -169,16 +328,21 @@ class Linear(Theory):
         tol = asked.tol or self.wanted(system)
         return certified_rates(values, errors, tol=tol, residual=covariance.residual)
 
-    def _state(self, asked: Asked) -> tuple[Density, float, float]:
-        """Density of q, and the standard deviations of q and of the velocity; both not 0."""
+    def _curve(self, asked: Asked, question: str) -> tuple[float, float, Callable[..., Curve]]:
+        """Scale of the question, standard deviation of q, and ``certified_curve`` but for values.
+
+        Neither number is 0.
+        """
         system, row = asked.system, asked.row
         (density,) = self.solve(system, [(Coordinate("q", row),)]).densities
         assert isinstance(density, Density)
         variances = np.diag(stationary_covariance(system))[[row, row + system.n]]
         if not np.min(variances) > 0.0:
             raise NotApplicable(f"no noise reaches mass {row + 1}, which is at rest")
-        q, p = np.sqrt(variances)
-        return density, float(q), float(p / system.mass[row])
+        q, p = np.sqrt(variances).tolist()
+        tol = asked.tol or self.wanted(system)
+        scale = QUESTIONS[question].scale(q, p / float(system.mass[row]))
+        return scale, q, partial(certified_curve, scale=scale, of=density, tol=tol)
 
 
 Linear.register()

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from fpk.numeric.errors import NotApplicable
 from fpk.system.escape import require_held
 from fpk.system.modulation import require_constant_noise
 from fpk.system.system import System
+
+Answer = TypeVar("Answer", Transient, Passage, Rates)
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Integrable(Theory):
             raise NotApplicable(reason)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            neglected = _contacts_left_out(system, modes)
+            left_out = _contacts_left_out(system, modes)
             of_state = "" if modes.constant else ", damping of the state averaged"
             settings: dict[str, str | float | int] = {
                 "equation": self.route.equation + of_state,
@@ -78,10 +80,9 @@ class Integrable(Theory):
             }
             if modes.n > 1:
                 settings["neglected correlation of modes"] = float(correlations(modes).max())
-            if neglected:
-                settings["contacts left out"] = neglected
             densities = modal_densities(modes, observables, self.solver, tol=self.wanted(system))
-            return Result(self, densities, settings=settings, neglected=neglected)
+            neglected = "".join(left_out.values())
+            return Result(self, densities, settings=settings | left_out, neglected=neglected)
 
         return Plan(lambda observable: self._refusal(observable, modes), solve)
 
@@ -96,52 +97,43 @@ class Integrable(Theory):
         values, errors = upcrossings(of_both, mass, asked.at)
         velocity = float(np.sqrt(of_both.moment(0, 2).value)) / mass
         scale = QUESTIONS["crossings"].scale(of_q.rms().value, velocity)
-        return certified_curve(
-            values, errors, scale=scale, of=of_q, tol=asked.tol or self.wanted(system)
-        )
+        tol = asked.tol or self.wanted(system)
+        return certified_curve(values, errors, scale=scale, of=of_q, tol=tol)
 
     @answer
     def transient(self, asked: Asked) -> Transient:
         """Return the densities of modal energies, or of one or two of (q, p), at times."""
-        require_held(asked.system)
-        solved: Transient = self._in_time(
-            "transient", asked, modulated=self.solver == "closed-form"
-        )
-        return solved
+        return self._in_time(Transient, "transient", asked)
 
     @answer
     def passage(self, asked: Asked) -> Passage:
         """Return the first passage of modal energies or of their sum."""
-        solved: Passage = self._in_time("passage", asked)
-        return solved
+        return self._in_time(Passage, "passage", asked)
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
         """Return the slowest relaxation rates of the modal energies."""
-        require_held(asked.system)
-        solved: Rates = self._in_time("relaxation", asked)
-        return solved
+        return self._in_time(Rates, "relaxation", asked)
 
-    def _in_time(self, question: str, asked: Asked, *, modulated: bool = False) -> Any:
-        """The answer by the solver; raises ``NotApplicable`` where that or the theory fails."""
+    def _in_time(self, kind: type[Answer], question: str, asked: Asked) -> Answer:
+        """The answer of a kind by the solver; ``NotApplicable`` where that or the theory fails."""
         system, tol = asked.system, asked.tol or TOL
-        if not modulated:
+        if question != "passage":
+            require_held(system)
+        if question != "transient" or self.solver != "closed-form":
             require_constant_noise(system.modulation)
         modes = system.fact(modal_analysis)
         require_no_resonance(system, modes)
         if self.solver in ("quadrature", "scikit-fem"):
-            words = "gives stationary densities; use closed-form or fem"
-            raise NotApplicable(f"{self.solver} {words}")
+            raise NotApplicable(f"{self.solver} gives stationary densities; use closed-form or fem")
         if reason := unsolved(modes, self.solver):
             raise NotApplicable(reason)
         by = closed_form if self.solver == "closed-form" else elements
         if question == "relaxation":
-            answer = by.relaxation(modes, asked.count, tol=tol)
+            answer: Answer = by.relaxation(modes, asked.count, tol=tol)
         else:
             answer = getattr(by, question)(modes, settled_energies(asked, tol, modes))
-        neglected = _contacts_left_out(system, modes)
-        left_out = {"contacts left out": neglected} if neglected else {}
-        return replace(answer, settings={**answer.settings, **left_out})
+        return replace(answer, settings={**answer.settings, **_contacts_left_out(system, modes)})
 
     def _refusal(self, observable: Observable, modes: ModalAnalysis) -> str | None:
         """Why the solver does not give this observable."""
@@ -154,17 +146,16 @@ class Integrable(Theory):
         return None
 
 
-def _contacts_left_out(system: System, modes: ModalAnalysis) -> str:
-    """The contacts in words, with the least clearance in rms of the motion without them."""
+def _contacts_left_out(system: System, modes: ModalAnalysis) -> dict[str, str]:
+    """The setting that names the contacts, with the least clearance in rms of the free motion."""
     if not system.stops:
-        return ""
+        return {}
     rms = np.linalg.norm(gaussian_modes(modes).factor[: system.n], axis=1)
     ratio, mass = min((s.clearance / rms[s.index], s.mass) for s in system.stops)
     holds = "holds" if ratio > CLEARANCE_RULE else "does not hold"
-    return (
-        f"{len(system.stops)}; the rule clearance > {CLEARANCE_RULE:g} rms {holds}: "
-        f"least is {ratio:.3g} rms at mass {mass}"
-    )
+    rule = f"the rule clearance > {CLEARANCE_RULE:g} rms {holds}"
+    words = f"{len(system.stops)}; {rule}: least is {ratio:.3g} rms at mass {mass}"
+    return {"contacts left out": words}
 
 
 Integrable.register()

@@ -12,7 +12,7 @@ from averaging.energy_process import (
     energy_process,
     state_closed_form,
 )
-from averaging.gaussian_state import state_rows
+from averaging.gaussian import state_rows
 from averaging.modal.time.closed_form import orbit_transient
 from averaging.theory import EnergyTheory, energy_only_refusal
 from averaging.time import limited_modes, settled_energies, state_transient

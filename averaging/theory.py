@@ -1,18 +1,21 @@
-"""Base classes of the methods that solve equations: exact, linear, nonintegrable and integrable."""
+"""Base classes of the methods that solve equations, and the exact stationary solution (7), (22)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, Self
 
-from averaging.back_transformation import back_transformed, crossing_rates
+import numpy as np
+
+from averaging.back_transformation import back_transformed, marginal_of
+from averaging.energy_process import compatibility, energy_process, state_closed_form
 from averaging.shell.laplace import by_lines
 from averaging.weyl import StateDensity
 from fpk.answer.certificate import tolerance
-from fpk.answer.dynamics import Curve
+from fpk.answer.dynamics import Curve, certified_curve
 from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, Solves, register
-from fpk.answer.names import Observable, observable_name
-from fpk.answer.question import Asked, answer
+from fpk.answer.names import Coordinate, Observable, observable_name
+from fpk.answer.question import QUESTIONS, Asked, answer
 from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 
@@ -45,8 +48,7 @@ class Theory(Method):
 
     def __post_init__(self) -> None:
         """Refuse an unknown solver, or a tolerance that cannot be met."""
-        names = sorted(name for name, *_ in self.solvers)
-        if self.solver not in names:
+        if self.solver not in (names := sorted(name for name, *_ in self.solvers)):
             raise InvalidInput("solver", self.solver, f"use one of {names}")
         if self.tol is not None and not SMALLEST <= self.tol <= LARGEST:
             raise InvalidInput("tol", self.tol, f"must lie between {SMALLEST:g} and {LARGEST:g}")
@@ -63,18 +65,15 @@ class Theory(Method):
 
     def wanted(self, system: System) -> float:
         """Return the tolerance asked for, or else one that the density of states allows."""
-        if self.route.named:
-            return tolerance(self.tol, UNIFORM)
-        lines = by_lines(system)
-        return tolerance(self.tol, DEFAULT_BY_LINES if lines else DEFAULT)
+        default = DEFAULT_BY_LINES if by_lines(system) else DEFAULT
+        return tolerance(self.tol, UNIFORM if self.route.named else default)
 
     @classmethod
     def register(cls, **options: Any) -> None:
         """Register a route for each solver, with further ``options`` of the ``Route``."""
         for solver, words, equation in cls.solvers:
-            make = partial(cls, solver=solver)
+            make, named = partial(cls, solver=solver), solver == "scikit-fem"
             names = cls.method, solver, words, equation, cls.solves
-            named = solver == "scikit-fem"
             register(Route(*names, False, cls.colour, make, named=named, **options))
 
 
@@ -104,9 +103,18 @@ class EnergyTheory(Theory):
 
     @answer
     def crossings(self, asked: Asked) -> Curve:
-        """Return the upcrossings per unit time of q, by Rice's formula."""
-        tol = asked.tol or self.wanted(asked.system)
-        return crossing_rates(self.state(asked.system)[0], asked.row, asked.at, tol=tol)
+        """Return the upcrossings per unit time of q, by Rice's formula.
+
+        ∫_0^∞ v f(q, p) dp, v = p/m, is an integral over p²/2m: a Weyl integral of half an order
+        above the Weyl integral of p(q).
+        """
+        system, tol = asked.system, asked.tol or self.wanted(asked.system)
+        (source, _), mass = self.state(system), float(system.mass[asked.row])
+        q = back_transformed(source, asked.observable, tol=tol)
+        p = back_transformed(source, (Coordinate("p", asked.row),), tol=tol)
+        flux, error, _ = marginal_of(source, asked.observable, flux_of=mass)
+        scale = QUESTIONS["crossings"].scale(q.std().value, p.std().value / mass)
+        return certified_curve(flux(asked.at), error(asked.at), scale=scale, of=q, tol=tol)
 
 
 def energy_only_refusal(
@@ -133,3 +141,41 @@ def energy_only_refusal(
             "integrated out numerically at once, at most 2 are"
         )
     return None
+
+
+@dataclass(frozen=True)
+class Exact(EnergyTheory):
+    """Exact stationary density C exp(−∫h dH) of the full system, Eqs. (7), (22), (23).
+
+    It exists where (8) holds; with constant damping h is a constant, and the normalisation the
+    configuration integral over the contact masses; otherwise it is an integral over the shells. ::
+
+        fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=[Exact()])
+
+    Upcrossings per unit time of levels by the second mass::
+
+        system, levels = fpk.load("fig3a").system, np.array([0.0, 0.5])
+        Exact().crossings(system, parse_observable("q2", 2), levels).values
+    """
+
+    method = "exact"
+    solvers = (("closed-form", "exact", "(7)"),)
+    colour = "#056c66"
+
+    def exponential(self, system: System) -> bool:
+        """Return whether h is a constant; raise ``NotApplicable`` where (8) does not hold."""
+        h = compatibility(system)
+        energy_process(system)
+        return h.size == 1
+
+    def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
+        """Return u, which solves the full equation, and h; the residual is what is left of (8)."""
+        h = compatibility(system)
+        settings: dict[str, str | float | int] = {"equation": "(7), (22)", "h": float(h[0])}
+        settings |= {f"h, H^{power}": x for power, x in enumerate(h[1:].tolist(), start=1)}
+        constant, D = 0.5 * (system.damping + system.damping.T), h[0] * system.noise_matrix
+        left = float(np.max(np.abs(constant - D)) / np.max(np.abs(D)))
+        return state_closed_form(system, h, residual=None if h.size > 1 else left), settings
+
+
+Exact.register()

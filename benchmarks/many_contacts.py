@@ -18,8 +18,8 @@ import numpy as np
 from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
-from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
+from averaging.theory import Exact
 from cases.studies.levels import timed_first
 from fpk.answer.density import AnyDensity
 from fpk.answer.method import Method

@@ -19,9 +19,9 @@ from time import perf_counter
 
 from report import machine, markdown_table
 
-from averaging.exact import Exact
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import MEMORY
+from averaging.theory import Exact
 from cases.comparison.compare import chance_l1, joined
 from fpk.answer.density import Density, l1_distance
 from fpk.answer.names import parse_observable

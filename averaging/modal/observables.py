@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import j0
 
 from averaging.energy_process import closed_form
-from averaging.gaussian_state import Gaussian, state_rows
+from averaging.gaussian import Gaussian, state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.zero_flux import density_of_energies, flux_residual, solved_energies
 from fpk.answer.certificate import Measured, outside, worst

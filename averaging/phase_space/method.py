@@ -9,7 +9,6 @@ from typing import Self
 
 import numpy as np
 
-from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space.densities import density_of, identities, settings_of
 from averaging.phase_space.dynamics import questions
@@ -27,7 +26,7 @@ from averaging.phase_space.refinement import (
     ladder_of,
     ladders,
 )
-from averaging.theory import Theory
+from averaging.theory import Exact, Theory
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Curve, Passage, Rates, certified_curve
 from fpk.answer.method import Plan, Progress, Result, silent

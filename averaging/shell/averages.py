@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import beta
 
-from averaging.shell.energy_shell import MOMENTS, EnergyShell, parts_of
-from averaging.shell.laplace import PartitionLines, by_lines
-from averaging.shell.rays import gauss_rules, ray_integrals
+from averaging.shell.laplace import MOMENTS, PartitionLines, by_lines, parts_of
+from averaging.shell.rays import EnergyShell, gauss_rules, ray_integrals
 from fpk.numeric.arrays import EPS, Array, Integers
 from fpk.numeric.piecewise import Piecewise, fit
 from fpk.numeric.quadrature import gauss_legendre, panel_rule

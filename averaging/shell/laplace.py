@@ -8,24 +8,30 @@ that of the chain without contact, and any β₀ > 0
 
 the phase volume the same with n + 1 and T' with n − 1 in the place of n; the power of damping terms
 is the same of moments of the displacements, with weights in the pass, and n + 1 or more in the
-place of n. The integrand falls like |β|^(−n) (R − 1): well conditioned near β₀ = n/H.
+place of n. The integrand falls like |β|^(−n) (R − 1): well conditioned near β₀ = n/H. ``parts_of``
+gives these moments, which the integrals along rays take, too.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil, log
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import erfc, gammaln
 from threadpoolctl import threadpool_limits
 
 from averaging.conditional import WIDTHS_PER_PANEL, conditionals, stop_panels
-from averaging.shell.energy_shell import EnergyShell, parts_of
-from fpk.numeric.arrays import DEPTH, EPS, Array, Complexes
+from averaging.shell.rays import EnergyShell
+from fpk.numeric.arrays import DEPTH, EPS, Array, Complexes, Integers
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
+from fpk.system.damping import gaussian_moment
+from fpk.system.equivalent import power_given
 from fpk.system.system import System
 
+MOMENTS = 1e-14
+"""Relative error, to the sum of absolute values, of some dozens of Gaussian moments and factors."""
 POINTS = (15, 16)
 """Gauss points per panel, of the rule that estimates the error and of the answer."""
 RADIANS, RISE = 1.8, 16.0
@@ -60,6 +66,68 @@ MOST_MASSES = 10
 """Masses, and a quarter of the highest degree of damping terms, up to which two contact masses are
 integrated along rays: beyond, v^a r^k is so narrow that the 24 points along a ray miss more than is
 stated (3 times of 12 masses and of 9 with a term of degree 8, 0.5 times of 8 with it)."""
+
+
+class Parts(NamedTuple):
+    """Σ c_ij v_i v_j of the damping terms, averaged given the contact displacements q_c.
+
+    With momenta and the other displacements Gaussian at the temperature 1/β, a part is
+    H^energy · coefficient · β^(−j) · Π q_c^powers. The order is Σ powers + 2 j, the same for all
+    parts of a term, whose degree is order − 2 + 2 energy. Without contact the power is
+    Σ_d g_d H^(1 + d/2), d one of ``degrees``.
+    """
+
+    powers: Integers  # (parts, c)
+    coefficient: Array  # (parts,)
+    size: Array  # (parts,), the sum of the absolute values that the coefficient is a sum of
+    orders: Integers  # (groups,), of the terms of one degree and order
+    of_group: Array  # (parts, groups), 1 where a part is of a group and 0 elsewhere
+    mean: Array  # (groups,), the mean without contact at β = 1
+    spread: Array  # (groups,), a bound of the size of the mean
+    degrees: Integers  # of the damping terms, ascending
+    of_degree: Array  # (groups, degrees), Γ(n)/Γ(n + order/2) where a group is of a degree, else 0
+    free: Array  # (degrees,), g_d
+    scale: Array  # (degrees,), the same of the spread: the size of g_d
+    along: Integers  # (integrals, 2), the pairs (Σ powers, j) of all parts
+    column: Integers  # (parts,), which of the pairs a part has
+    rest: Array  # (parts,), Γ(N/2)/Γ(N/2 + j), N = 2n − c, see ``parts_of``
+
+
+def parts_of(system: System) -> Parts:
+    """Return the parts of all damping terms.
+
+    Given y the N numbers (√m v, K^½ ξ) are uniform on the sphere ½|x|² = H − V_red: a moment of
+    degree 2j is (H − V_red)^j Γ(N/2)/Γ(N/2 + j) times that of Gaussian numbers.
+    """
+    if not system.damping_terms:
+        no, none, square = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0))
+        powers, along = np.zeros((0, len(system.contact_masses)), dtype=np.int64), no.reshape(0, 2)
+        of_groups = none, none, no, square, none, none, no, square, none, none
+        return Parts(powers, *of_groups, along, no, none)
+    keys, values = power_given(system, system.damping_terms)
+    groups, group = np.unique(keys[:, :2], axis=0, return_inverse=True)
+    of_group = np.eye(len(groups))[group.ravel()]
+    powers, (coefficient, size) = keys[:, 2:], values.T
+    # What is left where terms cancel is their round-off, which ``size`` still states.
+    coefficient = np.where(np.abs(coefficient) > MOMENTS * size, coefficient, 0.0)
+    L = system.fact(EnergyShell).L
+    mean, square = (
+        np.array([gaussian_moment(L @ L.T, tuple(row)) for row in (k * powers).tolist()])
+        for k in (1, 2)
+    )
+    mean, spread = (coefficient * mean) @ of_group, (size * square**0.5) @ of_group
+    degree, orders = groups.T
+    degrees = np.unique(degree)
+    rest = np.exp(gammaln(system.n) - gammaln(system.n + 0.5 * orders))
+    of_degree = rest[:, None] * (degree[:, None] == degrees)
+    free, scale = mean @ of_degree, spread @ of_degree
+    free = np.where(np.abs(free) > MOMENTS * scale, free, 0.0)
+    total, half_n = powers.sum(axis=1), system.n - 0.5 * powers.shape[1]
+    j = (of_group @ orders - total).astype(int) // 2
+    along, column = np.unique(np.stack([total, j], axis=1), axis=0, return_inverse=True)
+    rest = np.exp(gammaln(half_n) - gammaln(half_n + j))
+    found = coefficient, size, orders, of_group, mean, spread, degrees, of_degree, free, scale
+    return Parts(powers, *found, along, column.ravel(), rest)
 
 
 class PartitionLines:
@@ -216,16 +284,11 @@ class PartitionLines:
         levels = [1.0]  # of the contact energies at which panels end, in units of 1/real
         while levels[-1] < DEPTH:
             levels.append(levels[-1] + min(levels[-1], turns if levels[-1] < RISE else DEPTH))
+        energies = [level / real for level in levels]
         grids: list[list[tuple[Array, Array]]] = [[] for _ in POINTS]
         for j, mass in enumerate(self.masses):
             width = longest / (real * float(self.springs[j : j + 2].sum())) ** 0.5
-            nodes = stop_panels(
-                self.system,
-                mass,
-                width=width,
-                end=DEPTH / real,
-                levels=[level / real for level in levels],
-            )
+            nodes = stop_panels(self.system, mass, width=width, end=DEPTH / real, levels=energies)
             count = ceil((nodes[-1] - nodes[0]) / width) * POINTS[1]
             if count > MOST_POINTS:
                 raise NotApplicable(

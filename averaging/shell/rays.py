@@ -1,4 +1,7 @@
-"""Integrals over the energy shell along rays from rest, compiled: (10), (25), (28) for any n.
+"""Shells of constant energy, and integrals over them along rays: (10), (25), (28) for any n.
+
+Masses without contact are integrated out exactly, which leaves V_red = ½ q_cᵀ K_red q_c + Σ U_i of
+the c masses that have contact. With q_c = L y and L Lᵀ = K_red⁻¹ the springs become ½|y|².
 
 Along a ray y = r e of whitened coordinates V rises strictly, so the shell is 0 <= r <= R. Between
 stops lie panels. X is the distance from the beginning of one to the turning point that the engaged
@@ -7,16 +10,24 @@ integer powers of Hertz contact at the beginning, and stays smooth when the next
 """
 
 from collections.abc import Callable
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy  # its parts are loaded at their first use: scipy.optimize takes long to import
 
+from averaging.conditional import conditionals
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import cached_njit, checksum, inlined
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.compiled_laws import compiled_laws, law_files, of_law
+from fpk.system.system import System, looks_the_same_mirrored
 
+SAME = 1e-11
+"""Relative distance below which two energies are one: mirror images differ by roundings, minima
+by what their search leaves; a mesh between them would have no room."""
 NEAR = 0.01
 """Difference of overlap, relative to the overlap, below which that of the contact energy is taken
 from the force, as it would cancel: beyond a second stop, and next to the turning point."""
@@ -35,6 +46,98 @@ class Stops(NamedTuple):
     stiffness: Array
     exponent: Array
     law: Integers
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyShell:
+    """Shells of constant energy of one system, held by it as ``system.fact(EnergyShell)``."""
+
+    system: System
+
+    @cached_property
+    def L(self) -> Array:
+        """L (c, c): y are the extensions of the springs in series between the contact masses, times
+        the root of their stiffness; nothing cancels at any ratio of the springs."""
+        laws = conditionals(self.system, self.system.contact_masses)
+        return np.asarray(np.tri(len(laws)) * [law.precision**-0.5 for law in laws])
+
+    @cached_property
+    def laws(self) -> tuple[str, ...]:
+        """The names of the laws of the stops, in order."""
+        return tuple(sorted({stop.law for stop in self.system.stops}))
+
+    @cached_property
+    def stops(self) -> Stops:
+        """The one-sided stops in y: ``reach`` (stops, c), the overlap is ``reach @ y − touch``."""
+        masses, stops = self.system.contact_masses, self.system.stops
+        rises = [stop.sign * self.L[masses.index(stop.index)] for stop in stops]
+        reach = np.reshape(rises, (len(stops), len(masses)))
+        rows = [(s.clearance, s.stiffness, s.power, self.laws.index(s.law)) for s in stops]
+        touch, stiffness, exponent, law = np.reshape(rows, (-1, 4)).T.copy()
+        return Stops(reach, touch, stiffness, exponent, law.astype(int))
+
+    def nearest(self, directions: Array) -> Stops:
+        """The stops (rays, stops) in the order in which rays along ``directions`` meet them."""
+        reach = directions @ self.stops.reach.T
+        touch = np.full(reach.shape, np.inf)
+        np.divide(self.stops.touch, reach, out=touch, where=reach > 0.0)
+        order, ray = touch.argsort(axis=1, kind="stable"), np.arange(len(touch))[:, None]
+        *_, stiffness, exponent, law = self.stops
+        reach, touch = reach[ray, order], touch[ray, order]
+        return Stops(reach, touch, stiffness[order], exponent[order], law[order])
+
+    @cached_property
+    def sides(self) -> Stops:
+        """The stops of one contact mass on both its sides, or on one where they are alike."""
+        alike = self.system.fact(looks_the_same_mirrored)
+        return self.nearest(np.array([[1.0]] if alike else [[1.0], [-1.0]]))
+
+    def potential(self, y: Array) -> Array:
+        """V_red at whitened coordinates of shape (..., c)."""
+        value: Array = 0.5 * np.sum(y * y, axis=-1)
+        for stop, row in zip(self.system.stops, self.stops.reach, strict=True):
+            value = value + stop.energy(np.maximum(y @ row - stop.clearance, 0.0))
+        return value
+
+    @cached_property
+    def corners(self) -> Array:
+        """Points where two stops are just touched, (points, c), of two contact masses."""
+        rows, stops = self.stops.reach, self.system.stops
+        corners = [
+            np.linalg.solve(rows[list(pair)], self.stops.touch[list(pair)])
+            for pair in combinations(range(len(stops)), 2)
+            if rows.shape[1] == 2 and stops[pair[0]].mass != stops[pair[1]].mass
+        ]
+        return np.array(corners).reshape(len(corners), rows.shape[1])
+
+    @cached_property
+    def first_touch(self) -> Array:
+        """Points where V_red is least among those that just touch one stop, (stops, c)."""
+        rows = self.stops.reach
+        points: Array = (self.stops.touch / (rows * rows).sum(axis=1))[:, None] * rows
+        if rows.shape[1] == 1:
+            return points
+        springs = 0.5 * (points * points).sum(axis=1) * (1.0 + SAME)
+        for k in np.flatnonzero(self.potential(points) > springs):
+            plane, foot = np.linalg.svd(rows[k][None])[2][1:].T, points[k].copy()
+
+            def energy(t: Array, plane: Array = plane, foot: Array = foot) -> float:
+                return float(self.potential(foot + plane @ t))
+
+            lowest = scipy.optimize.minimize(energy, np.zeros(plane.shape[1]), tol=1e-12).x
+            points[k] = foot + plane @ lowest
+        return points
+
+    @cached_property
+    def contact_energies(self) -> tuple[float, ...]:
+        """The energies, ascending, at which T(H) loses smoothness.
+
+        They are the minima of V_red where one stop is just touched, H_c = ½ k_eff δ² with no other
+        in the way, and for two contact masses also where two are: each more adds half a derivative.
+        """
+        energies = sorted([*self.potential(self.first_touch), *self.potential(self.corners)])
+        both = zip([-1.0, *energies], energies, strict=False)
+        return tuple(float(H) for before, H in both if H - before > SAME * H)
 
 
 @lru_cache

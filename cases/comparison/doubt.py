@@ -5,7 +5,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from averaging.exact import compatibility
+from averaging.energy_process import compatibility
 from fpk.answer.contacts import stop_clearances
 from fpk.answer.method import Route
 from fpk.numeric.arrays import Array

@@ -9,7 +9,7 @@ from fpk.answer.method import ROUTES, Method, Route, solvers_of
 from fpk.numeric.errors import InvalidInput
 
 ROUTE_MODULES = {
-    "exact": ("averaging.exact",),
+    "exact": ("averaging.theory",),
     "linear": ("averaging.gaussian",),
     "phase-space": ("averaging.phase_space.method",),
     "nonintegrable": ("averaging.nonintegrable", "cases.comparison.averaged"),

@@ -16,10 +16,10 @@ from attack_energy import EnergyReference
 from attack_linear import LinearReference, ModalReference
 from attack_systems import drawn, system_of, temperature
 
-from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
+from averaging.theory import Exact
 from fpk.answer.method import ROUTES
 from fpk.answer.names import observable_name, parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified

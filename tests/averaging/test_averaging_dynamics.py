@@ -9,9 +9,9 @@ from asked import TURNED, ask
 from scipy.linalg import eigvals, expm
 
 import fpk
-from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space.method import PhaseSpace
+from averaging.theory import Exact
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate, parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable

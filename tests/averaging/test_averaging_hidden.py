@@ -13,8 +13,8 @@ from averaging.conditional import (
     hidden_integral,
 )
 from averaging.energy_process import averaged_density, energy_process, log_gibbs_norm
-from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
+from averaging.theory import Exact
 from averaging.zero_flux import flux_residual
 from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact

@@ -7,9 +7,7 @@ from mpmath import mp, mpf
 from scipy.integrate import quad
 from scipy.stats import expon, gamma
 
-from averaging.exact import Exact
-from averaging.gaussian import Linear
-from averaging.gaussian_state import gamma_sum
+from averaging.gaussian import Linear, gamma_sum
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import gaussian_modes
@@ -22,6 +20,7 @@ from averaging.modal.resonance import (
     resonances,
 )
 from averaging.nonintegrable import NonIntegrable
+from averaging.theory import Exact
 from fpk.answer.contacts import stop_clearances
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable

@@ -8,12 +8,12 @@ from averaging_systems import term_power
 from modal_terms import solved
 
 from averaging.energy_process import energy_process, log_gibbs_norm
-from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from averaging.shell import averages, laplace
 from averaging.shell.averages import shell_averages, shell_columns
-from averaging.shell.energy_shell import EnergyShell
 from averaging.shell.laplace import PartitionLines
+from averaging.shell.rays import EnergyShell
+from averaging.theory import Exact
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact

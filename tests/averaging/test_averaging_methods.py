@@ -13,10 +13,10 @@ from scipy.integrate import quad
 from scipy.linalg import eigvalsh
 from scipy.special import gamma as gamma_function
 
-from averaging.energy_process import averaged_density, energy_process
-from averaging.exact import Exact, compatibility
+from averaging.energy_process import averaged_density, compatibility, energy_process
 from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
+from averaging.theory import Exact
 from averaging.weyl import WeylIntegrals, continued, weyl_table
 from cases.scene.scene import load_scene
 from fpk.answer.density import l1_distance

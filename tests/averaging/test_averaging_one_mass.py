@@ -10,7 +10,7 @@ from scipy.special import beta
 
 from averaging.nonintegrable import NonIntegrable
 from averaging.shell.averages import shell_averages
-from averaging.shell.energy_shell import EnergyShell
+from averaging.shell.rays import EnergyShell
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
 from fpk.numeric.quadrature import gauss_legendre

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from modal_terms import solved
 
-from averaging.exact import Exact
+from averaging.theory import Exact
 from fpk.system.contact import Contact
 from fpk.system.system import System
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import fpk
-from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.phase_space.equation.degrees import Degrees
@@ -16,6 +15,7 @@ from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs
 from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import least_distance
+from averaging.theory import Exact
 from cases.comparison.compare import compared
 from fpk.answer.density import l1_distance
 from fpk.answer.names import Coordinate, parse_observable

@@ -7,7 +7,6 @@ import pytest
 from asked import TURNED, ask
 
 import fpk
-from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.dynamics.resolvent import displaced, generator, transforms
@@ -16,6 +15,7 @@ from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import Options
+from averaging.theory import Exact
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate, parse_observable
 from fpk.numeric.errors import NotApplicable

@@ -8,7 +8,6 @@ import pytest
 from test_averaging_phase_space_errors import solutions, understated
 
 import fpk
-from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.densities import force_means
 from averaging.phase_space.equation.basis import basis
@@ -17,6 +16,7 @@ from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.method import PhaseSpace
+from averaging.theory import Exact
 from cases.comparison.compare import compared
 from fpk.answer.density import l1_distance
 from fpk.answer.method import silent

@@ -8,7 +8,7 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import betainc
 
 from averaging.shell.averages import log_linear_states, shell_averages
-from averaging.shell.energy_shell import EnergyShell
+from averaging.shell.rays import EnergyShell
 from fpk.system.contact import Contact
 from fpk.system.system import System
 

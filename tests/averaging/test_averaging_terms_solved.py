@@ -8,9 +8,9 @@ from averaging_systems import both
 from modal_terms import refusal
 from scipy.integrate import quad
 
-from averaging.energy_process import energy_process
-from averaging.exact import Exact, compatibility
+from averaging.energy_process import compatibility, energy_process
 from averaging.nonintegrable import NonIntegrable
+from averaging.theory import Exact
 from averaging.zero_flux import solve_by_quadrature
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable

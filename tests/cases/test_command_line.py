@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-pytest.importorskip("averaging.exact")
+pytest.importorskip("averaging.theory")
 pytest.importorskip("averaging.nonintegrable")
 pytest.importorskip("sim.montecarlo")
 

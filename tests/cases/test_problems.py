@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
+from averaging.theory import Exact
 from cases.comparison.routes import method_for
 from cases.comparison.stationary import run_scene
 from cases.output.digest import digest_of

@@ -7,7 +7,7 @@ from known_quantities import ROUND_OFF, Exact
 from scipy import stats
 
 import fpk as face
-from averaging.exact import compatibility
+from averaging.energy_process import compatibility
 from cases.comparison.quantity import QUANTILES
 from cases.comparison.routes import method_for
 from cases.scene.scene import load_scene, shipped_scenes

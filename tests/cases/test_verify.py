@@ -7,8 +7,8 @@ from typing import get_args
 import pytest
 
 import cases.comparison.routes
-from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
+from averaging.theory import Exact
 from cases.comparison.claims import Verdict
 from cases.scene.scene import shipped_scenes
 

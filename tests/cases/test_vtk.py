@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from averaging.exact import Exact
 from averaging.nonintegrable import NonIntegrable
+from averaging.theory import Exact
 from cases.comparison.routes import method_for
 from cases.comparison.stationary import run_scene
 from cases.output.vtk import write_vtu

@@ -8,9 +8,9 @@ import pytest
 from scipy import stats
 from scipy.linalg import solve_continuous_lyapunov
 
-from averaging.exact import Exact
 from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
+from averaging.theory import Exact
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Certificate
 from fpk.answer.contacts import contact_quantities

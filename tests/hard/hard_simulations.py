@@ -10,7 +10,7 @@ from hard_plain import plain_euler
 from hard_systems import with_stops
 from numpy.typing import NDArray
 
-from averaging.exact import Exact
+from averaging.theory import Exact
 from cases.comparison.compare import compared
 from cases.scene.scene import load_scene
 from fpk.answer.density import Density

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from random_stops import exact_density, random_stops
 
-from averaging.exact import Exact
+from averaging.theory import Exact
 from fpk.answer.density import Density
 from fpk.answer.dynamics import upcrossings
 from fpk.answer.names import parse_observable

@@ -16,7 +16,7 @@ from math import pi, prod
 import numpy as np
 from scipy.special import hyp0f1, j0
 
-from averaging.gaussian_state import state_rows
+from averaging.gaussian import state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.observables import fourier_sum, product_of
 from averaging.time import limited_modes, observed_modes
