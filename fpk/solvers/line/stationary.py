@@ -120,13 +120,10 @@ class StationarySolution:
     def _of_elements(self) -> tuple[Array, Array]:
         """ln of the error of u around points of each element, and its relative round-off in each.
 
-        At equal angles θ, H rising as 1 − cos θ over the element, the distance to the enriched
-        solution has half-waves of one length. The error does not vanish where that does: the
-        largest within two is taken, as √T u, since the equations weight errors of u by T.
-
-        Elimination of m unknowns leaves between m and m² roundings of the largest p everywhere in
-        the element, m^(3/2) by the largest that was measured, in both solutions alike. At a node
-        where p is much less it spoils the scale of all elements on the side of less mass.
+        At equal angles θ, H ~ 1 − cos θ, the distance to the enriched solution has half-waves of
+        one length; the largest of √T u within two is taken. Elimination of m unknowns leaves up to
+        m^(3/2) roundings (measured) of the largest p everywhere in the element, and at a node where
+        p is much less it spoils the scale of all elements on the side of less mass.
         """
         count = HALF_WAVE * (self.enriched.coefficients.shape[1] - 1)
         t = -np.cos(np.pi * np.arange(count + 1) / count)

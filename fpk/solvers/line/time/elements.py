@@ -189,8 +189,7 @@ def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
     They are Gauss points of s, s = ∛t at contact, above which π is smooth in ∛(H − H_c), and t
     elsewhere. Then Legendre polynomials of s there (points, terms), coefficients (terms, points) of
     such a series of ∫_0^t, ``shape_functions`` and their slopes (points, degree + 1). Where
-    π ~ t^``steepness`` with more than a few powers the points are Gauss and Jacobi's; over such an
-    element, which is short, what else varies is linear.
+    π ~ t^``steepness`` with more than a few powers the points are Gauss and Jacobi's.
     """
     count = 3 * degree + 8 if contact else degree + 6
     steep = steepness > 7 and not contact

@@ -149,11 +149,9 @@ def posed(
 ) -> tuple[Question, Pair]:
     """Return the question, ``time`` the first one asked for, and the meshes to begin with.
 
-    Those of the answer and of the enriched solution, which reaches farther where there is no
-    absorbing ``limit``: beyond it is no more than ``TAIL`` at any time. From a start in the
-    stationary state beyond the energy H_0 it is not more, at any energy, than the stationary tail
-    over that beyond H_0; and from H_0 itself still less. Raises ``InvalidInput`` for a start beyond
-    the range of double precision.
+    Without an absorbing ``limit`` no more than ``TAIL`` is beyond them at any time: from a start
+    above the energy H_0 it is less than the stationary tail over that beyond H_0. Raises
+    ``InvalidInput`` for a start beyond the range of double precision.
     """
     degree, start, width, fine = degree_for(tol), source.energy, process.energy_scale, []
     if source.process is None:
