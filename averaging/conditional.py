@@ -17,8 +17,7 @@ from fpk.system.contact import Contact
 from fpk.system.system import System
 
 WIDTHS_PER_PANEL = 1.8
-"""Longest panel in units of √(T/a), T the temperature: ten Gauss points integrate exp(−½x²) over it
-to 1e-15."""
+"""Longest panel, in √(T/a), T the temperature: ten Gauss points meet ∫exp(−½x²) to 1e-15."""
 LEVELS = (1e-5, 1e-3, 0.1, 1.0)
 """Contact energies in units of T between which panels lie beyond a stop, then twice the one before:
 over [x, 2x] a Gauss rule of ten points misses at most 2e-12 of exp(−x), at x = 16."""

@@ -203,7 +203,7 @@ def state_closed_form(
 
     With a constant h the norm is the configuration integral, otherwise an integral over the shells.
     """
-    process = energy_process(system)
+    process = system.fact(energy_process)
     if rate.size > 1:
         return tabulated(system, closed_form(process, rate, residual=residual), closed=True)
     alpha, unit = float(rate[0]), process.energy_scale

@@ -35,8 +35,7 @@ WIDTH = 3.0
 PANELS = (17, 120)
 """Least and largest number of panels along an axis; correlations above 0.999 would need more."""
 NODES = (30, 40)
-"""Nodes on half of the contour, of the coarser sum for the error and of the answer: 32 reach
-round-off."""
+"""Nodes on half of the contour, of the coarser sum and of the answer: 32 reach round-off."""
 MIN_CROSSING = 2.0
 """Least product of x and the point where the contour crosses the real axis: nearer to the
 singularity the sum needs more nodes, farther from it large terms cancel."""

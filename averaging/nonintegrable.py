@@ -73,7 +73,7 @@ class NonIntegrable(EnergyTheory):
 
     def exponential(self, system: System) -> bool:
         """Return whether u is exp(−αH) in closed form; raise ``NotApplicable`` as (24) does."""
-        energy_process(system)
+        system.fact(energy_process)
         return self.solver == "closed-form" and averaged_rate(system).size == 1
 
     @answer
@@ -85,7 +85,7 @@ class NonIntegrable(EnergyTheory):
         """
         system, observable, modulation = asked.system, asked.observable, asked.system.modulation
         require_held(system)
-        process = energy_process(system)
+        process = system.fact(energy_process)
         asked = self._settled(asked)
         start, times, at, tol = asked.start, asked.times, asked.at, asked.tol
         of_energy = observable == (Coordinate("H"),)
@@ -145,7 +145,7 @@ class NonIntegrable(EnergyTheory):
         """Return the slowest rates at which the energy forgets its past."""
         system, tol = asked.system, asked.tol or self.wanted(asked.system)
         require_held(system)
-        process = energy_process(system)
+        process = system.fact(energy_process)
         require_constant_noise(system.modulation)
         if self.solver == "fem":
             return spectrum(process, asked.count, tol=tol)
@@ -162,7 +162,7 @@ class NonIntegrable(EnergyTheory):
         if self.solver == "closed-form":
             return state_closed_form(system, averaged_rate(system)), {"equation": "(29)"}
         tol = self.wanted(system)
-        solution = solved_energies(energy_process(system), self.solver, tol=tol)
+        solution = solved_energies(system.fact(energy_process), self.solver, tol=tol)
         assert not isinstance(solution, PlaneSolution)
         settings: dict[str, str | float | int] = {"equation": "FPK of (24)"}
         if isinstance(solution, StationarySolution):

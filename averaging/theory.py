@@ -165,7 +165,7 @@ class Exact(EnergyTheory):
     def exponential(self, system: System) -> bool:
         """Return whether h is a constant; raise ``NotApplicable`` where (8) does not hold."""
         h = compatibility(system)
-        energy_process(system)
+        system.fact(energy_process)
         return h.size == 1
 
     def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:

@@ -152,9 +152,8 @@ def solved_energies(
 def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDensity:
     """Return p(H) = C/σ² exp(+∫2s/σ² dH), Eq. (11) with its sign corrected.
 
-    The integrand is n/H at H → 0, so the integral of (11) from 0 diverges; n/H is integrated in
-    closed form and the rest panel by panel, each halved until its Legendre coefficients decay
-    below ``tol``.
+    The integral of (11) diverges at H = 0 as that of n/H, which is integrated in closed form, the
+    rest panel by panel, each halved until its Legendre coefficients decay below ``tol``.
     """
     probe, n = probed(process), process.degrees_of_freedom
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)

@@ -14,8 +14,7 @@ from fpk.numeric.quadrature import GAUSS_POINTS
 SPAN = 18
 """Width of the support of a density in its standard deviations: 2e-19 of a Gaussian is out."""
 PANELS = {1: 16, 2: 10}
-"""Panels of an axis that no stop divides, by the number of axes; half of the first lie between
-stops and beyond them."""
+"""Panels of an axis that no stop divides, by the number of axes; half as many beside stops."""
 POINTS_PER_WIDTH = 4.0
 """Gauss points for each standard deviation of what the contact displacement is integrated out of,
 beside one a degree: 137 integrate a Gaussian on 34 of its widths to round-off."""

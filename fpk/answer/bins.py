@@ -41,8 +41,7 @@ PER_COEFFICIENT = 30
 PER_BATCH = 10
 """Samples in each batch above which the mean of all batches is nearly normal."""
 STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
-"""Most Newton steps, and halvings of each; squared distance from the maximum, in standard errors,
-at which they end."""
+"""Most Newton steps, and halvings of each; they end at a squared distance, in standard errors."""
 ROUNDING = 1e-13
 """Change of the mean log-likelihood of a sample that is round-off."""
 SPREAD = 10.0

@@ -21,8 +21,7 @@ RULES = {1: (12, 16, GAUSS_POINTS[1]), 2: (7, 9, GAUSS_POINTS[2])}
 within a panel one coarser rule may agree with it by chance, two hardly."""
 SAFETY = 3.0
 """Stated error of an integral over the sum of the distances of its rule to the coarser rules: with
-kinks (1 − H)^1.5 and (1 − H)^2.5 anywhere in panels it held at 97 % or more, with one rule at 85 %.
-"""
+kinks (1 − H)^1.5 and (1 − H)^2.5 anywhere in panels it held at 97 %, with one rule at 85 %."""
 
 
 @dataclass(frozen=True)

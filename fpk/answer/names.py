@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from fpk.system.system import System
 
 LEAST = 1e-100
-"""Least limit: of a smaller one the square of the mean time leaves the range of double precision
-in units not far from it."""
+"""Least limit: of smaller ones the square of the mean time may leave double precision."""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ Here series are of Legendre polynomials, as Gauss points serve to fit and to int
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -24,6 +25,29 @@ def panels_at(nodes: Array, x: Array) -> tuple[Integers, Array, Flags]:
     k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
     t = np.clip((2.0 * x - nodes[k] - nodes[k + 1]) / (nodes[k + 1] - nodes[k]), -1.0, 1.0)
     return k, t, (x >= nodes[0]) & (x <= nodes[-1])
+
+
+@cache
+def compiled_clenshaw() -> Callable[..., Array]:
+    """Return Σ_j c_kj P_j(t) (points, values) of c (panels, degree + 1, values), k and t (points,).
+
+    By Clenshaw's recurrence, compiled: ten times as fast as by arrays. numba takes 0.4 s to load.
+    """
+    from fpk.numeric.compiling import cached_njit  # noqa: PLC0415
+
+    @cached_njit()
+    def summed(c: Array, k: Integers, t: Array) -> Array:
+        value, j = np.empty((t.size, c.shape[2])), np.arange(c.shape[1] + 0.0)
+        rise, fall = (2.0 * j + 1.0) / (j + 1.0), (j + 1.0) / (j + 2.0)
+        for i in range(t.size):
+            for m in range(c.shape[2]):
+                total = after = 0.0
+                for n in range(j.size - 1, -1, -1):
+                    total, after = c[k[i], n, m] + rise[n] * t[i] * total - fall[n] * after, total
+                value[i, m] = total
+        return value
+
+    return summed
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,19 +68,16 @@ class Piecewise:
 
     def __call__(self, x: ArrayLike, *, log_factor: ArrayLike = 0.0) -> Array:
         """Return f times exp(``log_factor``), an array of one factor a point, at any points."""
-        at, c = np.asarray(x, dtype=float), self.coefficients
+        at, shape = np.asarray(x, dtype=float), self.coefficients.shape
         k, t, inside = panels_at(self.nodes, at.ravel())
-        t = t.reshape((-1, *(1,) * (c.ndim - 2)))
-        value = after = np.zeros((at.size, *c.shape[2:]))
-        for j in reversed(range(c.shape[1])):  # Clenshaw's recurrence: no matrix of all P_j
-            rise, fall = (2.0 * j + 1.0) / (j + 1.0), (j + 1.0) / (j + 2.0)
-            value, after = c[:, j].take(k, axis=0) + rise * t * value - fall * after, value
+        series = np.ascontiguousarray(self.coefficients).reshape(*shape[:2], -1)
+        value: Array = compiled_clenshaw()(series, k, t)
         # One exponential: scale and factor may leave the range where their product does not.
-        exponent = np.zeros(at.size) + np.asarray(log_factor, dtype=float).ravel()
-        exponent = exponent if self.log_scale is None else exponent + self.log_scale[k]
-        value = value * np.exp(exponent).reshape(t.shape)
+        exponent = 0.0 if self.log_scale is None else self.log_scale[k]
+        if np.any(exponent := exponent + np.asarray(log_factor, dtype=float).ravel()):
+            value *= np.exp(exponent)[:, None]
         value[~inside] = self.outside
-        return np.asarray(value.reshape((*at.shape, *c.shape[2:])))
+        return value.reshape((*at.shape, *shape[2:]))
 
     def antiderivative(self) -> "Piecewise":
         """Return ∫f from the first node, continuous, of f without a ``log_scale``."""

@@ -87,9 +87,8 @@ class LinearCovariance:
 
     ``shapes`` T (n, n) and ``omega`` (n,) as of ``natural_modes``; ``drift`` A (2n, 2n) of
     dx = A x dt + …; ``covariance`` (2n, 2n) is V diag(``variance``) Vᵀ with ``axes`` V, ascending.
-    ``variance_error`` (2n,) is the error of each variance, ``relative_error`` of the whole
-    quadratic form; ``residual`` is the largest entry of the Lyapunov equation relative to the terms
-    that cancel in it.
+    ``variance_error`` (2n,) is the error of each variance, ``relative_error`` of the quadratic
+    form; ``residual`` the largest of the Lyapunov equation relative to the terms that cancel.
     """
 
     shapes: Array

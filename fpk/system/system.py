@@ -217,9 +217,8 @@ class Effects:
     """The effects of one system; hashable, and the key by which the stepper is compiled.
 
     ``laws`` are sorted; ``contact_masses`` count from 0; ``stops`` is the number of one-sided
-    contacts, ``noise_rank`` of independent noises that reach a mass; ``state_damping`` says that
-    the damping depends on the state, ``energy_damping`` on H; ``mirror`` that q → −q changes
-    nothing.
+    contacts, ``noise_rank`` of independent noises that reach a mass; with ``state_damping`` the
+    damping depends on the state, ``energy_damping`` on H; ``mirror``: q → −q changes nothing.
     """
 
     masses: int

@@ -88,15 +88,19 @@ def adapted(
         believed, error = falling(relative, believed, kept(frame))
         errors = (error / relative if relative > 0.0 else 0.0) * distance
         later = replace(fine, errors=errors + fine.added + ROUND_OFF * fine.scale)
-        earlier = found[1] if found else later
-        a, b = ((bool(x.missing), x.relative) for x in (earlier, later))
-        stays = found and a <= b and earlier.values.shape == later.values.shape
-        if not stays or not np.all(np.abs(earlier.values - later.values) <= earlier.errors):
+        if found is None or not _agree(found[1], later):
             found = ladder, later
         if max(found[1].relative, *ladder.errors.values()) <= tol:
             break
     assert found is not None
     return found
+
+
+def _agree(earlier: Answer, later: Answer) -> bool:
+    """Whether the earlier errors are the smaller ones and hold for the later values, too."""
+    a, b = ((bool(x.missing), x.relative) for x in (earlier, later))
+    same = a <= b and earlier.values.shape == later.values.shape
+    return same and bool(np.all(np.abs(earlier.values - later.values) <= earlier.errors))
 
 
 def deviations(e: Expansion, row: int) -> Array:

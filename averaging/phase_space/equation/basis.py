@@ -29,8 +29,7 @@ class Panel:
 
     Between stops (``direction`` 0) t is y. Beyond a stop at ``anchor``, on the right (1) or left
     (−1), t² = |y − anchor|/``length`` + 2 w₃ (U(y) − U(anchor)). ``last``: no other stop follows.
-    The polynomials follow from P_0 = ``first`` by t P_j = Σ_i recurrence[i, j] P_i, ``recurrence``
-    (degree + 1, degree).
+    P_0 = ``first`` and t P_j = Σ_i recurrence[i, j] P_i, ``recurrence`` (degree + 1, degree).
     """
 
     low: float

@@ -117,8 +117,7 @@ class Mesh:
     """Panels of x and s, with q = q(x) and v = s w(q), of polynomials of ``degree`` in both.
 
     Within |q| < b: q = x and w = 1. Within H < E: q(x) is ``centre`` + ``radius`` sin x and w =
-    √(2 (E − V)/m), so that the limit is s = ±1. ``folded``: x >= 0 only, and the state at (−q, −v)
-    is that at (q, v).
+    √(2 (E − V)/m), so that the limit is s = ±1. ``folded``: x >= 0 only, (−q, −v) is as (q, v).
     """
 
     oscillator: Oscillator

@@ -38,23 +38,19 @@ GRADING = 0.15
 """Ratio of neighbouring lengths towards a point where smoothness is lost."""
 GRADED_LAYERS = 5
 DEEP_LAYERS = 14
-"""Layers down to 3e-12 of the next element: beside a stiff stop and a small clearance T itself has
-layers as thin as that."""
+"""Layers down to 3e-12 of the next element: T has such layers at stiff stops and small gaps."""
 HIGHEST = 16
 """Highest degree of elements."""
 GROWTH = 1.6
-"""Ratio of neighbouring lengths away from a point where f changes fast: a function of the distance
-over it is as smooth on each element as on the one before."""
+"""Ratio of neighbouring lengths away from where f changes fast: f is as smooth on each of them."""
 SAME = 1e-3
 """Distance of two nodes, relative to the elements beside it, below which one is left out."""
 LAYER = 0.5
-"""Length of the elements at a start or a limit, in units of the width of the density there at the
-first time."""
+"""Length of the elements at a start or a limit, in widths of the density at the first time."""
 FAST = 20.0
 """Largest |z| t of the Laplace variables z of a contour that contribute at the time t."""
 LARGEST_VALUE = 100.0
-"""Largest value at H = 0, relative to the norm in π ~ H^(n−1), of a polynomial that is taken: it
-multiplies round-off."""
+"""Largest value at H = 0, in norms in π ~ H^(n−1), of a polynomial: it multiplies round-off."""
 
 
 @dataclass(frozen=True, eq=False)

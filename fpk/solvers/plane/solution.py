@@ -28,8 +28,7 @@ class PlaneSolution:
     """Density p(H1, H2) = w u, what was measured on it, and its certificate.
 
     The error estimate compares the piecewise polynomial u with ``enriched``, of a higher degree.
-    ``beyond`` (2,) is the mass beyond each far edge; ``relative_error`` of p comes from it and from
-    the integral of p.
+    ``beyond`` (2,) is the mass beyond each far edge: with the error of ∫p the ``relative_error``.
     """
 
     process: Process
@@ -138,8 +137,7 @@ def solve_plane_on_mesh(
     If ``longer``, each axis of the enriched solution's mesh is longer, until its marginal has
     fallen by another e², unless the mass beyond is round-off: the estimate then contains
     1 − e⁻² = 86 % of the cost of ending the mesh, more than that mass where probability circulates.
-    ``solved`` is like ``null_function``. Raises ``NotCertified`` for equations without a single
-    solution.
+    ``solved`` is like ``null_function``. Raises ``NotCertified`` where no solution is single.
     """
 
     def of_mass_one(mesh: Nodes, degree: int, count: int) -> tuple[PiecewiseTensor, float]:

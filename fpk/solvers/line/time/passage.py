@@ -29,8 +29,7 @@ FARTHEST = 900.0
 MOST_STEPS = 2_000
 """Most iterations for the failure rate; a hundred do for a hundred masses."""
 SHARE = 0.1
-"""Share of the tolerance for the mesh, and for the steps of modulated noise: variances have more
-error than p."""
+"""Share of the tolerance for mesh and steps of modulated noise: variances have larger errors."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -196,8 +196,7 @@ def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
 def eigenvalues_below(e: Elements, rates: Array) -> Integers:
     """Return how many eigenvalues, 0 among them, are less than each of ``rates`` (points,).
 
-    As many as pivots of A − λM are negative (Wittrick and Williams, Q. J. Mech. Appl. Math. 24
-    (1971) 263).
+    As many as negative pivots of A − λM: Wittrick, Williams, Q. J. Mech. Appl. Math. 24 (1971) 263.
     """
     _, shunt, damped, total, _, passed = eliminated(e, -rates)
     inner, ends = (damped < 0.0).sum(axis=(0, 1)), (total[1:] < 0.0).sum(axis=0)

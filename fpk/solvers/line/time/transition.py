@@ -99,8 +99,7 @@ class Question:
 class Transition:
     """The density of an energy at several times after a start, with its error and certificate.
 
-    ``distance`` (times, elements, points) is that to more accurate solutions, ``top`` (times,) the
-    largest density.
+    ``distance`` (times, elements, points) to more accurate solutions, ``top`` (times,) largest p.
     """
 
     question: Question
