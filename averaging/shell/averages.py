@@ -26,8 +26,8 @@ RADIAL_RULE = 2
 TARGET = 3e-12
 """Relative disagreement of two rules that ends the refinement and is reported as the error."""
 TARGETS = (8e-13, 3e-14)
-"""The same, for n = 1 and more, of the power over one contact mass, near round-off: the power
-cancels against the noise, and its error adds up in ln p."""
+"""Relative disagreement, for n = 1 and for more masses, that ends the refinement of the power over
+one contact mass: near round-off, as it cancels against the noise and its error adds up in ln p."""
 ROUND_OFF = 2e-15
 """Relative error of a sum of some dozens of positive terms."""
 ROOT_ROUND_OFF = 4e-13

@@ -41,7 +41,7 @@ PER_COEFFICIENT = 30
 PER_BATCH = 10
 """Samples in each batch above which the mean of all batches is nearly normal."""
 STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
-"""Most Newton steps, and halvings of each; they end at a squared distance, in standard errors."""
+"""Most Newton steps, halvings of each, and (distance from the maximum / error)² to stop at."""
 ROUNDING = 1e-13
 """Change of the mean log-likelihood of a sample that is round-off."""
 SPREAD = 10.0
@@ -61,7 +61,7 @@ def no_reference(x: Array, bins: Integers) -> Array:
 class BinAxis:
     """Bins of one coordinate: ascending ``edges``, positions of ``kinks`` among them, and ln r.
 
-    Between kinks bins are equally wide, but above a kink of ``widening`` as the fourth power.
+    Between kinks bins are equally wide; above one of ``widening`` edges lie at k⁴ times the first.
     """
 
     edges: Array
@@ -104,9 +104,9 @@ class BinAxis:
 class Box:
     """Fit of ln p on the bins ``first`` <= bin < ``last`` of each axis.
 
-    ``theta`` (coefficients,) is empty where p is 0; batches differ from it by ``deviations``
-    (batches, coefficients), independent samples have its ``covariance``. ``chance`` is the
-    probability of such a misfit, 0 where p changes too much from bin to bin.
+    ``theta`` (coefficients,) is empty where p is 0; ``deviations`` (batches, coefficients) are θ of
+    batches less ``theta``, ``covariance`` is for independent samples. ``chance`` is the
+    probability of a misfit at least as large, 0 where p changes too much from bin to bin.
     """
 
     first: Bins
@@ -146,8 +146,8 @@ def boxes(
 ) -> Iterator[Box]:
     """Yield the fits that cover all bins of ``axes``, none of them across a kink.
 
-    ``shares`` (bins of each axis) of all samples, of each batch ``batch_shares`` (batches, bins of
-    each axis), lie in the bins; ``samples`` are independent. Without ``halve`` pieces stay whole.
+    ``shares`` (*bins) is the share of all samples in each bin, ``batch_shares`` (batches, *bins) of
+    each batch; ``samples`` counts independent ones. ``halve`` False: no box is halved.
     """
 
     def parts(first: Bins, last: Bins, *, halved: bool) -> Iterator[Box]:

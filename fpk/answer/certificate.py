@@ -57,7 +57,7 @@ class Measured:
 class Certificate(Measured):
     """Checks that an answer passed or failed; nothing was mended to make them pass.
 
-    The numbers are as of ``Measured``. ``failures`` says in words what does not hold; the answer
+    ``Measured`` explains the numbers. ``failures`` says in words what does not hold; the answer
     is certified when it is empty. ``missed`` is the estimated error where it exceeds the tolerance,
     else None. Made by ``certify`` only. ::
 

@@ -121,7 +121,7 @@ class Density(Quantities):
         unlocated = max(self.l1_error - of_all, self.certificate.mass_defect or 0.0)
         located = max(min(error, of_all - error), 0.0)
         ends = (low < self.panels[0][0], high > self.panels[0][-1])
-        beyond_ends = sum(ends) * outside(self.certificate)
+        beyond_ends = sum(outside(self.certificate) for cut_off in ends if cut_off)  # not 0 · ∞
         return Number(value, located + unlocated + beyond_ends + rounding)
 
     def share(self, low: float, high: float) -> float:
@@ -179,7 +179,7 @@ def certified_density(
     """Return a density with its certificate: the one place where densities by a function are made.
 
     ``measured`` is from the solver, but mass and smallest value are measured here; ``tol`` is the
-    L1 tolerance. ``added_error`` of the density at points and the points is an error there that
+    L1 tolerance. ``added_error(p, *points)`` returns an error of p at points, p being given, that
     ``measured.l1_error`` lacks. With ``frame``, a matrix F and panels of y, all is measured at
     x = F y: where coordinates are so correlated that no affordable panels of x resolve the ridge.
     """

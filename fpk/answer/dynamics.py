@@ -1,5 +1,5 @@
-"""Answers about motion in time: curves, relaxation rates and Rice's formula of the stationary one,
-densities in time and first passage of one that begins at a given time."""
+"""Answers about motion in time: curves, relaxation rates and Rice's formula of stationary motion,
+densities in time and first passage from a start."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -87,7 +87,7 @@ def certified_curve(
 ) -> Curve:
     """Return a curve that rests on the stationary density ``of``, with its certificate.
 
-    ``tol`` is the largest error in units of ``scale``, not 0. The density gives mass, tail and
+    ``tol`` is the largest error in units of ``scale`` > 0. The density gives mass, tail and
     failures, its missed tolerance apart; the larger residual counts. ``positive`` (None: the
     values) must not be negative by more than the error.
     """
@@ -106,7 +106,7 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
     last momentum, if f falls as over the last panel: infinite where it does not and is not 0 within
     its error. Of samples it is one standard error.
     """
-    nodes = np.union1d(0.0, joint.panels[1][joint.panels[1] > 0.0])
+    nodes = np.unique(np.maximum(joint.panels[1], 0.0))
     if isinstance(joint, SampledDensity):
         return joint.flux(lambda p: p / mass, nodes, at)
     rates = []
@@ -226,10 +226,10 @@ def certified_passage(
     value, error = np.array(finite).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = error / np.abs(value)
-    worst = float(np.max(failure_error, initial=0.0))
-    largest = float(np.max([*sizes, worst]))
+    absolute = float(np.max(failure_error, initial=0.0))
+    largest = float(np.max([*sizes, absolute]))
     least = float(np.min(1.0 - failure, initial=1.0))
-    measured = Measured(largest, mass_defect, least, residual, None, absolute_error=worst)
+    measured = Measured(largest, mass_defect, least, residual, None, absolute_error=absolute)
     survival, certificate = (1.0 - failure, failure_error + EPS), certify(measured, tol=tol)
     answer = Passage(*numbers, times, *survival, "numerical", certificate, starts, settings or {})
     return replace(answer, failure=failure, failure_error=failure_error)

@@ -20,7 +20,7 @@ Solves = Literal["full", "averaged"]
 
 @dataclass(frozen=True)
 class Identity:
-    """An equation of any stationary state; ``error`` is of ``value`` − ``expected``."""
+    """In any stationary state ``value`` is ``expected``, to ``error`` (sampled: one standard)."""
 
     name: str
     value: float

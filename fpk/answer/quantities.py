@@ -1,4 +1,4 @@
-"""What follows from a density: moments, probabilities and quantiles with their errors, meshes."""
+"""Moments, probabilities and quantiles of a density, with their errors, and its mesh for files."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -187,16 +187,14 @@ class Quantities(ABC):
     def _of_moments(
         self, function: Callable[[Complexes], Any], *, pair: bool = False, central: bool = True
     ) -> Number:
-        """A ``function`` of the first four moments, of a pair five, about the mean or about 0.
-
-        Of moments about the mean it is right to the first order in those that then are 0.
-        """
+        """A ``function`` of the first four moments, of a pair five, about the mean or about 0."""
         if not pair:
             self._axis()
         elif len(self.panels) != 2:
             raise InvalidInput("density", "single", "of one coordinate: ask for that of a pair")
         powers = [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2)] if pair else [(1,), (2,), (3,), (4,)]
-        about = [self.moment(*k).value if central else 0.0 for k in powers[: 1 + pair]]
+        mass = self.moment(*[0] * len(self.panels)).value  # moments 1 about the mean are 0
+        about = [self.moment(*k).value / mass if central else 0.0 for k in powers[: 1 + pair]]
         terms = [_monomial(k, about) for k in powers]
         moments = np.array([self.expectation(term).value for term in terms])
         squares = moments[[2, 4]] if pair else moments[[1]]

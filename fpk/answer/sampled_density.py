@@ -178,10 +178,10 @@ class SampledDensity(Quantities):
     def at(self, *points: Array) -> tuple[Array, Array]:
         """Return the density and one standard error at ``points``, one array per axis.
 
-        The independent batches give the error of the fit, Poisson's law a least one where fewer
-        visits are expected than there are batches; of k visits, 0 may have been seen, and one more
-        is added. At a kink the side with the smaller error counts. Outside the bins the density is
-        0, with the error at their nearest point.
+        The error is the spread of the batches; where fewer visits than batches are expected, it is
+        at least by Poisson's law. One visit is added, as of a few none may be seen. At a kink the
+        side with the smaller error counts. Outside the bins the density is 0, with the error at
+        their nearest point.
         """
         batches = len(self.batch_values)
 
@@ -246,7 +246,7 @@ class SampledDensity(Quantities):
         return np.log(np.maximum(value, SMALLEST)).reshape(x.shape)
 
     def flux(self, weight: Callable[[Array], Array], nodes: Array, at: Array) -> Values:
-        """Return ∫ weight(y) p(x, y) dy over panels of y, at x = ``at`` (points,), as ``at``."""
+        """Return ∫ weight(y) p(x, y) dy over panels of y at x = ``at`` (points,), and its error."""
         y, w = (a.ravel() for a in panel_rule(nodes, NODES))
         weights, shape = weight(y), (at.size, y.size)
 

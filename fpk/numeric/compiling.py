@@ -33,7 +33,7 @@ COMPILER = "fpk compiler"
 _njit: Any = numba.njit
 _awaited: set[Future[Any]] = set()
 abandoned: set[Future[Any]] = set()
-"""What is being compiled though nobody waits for it any more."""
+"""Results of compiling that goes on although the caller was interrupted."""
 
 
 class CheckedFiles(IndexDataCacheFile):

@@ -12,9 +12,9 @@ from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
 from averaging.theory import Exact
 from fpk.answer.bins import BinAxis
-from fpk.answer.certificate import Certificate
+from fpk.answer.certificate import Certificate, Measured
 from fpk.answer.contacts import contact_quantities
-from fpk.answer.density import Density
+from fpk.answer.density import Density, certified_density
 from fpk.answer.names import parse_observable
 from fpk.answer.quantities import Number
 from fpk.answer.sampled_density import SampledDensity
@@ -287,6 +287,36 @@ def test_quantities_can_be_asked_of_a_copy():
     again = pickle.loads(pickle.dumps(density))
     assert again.cdf(0.1) == density.cdf(0.1)
     assert partial(again.moment, 2)() == density.moment(2)
+
+
+def gaussian(mean: float, mass: float, tail: float) -> Density:
+    """A Gaussian density of the variance 1 whose integral is ``mass``, not 1."""
+
+    def pdf(x):
+        return mass * np.exp(-0.5 * (x - mean) ** 2) / np.sqrt(2.0 * np.pi)
+
+    nodes = (mean + np.linspace(-8.0, 8.0, 33),)
+    measured = Measured(abs(mass - 1.0) + 1e-12, None, 0.0, 0.0, tail)
+    q = parse_observable("q1", 1)
+    return certified_density(q, nodes, pdf, lambda x: 1e-8 * pdf(x), measured=measured, tol=0.1)
+
+
+@pytest.mark.parametrize("mass", [0.999, 1.001])
+def test_central_moments_hold_where_the_mass_is_off_and_the_mean_is_large(mass):
+    p = gaussian(100.0, mass, 0.0)
+    for number, true in (
+        (p.std(), 1.0),
+        (p.variance(), 1.0),
+        (p.skewness(), 0.0),
+        (p.kurtosis(), 3.0),
+    ):
+        # The stated error is of the first order in what the mass is off by, 1e-3.
+        assert abs(number.value - true) <= (1.0 + 1e-2) * number.error
+
+
+def test_an_unknown_tail_does_not_spoil_an_interval_within_the_support():
+    error = gaussian(0.0, 1.0, np.inf).probability(-1.0, 1.0).error
+    assert type(error) is float and error < 1e-8  # the relative error of p, times P < 1
 
 
 @pytest.mark.parametrize("clearance", [8.0, 30.0, 300.0])

@@ -171,7 +171,7 @@ def modulated_transition(
     e, (own, _, enriched) = solved.elements, (each[0] for each in found)
 
     def apart(x: Array) -> Array:
-        """What twice as long steps change, and with them a higher degree: errors may cancel."""
+        """Sum of the changes of p by doubled steps and by a higher degree: they may cancel."""
         p, in_longer, in_both = (each[0].density(x)[0] for each in found)
         return np.asarray(np.abs(p - in_longer) + np.abs(in_longer - in_both))
 
