@@ -39,7 +39,7 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
     if observable[0].kind == "H":
         solution = source.solution
         # u is smooth between the panels of the solution, T is not next to a contact energy.
-        nodes = with_layers(solution.panels, solution.process.nonsmooth, count=DEEP_LAYERS)
+        nodes = with_layers(solution.nodes, solution.process.nonsmooth, count=DEEP_LAYERS)
 
         def own(energy: Array) -> Array:
             """Relative error of T, at a contact energy perhaps worse than on the mesh of u."""

@@ -61,7 +61,7 @@ class StateDensity:
 
 def tabulated(system: System, solution: Solution, *, closed: bool = False) -> StateDensity:
     """Return the density whose u and error of u are smooth between the panels of ``solution``."""
-    process, end = solution.process, float(solution.panels[-1])
+    process, end = solution.process, float(solution.nodes[-1])
     temperature = process.energy_scale / process.degrees_of_freedom
     if process.state_damping:
         # u need not fall from H = 0, and may change much faster than over the scale of the energy.
@@ -83,9 +83,9 @@ class WeylIntegrals:
     """Tables of the Weyl integrals of one ``order`` of u and of its error.
 
     The finer table of u is the answer, the largest relative distance to a coarser one in each
-    element its error. To that comes that of what u is continued by beyond the last node: its
-    relative error ε in the last element and that of its rate there, 2 ε over the element's length,
-    over the mean distance ν/rate beyond. Where the damping depends on the state u is no
+    element its error. To it comes the error of the continuation of u beyond the last node: its
+    relative error ε in the last element and the error of its rate there, 2 ε over the length of
+    it, over the mean distance ν/rate beyond. Where the damping depends on the state u is no
     exponential: the finer table has elements half as long, and all that u was continued by counts.
     """
 

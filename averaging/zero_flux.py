@@ -54,7 +54,7 @@ class ZeroFluxDensity:
         return np.where(positive, self.log_u(safe) + log_states.reshape(safe.shape), -np.inf)
 
     def density(self, energy: Array) -> Array:
-        """p."""
+        """Density p at the energies; 0 outside the nodes."""
         return np.asarray(np.exp(self.log_density(energy)))
 
     def pointwise_error(self, energy: Array) -> Array:

@@ -74,7 +74,6 @@ def locked(path: Path, *, needed: bool = True) -> Iterator[None]:
                     " ended, or give another folder"
                 ) from None
             if needed:
-                raise Unavailable(
-                    f"{words}: {error.strerror or error}; give another folder"
-                ) from None
+                words += f": {error.strerror or error}; give another folder"
+                raise Unavailable(words) from None
         yield

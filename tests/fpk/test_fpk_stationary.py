@@ -1,5 +1,7 @@
 """The certified solver: tolerance met, estimate honest, refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fpk_processes import both, by_hand, chain, cox_ingersoll_ross, integral, refined_nodes
@@ -229,3 +231,15 @@ def test_what_misses_its_tolerance_says_so():
     solution = solve_stationary(process, tol=1e-8)
     assert not solution.certificate.certified
     assert "exceeds the tolerance" in solution.certificate.failures[0]
+
+
+@pytest.mark.parametrize("tol", TOLERANCES)
+def test_the_mesh_is_cut_in_the_valley_that_parts_two_humps(tol):
+    # ln p = −20 (H − 1)² (H − 3)², symmetric about 2 but for e^−180 at 0: half of the mass is below
+    # 2. What is wrong in the valley, e^−20 of a hump, moves mass between the humps.
+    process = by_hand(lambda H: -80.0 * H * (H - 1.0) * (H - 2.0) * (H - 3.0))
+    solution = solve_stationary(replace(process, state_damping=True), tol=tol)
+    assert solution.certificate.certified, solution.certificate.failures
+    assert solution.nodes.size < 300  # 100 to 130, or thousands where only the humps are cut
+    below = np.append(solution.nodes[solution.nodes < 2.0], 2.0)
+    assert abs(integral(solution.density, below) - 0.5) <= solution.l1_error

@@ -45,8 +45,8 @@ class Rule(NamedTuple):
     (2 · points, tests · (degree + 3)) values and derivatives times the degree + 2 test functions.
     ``enriched_weight`` interpolates at all points but one: its distance exceeds the Gauss error.
 
-    Where contact begins both masses have Gauss points in (H − H_c)^⅓, the answer's first. In
-    √(H − H_c) T is smooth, but stiff contact leaves a layer just above H_c; with little or no
+    ``contact_…`` are Gauss points in (H − H_c)^⅓ where contact begins, of the answer's mass first.
+    In √(H − H_c) T is smooth, but stiff contact leaves a layer just above H_c; with little or no
     clearance T has other roots and both rules converge algebraically: twice as many points keep
     less than half of the error for any power of H − H_c from ½ on.
     """
@@ -95,8 +95,8 @@ class Elements(NamedTuple):
     ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
     p e^(−log_factor)/T; ``values`` and ``enriched_values`` are p at the points ``x`` with
     ``weights``. ``residual`` is relative to its terms, ``one_way`` are those of the mean
-    ``net_flux`` of J. ``coefficient_error`` is the largest relative one, ``slope_error``
-    what it leaves in ln p from one end to the other.
+    ``net_flux`` of J. ``coefficient_error`` is the largest relative error of the coefficients,
+    ``slope_error`` the error that it leaves in ln p from one end to the other.
     """
 
     coefficient_error: Array

@@ -130,7 +130,7 @@ def probed(process: Process) -> Probe:
             c = Coefficients(*(np.broadcast_to(a, GRID.shape)[finite] for a in c))
         probe = Probe(*sampled(energy, c))
         require_falling(probe.energy, c, probe.slope)
-    while process.state_damping:
+    for _ in range(60 if process.state_damping else 0):
         bulk = np.maximum(probe.log_mass[1:], probe.log_mass[:-1]) > probe.log_mass.max() - DEEP
         bent = np.abs(np.diff(probe.rate)) * np.diff(np.log(probe.energy)) > SAGITTA
         i = np.flatnonzero(bulk & bent)

@@ -137,7 +137,7 @@ class StationarySolution:
         share = element_rule(self.degree, self.process.degrees_of_freedom).share[0]
         log_T = self._log_states(np.maximum(x, self.nodes[1] * share))
         # A filter of maxima drops what is no number: that is as far as can be.
-        distance = np.nan_to_num(distance, nan=np.inf, posinf=np.inf)
+        distance = np.nan_to_num(distance, nan=1.0 / SMALLEST, posinf=1.0 / SMALLEST)
         weighted = np.log(np.maximum(distance, SMALLEST)) + 0.5 * log_T
         around = maximum_filter1d(weighted, 4 * HALF_WAVE + 1, axis=1, mode="nearest")
         p = np.abs(u) * np.exp(log_T + scale)
@@ -204,8 +204,7 @@ def _assembled(
     series = e.u, e.enriched
     signed, log_scale, share = zip(*(_chained(u, e.log_factor) for u in series), strict=True)
     p, better = share[0][:, None] * e.values, share[1][:, None] * e.enriched_values
-    own = (e.weights * np.abs(p - better)).sum(axis=1)
-    distance = float(own.sum())
+    distance = float((e.weights * np.abs(p - better)).sum())
     # The enriched solution has the mass 1 by a lesser rule: by that of the answer it has another,
     # by which the two differ everywhere alike, so that their distance may vanish where p is wrong.
     enriched_mass = float((e.weights * better).sum())
@@ -247,6 +246,10 @@ def _assembled(
     # Half of the tolerance is left to the tail, the coefficients and round-off.
     if SAFETY * distance <= 0.5 * tol and least >= NEGATIVE * most:
         return solution, np.zeros(size.size, dtype=bool)
+    # Its own making: its shape, and steps to neighbours, which move the lesser mass beside them.
+    step = np.minimum(below, 1.0 - below)[:-1] * np.abs(np.diff(log_scale[0] - log_scale[1]))
+    own = size * np.sum(e.weights * np.abs(e.values - e.enriched_values), axis=1)
+    own += np.append(step, 0.0) + np.append(0.0, step)
     return solution, (p.min(axis=1) < NEGATIVE * most) | (own > 0.1 * tol / own.size)
 
 

@@ -121,12 +121,9 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     nodes = graded(ends, 4 * panels)
     u = PiecewiseTensor(nodes, np.full((4 * panels,) * 2 + (1, 1), 1.0 / mass))
     beyond, _ = tails(w / mass, grids, 22)
-    tail = float(beyond.sum())
+    tail, rounding = float(beyond.sum()), integral(p * weight.terms(*fewer_H), fewer)
     measured = Measured(
-        l1_error=wrong
-        + 2.0 * tail
-        + mass_defect
-        + ROUND_OFF * integral(p * weight.terms(*fewer_H), fewer),
+        l1_error=wrong + 2.0 * tail + mass_defect + ROUND_OFF * rounding,
         mass_defect=mass_defect,
         minimum=float(w.min() / w.max()),
         residual=float(np.max(np.abs(flux).T * w.ravel()) / np.max(np.abs(flow).T * w.ravel())),

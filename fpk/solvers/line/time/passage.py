@@ -74,7 +74,7 @@ class FirstPassage:
         return float(self._coefficients[0]) / self.longest + self.round_off
 
     def moments(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Return mean and variance from the starts x, each with its error, by ``longest``."""
+        """Return mean and variance from starts x, and errors, by ``longest`` and its square."""
         values = []
         for e, mean in zip(self.pair, self.means, strict=True):
             f = mean / self.longest
@@ -162,7 +162,7 @@ def first_passage(
         with np.errstate(over="ignore", invalid="ignore"):
             answer = FirstPassage(limit, pair)
             longest = answer.longest
-        if not longest < 1.0 / SMALLEST:
+        if not longest < 1e300:  # beyond it the rate loses digits
             raise beyond
         a, b = pair
         unit = np.exp(a.log_local - b.log_local)

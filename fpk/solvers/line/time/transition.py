@@ -59,10 +59,10 @@ class Source:
             return np.array([self.energy]), np.ones(1)
         nodes = time_nodes(self.process, self.extent, HIGHEST)
         own = elements(self.process, nodes[:-1], nodes[1:], HIGHEST)
-        k = e.left < self.extent
-        x = e.x[k].ravel()
+        within = e.x < self.extent
+        x = e.x[within]
         log_p = own.log_density(x) - np.logaddexp.reduce(own.log_mass)
-        return x, e.weight[k].ravel() * np.exp(log_p)
+        return x, e.weight[within] * np.exp(log_p)
 
     def load(self, e: Elements) -> Array:
         """Return its moments with the functions of each element, (elements, functions)."""
