@@ -19,7 +19,7 @@ from fpk.numeric.quadrature import gauss_grid, integral
 SAFETY = 2.5
 """Factor on errors by distances: without it the largest of 56 was 1.9 times the stated one."""
 FIRST = 2.0
-"""Factor beside it where there is one distance: without either the largest of 400 was 2.2 times."""
+"""Factor beside ``SAFETY`` after one distance: without either the largest of 400 was 2.2 times."""
 KEPT = 0.25
 """Least share of one distance that the next one is believed to be."""
 LIGHT, KEPT_WHERE_LIGHT = 0.01, 0.6

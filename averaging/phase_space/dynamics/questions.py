@@ -25,8 +25,8 @@ SPACE = 1e-3
 class Answer:
     """Values (points,) of one solution; with their errors once ``adapted`` has judged them.
 
-    Errors follow from the distance of two solutions in ``compared`` (kinds, points), beside
-    ``added``; a tolerance is relative to ``scale``. ``residual`` is of the further equations.
+    Errors follow from the distance of two solutions in ``compared``, (kinds, points) or all rates,
+    beside ``added``; a tolerance is relative to ``scale``. ``residual`` is of further equations.
     ``missing`` says which values are uncertain, ``limit`` why there is no finer answer, or "".
     """
 
@@ -111,7 +111,7 @@ def deviations(e: Expansion, row: int) -> Array:
 
 
 def crossings(e: Expansion, step: resolvent.Step, *, row: int, at: Array, tol: float) -> Answer:
-    """Return the rates of upcrossing of the levels ``at``; what flows past one is an error, too."""
+    """Return the rates of upcrossing of the levels ``at``; net flow past each adds to the error."""
     (size, velocity), (up, net) = deviations(e, row), crossing_rates(e, row, at)
     return Answer(up, up[None], velocity / (2.0 * np.pi * size), added=np.abs(net))
 

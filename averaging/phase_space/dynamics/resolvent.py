@@ -147,7 +147,7 @@ def decays(
 
 
 def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
-    """Eigenvalues λ of −A, each up to ``BLOCK`` times, and the |λ − i ``at``| of all found."""
+    """Eigenvalues λ of −A, up to ``BLOCK`` times each; radius about i ``at`` that lacks none."""
     solve = resolvent(A, 1j * at if at else 0.0, step)
     random = np.random.default_rng(0).normal(size=(A.ends[-1], BLOCK))
     *_, (V, H, _) = krylov(solve, solve(random), VECTORS)

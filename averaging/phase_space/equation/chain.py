@@ -184,7 +184,7 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
 
 
 def _factor(F: Array, covariance: Array) -> Array:
-    """Return C of S = C Cᵀ; the antisymmetric part of F' turns the others in pairs of variables."""
+    """Return C of S = C Cᵀ with the others in pairs: planes that antisymmetric F' turns."""
     C = np.asarray(np.linalg.cholesky(covariance), dtype=float)
     drift = np.linalg.solve(C, F @ C)[1:, 1:]
     _, vectors = np.linalg.eigh(0.5j * (drift - drift.T))

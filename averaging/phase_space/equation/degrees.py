@@ -62,7 +62,7 @@ class Degrees:
         return 2 * ceil(0.5 * min(count, self.outer)) + 1
 
     def fewer(self, most: int, beyond: int) -> int:
-        """Number, odd, of ``most`` polynomials between stops with ``beyond``: half as many less."""
+        """Odd number of ``most`` polynomials between stops; half of it is as ``beyond``."""
         return 2 * int(0.25 * most * (1.0 + beyond / self.outer)) + 1
 
 
@@ -84,7 +84,7 @@ def lowest(frame: Frame) -> Degrees:
 def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     """Return the degrees of the next solution; ``rise`` is that of the degree in the others.
 
-    N stays odd. With damping terms errors oscillate with it, and degrees rise by a factor.
+    ``total`` is odd without damping terms; with them errors oscillate, and it rises by a factor.
     """
     n, d = frame.n, degrees
     if frame.system.damping_terms:
@@ -104,7 +104,7 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
 class Space:
     """Degrees k, in ascending order of ``level``, ``others`` and ``counted`` (degrees,).
 
-    These are |k|, the sum of the degrees in the others and what it counts. ``raising_others`` is
+    These are |k|, Σ (j + k) and Σ max(j, k) over the other masses. ``raising_others`` is
     a_i⁺ of the others on their products alone, of which a level has the first.
     """
 

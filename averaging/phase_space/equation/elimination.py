@@ -160,8 +160,8 @@ def factored(
     """Eliminate the stages of the equations less ``shift`` times the unknowns, from the top down.
 
     Returned are the function that solves them, and the factor before the mass in the equation of
-    the function 1: 0 with a shift. Without one the mass replaces that equation, 0 = 0, by the size
-    of the terms of 1: by the largest entry round-off would be a thousand times as large. Without
+    the function 1: 0 with a shift. Without one the equation of the mass replaces it (0 = 0), as
+    large as the terms of 1: the largest entry would make round-off a thousand times larger. Without
     ``paired`` what stages meet two below is left out. ``step`` is told the share of the work done.
     """
     top = chain.top
@@ -214,7 +214,7 @@ def factored(
 def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
     """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
 
-    They lie between degrees in the other masses: a part in front of others may be singular.
+    They lie between degrees in the other masses, as displacements without velocities are singular.
     """
     size = A.shape[0]
     inside = [cut for cut in cuts if 0 < cut < size]

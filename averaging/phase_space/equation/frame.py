@@ -14,9 +14,9 @@ from fpk.system.equivalent import equivalent_temperature
 from fpk.system.system import System, looks_the_same_mirrored
 
 ROUNDS = 20
-"""Linear systems, each with the contact force of the Gaussian state before, that make the start."""
+"""Linear systems, each with the contact force of the state before; they may alternate."""
 POINTS = 80
-"""Gauss points of the means over that state."""
+"""Gauss points of the mean contact force over a Gaussian y."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def reference_of(frame: Frame, slope: Array, offset: Array, covariance: Array) -
 
 
 def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
-    """Return the reference with mean and covariance of (y, r, v), as ``reference_of`` does."""
+    """Return the reference with mean and covariance of (y, r, v); raises as ``reference_of``."""
     n = frame.n
     slope = covariance[1:n, 0] / covariance[0, 0]
     offset = mean[1:n] - slope * mean[0]

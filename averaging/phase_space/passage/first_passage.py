@@ -44,7 +44,8 @@ def first_passage(asked: Asked) -> Passage:
     """Return the first passage that is asked for, with the reliability at its times.
 
     Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,
-    absolute in the reliability. Raises as ``fpk.answer.dynamics`` says.
+    absolute in the reliability. Raises as ``fpk.answer.question`` says, and ``NotCertified``
+    where the limit, or the energy of the start, is beyond the reach of double precision.
     """
     times, o = checked_times(asked.times), oscillator_of(asked.system)
     limit, start = asked.limit, asked.start

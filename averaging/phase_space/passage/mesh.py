@@ -208,7 +208,7 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 
 
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
-    """Length in which motion of the speed ``swift`` changes its velocity by ``step``, or stops."""
+    """Length that changes ``swift`` by ``step``; at fractional stops, the overlap stopping it."""
     slope = np.maximum(np.abs(o.force(q)) / (o.mass * max(swift, step)), o.frequency)
     length = np.minimum(step / np.maximum(slope, SMALLEST), 0.5 * np.ptp(q))
     for at, side in o.stops:
