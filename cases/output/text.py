@@ -116,7 +116,9 @@ def refusals_of(curve: Record) -> list[Record]:
 def verdict_of(digest: Record) -> str:
     """Return the verdict in one sentence."""
     if digest["problems"]:
-        return f"{digest['judged']} judged comparisons, {len(digest['problems'])} checks fail"
+        count = len(digest["problems"])
+        words = "1 check fails" if count == 1 else f"{count} checks fail"
+        return f"{digest['judged']} judged comparisons, {words}"
     if not digest["judged"]:
         return "nothing to compare, every certificate holds"
     return f"{digest['judged']} judged comparisons, every check holds"

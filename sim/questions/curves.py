@@ -253,7 +253,7 @@ def crossings(method: Settings, asked: Asked) -> Curve:
     # The mean of a chunk that was cut short is too noisy to show a drift.
     full = [k for k, steps in enumerate(made) if steps >= whole // CHUNKS]
     if len(full) < 2:
-        failures.append("it ended in its first chunk, where no drift shows; give it more time")
+        failures.append("it ended before its second chunk, no drift shows; give it more time")
     else:
         # (levels, blocks, chunks)
         means = np.array(counts)[full, 0].T / (np.array(made)[full] * dt)

@@ -259,11 +259,12 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
             record.snapshot(stride)
         record.elapsed = working_time() - begin
         checkpoint.notes |= record.saved()
-        if checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride):
+        stopped = checkpoint.advance(ensemble, begun + length - ensemble.phase, stride=stride)
+        record.elapsed = working_time() - begin
+        if stopped:
             return
         record.chunks += 1
         record.chunk_ends()
-        record.elapsed = working_time() - begin
         ends = record.elapsed > setup.seconds or (not limited and record.chunks == CHUNKS)
         enough = record.chunks >= LEAST_CHUNKS and ensemble.samples >= record.target
         if setup.tol < inf and (ends or enough):

@@ -41,13 +41,6 @@ def within(number, other):
     assert abs(number.value - other.value) <= number.error + other.error
 
 
-@pytest.mark.parametrize("method", [CLOSED, FEM])
-def test_the_method_answers_the_questions_of_time(method):
-    assert hasattr(method, "transient")
-    assert hasattr(method, "passage")
-    assert hasattr(method, "relaxation")
-
-
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize(("start", "t"), [(0.0, 1e-3), (2.0, 1e-2), (0.7, 1.0), (3.0, 40.0)])
 def test_transition_density_is_a_noncentral_chi_square(n, start, t):

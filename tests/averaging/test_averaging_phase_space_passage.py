@@ -203,7 +203,6 @@ def test_units_and_gain():
     ],
 )  # fmt: skip
 def test_refusals_are_one_line(system, limit, start, error, words):
-    assert hasattr(PhaseSpace(), "passage")
     with pytest.raises(error, match=words) as raised:
         ask(system, limit, start)
     assert "\n" not in str(raised.value)

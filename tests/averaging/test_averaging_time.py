@@ -20,14 +20,12 @@ SETTINGS = {"tol": None, "progress": silent}
 
 def transient(system, start, times, at, solver="fem", observable="H", **settings):
     method = NonIntegrable(solver=solver)
-    assert hasattr(method, "transient")
     named = parse_observable(observable, system.n), parse_start(start, system)
     return method.transient(system, *named, np.array(times), (np.array(at),), **SETTINGS | settings)
 
 
 def passage(system, limit, start="rest", times=(), solver="fem"):
     method = NonIntegrable(solver=solver)
-    assert hasattr(method, "passage")
     named = parse_limit(limit, system.n), parse_start(start, system)
     return method.passage(system, *named, np.array(times), **SETTINGS)
 

@@ -93,7 +93,6 @@ def test_the_same_for_any_threads_and_a_tolerance_is_met_or_not_certified() -> N
     one, two = (sampled(linear(1), 0, AT, threads=k) for k in (1, 2))
     np.testing.assert_array_equal(one.values, two.values)
     method = MonteCarlo(paths=4096, threads=1, time=100.0, longest=0.2)
-    assert hasattr(method, "correlation")
     short = method.correlation(linear(1), (Coordinate("q", 0),), AT, tol=1e-6)
     assert any("exceeds the tolerance" in words for words in short.certificate.failures)
 

@@ -97,8 +97,6 @@ def test_with_contact_the_step_is_in_the_error() -> None:
 
 
 def test_an_answer_depends_on_the_seed_alone() -> None:
-    method = AveragedSimulation("integrable")
-    assert hasattr(method, "transient")
     asked: Any = "integrable", linear(2), "H1", "noise=0.5", [1.0, 2.0], [0.1, 0.2]
     one, two = (sampled(*asked, threads=threads) for threads in (1, 2))
     assert np.array_equal(one.values, two.values) and np.array_equal(one.errors, two.errors)

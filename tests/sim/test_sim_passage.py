@@ -291,7 +291,6 @@ def test_an_overdamped_velocity_is_followed_and_too_long_a_step_is_not_certified
 
 
 def test_no_noise_is_refused_and_the_method_has_the_protocol() -> None:
-    assert hasattr(MonteCarlo(), "passage")
     with pytest.raises(NotApplicable, match="no noise"):
         passed(System([1.0], [1.0], [0.1], [0.0]), "H=1")
     assert linear(1).n == 1

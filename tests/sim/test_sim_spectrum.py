@@ -100,7 +100,6 @@ def test_the_same_for_any_threads_and_a_tolerance_is_met_or_not_certified() -> N
     one, two = (sampled(linear(1), 0, at, time=100.0, threads=k) for k in (1, 2))
     np.testing.assert_array_equal(one.values, two.values)
     method = MonteCarlo(paths=4096, threads=1, time=100.0, longest=0.2)
-    assert hasattr(method, "spectrum")
     short = method.spectrum(
         linear(1), (Coordinate("q", 0),), np.array(at), tol=1e-6, progress=silent
     )

@@ -150,7 +150,7 @@ def record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) 
 
 @inlined
 def level_of(t: Array, x: float, elapsed: float) -> int:
-    """Return the level of the share x of the limit and of the time, by a table of ``score_table``.
+    """Return the level of the share x of the limit and of the time, by one of ``score_tables``.
 
     Failure is x >= 1, whatever the table says.
     """
