@@ -168,8 +168,10 @@ def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
             power, most = ((radial_parts * x) @ (of_degree) for x in (power, most))
             # Positive, so that no error is relative to nothing.
             out = np.concatenate([out[..., :3], power + 2.0 * most, most], axis=-1)
-        begins = np.searchsorted(which, np.arange(i.size))
-        return np.add.reduceat(weights[:, None] * out, begins, axis=1)
+        out *= weights[:, None]
+        if which.size == i.size:  # one ray an energy
+            return out
+        return np.add.reduceat(out, np.searchsorted(which, np.arange(i.size)), axis=1)
 
     def error_of(coarse: Array, fine: Array) -> Array:
         size = np.abs(fine)

@@ -1,5 +1,6 @@
 """The wall time is watched from the burn-in on, and what it leaves no time for is refused."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -32,11 +33,11 @@ def test_seconds_that_end_in_the_burn_in_are_refused(question: str) -> None:
 
 
 def test_a_linear_system_burns_in_in_one_step() -> None:
-    # Its burn-in is 2e10 time units; of the first chunk only some is done.
+    # Its burn-in is 2e10 time units; what is left ends within the first chunk, or right after it.
     weak = System([1.0], [1.0], [1e-9], [1e-9])
     answer = asked("crossings", weak, seconds=0.1)
     (words,) = answer.certificate.failures
-    assert "first chunk" in words
+    assert re.search(r"first chunk|second chunk", words)
     assert abs(answer.values[0] - 0.5 / np.pi) < 4.5 * answer.errors[0]
 
 
