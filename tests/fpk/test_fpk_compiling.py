@@ -202,7 +202,7 @@ def test_control_c_does_not_wait_for_what_is_compiled(command, tmp_path):
 @pytest.mark.slow
 def test_the_command_line_answers_with_damaged_caches(tmp_path):
     """The answer is the same, and each damaged file is a line of warning."""
-    command = ["density", "vanderpol", "--method", "nonintegrable", "--solver", "fem",
+    command = ["density", "fig6a", "--method", "nonintegrable", "--solver", "fem",
                "--of", "q1", "--at", "0,0.5"]  # fmt: skip
 
     def answer():
