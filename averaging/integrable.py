@@ -116,11 +116,11 @@ class Integrable(Theory):
         return self._in_time(Rates, "relaxation", asked)
 
     def _in_time(self, kind: type[Answer], question: str, asked: Asked) -> Answer:
-        """The answer of a kind by the solver; ``NotApplicable`` where that or the theory fails."""
+        """The answer, a ``kind``, by the solver; ``NotApplicable`` if solver or theory fails."""
         system, tol = asked.system, asked.tol or TOL
         if question != "passage":
             require_held(system)
-        if question != "transient" or self.solver != "closed-form":
+        if question != "transient":
             require_constant_noise(system.modulation)
         modes = system.fact(modal_analysis)
         require_no_resonance(system, modes)

@@ -235,7 +235,7 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
     coefficients of the Gaussian moment, a polynomial in θ by Isserlis' theorem, divided by Π α_m!.
     """
     n = omega.size
-    # Q̇ of all modes, q and v of the masses, which Q̇ and v alone are correlated with.
+    # Factors Q̇, q and v: velocities are correlated with velocities only, displacements likewise.
     powers = np.array([1, *term.powers("q", n), *term.powers("v", n)])
     powers[1 + n + term.column] += 1
     own = np.flatnonzero(powers)
@@ -251,8 +251,8 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
 def balanced_energies(system: System, damping: AveragedDamping, noise: Array) -> Array:
     """Return the means (n,) at which independent exponential energies balance: E γ_m H_m = d_m.
 
-    No answer rests on this scale. It is a high one of several balances. Raises ``NotApplicable``
-    for a mode whose energy grows for ever.
+    A scale for meshes and bandwidths; of several balances a high one. Raises ``NotApplicable`` for
+    a mode whose energy grows for ever.
     """
     try:
         guess = equivalent_temperature(system)

@@ -13,7 +13,7 @@ from fpk.system.damping import gaussian_moment
 from fpk.system.system import System
 
 ORDER = 4
-"""Σ|l_i| up to which resonances are searched: that of v_i v_j times damping quadratic in it."""
+"""Largest Σ|l_i| searched: v_i v_j holds ω_i ± ω_j, order 2; quadratic damping makes it 4."""
 MAX_NEGLECTED = 0.1
 """Largest correlation of two modes, and largest relative swing of an energy, that averaging may
 neglect: p(q_i, p_j) is off by 2/π of it in L1, p(q_i) by its product with bandwidth/detuning."""
@@ -24,8 +24,8 @@ MAX_CANDIDATES = 500
 def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
     """Raise ``NotApplicable`` where a resonance forbids to average over the phases of the modes.
 
-    With constant damping the neglected correlation of two modes matters. With damping terms the
-    flow into mode m at the phase Σ l_i φ_i makes H_m swing by twice it over the detuning.
+    With constant damping the neglected correlation of two modes matters. With damping terms a
+    flow of amplitude A into mode m at the phase Σ l_i φ_i makes H_m swing by 2 A/detuning.
     """
     correlation = correlations(modes)
     i, j = np.unravel_index(np.argmax(correlation), correlation.shape)
@@ -58,7 +58,7 @@ def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
 
 
 def correlations(modes: ModalAnalysis) -> Array:
-    """Return the largest stationary correlation of each two modes that averaging neglects (n, n).
+    """Return the largest correlation (n, n) of two modes, in Q or V = Q̇, that averaging neglects.
 
     With S = 2 D_ij − c_ij θ_j − c_ji θ_i, Δ = ω_i² − ω_j², w = c_ii ω_j² + c_jj ω_i² and
     N = Δ² + (c_ii + c_jj) w the cross terms of the Lyapunov equation are, to first order in S,

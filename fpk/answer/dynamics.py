@@ -121,7 +121,8 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
     (before, end), known = np.abs(density).T, error[:, 1]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         falls = (last[1] - last[0]) / np.log(before / end)
-    length = np.where(before > end, falls, np.where(end <= known, last[1], np.inf))
+    both = np.broadcast_arrays(falls, last[1])  # the lesser, if f is 0 within its error and falls
+    length = np.where([before > end, end <= known], both, np.inf).min(axis=0)
     beyond = (end + known) * length * (last[1] + length)
     return value, own + SAFETY * missed + beyond / mass
 

@@ -15,10 +15,12 @@ from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.contact import Contact
+from fpk.system.modulation import Modulation
 from fpk.system.system import System
 
 FIG8 = System([1.0, 1.0], [1.0, 1.0], [0.05, 0.07], [0.015, 0.015])
 ALIKE = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.05, 0.05])
+FADING = replace(FIG8, modulation=Modulation([0.0, 4.0, 10.0], [0.2, 1.4, 0.0]))
 CLOSED, FEM = Integrable("closed-form"), Integrable("fem")
 
 
@@ -167,6 +169,13 @@ def test_relaxation_rates_are_sums_of_multiples_of_the_decays():
     assert np.all(np.abs(fem.values - exact.values) <= fem.errors + exact.errors)
 
 
+@pytest.mark.parametrize("name", ["H1", "H", "q1", "q1,p2"])
+def test_no_times_are_an_answer_without_rows(name):
+    at = [np.array([0.1, 0.2])] * (1 + name.count(","))
+    answer = transient(CLOSED, FIG8, name, "rest", [], *at)
+    assert answer.values.shape == answer.errors.shape == (0, 2)
+
+
 def test_contacts_are_left_out_and_that_is_said():
     system = replace(FIG8, contacts=(Contact(2, "both", 10.0, 0.5),))
     answer = transient(CLOSED, system, "H1", "rest", [1.0], [0.1])
@@ -194,6 +203,14 @@ def test_contacts_are_left_out_and_that_is_said():
             NotApplicable,
             "closed-form or fem",
         ),
+        # Where the noise is modulated, what is wrong besides is still said first.
+        (
+            lambda: transient(Integrable("quadrature"), FADING, "H1", "rest", [1.0], [0.0]),
+            NotApplicable,
+            "closed-form or fem",
+        ),
+        (lambda: transient(FEM, FADING, "H1", "H=0.3", [1.0], [0.0]), NotApplicable, "every modal"),
+        (lambda: transient(FEM, FADING, "H1", "rest", [1.0], [0.0]), NotApplicable, "modulated"),
     ],
 )
 def test_what_is_not_given_is_refused_in_a_line(ask, error, words):

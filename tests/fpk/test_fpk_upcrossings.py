@@ -56,3 +56,19 @@ def test_a_kink_within_a_panel_is_in_the_error(power):
     missed = np.abs(values - exact) / (errors + 1e-14)
     # As ``SAFETY`` says of kinks: with one coarser rule up to 15 % are outside, by factors of 200.
     assert np.mean(missed > 1.0) < 0.03 and missed.max() < 3.0
+
+
+@pytest.mark.parametrize("slope", [0.0, 1e-18, -1e-18])
+def test_round_off_at_the_end_does_not_decide_the_error(slope):
+    """There f is 0 within its error 1e-12: whether it falls by round-off says nothing."""
+
+    def pdf(q, p):
+        end = 1e-14 * (1.0 + slope * 1e14 * (8.0 - p))
+        return np.where(np.abs(p) < 7.0, np.exp(-0.5 * (q * q + p * p)) / (2.0 * np.pi), end)
+
+    joint = certified_density(
+        parse_observable("q1,p1", 1), (np.linspace(-9.0, 9.0, 19), np.linspace(-8.0, 8.0, 17)), pdf,
+        lambda q, p: 1e-12 + 0.0 * (q + p), measured=Measured(1e-12, 0.0, 0.0, 0.0, 0.0), tol=1.0,
+    )  # fmt: skip
+    _, errors = upcrossings(joint, 1.0, np.zeros(1))
+    assert errors[0] < 2e-10  # 1e-12 (e + l) l, l = 8, and what the momenta below that add

@@ -56,7 +56,7 @@ coordinates in the stationary state of temperature 1."""
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
-    """Return the densities of one or two modal energies, of the sum of two, or of (q, p), (35)."""
+    """Return the densities that ``asked``, settled by ``settled_energies``, names, Eq. (35)."""
     observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
     modulation = asked.system.modulation
     if {c.kind for c in observable} <= {"q", "p"}:
@@ -196,16 +196,14 @@ def orbit_transient(parts: Sequence[Orbit], asked: Asked) -> Transient:
     noise, times, at = asked.start.noise, asked.times, asked.at
     checked_times(times, positive=noise is None)
     each = [_density(parts, noise, t, at) for t in times.tolist()]
-    values = np.array([p for p, _, _ in each]).reshape(times.size, -1)
+    values = np.array([p for p, _, _ in each]).reshape(times.size, at[0].size)
     errors = np.zeros(values.shape) + np.array([floor for _, floor, _ in each])[:, None]
     # Of waves on a box the mean is 1 exactly: the mass is that of the box, but for what is beyond.
     tail, largest = 2.0 * len(at) * EPS, max((floor / top for _, floor, top in each), default=0.0)
     least = min((float(p.min(initial=0.0)) / top for p, _, top in each), default=0.0)
     measured = Measured(largest + tail, tail, least, None, tail, absolute_error=largest)
-    settings, certificate = (
-        {"equation": "characteristic function"},
-        certify(measured, tol=asked.tol),
-    )
+    settings: dict[str, str | float | int] = {"equation": "characteristic function"}
+    certificate = certify(measured, tol=asked.tol)
     return Transient(times, values, errors + SMALLEST, "numerical", certificate, settings)
 
 

@@ -24,10 +24,12 @@ from fpk.solvers.plane.stationary import solve_plane
 from fpk.solvers.plane.time.operator import PlaneStart
 from fpk.solvers.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
 from fpk.solvers.plane.time.transient import PAIR, seen_at, transient_densities
+from fpk.system.modulation import require_constant_noise
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     """Return the densities of one or two modal energies, of the sum of two, or of (q, p)."""
+    require_constant_noise(asked.system.modulation)
     start, times, at, tol = asked.start, asked.times, asked.at, asked.tol
     checked_times(times, positive=True)
     if {c.kind for c in asked.observable} <= {"q", "p"}:
@@ -82,10 +84,8 @@ def _posed(
 def _by_modes(
     modes: ModalAnalysis, pair: list[int], rows: list[int], start: EnergyStart, t: float, *H: Array
 ) -> Array:
-    """The relative error of p by that of the modes, at energies ``rows`` of a pair, or their sum.
-
-    In units of the means that the noise has fed into the modes from rest by ``t``.
-    """
+    """Relative error of p from the relative error of the modes, at energies of modes ``rows``, or
+    of the sum if there are none, in units of the means that noise fed in from rest by ``t``."""
     spread = modes.temperature * -np.expm1(-2.0 * modes.half_bandwidth * t)
     each = spread[rows] if rows else [spread[pair].min()]
     reach = 1.0 + sum(np.abs(x) / s for x, s in zip(H, each, strict=True))
