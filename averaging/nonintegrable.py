@@ -124,7 +124,7 @@ class NonIntegrable(EnergyTheory):
         ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
         under modulated noise.
         """
-        system, process = asked.system, energy_process(asked.system)
+        system, process = asked.system, asked.system.fact(energy_process)
         if asked.limit.kind != "H":
             words = "this theory knows the total energy only; give a limit H=.."
             raise NotApplicable(f"{asked.limit}: {words}")
@@ -194,7 +194,7 @@ def square_root(system: System, solver: str) -> SquareRoot:
 def _under(system: System, factor: float) -> Process:
     """The averaged energy under ``factor`` times the noise intensity."""
     if factor == 1.0:  # the system keeps what follows from it
-        return energy_process(system)
+        return system.fact(energy_process)
     return energy_process(replace(system, noise_intensity=factor * system.noise_intensity))
 
 

@@ -93,8 +93,7 @@ class EnergyTheory(Theory):
         """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            source, settings = self.state(system)
-            tol = self.wanted(system)
+            (source, settings), tol = self.state(system), self.wanted(system)
             densities = tuple(back_transformed(source, o, tol=tol) for o in observables)
             return Result(self, densities, settings=settings)
 

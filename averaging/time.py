@@ -55,8 +55,7 @@ class EnergyStart:
     def known(self) -> Array:
         """Return the energies; raise ``NotApplicable`` where the start is a stationary state."""
         if self.noise is not None:
-            words = "from a stationary state first passage has no closed form; use fem"
-            raise NotApplicable(words)
+            raise NotApplicable("from a stationary state first passage has no closed form; use fem")
         return self.energies
 
 

@@ -165,7 +165,7 @@ def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
             bound = 0.5 * (widest + q * q / widest)
             power = parts.coefficient * np.prod(q**parts.powers, axis=2)
             most = parts.size * np.prod(q ** (parts.powers - odd) * bound**odd, axis=2)
-            power, most = ((radial_parts * x) @ (of_degree) for x in (power, most))
+            power, most = ((radial_parts * x) @ of_degree for x in (power, most))
             # Positive, so that no error is relative to nothing.
             out = np.concatenate([out[..., :3], power + 2.0 * most, most], axis=-1)
         out *= weights[:, None]
@@ -252,9 +252,13 @@ def _table(system: System) -> Callable[[Array], Array]:
     parts, breaks = system.fact(parts_of), system.fact(EnergyShell).contact_energies
     unit = np.append(np.ones(3), np.where(parts.scale > 0.0, parts.scale, 1.0))
     ends = np.array([*breaks, 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0])
-    towards = ends[:-1, None] + np.diff(ends)[:, None] * GRADING ** np.arange(1.0, LAYERS + 1.0)
+    # T changes over H itself, too, which the distance to the next contact energy may far exceed.
+    gaps = np.minimum(np.diff(ends), np.where(ends[:-1] > 0.0, ends[:-1] / GRADING, np.inf))
+    towards = ends[:-1, None] + gaps[:, None] * GRADING ** np.arange(1.0, LAYERS + 1.0)
+    rising = np.minimum(breaks[0] * GRADING ** -np.arange(60.0), ends[-1])
     # Above the highest contact energy each panel is twice as long as the one below it.
-    edges = np.unique(np.concatenate([breaks, towards.ravel(), ends[-1] * 2.0 ** np.arange(60.0)]))
+    above = ends[-1] * 2.0 ** np.arange(60.0)
+    edges = np.unique(np.concatenate([breaks, towards.ravel(), rising, above]))
     panels: dict[int, Piecewise] = {}
     single: dict[float, Array] = {}  # the next question asks for the same: 20 ms, not 140
 

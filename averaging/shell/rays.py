@@ -73,7 +73,7 @@ class EnergyShell:
         rises = [stop.sign * self.L[masses.index(stop.index)] for stop in stops]
         reach = np.reshape(rises, (len(stops), len(masses)))
         rows = [(s.clearance, s.stiffness, s.power, self.laws.index(s.law)) for s in stops]
-        touch, stiffness, exponent, law = np.reshape(rows, (-1, 4)).T.copy()
+        touch, stiffness, exponent, law = np.array(rows, dtype=float).reshape(-1, 4).T.copy()
         return Stops(reach, touch, stiffness, exponent, law.astype(int))
 
     def nearest(self, directions: Array) -> Stops:

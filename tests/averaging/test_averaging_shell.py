@@ -328,3 +328,30 @@ def test_two_contact_masses_of_which_one_touches_from_rest():
         area, of_free = (np.sum(np.maximum(H - x, 0.0)) for x in (V, free))
         assert ratios.volume[k] == pytest.approx(area / of_free, rel=5e-3)
     assert np.all(np.abs(np.diff(ratios.states)) < 0.02)
+
+
+def test_a_contact_energy_far_below_the_next_is_resolved():
+    """Just above H_c T changes over H_c itself, 1e-8 of the panel up to the next contact energy."""
+    stops = [Contact(mass, "right", 1e4, gap, law="power", exponent=1.0)
+             for mass, gap in ((1, 0.5), (2, 1e-4))]  # fmt: skip
+    system = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.02, 0.03], contacts=tuple(stops))
+    first, second = system.fact(EnergyShell).contact_energies[:2]
+    assert first < 1e-7 * second
+    energy = first * np.geomspace(1.001, 100.0, 40)  # so many at once are asked of the table
+    averages = shell_averages(system, energy)
+    assert np.max(averages.error) < 1e-10
+    alone = [shell_averages(system, np.array([H])).states[0] for H in energy[::13]]
+    np.testing.assert_allclose(averages.states[::13], alone, rtol=1e-10)
+
+
+def test_numbers_of_contacts_that_are_no_floats():
+    energy = np.array([0.8, 1.5, 4.0])
+    contact = Contact(2, "right", 10**25, 1, law="power", exponent=2)
+    same = Contact(2, "right", 1e25, 1.0, law="power", exponent=2.0)
+    whole, floats = (
+        shell_averages(
+            System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.02, 0.03], contacts=(c,)), energy
+        )
+        for c in (contact, same)
+    )
+    assert np.all(whole.states == floats.states) and np.all(whole.states < 1.0)
