@@ -14,7 +14,7 @@ from averaging.energy_process import closed_form
 from averaging.gaussian import Gaussian, state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.zero_flux import density_of_energies, flux_residual, solved_energies
-from fpk.answer.certificate import Measured, outside, worst
+from fpk.answer.certificate import Measured, worst
 from fpk.answer.density import Density, certified_density
 from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import CHUNK, EPS, Array
@@ -315,7 +315,7 @@ def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
         mass_defect=sum(c.mass_defect for c in checks if c.mass_defect is not None),
         minimum=None,
         residual=worst(c.residual for c in checks),
-        tail_mass=sum(outside(c) for c in checks),
+        tail_mass=sum(c.tail_mass or 0.0 for c in checks),
         net_flux=worst(c.net_flux for c in checks),
         failures=tuple(dict.fromkeys(words for c in checks for words in c.failures)),
     )

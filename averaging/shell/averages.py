@@ -215,8 +215,7 @@ def _cut_angles(shell: EnergyShell, energy: Array) -> Array:
         find_root: Any = elementwise.find_root  # typed without further arguments
         t = find_root(excess, (0.0 * end, end), args=(x0, y0, dx, dy, H)).x
         angles[:, stop, level] = np.arctan2(y0 + t * dy, x0 + t * dx)
-    crossings = angles.reshape(-1, energy.size).T
-    return np.hstack([np.tile(fixed, (energy.size, 1)), crossings])
+    return np.hstack([np.tile(fixed, (energy.size, 1)), angles.reshape(-1, energy.size).T])
 
 
 def _rays(cuts: Array, nodes: int, *, mirror: bool) -> tuple[Integers, Array, Array]:

@@ -84,11 +84,6 @@ class Certificate(Measured):
         return tuple(words for words in self.failures if not words.startswith(MISSED))
 
 
-def outside(of: Measured) -> float:
-    """Return the mass outside the support, 0 where nothing is cut off."""
-    return of.tail_mass or 0.0
-
-
 def worst(values: Iterable[float | None]) -> float | None:
     """Return the largest of what was measured, NaN if one is; None where nothing was."""
     given = [x for x in values if x is not None]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify, outside
+from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.answer.names import Observable
 from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond, with_points
 from fpk.answer.sampled_density import SampledDensity
@@ -108,7 +108,7 @@ class Density(Quantities):
         error = integral(np.abs(f) * e, grids) * max(1.0, least_l1 / integral(e, grids))
         sizes = [np.repeat(_condition(nodes), GAUSS_POINTS[len(panels)]) for nodes in panels]
         rounding = EPS * integral(np.abs(f * p) * reduce(np.add.outer, sizes), grids)
-        tail = outside(self.certificate) * beyond(function, self.panels, kinks)
+        tail = (self.certificate.tail_mass or 0.0) * beyond(function, self.panels, kinks)
         return Number(value, error + rounding + abs(value - coarse) + tail)
 
     def _probability(self, low: float, high: float) -> Number:
@@ -121,7 +121,8 @@ class Density(Quantities):
         unlocated = max(self.l1_error - of_all, self.certificate.mass_defect or 0.0)
         located = max(min(error, of_all - error), 0.0)
         ends = (low < self.panels[0][0], high > self.panels[0][-1])
-        beyond_ends = sum(outside(self.certificate) for cut_off in ends if cut_off)  # not 0 · ∞
+        tail = self.certificate.tail_mass or 0.0
+        beyond_ends = sum(tail for cut_off in ends if cut_off)  # not 0 · ∞
         return Number(value, located + unlocated + beyond_ends + rounding)
 
     def share(self, low: float, high: float) -> float:

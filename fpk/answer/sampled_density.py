@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from fpk.answer.bins import ALARM, LARGEST_LOG, NODES, BinAxis, Box, Model, boxes
-from fpk.answer.certificate import Certificate, outside
+from fpk.answer.certificate import Certificate
 from fpk.answer.names import Observable
 from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond
 from fpk.numeric.arrays import CHUNK, EPS, ROUND_OFF, SMALLEST, Array, Flags, Integers
@@ -92,7 +92,7 @@ class SampledDensity(Quantities):
         seen = float(np.max(np.abs(f), initial=0.0, where=self.values > 0.0))
         far = beyond(function, self.edges, kinks)
         visit = self.visit * (seen or float(np.max(np.abs(f))) or far)
-        error = float(np.hypot(chance, visit) + outside(self.certificate) * far)
+        error = float(np.hypot(chance, visit) + (self.certificate.tail_mass or 0.0) * far)
         return Number(float(total), error)
 
     def _probability(self, low: float, high: float) -> Number:
@@ -106,7 +106,7 @@ class SampledDensity(Quantities):
             if parts.sum() > 0.0:
                 share[k] = parts[1] / parts.sum()
         held = share * np.diff(edges)
-        tail = outside(self.certificate) if low < edges[0] or high > edges[-1] else 0.0
+        tail = (self.certificate.tail_mass or 0.0) if low < edges[0] or high > edges[-1] else 0.0
         chance = standard_error(self.batch_values @ held)
         return Number(float(self.values @ held), float(np.hypot(chance, self.visit) + tail))
 

@@ -129,8 +129,7 @@ def fit(
         coefficients = np.concatenate([coefficients[~split], added])
         error = np.append(error[~split], judge(new[1] - new[0], added))
     order = np.argsort(left)
-    ends = np.append(left[order], nodes[-1])
-    return Piecewise(ends, coefficients[order], error=error[order])
+    return Piecewise(np.append(left[order], nodes[-1]), coefficients[order], error=error[order])
 
 
 def interpolated(f: Callable[[Array], Array], left: Array, right: Array, degree: int) -> Array:

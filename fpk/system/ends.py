@@ -75,8 +75,7 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
         lower = BoundaryClass(f"{name} = 0", kind, reason)
     (_, drift, _, near), (_, farther, _, _) = along(FAR), along(BESIDE * FAR)
     if np.any(farther >= 0.0):
-        outwards = "the drift points outwards"
-        return lower, BoundaryClass(f"{name} = ∞", "not confining", outwards)
+        return lower, BoundaryClass(f"{name} = ∞", "not confining", "the drift points outwards")
     inwards = drift < 0.0
     power = float(np.min(np.log(farther / drift))) / np.log(BESIDE) if inwards.all() else 0.0
     reason = "the drift points inwards, about as −" + name

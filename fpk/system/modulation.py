@@ -69,8 +69,7 @@ class Modulation:
     def after(self, time: float) -> "Modulation":
         """Return the modulation of what begins at ``time``."""
         later = self.times[self.times > time]
-        e = self(np.append(time, later))
-        return Modulation(np.append(0.0, later - time), e)
+        return Modulation(np.append(0.0, later - time), self(np.append(time, later)))
 
     def energy(self, time: Array) -> Array:
         """Return ∫e² dt from 0 to ``time`` of any shape."""
@@ -85,8 +84,7 @@ class Modulation:
         inner = self.times[(self.times > np.min(first)) & (self.times < np.max(last))]
         nodes = np.concatenate([first, np.clip(inner, first, last), last], axis=-1)
         e = self(nodes)
-        squares = _square(e[..., :-1], e[..., 1:])
-        return np.asarray(np.sum(np.diff(nodes) * squares, axis=-1) / step)
+        return np.asarray(np.sum(np.diff(nodes) * _square(e[..., :-1], e[..., 1:]), axis=-1) / step)
 
     def faded(self, begin: float, end: float, rate: Array) -> Array:
         """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, of the shape of rate.

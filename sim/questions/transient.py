@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fpk.answer.bins import BinAxis
-from fpk.answer.certificate import Measured, certify, outside, tolerance, worst
+from fpk.answer.certificate import Measured, certify, tolerance, worst
 from fpk.answer.dynamics import Transient, checked_times
 from fpk.answer.names import Observable
 from fpk.answer.question import Asked
@@ -126,7 +126,7 @@ def counted_in_rounds(
         mass_defect=worst(c.mass_defect for c in certificates),
         minimum=min((x for c in certificates if (x := c.minimum) is not None), default=None),
         residual=worst(c.residual for c in certificates),
-        tail_mass=max(map(outside, certificates)),
+        tail_mass=max(c.tail_mass or 0.0 for c in certificates),
         failures=(*failures, *interrupted, *own, *wide[:1]),
     )
     settings = {"trajectories": int(min(taken)), **settings, "expected L1 error": measured.l1_error}

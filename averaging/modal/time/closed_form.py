@@ -123,8 +123,7 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
     for m in range(modes.n):
         multiples = _mode(modes, m).c * np.arange(count + 1.0)
         rates = np.sort(np.add.outer(rates, multiples).ravel())[: count + 1]
-    errors = (modes.relative_error + 4.0 * EPS) * rates[1:]
-    return certified_rates(rates[1:], errors, tol=tol)
+    return certified_rates(rates[1:], (modes.relative_error + 4.0 * EPS) * rates[1:], tol=tol)
 
 
 def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) -> SquareRoot:

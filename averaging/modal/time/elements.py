@@ -12,7 +12,7 @@ import numpy as np
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.observables import state_density
 from averaging.time import EnergyStart, limited_modes, observed_modes
-from fpk.answer.certificate import Measured, outside
+from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certified_density
 from fpk.answer.dynamics import LARGEST_ERROR, Passage, Rates, Transient, checked_times
 from fpk.answer.names import Coordinate
@@ -104,7 +104,7 @@ def _state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     answer, ((other_op, other), (op, g)) = transient_densities(
         stationary, start, PAIR, times, (np.zeros(0), np.zeros(0)), tol=0.5 * tol
     )
-    tail = outside(answer.certificate)
+    tail = answer.certificate.tail_mass or 0.0
     measured = Measured(start.l1_error + 2.0 * tail, None, None, g.residual, tail)
 
     def energies(k: int, t: float) -> Density:

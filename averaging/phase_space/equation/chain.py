@@ -125,7 +125,13 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     """
     frame, reference, degrees = functions.frame, functions.reference, functions.degrees
     F, G, h = linear_part(frame, reference)
-    C = _factor(F, reference.covariance)
+    C = np.asarray(np.linalg.cholesky(reference.covariance), dtype=float)
+    # The other variables in pairs: planes that antisymmetric F' turns. These are orthogonal but for
+    # frequencies of 0, whose planes are any.
+    turned = np.linalg.solve(C, F @ C)[1:, 1:]
+    turning = np.linalg.eigh(0.5j * (turned - turned.T))[1][:, len(turned) // 2 :].T
+    planes = np.stack([turning.real, turning.imag], axis=1).reshape(turned.shape)
+    C[:, 1:] = C[:, 1:] @ np.linalg.qr(planes.T)[0]
     inverse = np.linalg.inv(C)
     drift, noise = inverse @ F @ C, inverse @ G @ inverse.T
     pair = 0.5 * (drift + drift.T) + noise
@@ -181,18 +187,6 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     matrix, j = Matrix((values, (row, column)), shape=2 * (int(ends[-1]),)), np.arange(count.max())
     unknowns = np.where(j < count[:, None], start[:, None] + j, -1)
     return Chain(functions, C, space, unknowns, ends, matrix)
-
-
-def _factor(F: Array, covariance: Array) -> Array:
-    """Return C of S = C Cᵀ with the others in pairs: planes that antisymmetric F' turns."""
-    C = np.asarray(np.linalg.cholesky(covariance), dtype=float)
-    drift = np.linalg.solve(C, F @ C)[1:, 1:]
-    _, vectors = np.linalg.eigh(0.5j * (drift - drift.T))
-    turning = vectors[:, len(drift) // 2 :].T
-    planes = np.stack([turning.real, turning.imag], axis=1).reshape(drift.shape)
-    # Orthogonal but for frequencies of 0, whose planes are any.
-    C[:, 1:] = C[:, 1:] @ np.linalg.qr(planes.T)[0]
-    return C
 
 
 def _blocks(

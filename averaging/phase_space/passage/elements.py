@@ -171,8 +171,7 @@ def shapes(degree: int, t: Array) -> tuple[Array, Array]:
     # Of hierarchical ones round-off takes all digits where the weight falls by e²⁰ over a panel.
     inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
     inverse = np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
-    slopes = legval(t, legder(np.eye(degree + 1))).T
-    return legvander(t, degree) @ inverse, slopes @ inverse
+    return legvander(t, degree) @ inverse, legval(t, legder(np.eye(degree + 1))).T @ inverse
 
 
 def elements(mesh: Mesh) -> Elements:

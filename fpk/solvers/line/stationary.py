@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from scipy.ndimage import maximum_filter1d
 
-from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify, outside
+from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.numeric.piecewise import Piecewise
 from fpk.solvers.line.elements import Elements, NullVectors, element_rule, solve_elements
@@ -106,7 +106,7 @@ class StationarySolution:
         point = np.minimum(at.astype(int), log_error.shape[1] - 2)
         below, above = log_error[k, point], log_error[k, point + 1]
         own = np.exp(below + (at - point) * (above - below) + factor)
-        floor = self.common_error + outside(self.measured) + relative[k]
+        floor = self.common_error + (self.measured.tail_mass or 0.0) + relative[k]
         return np.asarray(own + floor * np.abs(self.answer(x, log_factor=factor)))
 
     def _log_states(self, energy: Array) -> Array:

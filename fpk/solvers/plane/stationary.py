@@ -12,7 +12,7 @@ from math import ceil
 
 import numpy as np
 
-from fpk.answer.certificate import Measured, certify, outside
+from fpk.answer.certificate import Measured, certify
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.numeric.piecewise import PiecewiseTensor
 from fpk.numeric.quadrature import gauss_grid, integral
@@ -97,13 +97,12 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
         H, grids = gauss_grid(graded(ends, panels), points=22)  # e^(−32 t) to 4e-14
         w = weight(*H)
         mass = integral(w, grids)
-        # On four parts of each panel eleven points give e^(−8 t) to 6e-15: that is the error of
-        # the mass. Rules of nearly as many points on the same panels may be off by as much.
+        # On four parts of each panel 11 points give e^(−8 t) to 6e-15: a rule that may judge.
         nodes = graded(ends, 4 * panels)
         finer_H, finer = gauss_grid(nodes, points=11)
         p = weight(*finer_H) / mass
         mass_defect = abs(integral(p, finer) - 1.0)
-        if mass_defect <= 1e-12:  # what is left of it is in the stated error
+        if mass_defect <= 1e-13:  # what is left of it is in the stated error
             break
     else:
         return None
@@ -149,7 +148,7 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         error, better = solution.l1_error, None
         gained = error < 0.3 * least
         # A mass beyond that is a millionth of the error is not known so well.
-        if outside(solution.measured) > 0.1 * max(tol, 1e-6 * error) or not gained:
+        if (solution.measured.tail_mass or 0.0) > 0.1 * max(tol, 1e-6 * error) or not gained:
             rise = farthest + RISE
         farthest = rise
         if gained:

@@ -235,5 +235,4 @@ def judged(
         "tol": question.tol,
     }  # fmt: skip
     solved = Transition(question, own, finer, distance, top, measured, settings)
-    each = (distance * w).sum(axis=2).max(axis=0)
-    return solved, each, common.sum(axis=2).max(axis=0)
+    return solved, (distance * w).sum(axis=2).max(axis=0), common.sum(axis=2).max(axis=0)

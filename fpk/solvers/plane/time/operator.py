@@ -203,8 +203,7 @@ class PlaneStart:
             at, ((_, v), (_, w)) = gauss_grid(op.nodes, points=op.points)
             y, p = (at[0].ravel(), at[1].ravel()), v[:, None] * w * op.jacobian(*at)
             p *= self.density.density(*op.energies(*at))
-        rows = op.along(0, y[0]).T @ p @ op.along(1, y[1])
-        return np.asarray(rows.ravel() @ op.functions[0])
+        return np.asarray((op.along(0, y[0]).T @ p @ op.along(1, y[1])).ravel() @ op.functions[0])
 
 
 def operators(
