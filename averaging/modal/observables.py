@@ -317,7 +317,7 @@ def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
         residual=worst(c.residual for c in checks),
         tail_mass=sum(c.tail_mass or 0.0 for c in checks),
         net_flux=worst(c.net_flux for c in checks),
-        failures=tuple(dict.fromkeys(words for c in checks for words in c.failures)),
+        failures=tuple(dict.fromkeys(words for c in checks for words in c.besides)),
     )
 
 

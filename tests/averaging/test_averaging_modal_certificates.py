@@ -30,6 +30,7 @@ def test_a_closed_form_is_judged_by_the_tolerance(name):
     for tol, certified in ((1e-6, True), (1e-12, False)):
         (density,) = solved(Integrable(tol=tol), nearly_alike(1e-7), name)
         assert density.certificate.certified == certified, density.certificate
+        assert sum("exceeds" in words for words in density.certificate.failures) == 1 - certified
         assert 1e-12 < density.l1_error < 1e-6
 
 
