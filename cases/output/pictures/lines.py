@@ -210,8 +210,8 @@ def theory_differences(curve: Answers, observable: Observable, x: Array) -> Diff
     few = joined(sampled[0], 2 * MARKERS)
     middles = 0.5 * (few.edges[0][1:] + few.edges[0][:-1])
     inside = (middles >= x[0]) & (middles <= x[-1])
-    # Above kinks some bins are narrower than a pixel, with few samples: no place in a curve.
-    inside &= np.diff(few.edges[0]) > 1e-3 * (x[-1] - x[0])
+    # Above kinks some bins are much narrower than a pixel, with few samples: no place in a curve.
+    inside &= np.diff(few.edges[0]) > 1e-4 * (x[-1] - x[0])
     return middles[inside], 2.0 * few.standard_error[inside], {
         f"simulation − {route.name}": bin_differences(few, theory)[inside]
         for route, theory in theories
