@@ -78,7 +78,7 @@ def shell_averages(system: System, energy: Array) -> ShellAverages:
     values, errors = np.swapaxes(shell_columns(system, energy), 0, 1)
     powers = energy[:, None] ** (1.0 + 0.5 * system.fact(parts_of).degrees)
     states, volume, log_slope = values[:, :3].T.copy()
-    power, power_error = (np.sum(powers * x[:, 3:], axis=1) for x in (values, errors))
+    power, power_error = (np.vecdot(powers, x[:, 3:]) for x in (values, errors))
     return ShellAverages(states, volume, log_slope, errors[:, 0].copy(), power, power_error)
 
 
@@ -227,8 +227,8 @@ def _rays(cuts: Array, nodes: int, *, mirror: bool) -> tuple[Integers, Array, Ar
     """
     if not cuts.shape[1]:
         sides = np.array([[1.0]] if mirror else [[1.0], [-1.0]])
-        which = np.repeat(np.arange(len(cuts)), len(sides))
-        return which, np.tile(sides, (len(cuts), 1)), np.full(which.size, 2.0 / len(sides))
+        which, side = np.divmod(np.arange(len(cuts) * len(sides)), len(sides))
+        return which, sides[side], np.full(which.size, 2.0 / len(sides))
     period = pi if mirror else 2.0 * pi
     cuts = np.sort(cuts % period, axis=1)
     cuts = np.concatenate([cuts, cuts[:, :1] + period], axis=1)

@@ -22,8 +22,9 @@ DEGREE = 15
 
 def panels_at(nodes: Array, x: Array) -> tuple[Integers, Array, Flags]:
     """Return the panel of each point x, the place t in it from −1 to 1, and whether x is in one."""
-    k = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
-    t = np.clip((2.0 * x - nodes[k] - nodes[k + 1]) / (nodes[k + 1] - nodes[k]), -1.0, 1.0)
+    k = np.searchsorted(nodes[1:-1], x, side="right")
+    left, right = nodes[k], nodes[k + 1]
+    t = np.clip((2.0 * x - left - right) / (right - left), -1.0, 1.0)
     return k, t, (x >= nodes[0]) & (x <= nodes[-1])
 
 

@@ -38,8 +38,7 @@ def natural_modes(system: System) -> tuple[Array, Array]:
     roots, springs = np.sqrt(system.mass), np.sqrt(system.stiffness)
     G = np.diag(springs) - np.diag(springs[1:], -1)
     _, omega, transposed = np.linalg.svd(G / roots)
-    shapes = (transposed[::-1] / roots).T
-    return np.ascontiguousarray(shapes), np.ascontiguousarray(omega[::-1])
+    return np.ascontiguousarray((transposed[::-1] / roots).T), np.ascontiguousarray(omega[::-1])
 
 
 def displacements_given(system: System, masses: Sequence[int]) -> tuple[Array, Array]:
