@@ -205,8 +205,8 @@ def _assembled(
     signed, log_scale, share = zip(*(_chained(u, e.log_factor) for u in series), strict=True)
     p, better = share[0][:, None] * e.values, share[1][:, None] * e.enriched_values
     distance = float((e.weights * np.abs(p - better)).sum())
-    # The enriched solution has the mass 1 by a lesser rule: by that of the answer it has another,
-    # by which the two differ everywhere alike, so that their distance may vanish where p is wrong.
+    # The enriched solution has the mass 1 by a rule with more, or half, of the error of this one:
+    # both differ by their masses everywhere, so that their distance may vanish where p is wrong.
     enriched_mass = float((e.weights * better).sum())
     size = np.abs(share[0])
     least, most, residual = float(p.min()), float(p.max()), float(e.residual.max())
@@ -239,7 +239,7 @@ def _assembled(
         degree=degree,
         answer=Piecewise(nodes, signed[0], log_scale[0]),
         enriched=Piecewise(nodes, signed[1], log_scale[1] - log_enriched_mass),
-        common_error=coefficient_error + float(e.slope_error.sum()) + abs(enriched_mass - 1.0),
+        common_error=coefficient_error + 2 * abs(enriched_mass - 1.0) + float(e.slope_error.sum()),
         measured=measured,
         certificate=certify(measured, tol=tol),
     )
