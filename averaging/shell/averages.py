@@ -251,7 +251,7 @@ def _table(system: System) -> Callable[[Array], Array]:
     parts, breaks = system.fact(parts_of), system.fact(EnergyShell).contact_energies
     unit = np.append(np.ones(3), np.where(parts.scale > 0.0, parts.scale, 1.0))
     ends = np.array([*breaks, 2.0 * breaks[-1] if breaks[-1] > 0 else 1.0])
-    # T changes over H itself, too, which the distance to the next contact energy may far exceed.
+    # T also changes over H itself, which may be far less than the gap to the next contact energy.
     gaps = np.minimum(np.diff(ends), np.where(ends[:-1] > 0.0, ends[:-1] / GRADING, np.inf))
     towards = ends[:-1, None] + gaps[:, None] * GRADING ** np.arange(1.0, LAYERS + 1.0)
     rising = np.minimum(breaks[0] * GRADING ** -np.arange(60.0), ends[-1])

@@ -90,8 +90,8 @@ class PlaneSolution:
     def _around(self) -> tuple[Nodes, Array]:
         """Energies of a grid along each axis, and the error of √w u around each point of it.
 
-        As of one energy the largest distance within two half-waves is taken, at equal angles in
-        each element: it vanishes between them, where the error does not. √w is the weak norm.
+        The distance to the enriched solution vanishes on lines where the error does not: as for one
+        energy, the largest within two half-waves counts. The weak form measures √w u.
         """
         count = HALF_WAVE * (self.enriched.coefficients.shape[-1] - 1)
         share = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / max(count, 1))
