@@ -229,7 +229,8 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
             if pilot:
                 both = np.hstack(pilot)
                 reached = np.stack([both.min(axis=1), both.max(axis=1)], axis=1)
-            cut = "" if done else f"after {share:.2g} of the burn-in"
+            reach = "all" if share == 1.0 else f"{share:.2g}"
+            cut = "" if done else f"after {reach} of the burn-in"
         ensemble.watch(setup.histograms or covered(reached), products)
         record = Record(ensemble, elapsed=working_time() - begin)
         if "reached" in saved:
@@ -301,7 +302,8 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
     whole = not failures
     failures += setup.failures
     identities = diagnostics.moment_identities(setup.system, ensemble.batch_means())
-    judged = identities if burnt >= setup.burn_in_steps else ()
+    # A few samples after the burn-in, of rare contacts, show less than their standard errors say.
+    judged = identities if record.chunks and burnt >= setup.burn_in_steps else ()
     failures += [
         f"{i.name} is off by {i.z:.1f} standard errors; use a smaller dt"
         for i in judged

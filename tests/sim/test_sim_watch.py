@@ -8,7 +8,7 @@ import pytest
 from sim_systems import fig6, linear
 
 from fpk.answer.dynamics import Curve
-from fpk.answer.names import Coordinate
+from fpk.answer.names import Coordinate, parse_observable
 from fpk.numeric.errors import InvalidInput
 from fpk.system.contact import Contact
 from fpk.system.system import System
@@ -30,6 +30,14 @@ def stiff() -> System:
 def test_seconds_that_end_in_the_burn_in_are_refused(question: str) -> None:
     with pytest.raises(InvalidInput, match=r"burn-in, which takes about .* s; give it more"):
         asked(question, stiff(), seconds=0.05)
+
+
+def test_a_few_samples_after_the_burn_in_are_not_judged() -> None:
+    # The first sample is far from stationary; that says nothing of the step.
+    method = MonteCarlo(threads=1, paths=4096, burn_in=1e-4, seconds=1e-9)
+    (density,) = method.solve(stiff(), [parse_observable("q1", 1)]).densities
+    (words,) = density.certificate.failures
+    assert words.endswith("after all of the burn-in; give it more time")
 
 
 def test_a_linear_system_burns_in_in_one_step() -> None:
