@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.legendre import legder, legvander
 
-from fpk.numeric.arrays import SMALLEST, Array
+from fpk.numeric.arrays import EPS, SMALLEST, Array
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
@@ -163,9 +163,11 @@ def solve_elements(
     # The first equation, of the test function 1, is the mean of J. h² may be less than any number.
     scale = np.abs(largest[:, 0, 0] / h[:, 0] / mass / h[:, 0])
     mass, better_mass = h * mass[:, None], h * better_mass[:, None]
-    slope_error = np.zeros(left.size)
+    # Where all elements are solved for together, the round-off of their matrices leaves up to
+    # 27 degree ε from one end of each to the other: measured in 40 solutions of six scenes.
+    slope_error = np.full(left.size, 0.0 if null_vectors is None else 32.0 * EPS * degree)
     if process.state_damping:
-        slope_error = (h * rule.weight * log_density_slope_error(c)).sum(axis=1)
+        slope_error += (h * rule.weight * log_density_slope_error(c)).sum(axis=1)
     return Elements(
         coefficient_error=error,
         slope_error=slope_error,
@@ -187,8 +189,7 @@ def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
     # All terms are zero where an element is so short that the damping in it underflows.
     terms = A[:, : u.shape[1] - 1, : u.shape[1]] * u[:, None]
     residual, size = np.abs(terms.sum(axis=2)), np.abs(terms).sum(axis=2)
-    relative = residual.max(axis=1) / np.maximum(size.max(axis=1), SMALLEST)
-    return relative, residual[:, 0], size[:, 0]
+    return residual.max(axis=1) / np.maximum(size.max(axis=1), SMALLEST), residual[:, 0], size[:, 0]
 
 
 def _null_vectors(A: Array, degree: int) -> Array:

@@ -114,8 +114,7 @@ class FirstPassage:
                 f = g
             found.append((quotient, quotient * bracket**2))
         (value, left), (better, other) = found
-        error = SAFETY * abs(value - better) + left + other + 2.0 * self.relative * value
-        return value, error
+        return value, SAFETY * abs(value - better) + left + other + 2.0 * self.relative * value
 
     def failures(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t) (2, times, points) from the starts x by both elements, and the terms."""
