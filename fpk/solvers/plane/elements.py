@@ -124,8 +124,7 @@ def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
     j = np.arange(2.0, degree + 1.0)[:, None]
     scale, one = 1.0 / np.sqrt(4.0 * j - 2.0), np.ones_like(t)
     values = np.concatenate([[1.0 - t, t], (P[2:] - P[:-2]) * scale])
-    slopes = np.concatenate([[-one, one], (4.0 * j - 2.0) * scale * P[1:-1]])
-    return values, slopes
+    return values, np.concatenate([[-one, one], (4.0 * j - 2.0) * scale * P[1:-1]])
 
 
 def by_element(values: Array, counts: tuple[int, int]) -> Array:
