@@ -254,7 +254,7 @@ def _table(system: System) -> Callable[[Array], Array]:
     # T also changes over H itself, which may be far less than the gap to the next contact energy.
     gaps = np.minimum(np.diff(ends), np.where(ends[:-1] > 0.0, ends[:-1] / GRADING, np.inf))
     towards = ends[:-1, None] + gaps[:, None] * GRADING ** np.arange(1.0, LAYERS + 1.0)
-    rising = np.minimum(breaks[0] * GRADING ** -np.arange(60.0), ends[-1])
+    rising = np.minimum(ends[ends > 0.0][0] * GRADING ** -np.arange(60.0), ends[-1])
     # Above the highest contact energy each panel is twice as long as the one below it.
     above = ends[-1] * 2.0 ** np.arange(60.0)
     edges = np.unique(np.concatenate([breaks, towards.ravel(), rising, above]))

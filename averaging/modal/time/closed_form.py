@@ -56,7 +56,7 @@ coordinates in the stationary state of temperature 1."""
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
-    """Return the densities that ``asked``, settled by ``settled_energies``, names, Eq. (35)."""
+    """Return the densities ``asked`` for, Eq. (35); ``settled_energies`` has settled the start."""
     observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
     modulation = asked.system.modulation
     if {c.kind for c in observable} <= {"q", "p"}:
