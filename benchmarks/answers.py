@@ -27,7 +27,7 @@ from unittest.mock import patch
 import numpy as np
 
 import fpk
-from cases.commands.app import run_app
+from cases.command.app import run_app
 from fpk.answer.method import silent
 from fpk.answer.names import parse_observable
 from sim import MonteCarlo

@@ -21,8 +21,8 @@ from report import machine, markdown_table
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.method import PhaseSpace
-from cases.comparison.compare import distance_between
-from cases.comparison.doubt import rms_ratios
+from cases.compare.compare import distance_between
+from cases.compare.doubt import rms_ratios
 from cases.scene.scene import load_scene
 from fpk.answer.method import Method
 from fpk.answer.names import Coordinate, Observable, observable_name

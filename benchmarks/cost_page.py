@@ -28,7 +28,7 @@ and step.
 def main() -> None:
     """Write the page; stop where a study fails."""
     parts = [INTRODUCTION.format(machine())]
-    command = "from cases.commands.cli import main; main()"
+    command = "from cases.command.cli import main; main()"
     for scene in SCENES:
         with TemporaryDirectory() as folder:
             arguments = [sys.executable, "-c", command, "cost", scene, "--out", folder]

@@ -21,9 +21,9 @@ from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
-from cases.studies.converge import measured_ladder
-from cases.studies.equations import energy_equation, modal_equation, solve_on
-from cases.studies.levels import density_of, errors, timed_first, timing
+from cases.study.converge import measured_ladder
+from cases.study.equations import energy_equation, modal_equation, solve_on
+from cases.study.levels import density_of, errors, timed_first, timing
 from fpk.system.contact import Contact
 from fpk.system.process import Process
 from fpk.system.system import System

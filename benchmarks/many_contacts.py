@@ -20,7 +20,7 @@ from report import machine, markdown_table
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
 from averaging.theory import Exact
-from cases.studies.levels import timed_first
+from cases.study.levels import timed_first
 from fpk.answer.density import AnyDensity
 from fpk.answer.method import Method
 from fpk.answer.names import parse_observable

@@ -22,7 +22,7 @@ from report import machine, markdown_table
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import MEMORY
 from averaging.theory import Exact
-from cases.comparison.compare import chance_l1, joined
+from cases.compare.compare import chance_l1, joined
 from fpk.answer.density import Density, l1_distance
 from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity

@@ -146,7 +146,7 @@ def main() -> None:
     with TemporaryDirectory() as temporary, Browser() as browser:
         if folder is None:
             folder = Path(temporary)
-            start = "from cases.commands.cli import main; main()"
+            start = "from cases.command.cli import main; main()"
             command = ["run", "fig6a", "--out", str(folder), "--quiet"]
             subprocess.run([sys.executable, "-c", start, *command], check=True)
         path = (folder / "report.html").resolve()

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from cases.comparison.answers import Answers, presented
-from cases.comparison.compare import Comparison
-from cases.comparison.routes import all_methods, method_for
-from cases.comparison.stationary import answers_of, joint_at_stops
+from cases.compare.answers import Answers, presented
+from cases.compare.compare import Comparison
+from cases.compare.routes import all_methods, method_for
+from cases.compare.stationary import answers_of, joint_at_stops
 from cases.scene.scene import load_scene
 from fpk.answer.density import AnyDensity
 from fpk.answer.method import Method

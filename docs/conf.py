@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sphinx.util import logging
 
-from cases.commands.examples import EXAMPLES
+from cases.command.examples import EXAMPLES
 
 sys.path.insert(0, str(Path(__file__).parent))
 from links import links_of, with_equations

@@ -61,7 +61,7 @@ class Command(Directive):
 
 def run_command(words: list[str]) -> tuple[str, int]:
     """Return what a command prints and its exit status."""
-    from cases.commands.cli import main  # noqa: PLC0415  (not needed by pages without commands)
+    from cases.command.cli import main  # noqa: PLC0415  (not needed by pages without commands)
 
     if words[0] != "fpk":
         return f"{words[0]}: only fpk is run here", 2

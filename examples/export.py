@@ -18,10 +18,10 @@ import pyvista
 
 import fpk
 from averaging import Exact
-from cases.comparison.stationary import run_scene
-from cases.output.fields import write_netcdf
-from cases.output.vtk import write_vtu
+from cases.compare.stationary import run_scene
 from cases.scene.scene import shipped_scenes
+from cases.show.fields import write_netcdf
+from cases.show.vtk import write_vtu
 from fpk.answer.names import parse_observable
 
 assert "fig3a" in shipped_scenes()

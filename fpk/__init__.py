@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cases.api import load as load
     from cases.api import plot as plot
     from cases.api import solve as solve
-    from cases.studies.sweep.sweep import sweep as sweep
+    from cases.study.sweep.sweep import sweep as sweep
     from fpk.answer.density import Density as Density
     from fpk.numeric.errors import InvalidInput as InvalidInput
     from fpk.numeric.errors import NotApplicable as NotApplicable
@@ -43,7 +43,7 @@ _HOME = {
     **dict.fromkeys(("InvalidInput", "NotApplicable", "NotCertified"), "fpk.numeric.errors"),
     "System": "fpk.system.system",
     **dict.fromkeys(("compare", "load", "plot", "solve"), "cases.api"),
-    "sweep": "cases.studies.sweep.sweep",
+    "sweep": "cases.study.sweep.sweep",
 }
 __all__ = [*_HOME]
 

@@ -17,10 +17,10 @@ import averaging
 import fpk
 import sim
 from averaging.energy_process import energy_process
-from cases.comparison.stationary import run_scene
-from cases.output.fields import write_netcdf
-from cases.output.vtk import write_vtu
+from cases.compare.stationary import run_scene
 from cases.scene.scene import shipped_scenes
+from cases.show.fields import write_netcdf
+from cases.show.vtk import write_vtu
 from fpk.answer.contacts import contact_quantities
 from fpk.answer.names import REST, parse_limit, parse_observable, parse_start
 from fpk.system.contact_law import LAWS, ContactLaw, register

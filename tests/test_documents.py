@@ -14,17 +14,17 @@ from averaging.phase_space import refinement
 from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.passage import first_passage, mesh
 from averaging.time import TOL
-from cases.commands import studies
-from cases.commands.app import app
-from cases.comparison import answering, claims, doubt, quantity
-from cases.comparison.answers import Answers
-from cases.comparison.routes import listed_routes
-from cases.output import facts, presented, text
-from cases.output.pictures import joint, lines
+from cases.command import studies
+from cases.command.app import app
+from cases.compare import answering, claims, doubt, quantity
+from cases.compare.answers import Answers
+from cases.compare.routes import listed_routes
 from cases.scene import schema
-from cases.studies import converge_page, cost_page, levels, orders
-from cases.studies.orders import grid_convergence
-from cases.studies.sweep import answering as sweep_answering
+from cases.show import facts, presented, text
+from cases.show.pictures import joint, lines
+from cases.study import converge_page, cost_page, levels, orders
+from cases.study.orders import grid_convergence
+from cases.study.sweep import answering as sweep_answering
 from fpk.answer import bins, contacts, quantities
 from fpk.numeric.errors import InvalidInput
 from fpk.solvers.line.time.resolvent import SPREAD
@@ -218,7 +218,7 @@ def test_constants_in_documents_are_those_of_the_code(page):
         assert phrase in text
 
 
-FOLDER = ROOT / "cases" / "output" / "templates"
+FOLDER = ROOT / "cases" / "show" / "templates"
 TEMPLATES = [*FOLDER.glob("*.html"), *FOLDER.glob("*.txt")]
 NAMES = r"Eq\. \(1\)|condition \(8\)|section 6\.3|\bL1\b|dt/2|\|∫p − 1\||\(2 ω_m\)"
 NAMES += f"|negligible beyond {contacts.CLEARANCE_RULE:g} rms"

@@ -20,9 +20,9 @@ from scipy.linalg import solve_discrete_lyapunov
 import fpk
 import sim.questions.splitting.kernel
 import sim.step.kernel
-from cases.commands import parts
-from cases.comparison.quantity import parse_definition
-from cases.comparison.routes import listed_routes
+from cases.command import parts
+from cases.compare.quantity import parse_definition
+from cases.compare.routes import listed_routes
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
 from fpk.answer.method import silent
@@ -250,7 +250,7 @@ def test_points_are_those_of_a_sweep_equal_in_all_that_matters(tmp_path):
 
 def test_points_are_not_those_of_an_edited_program(tmp_path, monkeypatch):
     assert of_points(None, tmp_path).reused == 0
-    monkeypatch.setattr("cases.output.claim.program_checksum", lambda **_: 1)
+    monkeypatch.setattr("cases.show.claim.program_checksum", lambda **_: 1)
     with pytest.raises(BadInput, match="version"):
         of_points(None, tmp_path)
 

@@ -16,7 +16,7 @@ from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import least_distance
 from averaging.theory import Exact
-from cases.comparison.compare import compared
+from cases.compare.compare import compared
 from fpk.answer.density import l1_distance
 from fpk.answer.names import Coordinate, parse_observable
 from fpk.numeric.errors import NotApplicable

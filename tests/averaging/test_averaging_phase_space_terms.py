@@ -17,7 +17,7 @@ from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.method import PhaseSpace
 from averaging.theory import Exact
-from cases.comparison.compare import compared
+from cases.compare.compare import compared
 from fpk.answer.density import l1_distance
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate, parse_observable

@@ -6,7 +6,7 @@ import sys
 import pytest
 from browser import Browser
 
-from cases.commands.cli import main
+from cases.command.cli import main
 
 SCENE = """\
 title = "A scene"

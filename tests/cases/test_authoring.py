@@ -11,9 +11,9 @@ from pathlib import Path
 import click
 import pytest
 
-from cases.commands.app import app
-from cases.commands.examples import EXAMPLES
-from cases.commands.parts import as_wide
+from cases.command.app import app
+from cases.command.examples import EXAMPLES
+from cases.command.parts import as_wide
 from cases.scene.json_schema import DIRECTIVE, FILE, key_table, scene_schema, with_table
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.schema import SCENE

@@ -274,7 +274,7 @@ def test_no_traceback_in_a_process_of_its_own(tmp_path):
     command = [
         sys.executable,
         "-c",
-        "from cases.commands.cli import main; main()",
+        "from cases.command.cli import main; main()",
         "show",
         str(path),
     ]

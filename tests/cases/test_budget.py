@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cases.comparison import answering
-from cases.comparison.attempts import LEAST, Budget, budget_of
-from cases.comparison.averaged import AveragedSimulation
-from cases.comparison.stationary import run_scene
+from cases.compare import answering
+from cases.compare.attempts import LEAST, Budget, budget_of
+from cases.compare.averaged import AveragedSimulation
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from fpk.answer.method import silent
 from fpk.answer.names import REST, parse_limit, parse_observable

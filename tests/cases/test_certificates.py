@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cases.comparison.routes import listed_routes, method_for
+from cases.compare.routes import listed_routes, method_for
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Curve, Transient
 from fpk.answer.method import ROUTES

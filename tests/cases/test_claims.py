@@ -8,9 +8,9 @@ import pytest
 from scipy.special import ndtr
 
 import fpk
-from cases.comparison.claims import findings, shape_of
-from cases.comparison.doubt import ACCEPTABLE_L1
-from cases.comparison.routes import listed_routes
+from cases.compare.claims import findings, shape_of
+from cases.compare.doubt import ACCEPTABLE_L1
+from cases.compare.routes import listed_routes
 from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.answer.bins import BinAxis

@@ -13,8 +13,8 @@ pytest.importorskip("averaging.theory")
 pytest.importorskip("averaging.nonintegrable")
 pytest.importorskip("sim.montecarlo")
 
-from cases.comparison.routes import all_methods, method_for
-from cases.comparison.stationary import run_scene
+from cases.compare.routes import all_methods, method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.answer.method import solvers_of
 
@@ -41,7 +41,7 @@ def test_linear_algebra_takes_one_thread_unless_the_environment_says_more(given,
     """Threads that wait for each other over small matrices make a run twenty times as slow."""
     script = """
 import os, sys
-from cases.commands.cli import main
+from cases.command.cli import main
 sys.argv = ["fpk", "list"]
 try:
     main()
@@ -156,8 +156,8 @@ def test_run_judges_and_reports(fpk, tmp_path):
 
 
 def test_a_scene_is_text_in_the_report(tmp_path, scene_text):
-    from cases.output.digest import digest_of  # noqa: PLC0415
-    from cases.output.report import report_html  # noqa: PLC0415
+    from cases.show.digest import digest_of  # noqa: PLC0415
+    from cases.show.report import report_html  # noqa: PLC0415
 
     path = tmp_path / "evil.toml"
     path.write_text(scene_text.replace('"A scene"', '"<script>alert(1)</script>"'))
@@ -196,7 +196,7 @@ def test_the_tolerance_reaches_solvers_and_not_the_simulation():
 
 def test_help_needs_nothing_heavy():
     code = (
-        "import sys, cases.commands.app; heavy = {'numpy', 'scipy', 'matplotlib', 'xarray',"
+        "import sys, cases.command.app; heavy = {'numpy', 'scipy', 'matplotlib', 'xarray',"
         " 'numba', 'pydantic', 'skfem'} & sys.modules.keys();"
         " sys.exit(str(sorted(heavy)) if heavy else 0)"
     )
@@ -217,13 +217,13 @@ class Interrupt:
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.argv = sys.argv[1:]
 sys.meta_path.insert(0, Interrupt())
-from cases.commands.cli import main
+from cases.command.cli import main
 main()
 """
 
 
 @pytest.mark.parametrize(
-    "module", ["click", "cases.commands.studies", "numpy", "scipy", "numba", "averaging"]
+    "module", ["click", "cases.command.studies", "numpy", "scipy", "numba", "averaging"]
 )
 def test_control_c_while_the_program_is_imported_is_one_line(module):
     command = [sys.executable, "-c", INTERRUPTED, module, "show", "fig6a"]
@@ -254,7 +254,7 @@ def test_a_path_that_cannot_be_used_is_refused_before_the_work(
         raise AssertionError("worked")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cases.comparison.stationary.run_scene", worked)
+    monkeypatch.setattr("cases.compare.stationary.run_scene", worked)
     status, out, err = fpk(*arguments)
     assert (status, out) == (2, "") and err.count("\n") == 1
     assert not list(tmp_path.iterdir())

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import fpk
-from cases.comparison.compare import chance_l1, compared, what_is_measured
-from cases.comparison.routes import register_routes
+from cases.compare.compare import chance_l1, compared, what_is_measured
+from cases.compare.routes import register_routes
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Certificate
 from fpk.answer.density import Density, l1_distance

@@ -9,15 +9,15 @@ import pytest
 from averaging.energy_process import averaged_density
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
-from cases.studies import prices
-from cases.studies.cost import CostStudy, candidates, equation_routes, study_cost
-from cases.studies.cost_page import cost_page
-from cases.studies.equations import energy_equation
-from cases.studies.law import FULL, Law, full_routes, solved_routes
-from cases.studies.levels import Level, density_of, errors
-from cases.studies.page import Table, cell
-from cases.studies.prices import NotTimed, Priced, crossovers, passage_routes, price_list
-from cases.studies.simulation import full_reference
+from cases.study import prices
+from cases.study.cost import CostStudy, candidates, equation_routes, study_cost
+from cases.study.cost_page import cost_page
+from cases.study.equations import energy_equation
+from cases.study.law import FULL, Law, full_routes, solved_routes
+from cases.study.levels import Level, density_of, errors
+from cases.study.page import Table, cell
+from cases.study.prices import NotTimed, Priced, crossovers, passage_routes, price_list
+from cases.study.simulation import full_reference
 from cases.written import duration
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
@@ -79,7 +79,7 @@ def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
 
 @pytest.mark.slow
 def test_a_simulation_of_another_system_is_not_timed(monkeypatch):
-    monkeypatch.setattr("cases.studies.simulation.REFERENCE_RELAXATIONS", 60.0)
+    monkeypatch.setattr("cases.study.simulation.REFERENCE_RELAXATIONS", 60.0)
     system = load_scene("fig6b").system
     stops = tuple(replace(s, clearance=0.8 * s.clearance) for s in system.contacts)
     reference = full_reference(replace(system, contacts=stops), seed=5)
@@ -108,7 +108,7 @@ def test_json_says_null_where_a_route_states_an_infinite_error(fpk, monkeypatch)
         routes=[Priced("r", "e", "axis", (endless,))],
         not_timed=[NotTimed("w", "e", "4", float("nan"), float("inf"), "no finite error")],
     )
-    monkeypatch.setattr("cases.studies.cost.study_cost", lambda *a, **k: found)
+    monkeypatch.setattr("cases.study.cost.study_cost", lambda *a, **k: found)
     status, out, _ = fpk("cost", "fig6b", "--json")
     record = json.loads(out)
     assert status == 0 and record["routes"][0]["points"][0]["stated"] is None
@@ -116,7 +116,7 @@ def test_json_says_null_where_a_route_states_an_infinite_error(fpk, monkeypatch)
 
 
 def test_both_studies_say_where_files_are_written_and_print_one_object(fpk, tmp_path, monkeypatch):
-    monkeypatch.setattr("cases.studies.cost.study_cost", lambda *a, **k: EMPTY)
+    monkeypatch.setattr("cases.study.cost.study_cost", lambda *a, **k: EMPTY)
     status, out, err = fpk("cost", "fig6b", "--out", tmp_path)
     assert status == 0 and out.count("wrote ") == 4 and not err
     status, out, err = fpk("cost", "fig6b", "--json", "--out", tmp_path)
@@ -266,8 +266,8 @@ def test_a_table_is_markdown_in_aligned_columns_without_repeats():
 
 def test_the_full_system_is_priced_where_it_is_solved(monkeypatch):
     """Two small solutions of weak contact; each tolerance is met by the answer that it gave."""
-    monkeypatch.setattr("cases.studies.law.TOLERANCES", (1e-1, 1e-2))
-    monkeypatch.setattr("cases.studies.levels.LONG", 0.0)  # no repeats: no time is looked at
+    monkeypatch.setattr("cases.study.law.TOLERANCES", (1e-1, 1e-2))
+    monkeypatch.setattr("cases.study.levels.LONG", 0.0)  # no repeats: no time is looked at
     (priced,), best = solved_routes(load_scene("fig8a").system)
     assert isinstance(priced, Priced) and priced.route == best.words == "phase-space"
     assert [p.promised for p in priced.points] == [1e-1, 1e-2]

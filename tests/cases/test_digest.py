@@ -1,10 +1,10 @@
 """Averaging rows once for each pair of theories, refusals with the same reason joined."""
 
-from cases.comparison.attempts import Refusal
-from cases.comparison.compare import Comparison
-from cases.comparison.routes import register_routes
-from cases.output.digest import comparison_rows, refusal_record
-from cases.output.text import refusals_of
+from cases.compare.attempts import Refusal
+from cases.compare.compare import Comparison
+from cases.compare.routes import register_routes
+from cases.show.digest import comparison_rows, refusal_record
+from cases.show.text import refusals_of
 from fpk.answer.method import ROUTES
 
 register_routes()

@@ -5,8 +5,8 @@ import json
 import pytest
 
 import fpk as face
-from cases.comparison.doubt import averaging_notes
-from cases.comparison.routes import method_for
+from cases.compare.doubt import averaging_notes
+from cases.compare.routes import method_for
 from cases.scene.scene import load_scene
 
 NOT_KNOWN = "averaging error not known here"

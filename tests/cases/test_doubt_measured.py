@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from averaging import Linear, NonIntegrable
-from cases.comparison.doubt import rms_ratios
+from cases.compare.doubt import rms_ratios
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact

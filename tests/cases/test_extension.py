@@ -12,12 +12,12 @@ import pytest
 import xarray as xr
 
 from averaging import Linear
-from cases.comparison.routes import all_methods, method_for
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.fields import write_netcdf
-from cases.output.report import write_report
+from cases.compare.routes import all_methods, method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.digest import digest_of
+from cases.show.fields import write_netcdf
+from cases.show.report import write_report
 from fpk.answer.method import ROUTES
 from fpk.answer.names import parse_observable
 from fpk.answer.question import QUESTIONS
@@ -84,7 +84,7 @@ def test_they_are_exported(scene_path, fpk, tmp_path, monkeypatch):
     def few(**settings):
         return [m for m in all_methods(**settings) if m.route.method in ("exact", TOY[0])]
 
-    monkeypatch.setattr("cases.comparison.routes.all_methods", few)
+    monkeypatch.setattr("cases.compare.routes.all_methods", few)
     assert fpk("export", scene_path, "--of", "p1", "--out", tmp_path / "a.csv")[0] == 0
     with (tmp_path / "a.csv").open() as stream:
         assert any(row["route"] == TOY[0] for row in csv.DictReader(stream))

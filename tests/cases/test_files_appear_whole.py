@@ -10,17 +10,17 @@ from functools import partial
 
 import pytest
 
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.fields import write_csv, write_netcdf
-from cases.output.files import LOCK, make_folder, output_folder, write_by, write_text
-from cases.output.pictures.svg import svg_text
-from cases.output.report import write_report
-from cases.output.vtk import write_pvd, write_vtu
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.studies.regime_map import build_map, map_page
+from cases.show.digest import digest_of
+from cases.show.fields import write_csv, write_netcdf
+from cases.show.files import LOCK, make_folder, output_folder, write_by, write_text
+from cases.show.pictures.svg import svg_text
+from cases.show.report import write_report
+from cases.show.vtk import write_pvd, write_vtu
+from cases.study.regime_map import build_map, map_page
 
 resource = pytest.importorskip("resource", reason="limits of a process are Unix's")
 
@@ -100,7 +100,7 @@ def test_a_failing_write_keeps_what_was_there(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from cases.output.files import write_by
+from cases.show.files import write_by
 
 def half(temporary):
     with temporary.open("w") as stream:
@@ -179,8 +179,8 @@ def test_a_folder_is_written_by_one_command_at_a_time(command, fpk, tmp_path, mo
     def worked(*_, **__):
         raise AssertionError("worked")
 
-    monkeypatch.setattr("cases.comparison.stationary.run_scene", worked)
-    monkeypatch.setattr("cases.studies.sweep.sweep.every_answer", worked)
+    monkeypatch.setattr("cases.compare.stationary.run_scene", worked)
+    monkeypatch.setattr("cases.study.sweep.sweep.every_answer", worked)
     with output_folder(tmp_path):
         status, out, err = fpk(*command, "--out", tmp_path)
     assert (status, out) == (2, "") and err.count("\n") == 1
@@ -191,7 +191,7 @@ def test_a_folder_is_written_by_one_command_at_a_time(command, fpk, tmp_path, mo
 def test_two_runs_at_once_leave_the_report_of_one(tmp_path):
     """Both in processes of their own: one is done, the other is refused."""
     call = ("run", "fig3a", "--method", "exact", "--of", "q2", "--out", str(tmp_path))
-    command = [sys.executable, "-c", "from cases.commands.cli import main; main()", *call]
+    command = [sys.executable, "-c", "from cases.command.cli import main; main()", *call]
     both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
     ends = [(process.communicate()[1], process.returncode) for process in both]
     assert sorted(status for _, status in ends) in ([0, 2], [0, 0])  # 0, 0: one after the other

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cases.commands.parts import with_plain_keys
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.fields import write_netcdf
+from cases.command.parts import with_plain_keys
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.digest import digest_of
+from cases.show.fields import write_netcdf
 
 VARIED = """
 [vary]

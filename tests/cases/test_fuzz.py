@@ -10,12 +10,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scenes_drawn import mutated_scenes, valid_scenes
 
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.facts import show_record
-from cases.output.text import rendered
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.errors import LONGEST, BadInput
 from cases.scene.scene import load_scene
+from cases.show.facts import show_record
+from cases.show.text import rendered
 
 REFUSAL = re.compile(r".*/any\.toml: \S.*[:;] .*\S")
 """File, what is wrong, and after a colon or semicolon what to do."""

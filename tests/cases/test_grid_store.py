@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from cases.output.claim import claimed
 from cases.scene.errors import BadInput
-from cases.studies.sweep.result import NAME, PointStore, SweepPoint, Value
+from cases.show.claim import claimed
+from cases.study.sweep.result import NAME, PointStore, SweepPoint, Value
 
 POINTS = [
     SweepPoint(
@@ -126,7 +126,7 @@ def test_a_folder_of_another_run_or_version_is_refused_and_stays(tmp_path, monke
             claimed(tmp_path, {**IDENTITY, key: "x"}),
         ):
             pass
-    monkeypatch.setattr("cases.output.claim.program_version", lambda: "another")
+    monkeypatch.setattr("cases.show.claim.program_version", lambda: "another")
     with pytest.raises(BadInput, match="version"), claimed(tmp_path, IDENTITY):
         pass
     assert (tmp_path / "run.json").read_bytes() == before

@@ -7,10 +7,10 @@ import pytest
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.method import UNASKED_TOL, UNASKED_WORK, PhaseSpace
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.facts import theories
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.digest import digest_of
+from cases.show.facts import theories
 from fpk.answer.method import Method
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact

@@ -27,7 +27,7 @@ def test_control_c_leaves_a_partial_result_and_exit_1(fpk, tmp_path):
     """Until then a second process on the same folder is refused."""
     command = ["density", *DENSITY, "--seconds", "400", "--checkpoint", str(tmp_path)]
     process = subprocess.Popen(
-        [sys.executable, "-c", "from cases.commands.cli import main; main()", *command],
+        [sys.executable, "-c", "from cases.command.cli import main; main()", *command],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     while process.poll() is None and not begun(tmp_path):

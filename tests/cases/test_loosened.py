@@ -4,7 +4,7 @@ from math import inf, nan
 
 import pytest
 
-from cases.comparison.attempts import LOOSEST, loosened
+from cases.compare.attempts import LOOSEST, loosened
 from fpk.answer.certificate import Measured, certify
 
 

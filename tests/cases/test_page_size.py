@@ -4,11 +4,11 @@ import re
 
 import pytest
 
-from cases.comparison.routes import all_methods, chosen_methods
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.report import write_report
+from cases.compare.routes import all_methods, chosen_methods
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.digest import digest_of
+from cases.show.report import write_report
 
 SOLVERS = "exact", "linear", "nonintegrable", "integrable"
 

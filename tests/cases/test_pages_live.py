@@ -8,21 +8,21 @@ import pytest
 from PIL import Image
 
 import fpk as face
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.live import live_record
-from cases.output.pictures.style import COLOURS, DARK
-from cases.output.report import write_report
-from cases.output.words import named
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
-from cases.studies.cost import CostStudy
-from cases.studies.cost_page import cost_page
-from cases.studies.levels import Level
-from cases.studies.picture import HALO, Curve, Field, Panel, live_plots, study_figure
-from cases.studies.prices import Priced
-from cases.studies.regime_map import build_map, map_page
-from cases.studies.sweep.sweep_page import sweep_page
+from cases.show.digest import digest_of
+from cases.show.live import live_record
+from cases.show.pictures.style import COLOURS, DARK
+from cases.show.report import write_report
+from cases.show.words import named
+from cases.study.cost import CostStudy
+from cases.study.cost_page import cost_page
+from cases.study.levels import Level
+from cases.study.picture import HALO, Curve, Field, Panel, live_plots, study_figure
+from cases.study.prices import Priced
+from cases.study.regime_map import build_map, map_page
+from cases.study.sweep.sweep_page import sweep_page
 
 QUESTIONS = """
 [[passage]]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import expi
 
-from cases.comparison.rare import passage_answer
+from cases.compare.rare import passage_answer
 from cases.scene.questions import PassageQuestion
 from fpk.answer.method import silent
 from fpk.answer.names import parse_limit, parse_start

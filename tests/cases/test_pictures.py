@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.pictures.svg import svg_text
-from cases.output.report import figures
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.pictures.svg import svg_text
+from cases.show.report import figures
 from fpk.answer.names import parse_observable
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from averaging.nonintegrable import NonIntegrable
 from averaging.theory import Exact
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.text import rendered, verdict_of
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.digest import digest_of
+from cases.show.text import rendered, verdict_of
 from fpk.answer.certificate import Measured
 from fpk.answer.density import certified_density
 from fpk.answer.method import Plan

@@ -13,12 +13,12 @@ from scipy import stats
 from scipy.integrate import quad
 
 import fpk as face
-from cases.comparison.answers import Answers
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.text import quantity_tables
+from cases.compare.answers import Answers
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.digest import digest_of
+from cases.show.text import quantity_tables
 from cases.written import concise, up, with_error
 from fpk.answer.density import Density
 from fpk.numeric.errors import InvalidInput, Unavailable
@@ -375,7 +375,7 @@ def test_an_error_is_never_shown_below_what_it_is():
 
 
 def test_a_page_rounds_no_error_to_the_nearest():
-    for template in (ROOT / "cases" / "output" / "templates").glob("*.*"):
+    for template in (ROOT / "cases" / "show" / "templates").glob("*.*"):
         nearest = re.findall(r"\b\w*(?:error|sampling|chance)\|num\b", template.read_text("utf-8"))
         assert not nearest, (template.name, nearest)
 

@@ -8,8 +8,8 @@ from scipy import stats
 
 import fpk as face
 from averaging.energy_process import compatibility
-from cases.comparison.quantity import QUANTILES
-from cases.comparison.routes import method_for
+from cases.compare.quantity import QUANTILES
+from cases.compare.routes import method_for
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cases.output.files import write_text
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.studies.regime_map import build_map, winner_of
-from cases.studies.sweep.grid import parse_axes
+from cases.show.files import write_text
+from cases.study.regime_map import build_map, winner_of
+from cases.study.sweep.grid import parse_axes
 
 GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--vary", "contact.clearance=0.5:2:2"]
 QUICK = ["--paths", 4096, "--time", 30, "--seed", 3]
@@ -85,7 +85,7 @@ def test_a_map_is_written_and_goes_on_where_it_was(fpk, tmp_path, monkeypatch):
     # Stopped in the middle, at any moment after the second point.
     (tmp_path / "points.jsonl").unlink()
     with monkeypatch.context() as context:
-        context.setattr("cases.studies.sweep.result.write_text", stopped_after(2))
+        context.setattr("cases.study.sweep.result.write_text", stopped_after(2))
         assert fpk("regime", "fig6a", *GRID, *QUICK, "--out", tmp_path, "--json")[0] == 130
     again = json.loads(fpk("regime", "fig6a", *GRID, *QUICK, "--out", tmp_path, "--json")[1])
     assert again["reused"] == 2

@@ -13,22 +13,22 @@ import pytest
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from cases.commands.parts import command_line
-from cases.comparison.rare import SPLITTING
-from cases.comparison.routes import method_for, register_routes
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.live import MARKS
-from cases.output.page import TEMPLATES
-from cases.output.pictures.chain import chain_svg
-from cases.output.pictures.lines import CURVE_MARKS, LINES
-from cases.output.pictures.style import COLOURS, DARK, STYLE
-from cases.output.pictures.svg import TOLERANCE, inline_svg, svg_text
-from cases.output.report import headline_of, measure_of, report_html
-from cases.output.text import claims_counted, rendered, theory_table
-from cases.output.words import CONSTANT_NOISE, named
+from cases.command.parts import command_line
+from cases.compare.rare import SPLITTING
+from cases.compare.routes import method_for, register_routes
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.scene.units import Units
+from cases.show.digest import digest_of
+from cases.show.live import MARKS
+from cases.show.page import TEMPLATES
+from cases.show.pictures.chain import chain_svg
+from cases.show.pictures.lines import CURVE_MARKS, LINES
+from cases.show.pictures.style import COLOURS, DARK, STYLE
+from cases.show.pictures.svg import TOLERANCE, inline_svg, svg_text
+from cases.show.report import headline_of, measure_of, report_html
+from cases.show.text import claims_counted, rendered, theory_table
+from cases.show.words import CONSTANT_NOISE, named
 from cases.written import bound, with_error
 from fpk import Contact, System
 from fpk.answer.method import ROUTES
@@ -422,8 +422,8 @@ def test_the_policy_allows_the_style_of_the_page_alone(outcome):
 
 @pytest.fixture(scope="module")
 def outcome(scene_text, tmp_path_factory):
-    from cases.comparison.routes import method_for  # noqa: PLC0415
-    from cases.comparison.stationary import run_scene  # noqa: PLC0415
+    from cases.compare.routes import method_for  # noqa: PLC0415
+    from cases.compare.stationary import run_scene  # noqa: PLC0415
     from cases.scene.scene import load_scene  # noqa: PLC0415
 
     path = tmp_path_factory.mktemp("scene") / "any.toml"
@@ -432,7 +432,7 @@ def outcome(scene_text, tmp_path_factory):
 
 
 def test_the_command_is_what_was_given():
-    from cases.commands.app import app  # noqa: PLC0415
+    from cases.command.app import app  # noqa: PLC0415
 
     words = ["fig6a", "--seed", "3", "--of", "q2", "--of", "H", "--no-simulation", "--quiet"]
     with app.commands["run"].make_context("fpk run", list(words)):

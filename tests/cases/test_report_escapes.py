@@ -7,14 +7,14 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.live import live_record
-from cases.output.page import PageStyle
-from cases.output.report import report_html, write_report
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
-from cases.studies.page import Page
+from cases.show.digest import digest_of
+from cases.show.live import live_record
+from cases.show.page import PageStyle
+from cases.show.report import report_html, write_report
+from cases.study.page import Page
 
 PAYLOADS = [
     "<script>document.title='pwned'</script>",

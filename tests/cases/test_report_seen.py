@@ -4,11 +4,11 @@ from itertools import product
 
 import pytest
 
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.report import write_report
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.digest import digest_of
+from cases.show.report import write_report
 
 TEXT = 9.0
 """Least height in pixels of letters in pictures as drawn."""

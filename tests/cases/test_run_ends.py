@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from averaging.nonintegrable import NonIntegrable
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of
-from cases.output.text import rendered
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.digest import digest_of
+from cases.show.text import rendered
 from fpk.answer.certificate import Measured
 from fpk.answer.density import certified_density
 from fpk.answer.method import Method, Plan
@@ -125,7 +125,7 @@ def test_the_fields_of_a_curve_are_saved_before_the_next_one(fpk, monkeypatch, t
         return solve(method, *arguments, **settings)
 
     monkeypatch.setattr(Method, "solve", dying)
-    monkeypatch.setattr("cases.comparison.routes.all_methods", lambda **settings: (EXACT,))
+    monkeypatch.setattr("cases.compare.routes.all_methods", lambda **settings: (EXACT,))
     fpk("run", "fig3a", "--out", tmp_path)
     with h5py.File(tmp_path / "result.nc") as file:
         assert len(calls) == 2 and np.all(np.isfinite(file["p_q2"][0, 0]))
@@ -133,7 +133,7 @@ def test_the_fields_of_a_curve_are_saved_before_the_next_one(fpk, monkeypatch, t
 
 def test_control_c_is_answered_and_leaves_what_there_is(fpk, monkeypatch, tmp_path):
     methods = EXACT, Interrupting()
-    monkeypatch.setattr("cases.comparison.routes.all_methods", lambda **settings: methods)
+    monkeypatch.setattr("cases.compare.routes.all_methods", lambda **settings: methods)
     status, out, err = fpk("run", "fig3a", "--out", tmp_path, "--json")
     assert status == 1 and err.startswith("fpk: stopped; what there is follows")
     assert [m["applies"] for m in json.loads(out)["methods"]] == [True, False]

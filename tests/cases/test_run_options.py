@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from cases.comparison.routes import chosen_methods, listed_routes
+from cases.compare.routes import chosen_methods, listed_routes
 from fpk.numeric.errors import InvalidInput
 
 QUICK = ("run", "fig3a", "--of", "q2", "--method", "exact", "--method", "nonintegrable/closed-form")

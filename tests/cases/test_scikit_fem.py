@@ -8,9 +8,9 @@ from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene, shipped_scenes
-from cases.studies.converge import ladders
-from cases.studies.equations import energy_equation, modal_equation
-from cases.studies.orders import NEAR, observed_orders
+from cases.study.converge import ladders
+from cases.study.equations import energy_equation, modal_equation
+from cases.study.orders import NEAR, observed_orders
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable, NotCertified

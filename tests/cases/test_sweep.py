@@ -19,14 +19,14 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.special import erfc
 
 import fpk as face
-from cases.comparison.quantity import parse_definition
+from cases.compare.quantity import parse_definition
 from cases.scene.errors import BadInput
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import load_scene
-from cases.studies.picture import study_figure
-from cases.studies.regime_map import build_map
-from cases.studies.sweep.grid import parse_axes
-from cases.studies.sweep.sweep_page import sweep_panels
+from cases.study.picture import study_figure
+from cases.study.regime_map import build_map
+from cases.study.sweep.grid import parse_axes
+from cases.study.sweep.sweep_page import sweep_panels
 from fpk.answer.quantities import Number
 
 FREE = face.System([1, 2], [1, 3], [0.1, 0.2], [[0.02, 0.01], [0.01, 0.04]])
@@ -222,7 +222,7 @@ def killed(source, path):
         os.kill(os.getpid(), signal.SIGKILL)
     replace(source, path)
 os.replace = killed
-from cases.commands.cli import main
+from cases.command.cli import main
 main()
 """
 """A run that is killed by the system in the moment in which its fourth point would be on disk."""

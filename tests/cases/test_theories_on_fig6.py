@@ -4,7 +4,7 @@ import pytest
 
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
-from cases.comparison.compare import distance_between
+from cases.compare.compare import distance_between
 from cases.scene.scene import load_scene
 from fpk.answer.names import parse_observable
 from sim.montecarlo import MonteCarlo

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from cases.output.records import passage_text
+from cases.show.records import passage_text
 from fpk.numeric.errors import NotApplicable
 from sim.montecarlo import MonteCarlo
 

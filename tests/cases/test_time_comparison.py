@@ -9,18 +9,18 @@ import h5netcdf
 import numpy as np
 import pytest
 
-from cases.comparison import answering, in_time
-from cases.comparison.answering import replies_of
-from cases.comparison.claims import time_findings
-from cases.comparison.in_time import Given, Replies
-from cases.comparison.routes import method_for, register_routes
-from cases.comparison.stationary import run_scene
-from cases.output.digest import digest_of, verify_row
-from cases.output.fields import write_netcdf
-from cases.output.report import write_report
-from cases.output.text import rendered
-from cases.output.vtk import write_time_pvd
+from cases.compare import answering, in_time
+from cases.compare.answering import replies_of
+from cases.compare.claims import time_findings
+from cases.compare.in_time import Given, Replies
+from cases.compare.routes import method_for, register_routes
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.digest import digest_of, verify_row
+from cases.show.fields import write_netcdf
+from cases.show.report import write_report
+from cases.show.text import rendered
+from cases.show.vtk import write_time_pvd
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Passage, Transient
 from fpk.answer.method import ROUTES, Method, silent

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.facts import modes_record, rms_record
-from cases.output.pictures.style import density_words, in_units, time_words, words_of
-from cases.output.report import figures
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.numbers import place_of
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.units import DERIVED, DIMENSIONS, Units
-from cases.studies.cost import CostStudy
-from cases.studies.cost_page import cost_page
-from cases.studies.law import FULL, Law
-from cases.studies.picture import study_figure
-from cases.studies.prices import Priced
-from cases.studies.sweep.sweep import sweep
-from cases.studies.sweep.sweep_page import sweep_page
+from cases.show.facts import modes_record, rms_record
+from cases.show.pictures.style import density_words, in_units, time_words, words_of
+from cases.show.report import figures
+from cases.study.cost import CostStudy
+from cases.study.cost_page import cost_page
+from cases.study.law import FULL, Law
+from cases.study.picture import study_figure
+from cases.study.prices import Priced
+from cases.study.sweep.sweep import sweep
+from cases.study.sweep.sweep_page import sweep_page
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput
 from fpk.system.contact import Contact

@@ -6,10 +6,10 @@ from typing import get_args
 
 import pytest
 
-import cases.comparison.routes
+import cases.compare.routes
 from averaging.nonintegrable import NonIntegrable
 from averaging.theory import Exact
-from cases.comparison.claims import Verdict
+from cases.compare.claims import Verdict
 from cases.scene.scene import shipped_scenes
 
 SCENES = ("fig3c", "sdof")
@@ -41,7 +41,7 @@ def test_the_gate_ends_with_one_table_and_fails_on_a_wrong_system(fpk, monkeypat
     def methods(**_):
         return (Exact(), TenPercentOff())
 
-    monkeypatch.setattr(cases.comparison.routes, "all_methods", methods)
+    monkeypatch.setattr(cases.compare.routes, "all_methods", methods)
     status, out, err = fpk("verify", "fig3a", "sdof")
     lines = out.splitlines()
     assert status == 1 and "differ by L1" in err and "FAIL" in lines[0]
@@ -50,7 +50,7 @@ def test_the_gate_ends_with_one_table_and_fails_on_a_wrong_system(fpk, monkeypat
 
 
 def test_a_scene_about_which_nothing_is_judged_does_not_pass(fpk, monkeypatch):
-    monkeypatch.setattr(cases.comparison.routes, "all_methods", lambda **_: (NonIntegrable(),))
+    monkeypatch.setattr(cases.compare.routes, "all_methods", lambda **_: (NonIntegrable(),))
     status, _, err = fpk("verify", "fig6a")
     assert status == 1 and "no comparison was judged" in err
 

@@ -8,10 +8,10 @@ import pytest
 
 from averaging.nonintegrable import NonIntegrable
 from averaging.theory import Exact
-from cases.comparison.routes import method_for
-from cases.comparison.stationary import run_scene
-from cases.output.vtk import write_vtu
+from cases.compare.routes import method_for
+from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.vtk import write_vtu
 from fpk.answer.certificate import Certificate
 from fpk.answer.density import Density
 from fpk.answer.names import parse_observable

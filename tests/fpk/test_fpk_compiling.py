@@ -170,7 +170,7 @@ class Begun(event.Listener):
 
 event.register("numba:compile", Begun())
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from cases.commands.cli import main
+from cases.command.cli import main
 main()
 """
 
@@ -207,7 +207,7 @@ def test_the_command_line_answers_with_damaged_caches(tmp_path):
 
     def answer():
         done = subprocess.run(
-            [sys.executable, "-c", "from cases.commands.cli import main; main()", *command],
+            [sys.executable, "-c", "from cases.command.cli import main; main()", *command],
             env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)},
             capture_output=True, text=True, check=False,
         )  # fmt: skip

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 
 from averaging import Integrable, NonIntegrable
 from averaging.phase_space.method import PhaseSpace
-from cases.comparison.routes import listed_routes
-from cases.studies.equations import energy_equation
+from cases.compare.routes import listed_routes
+from cases.study.equations import energy_equation
 from fpk.answer.names import REST, parse_limit, parse_observable, parse_start
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified

@@ -11,7 +11,7 @@ from hard_systems import with_stops
 from numpy.typing import NDArray
 
 from averaging.theory import Exact
-from cases.comparison.compare import compared
+from cases.compare.compare import compared
 from cases.scene.scene import load_scene
 from fpk.answer.density import Density
 from fpk.answer.names import parse_observable

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sim_systems import exact, fig6, linear
 
-from cases.comparison.routes import method_for
+from cases.compare.routes import method_for
 from fpk.answer.dynamics import Curve
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate

@@ -8,7 +8,7 @@ from numba import njit
 from sim_systems import fig6, linear
 from test_sim_passage import CIR_MEAN, CIR_RATE, oscillator
 
-from cases.comparison.averaged import AveragedSimulation
+from cases.compare.averaged import AveragedSimulation
 from fpk.answer.dynamics import Passage
 from fpk.answer.method import silent
 from fpk.answer.names import parse_limit, parse_start

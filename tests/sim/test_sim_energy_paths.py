@@ -8,9 +8,9 @@ import pytest
 from processes import process_of
 from scipy.stats import chi2, ncx2
 
-from cases.comparison.averaged import AveragedSimulation
-from cases.comparison.compare import chance_l1, compared
-from cases.comparison.routes import method_for
+from cases.compare.averaged import AveragedSimulation
+from cases.compare.compare import chance_l1, compared
+from cases.compare.routes import method_for
 from cases.scene.scene import load_scene
 from fpk.answer.certificate import Certificate
 from fpk.answer.density import Density, l1_distance

@@ -8,8 +8,8 @@ import pytest
 from sim_systems import fig6, linear
 from test_sim_passage import oscillator
 
-from cases.comparison.averaged import AveragedSimulation
-from cases.comparison.routes import method_for
+from cases.compare.averaged import AveragedSimulation
+from cases.compare.routes import method_for
 from fpk.answer.dynamics import Transient
 from fpk.answer.method import silent
 from fpk.answer.names import parse_observable, parse_start

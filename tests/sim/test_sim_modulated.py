@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from averaging.nonintegrable import NonIntegrable
-from cases.comparison.averaged import AveragedSimulation
+from cases.compare.averaged import AveragedSimulation
 from fpk.answer.method import silent
 from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.errors import NotApplicable

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 from sim_systems import exact, linear
 
-from cases.comparison.routes import method_for
+from cases.compare.routes import method_for
 from fpk.answer.dynamics import Curve
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate

@@ -11,7 +11,7 @@ from sim_systems import estimated
 
 from averaging.gaussian import Linear
 from averaging.phase_space.method import PhaseSpace
-from cases.comparison.averaged import AveragedSimulation
+from cases.compare.averaged import AveragedSimulation
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Passage
 from fpk.answer.method import silent

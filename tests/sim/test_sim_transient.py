@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 from sim_systems import exact, fig6, linear
 
-from cases.comparison.routes import method_for
+from cases.compare.routes import method_for
 from fpk.answer.dynamics import Transient
 from fpk.answer.method import silent
 from fpk.answer.names import parse_observable, parse_start

@@ -1,0 +1,148 @@
+"""Commands that give one answer by one method: their common options, output and exit status.
+
+These are ``fpk density``, ``transient``, ``passage``, ``crossings``, ``spectrum``, ``correlation``
+and ``relaxation``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from inspect import signature
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cases.command import completed, parts
+from cases.scene.errors import BadInput
+from fpk.answer.question import Question
+from fpk.numeric.errors import InvalidInput, NotApplicable
+
+if TYPE_CHECKING:
+    from cases.scene.scene import Scene
+    from cases.show.records import Record
+
+LIST = '"-1.5:1.5:0.1", "-1,0,0.3"'
+
+METHOD = click.option(
+    "--method", required=True, help="One that gives it; others are refused.",
+    shell_complete=completed.methods,
+)  # fmt: skip
+SOLVER = click.option(
+    "--solver", help="One of the solvers of the method.", shell_complete=completed.solvers
+)
+
+
+def observed(words: str) -> Any:
+    """Return the option ``--of`` that says in ``words`` what it takes."""
+    return click.option(
+        "--of", metavar="OBS", required=True, help=words, shell_complete=completed.observables
+    )
+
+
+AT = click.option("--at", metavar="LIST", required=True, help=f'{LIST}, a pair "A x B".')
+TOL = click.option("--tol", type=float, help="Relative error wanted; a solver adapts to meet it.")
+SIMULATED = (parts.seed, parts.seconds, parts.threads, parts.dt)
+MEMORY = click.option(
+    "--memory",
+    type=click.FloatRange(0.0, min_open=True),
+    help="GB that a solution of phase-space may need; 4 if left out.",
+)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The scene, the method and what the user set for it.
+
+    ``solver`` None: any of the method's. ``tol``: the tolerance of the answer, None for the
+    method's own. ``settings``: values of further fields of the method, as its seed, None where the
+    user gave none.
+    """
+
+    scene: "Scene"
+    method: str
+    solver: str | None
+    tol: float | None
+    settings: dict[str, Any]
+
+    def reply(
+        self,
+        question: Question,
+        about: str,
+        given: "Record",
+        work: Callable[..., Any],
+        text: Callable[["Record"], str],
+        **settings: Any,
+    ) -> None:
+        """Print the answer ``work(method, tol=, progress=)``; status 1 where it is not certified.
+
+        ``about`` names this answer in problems. ``given`` are the entries of the record that repeat
+        the ``question``, ``text`` the record in words. Of the solvers of the method the first that
+        answers is taken, unless one was asked for; ``settings`` are further ones of the method.
+
+        Raises ``BadInput`` for a method that does not answer the question or lacks one of the
+        settings, or with the first reason why it does not apply.
+        """
+        from cases.show.records import answer_record
+        from cases.show.words import named
+
+        method, answer, seconds = self._answer(question, work, {**self.settings, **settings})
+        record = answer_record(self.scene, method, given, answer, seconds, key=question.key)
+        failures = record["certificate"]["failures"]
+        problems = [f"{about} is not certified: {failure}" for failure in failures]
+        notes = [f"# {named(note)}" for note in record["averaging_notes"]]
+        parts.end(record, lambda: "\n".join([text(record), *notes]), problems=problems)
+
+    def _answer(
+        self, question: Question, work: Callable[..., Any], settings: dict[str, Any]
+    ) -> tuple[Any, Any, float]:
+        """The method that answers, its answer and the seconds that it took."""
+        from cases.compare.routes import listed_routes, methods_of, settings_of
+        from cases.show.bar import progress_bar
+
+        start, name, reasons = perf_counter(), self.method, []
+        try:
+            offered = methods_of(name, self.solver, **settings)
+            methods = [method for method in offered if hasattr(method, question.name)]
+            for setting, value in sorted(settings.items()) if methods else ():
+                known = {*settings_of(methods[0]), "partial", "tol"}
+                if value not in (None, False) and setting not in known:
+                    by = methods[0].route.solver
+                    remedy = f"is not an option of {name} by {by}; leave it out"
+                    raise InvalidInput(setting.replace("_", "-"), value, remedy)
+            for method in methods:
+                try:
+                    with progress_bar() as progress:
+                        answer = work(method, tol=self.tol, progress=progress)
+                    return method, answer, perf_counter() - start
+                except NotApplicable as reason:
+                    reasons.append(str(reason))
+        except InvalidInput as error:
+            option = error.key.removeprefix("--")
+            raise BadInput(f"--{option} {error.value}: {error.remedy}") from None
+        if reasons:
+            raise BadInput(f"{self.scene.name}: {name} does not apply: {reasons[0]}")
+        able = dict.fromkeys(r.method for r in listed_routes() if hasattr(r.make(), question.name))
+        raise BadInput(f"{name} gives no {question.words}; use one of {', '.join(able)}")
+
+
+def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:
+    """Make a command of ``work``, which takes an ``Asked`` and the ``options`` that it names.
+
+    All other options are settings of the method; scene, method, solver and ``--json`` are added.
+    """
+
+    def command_of(work: Callable[..., None]) -> click.Command:
+        own = signature(work).parameters
+
+        @wraps(work)
+        def command(scene: str, method: str, solver: str | None, **given: Any) -> None:
+            tol = given.pop("tol")
+            named = {key: given.pop(key) for key in list(given) if key in own}
+            work(Asked(parts.checked(scene, tol=tol), method, solver, tol, given), **named)
+
+        for option in reversed((parts.scene_name, METHOD, SOLVER, *options, parts.as_json)):
+            command = option(command)
+        return click.command()(command)
+
+    return command_of

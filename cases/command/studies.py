@@ -1,0 +1,292 @@
+"""Commands that run all routes of a scene, or study it.
+
+These are ``fpk converge``, ``cost``, ``regime``, ``sweep``, ``verify`` and ``export``.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import wraps
+from pathlib import Path
+from shutil import get_terminal_size
+from typing import TYPE_CHECKING, Any, get_args
+
+import click
+
+from cases.command import completed, parts
+from cases.scene.errors import BadInput
+
+if TYPE_CHECKING:
+    from cases.scene.scene import Scene
+    from cases.study.page import Page
+
+USUAL, COARSE, COARSE_PATHS = 38.0, 5.0, 4096
+"""Relaxation times sampled on a path: a quarter of what ``fpk run`` takes. Bands are from the
+sample itself, so that a shorter simulation judges less sharply, never wrongly."""
+WORK = 5e10
+"""Multiplications that a solution of the full equation may need: a second, and an error below what
+sampling leaves."""
+
+
+def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
+    """Make the command of a study; ``work`` takes the scene, a progress callback and its options.
+
+    Options that are not given are not passed on: the defaults of the work itself hold.
+    """
+
+    @click.command()
+    @parts.scene_name
+    @click.option(
+        "--out",
+        type=parts.FOLDER,
+        help="Folder: tables (.md), numbers (.nc), picture (.svg), .html.",
+    )
+    @parts.seed
+    @parts.as_json
+    @wraps(work)
+    def command(scene: str, out: Path | None, **settings: Any) -> None:
+        loaded = parts.checked(scene, tol=settings.get("tol"), out=out)
+        given = {key: value for key, value in settings.items() if value is not None}
+        from cases.show.bar import progress_bar
+        from cases.show.records import plain
+
+        with progress_bar() as progress:
+            result, page = work(loaded, progress=progress, **given)
+        from sim.montecarlo import MonteCarlo
+
+        seed = "" if "seed" in given else f" --seed {MonteCarlo.seed}"
+        written = [] if out is None else page.write(out, command=parts.command_line() + seed)
+        short, width = page.summary if written else "", get_terminal_size((0, 0)).columns
+        record = plain(result.record())
+        parts.end(record, lambda: short or page.shown(width), written, problems=result.problems)
+
+    return command
+
+
+@study
+@click.option("--route", help="nonintegrable, integrable or montecarlo; all if left out.")
+@click.option(
+    "--of", metavar="OBS", help="H or H1,H2: the equation of that density.",
+    shell_complete=completed.observables,
+)  # fmt: skip
+@click.option(
+    "--seconds", type=click.FloatRange(0.1), help="Processor time for the steps of each scheme."
+)
+@click.option(
+    "--solver", type=click.Choice(["fem", "scikit-fem"]), help="Elements on given meshes by this."
+)
+@parts.threads
+def converge(
+    scene: "Scene", route: str | None = None, of: str | None = None, **settings: Any
+) -> tuple[Any, "Page"]:
+    """Measure orders of convergence: in h, in p, in both, in the step and in samples."""
+    from cases.study.converge import chosen_routes, study_convergence
+    from cases.study.converge_page import convergence_page
+
+    result = study_convergence(scene, chosen_routes(route, of), **settings)
+    return result, convergence_page(result)
+
+
+@study
+@click.option(
+    "--simulate/--no-simulate", default=True, help="With the sampling routes, or without."
+)
+def cost(scene: "Scene", **settings: Any) -> tuple[Any, "Page"]:
+    """Time every route whose answer agrees with the reference, and price each digit.
+
+    Of the full system it says where a solution of its equation overtakes sampling.
+    """
+    from cases.study.cost import study_cost
+    from cases.study.cost_page import cost_page
+
+    result = study_cost(scene, **settings)
+    return result, cost_page(result)
+
+
+def over_grid(command: Any) -> Any:
+    """Add the options of a study over a grid of parameters."""
+    options = (
+        click.option(
+            "--vary", multiple=True, required=True, metavar="PATH=GRID",
+            help="Once or twice: contact[1].clearance, system.mass[2], ... = LOW:HIGH:[log]COUNT"
+            " or 0.1,0.2.",
+        ),
+        parts.threads,
+        click.option("--paths", type=int, help="Paths of the simulation."),
+        click.option("--time", type=float, help="Sampled time a path."),
+        parts.cluster,
+        click.option(
+            "--checkpoint", type=parts.FOLDER, help="Folder for finished points, if not --out."
+        ),
+        click.option(
+            "--reference",
+            type=click.Choice(["montecarlo", "phase-space"]),
+            help="What judges the theories where (6) has no exact density; default: montecarlo.",
+        ),
+    )  # fmt: skip
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def _over_grid(settings: dict[str, Any]) -> dict[str, Any]:
+    """The arguments of a study over a grid that ``settings``, of ``over_grid``, ask for."""
+    from cases.study.sweep.answering import SIMULATION
+
+    own = ("reference", "progress", "tol")
+    given: dict[str, Any] = {key: settings.pop(key) for key in own if key in settings}
+    folder = settings.pop("checkpoint", None) or click.get_current_context().params["out"]
+    parts.check_cluster(settings.get("cluster"))
+    return {**given, "folder": folder, "simulation": replace(SIMULATION, **settings)}
+
+
+@study
+@over_grid
+def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any, "Page"]:
+    """Map the distance of each theory to the full system over one or two parameters.
+
+    A map goes on from the finished points in its folder.
+    """
+    from cases.study.regime_map import build_map, map_page
+
+    result = build_map(scene, vary, **_over_grid(settings))
+    return result, map_page(result)
+
+
+@study
+@over_grid
+@click.option(
+    "--quantity", multiple=True, required=True, metavar="Q",
+    help="rms(q2), quantile(q2,0.99), correlation(q1,q2), mean_force(1), upcrossing_rate(1,left),"
+    " failure_rate(H=1.5), averaging_error(q2), ...",
+)  # fmt: skip
+@click.option(
+    "--method", multiple=True, metavar="METHOD[/SOLVER]", shell_complete=completed.methods,
+    help="One of several; left out, all that take milliseconds.",
+)  # fmt: skip
+@parts.tol
+def sweep(
+    scene: "Scene",
+    vary: tuple[str, ...],
+    quantity: tuple[str, ...],
+    method: tuple[str, ...],
+    **settings: Any,
+) -> tuple[Any, "Page"]:
+    """Compute quantities by several methods over one or two numbers of the scene.
+
+    A sweep goes on from the finished points in its folder.
+    """
+    from cases.study.sweep.sweep import sweep as sweep_system
+    from cases.study.sweep.sweep_page import sweep_page
+
+    result = sweep_system(scene, vary, quantity, methods=method, **_over_grid(settings))
+    return result, sweep_page(result, scene)
+
+
+@click.command()
+@click.argument("scenes", nargs=-1, metavar="[SCENE]...")
+@click.option("--coarse", is_flag=True, help="A quick look: a still shorter simulation.")
+@click.option(
+    "--solver", multiple=True, help="With this solver too, of those taken only where named."
+)
+@parts.seed
+@parts.threads
+@parts.as_json
+def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **settings: Any) -> None:
+    """Run scenes by every route and judge them: one line each, one final table.
+
+    SCENE: names or paths; all shipped scenes but the hard ones where none is given.
+    """
+    from cases.scene.scene import load_scene, shipped_scenes
+
+    shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
+    loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
+    from cases.compare.claims import Verdict
+    from cases.compare.routes import all_methods, listed_routes
+    from cases.show.digest import digest_of, verify_row
+    from cases.show.text import rendered
+
+    if coarse:
+        settings |= {"paths": COARSE_PATHS}
+    relaxations = COARSE if coarse else USUAL
+    if unknown := set(solver) - {route.solver for route in listed_routes()}:
+        raise BadInput(f"--solver {unknown.pop()}: is not a solver of any method")
+    methods = all_methods(named=solver, relaxations=relaxations, work=WORK, **settings)
+    width = max(len(scene.name) for scene in loaded)
+    rows = []
+    for scene in loaded:
+        rows.append(verify_row(digest_of(parts.outcome_of(scene, methods))))
+        if not click.get_current_context().meta["json"]:
+            click.echo(rendered("verify_line.txt", {"row": rows[-1], "width": width}))
+    verdicts = [claim["verdict"] for row in rows for claim in row["claims"]]
+    parts.end(
+        {
+            "scenes": rows,
+            "holds": all(row["holds"] for row in rows),
+            "claims": {word: verdicts.count(word) for word in get_args(Verdict)},
+            "seconds": sum(row["seconds"] for row in rows),
+        },
+        lambda: rendered("verify.txt", {"rows": rows}),
+        problems=[f"{row['scene']}: {problem}" for row in rows for problem in row["problems"]],
+    )
+
+
+ENDINGS = (".vtu", ".pvd", ".nc", ".csv")
+
+
+@click.command()
+@parts.scene_name
+@click.option(
+    "--out", type=parts.FOLDER, required=True, help="File to write: .vtu, .pvd, .nc or .csv."
+)
+@click.option(
+    "--of", metavar="OBS", help="This density instead of the scene's own.",
+    shell_complete=completed.observables,
+)  # fmt: skip
+@parts.tol
+@click.option("--simulate", is_flag=True, help="With the simulation of the full system.")
+@parts.seed
+@parts.seconds
+@parts.threads
+@parts.as_json
+def export(
+    scene: str, out: Path, of: str | None, tol: float | None, simulate: bool, **settings: Any
+) -> None:
+    """Write the densities of a scene by theory, of all its curves, to one file.
+
+    A .vtu holds one field of the scene's own system (the first pair observed, else the first
+    density), and beside it the stops as planes; a .pvd collects one .vtu for every curve, one for
+    every density.
+    """
+    loaded = parts.checked(scene, tol=tol)
+    from cases.show.files import make_folder
+
+    if out.suffix not in ENDINGS:
+        raise BadInput(f"--out {out}: the ending says the format; use {', '.join(ENDINGS)}")
+    if of is not None:
+        loaded = replace(loaded, observables=(parts.observable_of(of, loaded),))
+    make_folder(out.parent)  # one that cannot be written is refused before the work
+    if out.suffix == ".vtu":
+        first = next((o for o in loaded.observables if len(o) == 2), loaded.observables[0])
+        loaded = replace(loaded, observables=(first,), curves=loaded.curves[:1])
+    from cases.compare.routes import all_methods
+    from cases.show.fields import write_csv, write_netcdf
+    from cases.show.vtk import write_pvd, write_vtu
+
+    # Without all routes nothing can be claimed, and a density may be left out.
+    loaded = replace(loaded, expect=None, densities_asked=False)
+    methods = [
+        m
+        for m in all_methods(tol=tol, **settings)
+        if (simulate and m.route.method == "montecarlo")
+        or m.route.solves != "full"
+        or (m.route.quick and not m.route.sampled)
+    ]
+    outcome = parts.outcome_of(loaded, methods)
+    if not any(map(len, outcome.curves)):
+        reason = f"no stationary density: {outcome.curves[0].absence}"
+        raise BadInput(f"{loaded.name}: {[*outcome.problems, reason][0]}")
+    write = dict(zip(ENDINGS, (write_vtu, write_pvd, write_netcdf, write_csv), strict=True))
+    files = [str(path) for path in write[out.suffix](outcome, out)]
+    record = {"scene": loaded.name, "file": str(out), "files": files, "seconds": outcome.seconds}
+    words = "\n".join(f"wrote {file}" for file in files)
+    parts.end(record, lambda: words, problems=outcome.problems)

@@ -1,0 +1,204 @@
+"""Answers of methods to one question in time; windows of densities, splitting of rare failure."""
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from functools import cache
+from functools import partial as partial_of
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from cases.compare.attempts import Attempts, Budget
+from cases.compare.in_time import Given, Replies, failure_of
+from cases.compare.rare import SPLITTING, split_passage, splitting_of
+from cases.scene.questions import PassageQuestion, Question, TransientQuestion
+from fpk.answer.dynamics import Passage
+from fpk.answer.method import Method, Progress, silent
+from fpk.answer.question import QUESTIONS
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.system import System
+from sim.sample.settings import LEAST_PATHS
+
+LEAST_FAILURES = 400.0
+"""Least expected number of failures by the last time for which a plain simulation is run, 5 % of
+its default 8192 paths; of fewer the failure rate, by which the curve is continued, is not known."""
+
+WINDOW_POINTS = 129
+"""Points in the window of one time."""
+
+DECADES, MANY = (-8.0, 3.0), 4401
+"""Range of energies of the quick solution, in decades of the energy scale, and its points."""
+
+REACH = 12.0
+"""Largest displacement or momentum of the quick solution, in units of its scale."""
+
+WINDOW_SHARE = 1e-3
+"""Share of the largest density below which it lies outside the window of its time."""
+
+SCOUT = {"paths": LEAST_PATHS, "checkpoint": None, "partial": False}
+"""Settings of a simulation by which windows are chosen."""
+
+SCOUT_TOL = 1e-3
+"""Tolerance of a solver by which windows are chosen."""
+
+
+def replies_of(
+    system: System,
+    question: Question,
+    methods: Sequence[Method],
+    *,
+    progress: Progress = silent,
+    partial: bool = False,
+    relax: bool = False,
+    tol: float | None = None,
+    budget: Budget | None = None,
+) -> Replies:
+    """Return the answers of those of ``methods`` that are able to answer ``question``.
+
+    ``partial`` and ``relax`` as of ``answers_of``; ``tol`` is asked of the methods that solve, None
+    their own default; ``budget`` is the time of all simulations. Simulations follow their paths
+    until the last time. Splitting takes the place of the simulation of the full system where that
+    would see few failures, by an answer that came before, or is not certified.
+    """
+    attempts, names, budget = Attempts(partial, relax), (question.name,), budget or Budget()
+    kind = QUESTIONS["passage" if isinstance(question, PassageQuestion) else "transient"]
+    able: list[Any] = [method for method in methods if hasattr(method, kind.name)]
+    # Splitting, or the choice of the window, may come beside them.
+    budget.begin(1 + sum(method.route.sampled for method in able))
+    given: list[Given] = []
+
+    @cache
+    def window() -> tuple[Array | None, tuple[Any, ...]]:
+        if isinstance(question, TransientQuestion) and able:
+            return window_of(system, question, able, budget)
+        return None, ()
+
+    def ask(route: Any, work: Any) -> bool:
+        def timed() -> Given:
+            points, _ = window()
+            start = perf_counter()
+            return Given(route, work(points), perf_counter() - start)
+
+        answer = attempts.answer_of(route, names, timed, failures=(NotCertified, InvalidInput))
+        given.extend([answer] if answer else [])
+        return answer is not None
+
+    def answered(points: Array | None, method: Any) -> Any:
+        bounds: dict[str, Any] = {"checkpoint": None, "partial": False}
+        if isinstance(question, PassageQuestion) and question.times:
+            bounds["time"] = question.times[-1]
+        known = {f.name for f in fields(method)}
+        bounded = replace(method, **{k: v for k, v in bounds.items() if k in known})
+        start, times = question.start, np.array(question.times)
+
+        def at_tolerance(tol: float | None) -> Any:
+            how: Any = {"tol": tol, "progress": progress}
+            if isinstance(question, PassageQuestion):
+                return bounded.passage(system, question.limit, start, times, **how)
+            return bounded.transient(system, question.of, start, times, (points,), **how)
+
+        if not relax:
+            return at_tolerance(None if method.route.sampled else tol)
+        label = f"{question.name}: {method.route.label}"
+        return attempts.at_default(label, at_tolerance, lambda answer: [answer.certificate])
+
+    for method in able:
+        if reason := _too_rare(question, method, given):
+            attempts.refuse(method.route, names, reason)
+            continue
+        ask(method.route, lambda points, m=method: budget.spend(m, partial_of(answered, points)))
+    if isinstance(question, PassageQuestion) and not attempts.interrupted:
+        # Splitting, which knows constant noise only, answers in the place of the simulation of the
+        # full system where no certified answer for it is known.
+        known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
+        asked = question.times and system.modulation is None and not known
+        plain = next((m for m in able if m.route.solves == "full" and m.route.sampled), None)
+
+        def split(_: Any) -> Passage:
+            def work(own: Any) -> Passage:
+                settings, later = splitting_of(own), sum(t > 0.0 for t in question.times)
+                if budget.seconds is not None:
+                    settings = replace(settings, seconds=settings.seconds / max(1, later))
+                return split_passage(system, question, settings, progress=progress)
+
+            answer: Passage = budget.spend(plain, work)
+            return answer
+
+        if plain and asked and ask(SPLITTING, split):
+            replaced = [g for g in given if g.route == plain.route]
+            given = [g for g in given if g not in replaced]
+            for words in (w for g in replaced for w in g.answer.certificate.failures):
+                attempts.refuse(plain.route, names, words)
+    points, windows = window() if given else (None, ())
+    ends = attempts.interrupted, tuple(attempts.notes)
+    return Replies(question, tuple(given), tuple(attempts.refused), points, windows, *ends)
+
+
+def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | None:
+    """Why a simulation of so many paths would see too few failures, by the answers there are."""
+    if not (method.route.sampled and isinstance(question, PassageQuestion) and question.times):
+        return None
+    known = [
+        (float(failure_of(g.answer)[0][-1]), g.route.label)
+        for g in given
+        if isinstance(g.answer, Passage) and g.answer.certificate.certified
+    ]
+    if not known or method.paths * max(known)[0] >= LEAST_FAILURES:
+        return None
+    probability, label = max(known)
+    return (
+        f"too rare for plain simulation: {label} expects {method.paths * probability:.2g} failures"
+        f" of {method.paths} paths by t = {question.times[-1]:g}"
+    )
+
+
+def window_of(
+    system: System, question: TransientQuestion, methods: Sequence[Any], budget: Budget
+) -> tuple[Array, tuple[Any, ...]]:
+    """Return ascending points, and of each time the indices of the ``WINDOW_POINTS`` in its window.
+
+    By the first of ``methods`` that answers, within the ``budget``; none at all where none does.
+    """
+    at = _wide(system, question)
+    for method in methods:
+        known = {f.name for f in fields(method)}
+        quick = replace(method, **{k: v for k, v in SCOUT.items() if k in known})
+        asked = system, question.of, question.start, np.array(question.times), (at,)
+        try:
+            work = partial_of(_transient, asked, None if method.route.sampled else SCOUT_TOL)
+            answer = budget.spend(quick, work)
+            grids = []
+            for density in answer.values:
+                inside = np.flatnonzero(density > WINDOW_SHARE * density.max())
+                if not inside.size:
+                    raise NotCertified("no density is seen at any energy or displacement")
+                low, high = max(inside[0] - 1, 0), min(inside[-1] + 1, at.size - 1)
+                grids.append(np.linspace(at[low], at[high], WINDOW_POINTS))
+        except (NotApplicable, NotCertified, InvalidInput):
+            continue  # its reason is that of its answer, which is asked for later
+        points = np.unique(np.concatenate(grids))
+        return points, tuple(np.searchsorted(points, grid) for grid in grids)
+    return at, ()
+
+
+def _transient(asked: Any, tol: float | None, method: Any) -> Any:
+    return method.transient(*asked, tol=tol, progress=silent)
+
+
+def _wide(system: System, question: TransientQuestion) -> Array:
+    """Points up to the largest scale of the coordinate, that of the noise or that of the start."""
+    (coordinate,) = question.of
+    damping, noise = np.diag(system.damping), np.diag(system.noise_matrix)
+    warm = noise.sum() / damping.sum() if damping.sum() > 0.0 else noise.sum()
+    values = question.start.values
+    energy = float(max(warm, 1e-300) * max(1.0, values.get("noise", 1.0)))
+    energy = max([energy, *(v for k, v in values.items() if k.startswith("H"))])
+    if question.start.kind == "state":
+        energy = max(energy, float(system.hamiltonian(*question.start.state(system.n))))
+    if coordinate.kind == "H":
+        return np.concatenate([[0.0], energy * np.logspace(*DECADES, MANY)])
+    row = coordinate.row
+    unit = system.mass[row] if coordinate.kind == "p" else system.compliance[row, row]
+    return np.linspace(-REACH, REACH, MANY) * float(np.sqrt(2.0 * energy * unit))

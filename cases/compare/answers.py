@@ -1,0 +1,220 @@
+"""The answers for one system by several methods, and what is wrong with them."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from cases.compare.attempts import Refusal
+from cases.compare.compare import Comparison, compared, discrepancies
+from cases.compare.doubt import averaging_notes, incompatibility
+from cases.compare.in_time import Replies
+from cases.compare.quantities import (
+    Quantity,
+    compared_quantities,
+    quantities_of,
+    quantity_discrepancies,
+)
+from fpk.answer.density import AnyDensity
+from fpk.answer.method import Result, Route
+from fpk.answer.names import Level, Observable, observable_name, parse_observable
+from fpk.system.system import System
+from sim.montecarlo import MonteCarlo
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+    from xarray import Dataset
+
+
+@dataclass(frozen=True, repr=False)
+class Answers(Mapping[Any, AnyDensity]):
+    """Densities by observable and method: ``answers["q2", "exact"]``, as names or labels.
+
+    ``answers["q2"]`` will do where one method alone gives q2; ``answers.of("q2")`` returns all by
+    method. ``results`` has what each method returned, ``refused`` who gives not all that was asked
+    for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``; ``notes`` say in words what
+    was done that nobody asked for, ``interrupted`` whether Ctrl-C ended the work. ``passages`` and
+    ``transients`` are what was said to the scene's questions about motion in time. ``exceedance``
+    has the levels a whose P(X > a) is among the quantities. The stationary densities of ``asked``,
+    where the system has any, must be given by some route. ::
+
+        answers = fpk.solve(fpk.load("fig3a").system, ["q2"])
+        answers["q2", "exact"], answers.of("q2"), answers.refusals, answers.problems
+        answers.quantities, answers.quantity_comparisons, answers.comparisons
+    """
+
+    system: System
+    results: tuple[Result, ...]
+    refused: tuple[Refusal, ...] = ()
+    label: str = ""
+    value: float | None = None
+    notes: tuple[str, ...] = ()
+    interrupted: bool = False
+    passages: tuple[Replies, ...] = ()
+    transients: tuple[Replies, ...] = ()
+    exceedance: tuple[Level, ...] = ()
+    asked: tuple[Observable, ...] = ()
+
+    @property
+    def in_time(self) -> tuple[Replies, ...]:
+        """The replies to all questions about motion in time."""
+        return self.passages + self.transients
+
+    @property
+    def refusals(self) -> dict[str, str]:
+        """By the label of a method, why it gives not all that was asked for."""
+        return {refusal.route.label: refusal.reason for refusal in self.refused}
+
+    @cached_property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """Distances of all pairs of densities of one observable, judged where that is possible."""
+        return compared(self.results, averaging_is_exact=incompatibility(self.system) is None)
+
+    @cached_property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Moments, quantiles and what stops feel, each by every route that gives its density."""
+        return quantities_of(self.system, self.results, self.exceedance)
+
+    @cached_property
+    def quantity_comparisons(self) -> tuple[Comparison, ...]:
+        """Differences of all pairs of routes in one quantity, judged where that is possible."""
+        exact = incompatibility(self.system) is None
+        return compared_quantities(self.results, self.quantities, averaging_is_exact=exact)
+
+    def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
+        """Return the densities of one observable by route: first deterministic ones, then sampled.
+
+        In both, those of the full system precede those of averaged equations.
+        """
+        all_of = [(r.method.route, d) for r in self.results for d in r.densities]
+        pairs = [(route, d) for route, d in all_of if d.observable == observable]
+        return dict(sorted(pairs, key=lambda pair: (pair[0].sampled, pair[0].solves != "full")))
+
+    def of(self, observable: str) -> dict[str, AnyDensity]:
+        """Return the densities of ``observable`` by the label of the method, empty where none."""
+        densities = self.densities(parse_observable(observable, self.system.n))
+        return {route.label: density for route, density in densities.items()}
+
+    def __getitem__(self, key: str | tuple[str, str]) -> AnyDensity:
+        """Return one density; raise ``KeyError`` with what there is where it is not one."""
+        observable, method = (key, None) if isinstance(key, str) else key
+        densities = self.of(observable)
+        if method is None and len(densities) == 1:
+            return next(iter(densities.values()))
+        if method in densities:
+            return densities[method]
+        if not densities:
+            there = ", ".join(dict.fromkeys(name for name, _ in self))
+            raise KeyError(f"no density of {observable}; there are densities of {there}")
+        labels = ", ".join(densities)
+        raise KeyError(f"say by which method, as in answers[{observable!r}, ...]: {labels}")
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        """Iterate over the pairs (observable, method)."""
+        return ((d.name, r.method.route.label) for r in self.results for d in r.densities)
+
+    def __len__(self) -> int:
+        """Return the number of densities."""
+        return sum(len(result.densities) for result in self.results)
+
+    def __repr__(self) -> str:
+        """Return the pairs in one line."""
+        return f"Answers({', '.join(f'{o} by {m}' for o, m in self)})"
+
+    def summary(self) -> "DataFrame":
+        """Return the quantities as a data frame: rows by observable and quantity.
+
+        Columns by route, each with ``value``, ``error`` and ``error_kind``: ``numerical``, or
+        ``sampling`` for one standard error. Needs pandas; raises ``Unavailable`` without. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).summary()
+        """
+        frame: DataFrame = presented().summary_frame(self)
+        return frame
+
+    def to_xarray(self) -> "Dataset":
+        """Return the densities and their errors on common grids, as in the file of a run.
+
+        ``p_q2`` (route_q2, q2) is the density, ``error_q2`` its error, of the kind that
+        ``error_kind_q2`` says. Needs xarray; raises ``Unavailable`` without. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).to_xarray()["p_q2"]
+        """
+        data: Dataset = presented().dataset(self)
+        return data
+
+    def plot(self, observable: str, *, log: bool = False) -> "Figure":
+        """Return a figure of pyplot with the densities of ``observable`` by every route drawn.
+
+        Of a pair as contours. ``log``: on a logarithmic axis, down to 1e-6 of the largest, contours
+        to 1e-3. Raises ``InvalidInput`` for an observable that there is not. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).plot("q2", log=True)
+        """
+        wanted = parse_observable(observable, self.system.n)
+        figure: Figure = presented().plot(self, wanted, log=log)
+        return figure
+
+    def _repr_html_(self) -> str:
+        """Return the quantities as tables, for a notebook."""
+        return str(presented().html_tables(self))
+
+    def neglects(self, route: Route) -> bool:
+        """Whether the answer of ``route`` leaves out an effect of the system."""
+        return any(r.neglected for r in self.results if r.method.route == route)
+
+    def is_exact(self, route: Route) -> bool:
+        """Whether ``route`` gives the exact density: by itself, or as condition (8) holds."""
+        exact = incompatibility(self.system) is None and not self.neglects(route)
+        return exact or route.solves == "full"
+
+    @cached_property
+    def averaging_notes(self) -> tuple[str, ...]:
+        """Notes on averaged answers without an answer of the full system: is their error known?"""
+        of = dict.fromkeys(d.observable for d in self.values())
+        densities = [(observable_name(o), self.densities(o), False) for o in of]
+        in_time = [(r.question.name, [g.route for g in r.given], True) for r in self.in_time]
+        return averaging_notes(self.system, [*densities, *in_time])
+
+    @property
+    def answered(self) -> bool:
+        """Whether any route gave a density, or the answer to a question about motion in time."""
+        return bool(self.results) or any(replies.given for replies in self.in_time)
+
+    @property
+    def absence(self) -> str | None:
+        """Why the system has no stationary density, None where it has or a route gave one."""
+        return None if self.results else MonteCarlo().refusal(self.system, ())
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Every check that does not hold, in words; empty when all do."""
+        problems = list(discrepancies(self.comparisons))
+        problems += quantity_discrepancies(self.quantity_comparisons, self.comparisons)
+        problems += [
+            f"{d.name}: {r.method.route.label} is not certified: {failure}"
+            for r in self.results
+            for d in r.densities
+            for failure in d.certificate.failures
+        ]
+        problems += [f"{r.route.label} failed: {r.reason}" for r in self.refused if r.failed]
+        problems += [problem for replies in self.in_time for problem in replies.problems]
+        absence = self.absence
+        if not self.refused and not self.results:
+            problems.append("not run: the program was interrupted")
+        elif not self.answered and not problems:
+            reasons = dict.fromkeys([absence] if absence else [r.reason for r in self.refused])
+            problems.append(f"no route applies: {'; '.join(reasons)}")
+        elif self.answered and not (self.interrupted or absence):
+            failed = {name for r in self.refused if r.failed for name in r.observables}
+            names = {observable_name(o) for o in self.asked if not self.densities(o)} - failed
+            words = "no route gives its stationary density; --details says why"
+            problems += [f"{name}: {words}" for name in sorted(names)]
+        return tuple(f"{self.label}: {p}" if self.label else p for p in problems)
+
+
+def presented() -> Any:
+    """Return the module that shows answers, which is above this one and heavy: loaded late."""
+    return import_module("cases.show.presented")

@@ -1,0 +1,228 @@
+"""Claims held against numbers: findings about a source, never failures of the program."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from scipy.special import ndtr
+
+from cases.compare.answers import Answers
+from cases.compare.compare import distance_between
+from cases.compare.doubt import ACCEPTABLE_L1
+from cases.scene.expect import RELATIONS, Expect
+from cases.scene.questions import PassageQuestion
+from cases.written import with_error
+from fpk.answer.contacts import stop_clearances
+from fpk.answer.density import AnyDensity, distance_with_error
+from fpk.answer.names import Observable, observable_name
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.arrays import Array
+
+Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
+
+OPPOSITE: dict[Verdict, Verdict] = {"holds": "does not hold", "does not hold": "holds"}
+"""Verdict on a claim by that on its opposite; an open one stays as it is."""
+
+ALMOST_L1 = 0.05
+"""L1 distance to the fitted Gaussian up to which a density is called almost Gaussian: no
+probability is wrong by more than 2.5 %, about what the width of a printed line hides."""
+
+ALMOST_KURTOSIS = 0.3
+"""Excess kurtosis up to which a density is called almost Gaussian: its fourth moment is a tenth off
+the Gaussian's 3. It must meet ``ALMOST_L1``, too; beyond one of them it is non-Gaussian."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One claim on one curve (or between two): what was measured and whether the claim holds."""
+
+    claim: str
+    curve: str
+    measured: str
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How far a density is from the Gaussian of its own mean and variance; errors are bounds."""
+
+    l1: float
+    l1_error: float
+    kurtosis: float
+    kurtosis_error: float
+
+    @property
+    def almost_gaussian(self) -> bool | None:
+        """Whether both measures are small; None where their errors leave it open."""
+        near = {
+            _below(self.l1, ALMOST_L1, self.l1_error),
+            _below(abs(self.kurtosis), ALMOST_KURTOSIS, self.kurtosis_error),
+        }
+        return False if False in near else None if None in near else True
+
+
+def findings(expect: Expect | None, curves: Sequence[Answers]) -> Iterator[Finding]:
+    """Yield what became of every claim on every curve that it is about."""
+    if expect is None:
+        return
+    symbol = curves[0].label.partition(" =")[0]
+    for wanted, values, words in (
+        (False, expect.non_gaussian, "non-Gaussian"),
+        (True, expect.almost_gaussian, "almost Gaussian"),
+    ):
+        if values is not None:
+            sign, holds = RELATIONS[values.relation]
+            claim = f"{observable_name(expect.of)} {words} for {symbol} {sign} {values.limit:g}"
+            for curve in curves:
+                if curve.value is not None and holds(curve.value, values.limit):
+                    yield _gaussian(claim, curve, expect.of, wanted=wanted)
+    if (direction := expect.nonintegrable_better_with) is not None:
+        # Neighbours along the varied number, the better one last.
+        claim = f"nonintegrable better with {direction} {symbol}"
+        ordered = sorted(curves, key=lambda c: c.value or 0.0, reverse=direction == "smaller")
+        for worse, better in pairwise(ordered):
+            pair = [_distance(c, expect.of, "nonintegrable") for c in (better, worse)]
+            yield _nearer(claim, f"{worse.label} to {better.label}", *pair)
+    for curve in curves:
+        yield from _theories(expect, curve)
+
+
+def shape_of(density: AnyDensity) -> Shape:
+    """Return excess kurtosis and L1 distance to the Gaussian of the same mean and variance."""
+    kurtosis = density.kurtosis()
+    distance, error = _to_gaussian(density, density.mean().value, density.std().value)
+    excess = kurtosis.value - 3.0
+    if isinstance(density, SampledDensity):
+        chance = float(np.sum(density.standard_error * np.diff(density.edges[0])))
+        return Shape(distance, chance, excess, 3.0 * kurtosis.error)
+    return Shape(distance, 2.0 * density.l1_error + error, excess, kurtosis.error)
+
+
+def _reference(curve: Answers, of: Observable) -> AnyDensity | None:
+    """The answer for the full system that is known best, a certified one where there is one."""
+    full = (d for route, d in curve.densities(of).items() if route.solves == "full")
+    return min(full, key=lambda d: (not d.certificate.certified, d.l1_error), default=None)
+
+
+def _gaussian(claim: str, curve: Answers, of: Observable, *, wanted: bool) -> Finding:
+    density = _reference(curve, of)
+    if density is None:
+        return Finding(claim, curve.label, "no answer for the full system", "not checked")
+    shape = shape_of(density)
+    measured = f"L1 to the fitted Gaussian {shape.l1:.3f}, excess kurtosis {shape.kurtosis:+.3f}"
+    almost = shape.almost_gaussian
+    holds = None if almost is None else almost == wanted
+    return Finding(claim, curve.label, measured, _verdict(holds))
+
+
+def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
+    """The claims about the theories of one curve."""
+    distance = partial(_distance, curve, expect.of)
+    if expect.better is not None:
+        claim = "{} better than {}".format(*expect.better)
+        yield _nearer(claim, curve.label, *map(distance, expect.better))
+    if (rule := expect.clearance_rule) is not None:
+        stops = curve.system.fact(stop_clearances)
+        ratios = [stop.ratio for stop in stops if stop.ratio is not None]
+        claim = f"integrable acceptable for clearance > {rule:g} rms"
+        if len(ratios) < max(len(stops), 1):
+            yield Finding(claim, curve.label, "the rms is not known", "not checked")
+        else:
+            ratio, limit = min(ratios), (ACCEPTABLE_L1, 0.0)
+            found = _nearer(claim, curve.label, distance("integrable"), limit)
+            found = replace(found, measured=f"clearance {ratio:.3g} rms, {found.measured}")
+            if ratio <= rule:  # of which the rule itself says nothing
+                claim = f"converse of the rule: not acceptable for clearance ≤ {rule:g} rms"
+                opposite = OPPOSITE.get(found.verdict, found.verdict)
+                found = replace(found, claim=claim, verdict=opposite)
+            yield found
+    for name in expect.acceptable:
+        claim = f"{name} acceptable"
+        yield _nearer(claim, curve.label, distance(name), (ACCEPTABLE_L1, 0.0))
+
+
+def _nearer(
+    claim: str, where: str, near: tuple[float, float] | None, far: tuple[float, float] | None
+) -> Finding:
+    """Whether ``near`` is the smaller of two distances to the full system, with their errors."""
+    if near is None or far is None:
+        return Finding(claim, where, "no answer to compare with", "not checked")
+    measured = f"L1 {with_error(*near)} against {with_error(*far)}"
+    return Finding(claim, where, measured, _verdict(_below(near[0], far[0], near[1] + far[1])))
+
+
+def _distance(curve: Answers, of: Observable, name: str) -> tuple[float, float] | None:
+    """L1 distance of an averaged method's first deterministic answer to the full system.
+
+    With how far chance and the solvers may have moved it; None where there is none.
+    """
+    own = (d for r, d in curve.densities(of).items() if r.method == name and not r.sampled)
+    theory, reference = next(own, None), _reference(curve, of)
+    if theory is None or reference is None:
+        return None
+    return distance_between(theory, reference)[:2]
+
+
+def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
+    """Yield what became of every claim of a [[passage]] on every curve."""
+    for curve in curves:
+        for replies in curve.passages:
+            question = replies.question
+            assert isinstance(question, PassageQuestion)
+            for words, limits in (
+                ("failure rate", question.rate_error),
+                ("P(T ≤ ", question.failure_error),
+            ):
+                if limits is None:
+                    continue
+                sign, holds = RELATIONS[limits.relation]
+                what = "P(T ≤ t)" if words.startswith("P") else words
+                claim = (
+                    f"{question.name}: averaging error of the {what} by the {question.theory}"
+                    f" theory {sign} {limits.limit:g}"
+                )
+                # Distances of the theory's equation, solved, to the full system.
+                of, wanted = f"{question.name}: {words}", ("averaging", "relative", question.theory)
+                own = [
+                    c
+                    for c in replies.comparisons
+                    if (c.measures, c.norm, c.a.method) == wanted and c.observable.startswith(of)
+                ]
+                if not own:
+                    yield Finding(claim, curve.label, "no answer to compare with", "not checked")
+                    continue
+                c = min(own, key=lambda c: c.error)
+                measured = f"relative {with_error(c.L1, c.error)}, {c.a.label} against {c.b.label}"
+                undecided = abs(c.L1 - limits.limit) <= 2.0 * c.error
+                verdict = _verdict(None if undecided else holds(c.L1, limits.limit))
+                yield Finding(claim, curve.label, measured, verdict)
+
+
+def _below(value: float, limit: float, slack: float) -> bool | None:
+    """Whether value < limit; None where the difference does not exceed what both may be off."""
+    return None if abs(value - limit) <= slack else value < limit
+
+
+def _verdict(holds: bool | None) -> Verdict:
+    return "undecided" if holds is None else "holds" if holds else "does not hold"
+
+
+def _to_gaussian(density: AnyDensity, mean: float, scale: float) -> tuple[float, float]:
+    """L1 distance to the Gaussian, its mass outside the support included, and its error.
+
+    Of a sample, counted by bins, the integral has no error.
+    """
+    (nodes,) = density.panels
+    shares = np.diff(ndtr((nodes - mean) / scale))
+    if isinstance(density, SampledDensity):
+        shares -= density.values * np.diff(nodes)
+        return float(np.sum(np.abs(shares)) + abs(np.sum(shares))), 0.0  # outside: one more bin
+
+    def gaussian(x: Array) -> Array:
+        return np.asarray(np.exp(-0.5 * ((x - mean) / scale) ** 2) / (np.sqrt(2.0 * np.pi) * scale))
+
+    distance, error = distance_with_error(density, replace(density, pdf=gaussian))
+    return distance + 1.0 - float(np.sum(shares)), error

@@ -1,0 +1,238 @@
+"""Answers about motion after a start by every route that gives them, and what separates them.
+
+The three errors are those of ``compare``. An averaged equation is never exact in time, whatever
+its stationary density: what is left between it and the full system is its averaging error. A band
+holds what the answers state: errors of solvers as they are, standard errors by the chance of a
+false alarm.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from math import inf
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+
+from cases.compare.attempts import Refusal
+from cases.compare.compare import (
+    ROUND_OFF,
+    Comparison,
+    Norm,
+    discrepancies,
+    what_is_measured,
+)
+from cases.scene.questions import Question
+from fpk.answer.dynamics import LARGEST_ERROR, Passage, Transient
+from fpk.answer.method import Route
+from fpk.numeric.arrays import Array
+from sim.sample.diagnostics import FALSE_ALARMS
+
+BATCHES = 32
+"""Least number of independent batches from which a sample's standard error is estimated."""
+
+INDEPENDENT = 6
+"""Least number of independent coefficients of the sampled density in a window: the fits to an axis
+have two times nine of them, and a window is at least a third of the axis."""
+
+MOST_ERROR = 0.3
+"""Relative error above which a number is not compared."""
+
+Distance = tuple[str, Norm, float, float, float]
+"""Name of the number or density, norm, distance, error of the distance, and its band."""
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """The answer of a route to a question and the seconds that it took."""
+
+    route: Route
+    answer: Passage | Transient
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Replies:
+    """The answers of all routes to one question, and the routes that give none.
+
+    Of a transient, ``points`` (points,) are those of all its densities, ascending, and ``windows``
+    holds for each time the indices of the points at which its density is compared and drawn; no
+    windows where no route says where the density is large. ``notes`` say in words which default
+    tolerances were missed.
+    """
+
+    question: Question
+    given: tuple[Given, ...] = ()
+    refused: tuple[Refusal, ...] = ()
+    points: Array | None = None
+    windows: tuple[Any, ...] = ()
+    interrupted: bool = False
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """The distances of all pairs of routes, but for pairs of two different theories."""
+        rows: list[Comparison] = []
+        solved = {g.route.method for g in self.given if not g.route.sampled}
+        for a, b in combinations(self.given, 2):
+            kind = what_is_measured(a.route, b.route, averaging_is_exact=False)
+            if kind == "averaging" and "full" not in (a.route.solves, b.route.solves):
+                continue
+            if b.route.solves == "averaged":  # the full system is what others are held against
+                a, b = b, a
+            if kind == "averaging" and a.route.sampled and a.route.method in solved:
+                continue  # a solution of the same equation says it better
+            uncertified = tuple(g.route for g in (a, b) if not g.answer.certificate.certified)
+            judged = kind != "averaging"
+            if isinstance(a.answer, Passage) and isinstance(b.answer, Passage):
+                distances = passage_distances(a.answer, b.answer, judged)
+            else:
+                assert isinstance(a.answer, Transient) and isinstance(b.answer, Transient)
+                of = a.answer, b.answer, np.asarray(self.points), self.windows
+                distances = density_distances(*of, judged)
+            for name, norm, distance, error, band in distances:
+                if judged and not np.isfinite(band):
+                    continue  # nothing is stated: the answer is not certified
+                allowed = band if judged else None
+                words = f"{self.question.name}: {name}"
+                rows.append(
+                    Comparison(
+                        words, a.route, b.route, kind, distance, allowed, error, uncertified, norm
+                    )
+                )
+        return tuple(rows)
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Every check that does not hold, in words."""
+        name = self.question.name
+        uncertified = [
+            f"{name}: {g.route.label} is not certified: {failure}"
+            for g in self.given
+            for failure in g.answer.certificate.failures
+        ]
+        failed = [f"{name}: {r.route.label} failed: {r.reason}" for r in self.refused if r.failed]
+        reason = "not run: the program was interrupted" if self.interrupted else "no route answers"
+        none = [] if self.given or failed else [f"{name}: {reason}"]
+        if self.points is not None and not self.windows:
+            none.append(f"{name}: not compared: no route says where the densities are")
+        return (*discrepancies(self.comparisons), *uncertified, *failed, *none)
+
+
+def failure_of(p: Passage) -> tuple[Array, Array]:
+    """Return P(T <= t) and its error, as the method gives them or else by 1 − P(T > t)."""
+    if p.failure is not None and p.failure_error is not None:
+        return p.failure, p.failure_error
+    return 1.0 - p.survival, p.survival_error
+
+
+def passage_distances(a: Passage, b: Passage, judged: bool) -> Iterator[Distance]:
+    """Yield the distances of mean time, failure rate, P(T <= t) and P(T > t), of what both know.
+
+    ``judged``: whether the distance at the time that fills most of its band is wanted, else the
+    largest distance.
+    """
+    sampled = [p.error_kind == "sampling" for p in (a, b)]
+    both = [("mean time", a.mean, b.mean)]
+    if a.rate is not None and b.rate is not None:
+        both.append(("failure rate", a.rate, b.rate))
+    for name, x, y in both:
+        values, errors = np.array([x.value, y.value]), np.array([x.error, y.error])
+        # Not a number fails the comparison, too.
+        if np.all(errors <= MOST_ERROR * np.abs(values)) and np.all(np.isfinite(values)):
+            band, error = (v / abs(y.value) for v in _band(errors, sampled, 1))
+            yield name, "relative", abs(x.value - y.value) / abs(y.value), error, band + ROUND_OFF
+    if not a.times.size:
+        return
+    if a.failure is not None and b.failure is not None:
+        both_fail = failure_of(a), failure_of(b)
+        yield from _worst("P(T ≤ {:g})", a.times, both_fail, sampled, "relative", judged)
+    pairs = _survivals(a, b)
+    yield from _worst("P(T > {:g})", a.times, pairs, sampled, "absolute", judged)
+
+
+def _survivals(a: Passage, b: Passage) -> list[tuple[Array, Array]]:
+    """P(T > t) of both with errors; of a sample at least those by what a solution expects.
+
+    Of few failures the sample itself does not know how many might have been.
+    """
+    pairs = [(p.survival, p.survival_error) for p in (a, b)]
+    if (a.error_kind == "sampling") != (b.error_kind == "sampling"):
+        own = int(b.error_kind == "sampling")
+        S, error = pairs[own]
+        expected = np.clip(pairs[1 - own][0], 0.0, 1.0)
+        # S(1 − S)/paths is the square of the error, or the error one path where none or all failed.
+        sure = (error > 0.0) & (error < inf)  # not at the start, which all survive, nor unknown
+        square = np.where((S > 0.0) & (S < 1.0), S * (1.0 - S), error)
+        paths = np.max(square[sure] / error[sure] ** 2, initial=1.0)
+        pairs[own] = S, np.maximum(error, np.sqrt(expected * (1.0 - expected) / paths))
+    return pairs
+
+
+def _worst(
+    name: str,
+    times: Array,
+    pair: Sequence[tuple[Array, Array]],
+    sampled: Sequence[bool],
+    norm: Norm,
+    judged: bool,
+) -> Iterator[Distance]:
+    """Yield the largest of the distances at the times, in units of their bands where judged."""
+    a, b = pair
+    unit = np.abs(b[0]) if norm == "relative" else np.ones(times.size)
+    known = (unit > 0.0) & (a[1] <= LARGEST_ERROR) & (b[1] <= LARGEST_ERROR)
+    if norm == "relative":
+        known &= (a[1] <= MOST_ERROR * np.abs(a[0])) & (b[1] <= MOST_ERROR * unit)
+    if not known.any():
+        return
+    band, error = _band(np.array([a[1], b[1]])[:, known], sampled, int(np.count_nonzero(known)))
+    off, unit = np.abs(a[0] - b[0])[known], unit[known]
+    k = int(np.argmax(off / ((band + ROUND_OFF) if judged else unit)))
+    distance, error, band = (float(v[k] / unit[k]) for v in (off, error, band))
+    yield name.format(times[known][k]), norm, distance, error, band + ROUND_OFF
+
+
+def _band(errors: Any, sampled: Sequence[bool], count: int) -> tuple[Any, Any]:
+    """The band of a difference, ``count`` of which are judged together, and its own error.
+
+    Stated errors add up; standard errors add in squares, and Student's t by ``BATCHES`` says how
+    many of them a false alarm takes (Bonferroni).
+    """
+    chance = np.sqrt(sum(e**2 for e, s in zip(errors, sampled, strict=True) if s) + 0.0)
+    stated = sum(e for e, s in zip(errors, sampled, strict=True) if not s) + 0.0
+    z = -float(stdtrit(BATCHES - 1, 0.5 * FALSE_ALARMS / count))
+    return z * chance + stated, chance + stated
+
+
+def density_distances(
+    a: Transient, b: Transient, points: Array, windows: Sequence[Any], judged: bool
+) -> Iterator[Distance]:
+    """Yield the largest L1 distance over its window of all times, as ``_worst`` does.
+
+    By the trapezoidal rule, of distance and band alike. By chance each |deviation| has the mean
+    √(2/π) of its standard error and the variance 1 − 2/π of its square.
+    """
+    if not windows:
+        return
+    rows = []
+    for k, inside in enumerate(windows):
+        x = points[inside]
+        w = np.gradient(x)
+        w[[0, -1]] *= 0.5
+        chance, stated = np.zeros(x.size), 0.0
+        for t in (a, b):
+            error = t.errors[k, inside]
+            if t.error_kind == "sampling":
+                chance = np.hypot(chance, error)
+            else:
+                stated += float(w @ error)
+        z = -float(stdtrit(BATCHES - 1, FALSE_ALARMS / len(windows)))
+        mean = np.sqrt(2.0 / np.pi) * float(w @ chance)
+        dependent = max(1.0, x.size / INDEPENDENT)
+        spread = np.sqrt((1.0 - 2.0 / np.pi) * dependent * float(np.sum((w * chance) ** 2)))
+        distance = float(w @ np.abs(a.values[k, inside] - b.values[k, inside]))
+        rows.append((distance, mean + stated, mean + z * spread + stated + ROUND_OFF, k))
+    distance, error, band, k = max(rows, key=lambda row: row[0] / (row[2] if judged else 1.0))
+    yield f"density at t = {a.times[k]:g}", "L1", distance, error, band

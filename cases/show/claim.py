@@ -1,0 +1,40 @@
+"""A folder in which one run, or one map, keeps what it can go on from."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from cases.scene.errors import BadInput
+from cases.scene.scene import read_text
+from cases.show.files import make_folder, write_text
+from cases.show.records import Record, program_version
+from fpk.numeric.machine import locked
+from fpk.numeric.recognition import canonical
+from sim.sample.workers import PROGRAM, program_checksum
+
+
+@contextmanager
+def claimed(folder: Path | None, identity: Record) -> Iterator[None]:
+    """Return a context in which this process alone keeps states or points in ``folder``, if any.
+
+    ``run.json`` names what they depend on: ``identity``, as of ``canonical``, the version and the
+    sources of the program. Raises ``Unavailable`` where another process uses the folder,
+    ``BadInput`` where it is another run's.
+    """
+    if folder is None:
+        yield
+        return
+    path = make_folder(folder) / "run.json"
+    program = {"version": program_version(), "sources": program_checksum(rooms=PROGRAM)}
+    record = canonical({**identity, **program})
+    text = json.dumps(record, ensure_ascii=False) + "\n"
+    with locked(folder / "run.lock"):
+        if not path.exists():
+            write_text(path, text)
+        elif read_text(path, str(path), most=1 << 24, what="the run's identity") != text:
+            raise BadInput(
+                f"{folder}: holds what another run has stored (other scene, settings or version);"
+                " give another folder or remove it"
+            )
+        yield

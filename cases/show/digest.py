@@ -1,0 +1,251 @@
+"""The record of a run, from which all that is shown is written, and that of many, the gate's."""
+
+from collections.abc import Iterable
+
+from cases.compare.answers import Answers
+from cases.compare.attempts import Refusal
+from cases.compare.claims import findings, time_findings
+from cases.compare.compare import Comparison
+from cases.compare.in_time import Replies
+from cases.compare.quantities import Quantity
+from cases.compare.stationary import Outcome
+from cases.scene.questions import TransientQuestion
+from cases.scene.units import NO_UNITS, Units
+from cases.show.facts import facts_record
+from cases.show.records import Record, answer_tail, answer_units, passage_numbers, plain
+from cases.show.words import stationary_note
+from cases.written import SCHEMA
+from fpk.answer.dynamics import Passage
+from fpk.answer.method import Result, Route
+from fpk.answer.names import observable_name
+from sim.sample.diagnostics import Report
+
+ROW = ("observable", "measures", "norm", "L1", "band", "error")
+"""Fields of a comparison that its row has as they are."""
+
+
+def digest_of(outcome: Outcome) -> Record:
+    """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
+    base, *others = outcome.curves
+    key, units = outcome.scene.curves[0].key, outcome.scene.units
+    compared = [c for curve in outcome.curves for c in curve.comparisons]
+    in_time = [replies for curve in outcome.curves for replies in curve.in_time]
+    compared += [c for curve in outcome.curves for c in curve.quantity_comparisons]
+    compared += [c for replies in in_time for c in replies.comparisons]
+    judged = [c for c in compared if c.band is not None]
+    claims = *findings(outcome.scene.expect, outcome.curves), *time_findings(outcome.curves)
+    return plain(
+        {
+            "schema": SCHEMA,
+            "scene": outcome.scene.name,
+            "title": outcome.scene.title,
+            "units": units.record(),
+            **_curve(base, key, units),
+            "curves": [_curve(c, key, units) for c in others],
+            "judged": len(judged),
+            "problems": outcome.problems,
+            "claims": claims,
+            "seconds": outcome.seconds,
+        }
+    )
+
+
+def curves_of(digest: Record) -> list[Record]:
+    """Return the part of every curve, by the number that they vary, ascending.
+
+    Where that is no number they stay as they are: the scene's own system, then the order written.
+    """
+    return sorted([digest, *digest["curves"]], key=lambda curve: curve["value"] or 0.0)
+
+
+def _curve(curve: Answers, key: str, units: Units) -> Record:
+    return {
+        "label": curve.label,
+        "key": key,
+        "value": curve.value,
+        **facts_record(curve.system),
+        "methods": [*map(method_record, curve.results), *map(refusal_record, curve.refused)],
+        "notes": curve.notes,
+        "stationary_note": stationary_note(curve.system),
+        "averaging_notes": curve.averaging_notes,
+        "quantities": [quantity_row(q, units) for q in curve.quantities],
+        "comparisons": comparison_rows(curve.comparisons),
+        "quantity_comparisons": comparison_rows(curve.quantity_comparisons),
+        "averaging": [
+            {"observable": name, **row}
+            for name in dict.fromkeys(c.observable for c in curve.comparisons)
+            for row in averaging_errors(name, curve.comparisons)
+        ],
+        "passages": [_replies(replies, units) for replies in curve.passages],
+        "transients": [_replies(replies, units) for replies in curve.transients],
+        # The three errors of a density of a simulation, never mixed: ``sampling`` is the expected
+        # L1 error by chance; ``step_bias`` the L1 distance from the density of half the step and
+        # what chance makes of that.
+        "errors": [
+            {
+                "route": r.method.route.label,
+                "observable": d.name,
+                "sampling": d.l1_error,
+                "step_bias": {"L1": bias.value, "by_chance": bias.error}
+                if bias
+                else "not measured",
+                "averaging": averaging_errors(d.name, curve.comparisons),
+            }
+            for r in curve.results
+            if isinstance(r.report, Report)
+            for d in r.densities
+            for bias in [r.report.step_biases.get(d.name)]
+        ],
+        "identities": [
+            {"method": r.method.route.label, **plain(i), "z": i.z}
+            for r in curve.results
+            for i in r.identities
+        ],
+    }
+
+
+def _replies(replies: Replies, units: Units) -> Record:
+    """The entry of a question: it, who answers what and who does not, and the comparisons.
+
+    Of a transient the densities themselves are in the files.
+    """
+    question = replies.question
+    if isinstance(question, TransientQuestion):
+        asked = {"observable": observable_name(question.of)}
+    else:
+        asked = {"limit": str(question.limit)}
+    answers = []
+    for g in replies.given:
+        own = passage_numbers(g.answer) if isinstance(g.answer, Passage) else {}
+        tail = answer_tail(g.answer.certificate, g.answer.settings, g.seconds)
+        names = _names(g.route)
+        names["solver"] = g.answer.settings.get("solver", g.route.solver)
+        answers.append({**names, **own, "error_kind": g.answer.error_kind, **tail})
+    rows = comparison_rows(replies.comparisons)
+    for row in rows:
+        row["of"] = row.pop("observable").removeprefix(f"{question.name}: ")
+    return {
+        "question": question.name,
+        "start": str(question.start),
+        "units": answer_units(units, asked, "density") if units else None,
+        "times": question.times,
+        "answers": answers,
+        "comparisons": rows,
+        "methods": [refusal_record(refusal) for refusal in replies.refused],
+    }
+
+
+def _names(route: Route) -> Record:
+    return {"route": route.label, "method": route.method, "solver": route.solver}
+
+
+def method_record(result: Result) -> Record:
+    """Return the entry of a route that was taken."""
+    report = result.report if isinstance(result.report, Report) else None
+    return {
+        **_names(result.method.route),
+        "applies": True,
+        "seconds": result.seconds,
+        "settings": dict(result.settings),
+        "diagnosis": report and report.diagnosis,
+        "densities": [
+            {
+                "observable": d.name,
+                "error_kind": d.error_kind,
+                "l1_error": d.l1_error,
+                "certificate": d.certificate.record,
+            }
+            for d in result.densities
+        ],
+    }
+
+
+def refusal_record(refusal: Refusal) -> Record:
+    """Return the entry of a route that was not taken."""
+    own = {key: value for key, value in vars(refusal).items() if key != "route"}
+    return {**_names(refusal.route), "applies": False, **own}
+
+
+def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
+    """Return the rows, ``repeats`` where an earlier row has what separates the two theories.
+
+    It is the same by every solver of a theory, as the numerical rows show.
+    """
+    first: dict[tuple[str, ...], Comparison] = {}
+    rows = []
+    for c in comparisons:
+        pair = (c.observable, _theory(c.a), _theory(c.b))
+        repeats = c.measures == "averaging" and first.setdefault(pair, c) is not c
+        row = {key: getattr(c, key) for key in ROW}
+        rows.append(row | {"a": c.a.label, "b": c.b.label, "holds": c.holds, "repeats": repeats})
+    return rows
+
+
+def quantity_row(quantity: Quantity, units: Units = NO_UNITS) -> Record:
+    """Return the entry of a quantity by one route, with its ``unit`` where units have names.
+
+    Its ``name`` is the one that ``fpk sweep`` takes.
+    """
+    unit = units.number(quantity.quantity, quantity.observable)
+    return {
+        "observable": quantity.observable,
+        "quantity": quantity.quantity,
+        "name": quantity.name,
+        "route": quantity.route.label,
+        "value": quantity.number.value,
+        "error": quantity.number.error,
+        "error_kind": quantity.error_kind,
+        **({"unit": unit} if unit else {}),
+    }
+
+
+def averaging_errors(name: str, comparisons: Iterable[Comparison]) -> list[Record]:
+    """Return each averaged theory's L1 distance to the full system in one observable.
+
+    With what chance and solvers make of it, by the answer for the full system (``reference``) with
+    which this is least.
+    """
+    averaging: dict[str, Record] = {}
+    for c in sorted(comparisons, key=lambda c: c.error):
+        full = [r for r in (c.a, c.b) if r.solves == "full"]
+        if (c.measures, c.observable) == ("averaging", name) and full:
+            theory = _theory(c.b if c.a in full else c.a)
+            row = {"theory": theory, "L1": c.L1, "error": c.error, "reference": full[0].label}
+            averaging.setdefault(theory, row)
+    return list(averaging.values())
+
+
+def _theory(route: Route) -> str:
+    """A theory's solvers by one name; its simulation is another route to it."""
+    return route.label if route.sampled else route.method
+
+
+def verify_row(digest: Record) -> Record:
+    """Return what the gate says of a scene; a curve about which nothing is judged is a problem."""
+    curves = curves_of(digest)
+    unjudged = [
+        f"{curve['label'] or digest['scene']}: no comparison was judged"
+        for curve in curves
+        for part in [(curve, *curve["passages"], *curve["transients"])]
+        if all(c["band"] is None for answers in part for c in answers["comparisons"])
+    ]
+    problems = [*digest["problems"], *unjudged]
+    taken = [method for curve in curves for method in curve["methods"] if method["applies"]]
+    in_time = [
+        answer["certificate"]["certified"]
+        for curve in curves
+        for question in curve["passages"] + curve["transients"]
+        for answer in question["answers"]
+    ]
+    return {
+        "scene": digest["scene"],
+        "curves": len(curves),
+        "judged": digest["judged"],
+        "certificates": sum(
+            [d["certificate"]["certified"] for m in taken for d in m["densities"]] + in_time
+        ),
+        "problems": problems,
+        "claims": digest["claims"],
+        "seconds": digest["seconds"],
+        "holds": not problems,
+    }

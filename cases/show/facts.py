@@ -1,0 +1,244 @@
+"""Facts of a system as plain records: its effects, regime, modes, rms, and applicable theories."""
+
+from contextlib import suppress
+
+import numpy as np
+
+from averaging.energy_process import energy_process
+from averaging.modal.analysis import modal_analysis
+from cases.compare.doubt import averaging_notes, incompatibility
+from cases.compare.routes import listed_routes, method_for
+from cases.scene.numbers import Place
+from cases.scene.scene import Scene
+from cases.scene.units import NUMBER
+from cases.show.records import Record, plain
+from fpk.answer.contacts import stop_clearances
+from fpk.answer.method import ROUTES, solvers_of
+from fpk.answer.names import Coordinate, observable_name
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.system.ends import BoundaryClass, classify
+from fpk.system.escape import escape
+from fpk.system.linear import natural_modes
+from fpk.system.system import System, effects_of
+from sim.montecarlo import MonteCarlo
+from sim.sample.settings import expected_seconds
+
+MODES_SHOWN = 50
+"""Modes whose damping, shape and boundaries are given: boundaries of more take a time of n³."""
+MASSES, LINEAR_MASSES = 3, 50
+"""Masses of a chain with one contact mass, and of one without contacts, up to which the rms of
+every displacement is given: a second. In longer chains, and where the damping depends on the
+state beside a contact, that of the one in contact."""
+RMS_METHODS = ("linear", "exact", "nonintegrable")
+"""Routes to the rms of a displacement, those exact for (6) before; the first that applies."""
+
+
+def show_record(scene: Scene) -> Record:
+    """Return the record of ``fpk show``."""
+    facts, rms = facts_record(scene.system), rms_record(scene.system)
+    regime, routes = facts["regime"], {route.label: route for route in listed_routes()}
+    averaged = [("rms", [routes[row["route"]]], False) for row in rms[:1]]
+    return plain(
+        {
+            "scene": scene.name,
+            "title": scene.title,
+            "source": scene.source,
+            **facts,
+            "observables": [observable_name(o) for o in scene.observables],
+            "curves": [{k: getattr(c, k) for k in ("label", "key", "value")} for c in scene.curves],
+            "units": units_record(scene),
+            "natural_frequencies": regime["natural_frequencies"],
+            "modes": modes_record(scene.system),
+            "rms": rms,
+            "averaging_notes": averaging_notes(scene.system, averaged),
+            "theories": theories(scene),
+            "boundaries": regime["boundaries"],
+        }
+    )
+
+
+def units_record(scene: Scene) -> Record | None:
+    """Return the units for JSON, with that of every contact's stiffness B; None without names."""
+    record = scene.units.record()
+    if record is not None:
+        places = [Place("contacts", "stiffness", (i,)) for i in range(len(scene.system.contacts))]
+        powers = [place.powers(scene.system) or NUMBER for place in places]
+        record["contact_stiffness"] = [scene.units.of(p) for p in powers]
+    return record
+
+
+def check_record(scene: Scene) -> Record:
+    """Return the record of ``fpk check``: sizes, theories, questions, about what a run costs.
+
+    ``refused`` and ``applies`` are about stationary densities; ``stationary_refusal`` says why the
+    system has none, None where it has.
+    """
+    listed = theories(scene)
+    taken = [t["method"] for t in listed if t["applies"] and not t["left_out"]]
+    seconds: float | None = 0.0
+    refusal = None
+    try:
+        seconds = sum(expected_seconds(MonteCarlo(), curve.system) for curve in scene.curves)
+    except (NotApplicable, InvalidInput) as reason:
+        seconds, refusal = None, str(reason)
+    return plain(
+        {
+            "scene": scene.name,
+            "valid": True,
+            "masses": scene.system.n,
+            "stops": len(scene.system.stops),
+            "systems": len(scene.curves),
+            "observables": [observable_name(o) for o in scene.observables],
+            "applies": [t["method"] for t in listed if t["applies"]],
+            "refused": [t for t in listed if not t["applies"]],
+            "left_out": [t for t in listed if t["left_out"]],
+            "stationary_refusal": MonteCarlo().refusal(scene.system, ()),
+            "questions": [q.name for q in scene.passages] + [q.name for q in scene.transients],
+            "simulation_seconds": seconds,
+            "simulation_refusal": refusal,
+            "phase_space": "phase-space" in taken,
+        }
+    )
+
+
+def facts_record(system: System) -> Record:
+    """Return the system, its effects, and its regime: what decides between the theories.
+
+    Masses count from 1. ``incompatible`` says why the compatibility condition (8) fails, None where
+    it holds.
+    """
+    effects, stops = effects_of(system), system.fact(stop_clearances)
+    beyond = [stop.beyond_rule for stop in stops]
+    masses = [i + 1 for i in effects.contact_masses]
+    given = ("mass", "stiffness", "damping", "noise_intensity", "noise_gain")
+    return {
+        "system": {
+            **{key: getattr(system, key) for key in given},
+            "contacts": system.contacts,
+            "modulation": system.modulation and vars(system.modulation),
+            "damping_terms": [
+                {**plain(term), "q": dict(term.q), "v": dict(term.v)}
+                for term in system.damping_terms
+            ],
+        },
+        "effects": {**plain(effects), "contact_masses": masses, "contact": effects.stops > 0},
+        "regime": {
+            "natural_frequencies": natural_modes(system)[1],
+            "incompatible": incompatibility(system),
+            "stops": [{**plain(s), "beyond_rule": s.beyond_rule} for s in stops],
+            "contacts_negligible": None if None in beyond else all(beyond),
+            "boundaries": _boundaries(system),
+        },
+    }
+
+
+def theories(scene: Scene) -> list[Record]:
+    """Return for every METHOD whether it applies to the scene's own system, and why not.
+
+    ``left_out`` says why ``fpk run`` leaves out one that applies, None where it takes it.
+    """
+    records = []
+    for name in dict.fromkeys(route.method for route in listed_routes()):
+        routes = [ROUTES[name, solver] for solver in solvers_of(name)]
+        reasons: dict[str, list[str]] = {}
+        for observable in scene.observables:
+            by_solver = [route.make().refusal(scene.system, observable) for route in routes]
+            # Refused where every solver refuses it: the default's reason is shown.
+            if None not in by_solver:
+                of = observable_name(observable)
+                reasons.setdefault(str(by_solver[0]).removeprefix(f"{of}: "), []).append(of)
+        refused = sum(map(len, reasons.values()))
+        applies, left_out = refused < len(scene.observables), None
+        try:
+            routes[0].make().unasked(scene.system)
+        except NotApplicable as reason:
+            left_out = str(reason) if applies else None
+        records.append(
+            {
+                "method": name,
+                "meaning": f"{routes[0].words}, Eq. {routes[0].equation}",
+                "solvers": solvers_of(name),
+                "applies": applies,
+                "reason": "; ".join(
+                    f"not for {', '.join(names)}: {reason}" if applies else reason
+                    for reason, names in reasons.items()
+                )
+                or None,
+                "left_out": left_out,
+            }
+        )
+    return records
+
+
+def _boundaries(system: System) -> list[Record]:
+    """The ends of the averaged energies (24) and (17), of each theory that applies.
+
+    None where the motion escapes, which averages do not show.
+    """
+    ends: list[tuple[str, BoundaryClass]] = []
+    if system.fact(escape):
+        return []
+    with suppress(NotApplicable):
+        ends += [("nonintegrable", end) for end in classify(energy_process(system))]
+    with suppress(NotApplicable):
+        process = system.fact(modal_analysis).process()
+        for axis in range(min(process.dimension, MODES_SHOWN)):
+            ends += [("integrable", end) for end in classify(process, axis)]
+        if process.dimension > MODES_SHOWN:
+            others = f"H{MODES_SHOWN + 1} to H{process.dimension}"
+            reason = f"only the first {MODES_SHOWN} modes are"
+            ends.append(("integrable", BoundaryClass(others, "not classified", reason)))
+    return [{"process": theory, **plain(end)} for theory, end in ends]
+
+
+def modes_record(system: System) -> list[Record]:
+    """Return frequency, damping ratio and shape of the natural modes, the slowest first.
+
+    The ratio is c*_mm/(2 ω_m), c* = Tᵀ c T with Tᵀ M T = 1: of the constant damping, without what
+    couples the modes (``coupled`` is the largest |c*_ml| beside it over √(c*_mm c*_ll)). The
+    largest component of a shape is 1.
+    """
+    shapes, omega = natural_modes(system)
+    c = shapes.T @ system.damping @ shapes
+    own = np.diag(c)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        coupling = np.nan_to_num(np.abs(c) / np.sqrt(np.outer(own, own)), posinf=0.0)
+    np.fill_diagonal(coupling, 0.0)
+    largest = shapes[np.argmax(np.abs(shapes), axis=0), np.arange(system.n)]
+    return [
+        {
+            "frequency": omega[m],
+            "damping_ratio": own[m] / (2.0 * omega[m]),
+            "coupled": np.max(coupling[m]),
+            "shape": shapes[:, m] / largest[m],
+        }
+        for m in range(min(system.n, MODES_SHOWN))
+    ]
+
+
+def rms_record(system: System) -> list[Record]:
+    """Return √E q_i² with its numerical error and its route; one of an averaged theory averages.
+
+    Empty where no method of ``RMS_METHODS`` applies, and where more than one mass has stops:
+    integrals that take seconds. A number that is known badly is given with its large error.
+    """
+    touching = system.contact_masses
+    if len(touching) > 1:
+        return []
+    easy = not touching or not system.damping_terms
+    every = easy and system.n <= (MASSES if touching else LINEAR_MASSES)
+    wanted = [(Coordinate("q", i),) for i in (range(system.n) if every else touching)]
+    for name in RMS_METHODS:
+        with suppress(NotApplicable, NotCertified):
+            method = method_for(name)
+            result = method.solve(system, wanted)
+            return [
+                {
+                    "of": density.name,
+                    **vars(density.rms()),
+                    "route": method.route.label,
+                    "solves": method.route.solves,
+                }
+                for density in result.densities
+            ]
+    return []

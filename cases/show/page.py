@@ -1,0 +1,162 @@
+"""Style and scripts that stand inside a page, and the policy that allows no others."""
+
+import json
+import platform
+import re
+from base64 import b64encode
+from collections.abc import Sequence
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
+
+from cases.show.pictures.style import COLOURS, DARK
+from cases.show.records import Record, plain, program_version
+from cases.written import bound
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+DIGITS, ERROR_DIGITS = 10, 2
+"""Digits of a number in the data of a page, and of its error, which is rounded up."""
+
+MARKS = (
+    "m-2.4,0a2.4,2.4 0 1,0 4.8,0a2.4,2.4 0 1,0 -4.8,0",
+    "m-2.2,-2.2h4.4v4.4h-4.4z",
+    "m0,-3.2l3.2,3.2l-3.2,3.2l-3.2,-3.2z",
+    "m0,-3l2.8,5h-5.6z",
+    "m0,3l2.8,-5h-5.6z",
+    "m-2.4,-2.4l4.8,4.8m0,-4.8l-4.8,4.8",
+    "m-3,0h6m-3,-3v6",
+)
+"""Paths of the markers of points, by curve, as ``CURVE_MARKS`` of the drawn pictures."""
+
+PLOTS = "axes.js", "curves.js", "maps.js", "plots.js"
+"""Scripts of the plots that can be touched, in the order in which they need each other."""
+
+LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
+
+PALETTE = 64
+"""Colours of a map in a page."""
+
+
+class PageStyle:
+    """The style of a page; the templates say which tables are in it before they ask for it."""
+
+    def __init__(self) -> None:
+        """Start with no table."""
+        self._tables: list[tuple[str, ...]] = []
+
+    def table(self, names: Sequence[str], texts: Sequence[bool] = ()) -> str:
+        """Return the class of a table with columns of these names.
+
+        Before those of numbers stands "#", or ``texts`` says which have none. Where a window is
+        narrow the names stand beside the cells, by rules: attributes of cells are half of a table.
+        """
+        columns = tuple(names)
+        if texts:
+            columns = tuple(n if text else f"#{n}" for n, text in zip(names, texts, strict=True))
+        if columns not in self._tables:
+            self._tables.append(columns)
+        return f"t{self._tables.index(columns)}"
+
+    @property
+    def text(self) -> Markup:
+        """The style, with rules for the columns of all tables."""
+        tables = [
+            (f".t{t} tr > :nth-child({k})", name.removeprefix("#"), name.startswith("#"))
+            for t, columns in enumerate(self._tables)
+            for k, name in enumerate(columns, start=1)
+        ]
+        # In a string of CSS special characters stand by their hexadecimal numbers.
+        strings = [re.sub(r"[^\w ]", lambda c: rf"\{ord(c[0]):x} ", name) for _, name, _ in tables]
+        names = "".join(
+            f'{cells}::before{{content:"{name}"}}'
+            for (cells, *_), name in zip(tables, strings, strict=True)
+        )
+        numbers = ",".join(cells for cells, _, number in tables if number)
+        rules = f"""@media screen and (max-width: 44rem) {{ {names} }}
+:where({numbers}) {{ text-align: right; white-space: nowrap; }}"""
+        # On a dark page curves take their colours by rules, to which those of an attribute yield.
+        dark = "".join(
+            f'[{key}="{light}"]{{{key}:{colour}}}'
+            for light, colour in zip(COLOURS, DARK, strict=True)
+            for key in ("fill", "stroke")
+        )
+        curves = f"@media screen and (prefers-color-scheme: dark) {{ {dark} }}"
+        return Markup("\n").join((_source("report.css"), Markup(curves), Markup(rules)))
+
+    @property
+    def hash(self) -> Markup:
+        """The source expression of the style, once it is complete."""
+        return _hash(self.text)
+
+
+def page_record(scripts: Sequence[str] = ()) -> Record:
+    """Return the style, the ``script`` and its hash for ``page.html``; ``scripts`` are file names.
+
+    The content security policy of the page has the hashes: it allows no others.
+    """
+    script = Markup("\n").join(map(_source, scripts))
+    allowed = _hash(script) if scripts else "'none'"
+    return {"style": PageStyle(), "script": script, "script_hash": allowed}
+
+
+def origin_record(command: str, downloads: Sequence[str], *, seeds: Sequence[int] = ()) -> Record:
+    """Return what ``origin.html`` needs: what made a page, with which versions, files beside it.
+
+    ``seeds`` are those that the ``command`` does not name.
+    """
+    return {
+        "command": command,
+        "seeds": seeds,
+        "downloads": downloads,
+        "versions": [
+            ("vibro-fpk", program_version()),
+            ("Python", platform.python_version()),
+            *((name, version(name)) for name in LIBRARIES),
+        ],
+    }
+
+
+def script_record(plots: Sequence[Record], **more: Any) -> Record:
+    """Return the data of the scripts ``PLOTS``: plots, the colours of maps, and ``more``."""
+    palette = [to_hex(c) for c in colormaps["viridis"](range(0, 256, 256 // PALETTE))]
+    return plain({"plots": plots, "palette": palette, **more})
+
+
+def rounded(*, error: Any = None, **values: Any) -> Record:
+    """Return the values to ``DIGITS`` digits, and their ``error``, if any, rounded up.
+
+    What is not a number is None.
+    """
+    own = {key: [_number(f"{v:.{DIGITS - 1}e}") for v in each] for key, each in values.items()}
+    return (
+        own if error is None else own | {"error": [_number(bound(e, ERROR_DIGITS)) for e in error]}
+    )
+
+
+def _number(text: str) -> float | None:
+    return None if text == "nan" else float(text)
+
+
+def as_script_data(record: Record) -> Markup:
+    """Return the record as JSON for a script element: ``<``, ``>`` and ``&`` are escaped in it."""
+    text = json.dumps(record, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    for character in "<>&":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return Markup(text)
+
+
+def _source(name: str) -> Markup:
+    """The text of a file in ``templates``, which the page takes over without escaping."""
+    return Markup((TEMPLATES / name).read_text(encoding="utf-8").strip())
+
+
+def _hash(text: str) -> Markup:
+    """The source expression 'sha256-…' by which a content security policy allows a text."""
+    digest = sha256(text.encode()).digest()
+    return Markup(f"'sha256-{b64encode(digest).decode()}'")

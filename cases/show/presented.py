@@ -1,0 +1,111 @@
+"""Answers in Python: as a data frame, labelled arrays, a figure, the tables of a notebook."""
+
+from html import escape
+from importlib import import_module
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+
+from cases.compare.answers import Answers
+from cases.scene.units import Units
+from cases.show.digest import quantity_row
+from cases.show.fields import common_grid, density_variables
+from cases.show.pictures.joint import LOWEST, contour_panels, joint_figure
+from cases.show.pictures.lines import POINTS, density_figure
+from cases.show.pictures.style import COLOURS, SHOWN, STYLE, density_words, words_of
+from cases.show.records import UNITS, plain, program_version
+from cases.show.text import html_table, quantity_rows
+from cases.show.variables import Variables
+from cases.show.words import named
+from cases.written import NOTE
+from fpk.answer.density import AnyDensity
+from fpk.answer.names import Observable, observable_name
+from fpk.numeric.errors import InvalidInput, Unavailable
+
+TAIL = 1e-6
+"""Share of the largest density down to which a logarithmic axis reaches."""
+
+
+def summary_frame(answers: Answers) -> Any:
+    """Return the quantities as a data frame of pandas, see ``Answers.summary``."""
+    pandas = needed("pandas")
+    frame = pandas.DataFrame([quantity_row(q) for q in answers.quantities])
+    if frame.empty:
+        return frame
+    routes = list(dict.fromkeys(frame["route"]))
+    rows = list(dict.fromkeys(zip(frame["observable"], frame["quantity"], strict=True)))
+    cells = ["value", "error", "error_kind"]
+    wide = frame.set_index(["observable", "quantity", "route"])[cells].unstack("route")
+    columns = pandas.MultiIndex.from_product([routes, cells])
+    return wide.swaplevel(axis=1).reindex(index=rows, columns=columns)
+
+
+def dataset(answers: Answers) -> Any:
+    """Return the densities as a data set of xarray, see ``Answers.to_xarray``."""
+    xarray = needed("xarray")
+    variables: Variables = {}
+    for observable in dict.fromkeys(d.observable for d in answers.values()):
+        variables |= density_variables([answers], observable, Units())
+    data = xarray.Dataset(
+        dict(variables), attrs={"units": UNITS, "program": f"vibro-fpk {program_version()}"}
+    )
+    return data.isel(curve=0, drop=True) if "curve" in data.dims else data
+
+
+def plot(answers: Answers, observable: Observable, *, log: bool) -> Any:
+    """Return a figure of the densities of one coordinate or two, see ``Answers.plot``."""
+    densities = answers.densities(observable)
+    if not densities:
+        there = "; ".join(dict.fromkeys(o for o, _ in answers)) or "none"
+        name = observable_name(observable)
+        raise InvalidInput("observable", name, f"has no density; one of these has: {there}")
+    with mpl.rc_context(dict(STYLE)):
+        figure = import_module("matplotlib.pyplot").figure()
+        if len(observable) == 2:
+            return joint_figure(answers, observable, decades=log, figure=figure)
+        (x,) = common_grid(densities.values(), cut=TAIL if log else SHOWN, count=POINTS)
+        return density_figure([answers], observable, x, figure, lowest=TAIL if log else 0.0)
+
+
+def plot_density(density: AnyDensity, *, log: bool) -> Any:
+    """Return a figure of one density, see ``Density.plot``: a band of ± its error where it is seen.
+
+    Of two coordinates the levels are in one proportion with ``log``.
+    """
+    observable, words = density.observable, density_words(density.observable)
+    with mpl.rc_context(dict(STYLE)):
+        figure = import_module("matplotlib.pyplot").figure(layout="constrained")
+        if len(observable) == 2:
+            grid = common_grid([density], cut=LOWEST if log else SHOWN)
+            values = density(*np.meshgrid(*grid, indexing="ij"))
+            panels = {density.name: values}
+            return contour_panels(panels, grid, observable, words, decades=log, figure=figure)
+        (x,) = common_grid([density], cut=TAIL if log else SHOWN, count=POINTS)
+        values, errors = density.at(x)
+        axes = figure.subplots()
+        axes.plot(x, values, color=COLOURS[0])
+        axes.fill_between(x, values - errors, values + errors, color=COLOURS[0], alpha=0.25)
+        axes.set(xlim=(x[0], x[-1]), xlabel=words_of(observable[0]), ylabel=words)
+        if log:
+            top = float(values.max())
+            axes.set(yscale="log", ylim=(TAIL * top, 2.0 * top))
+    return figure
+
+
+def html_tables(answers: Answers) -> str:
+    """Return the quantities as HTML, a table of each observable."""
+    rows = [plain(quantity_row(q)) for q in answers.quantities]
+    parts = [f"<p>{escape(repr(answers))}</p>"]
+    parts += map(html_table, quantity_rows(rows))
+    notes = [*([NOTE] if rows else []), *map(named, answers.averaging_notes)]
+    return "".join([*parts, *(f"<p>{escape(note)}</p>" for note in notes)])
+
+
+def needed(name: str) -> Any:
+    """Return a package of the extra ``frames``; raise ``Unavailable`` where it is missing."""
+    try:
+        return import_module(name)
+    except ImportError:
+        words = f"{name} is not installed; pip install 'vibro-fpk[frames]' brings it"
+        raise Unavailable(words) from None

@@ -1,0 +1,193 @@
+"""Plain records: what JSON has of numbers, arrays and the program's own records."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+from pydantic_core import to_jsonable_python
+
+from cases.compare.doubt import averaging_notes
+from cases.scene.scene import Scene
+from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
+from cases.show.variables import CURVES, NUMBERS
+from cases.written import bound
+from fpk.answer.certificate import Certificate
+from fpk.answer.dynamics import Curve, Passage, Rates, Transient
+from fpk.answer.method import Method
+from fpk.answer.question import QUESTIONS, Question
+from fpk.numeric.arrays import Array
+
+Record = dict[str, Any]
+
+UNITS = CONSISTENT
+
+
+def program_version() -> str:
+    """Return the version of the installed distribution."""
+    try:
+        return version("vibro-fpk")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+def plain(record: Any) -> Record:
+    """Return a dictionary, or the fields of a record, as JSON has them: arrays become lists.
+
+    What is not finite becomes null.
+    """
+    json_values: Record = to_jsonable_python(
+        record, inf_nan_mode="null", fallback=lambda array: array.tolist()
+    )
+    return json_values
+
+
+def answer_record(
+    scene: Scene,
+    method: Method,
+    given: Record,
+    answer: Curve | Rates | Transient | Passage,
+    seconds: float,
+    *,
+    key: str = "",
+) -> Record:
+    """Return the record of a command that asks one method: the question, the answer, its checks.
+
+    ``given`` are the words of the question, such as the observable and the points; values of a
+    curve or density are under ``key``. Numbers that there are not, or beyond range, are null.
+    ``averaging_notes`` has what is to be known of the averaging error.
+    """
+    own: Record
+    match answer:
+        case Curve():
+            own = {key: answer.values, "error": answer.errors}
+        case Transient():
+            own = {"times": answer.times, key: answer.values, "error": answer.errors}
+        case Rates(values=rates):
+            own = {"rates": rates.real, "frequencies": rates.imag, "errors": answer.errors}
+        case Passage():
+            own = passage_numbers(answer)
+            if answer.starts is not None:
+                own["starts"] = vars(answer.starts)
+    if not isinstance(answer, Rates):
+        own["error_kind"] = answer.error_kind
+    units = answer_units(scene.units, given, key) if scene.units else None
+    solver = answer.settings.get("solver", method.route.solver)  # of several inside of one method
+    head = {"scene": scene.name, "method": method.route.method, "solver": solver, "units": units}
+    of = str(given.get("observable", given.get("limit", "rates")))
+    asked = [(of, [method.route], not isinstance(answer, Curve))]
+    tail = answer_tail(answer.certificate, answer.settings, seconds)
+    notes = averaging_notes(scene.system, asked)
+    return plain({**head, **given, **own, **tail, "averaging_notes": notes})
+
+
+def curves_by_key() -> dict[str, Question]:
+    """Return the questions about the motion of a displacement by the keys of their values."""
+    return {q.key: q for q in QUESTIONS.values() if q.of_displacement}
+
+
+def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[str]]:
+    """Return the units of the numbers of an answer, by their keys in its record."""
+    rate, times = units.quantity("rate"), {"times": units.time}
+    if "limit" in given:
+        variance = units.of((0, 0, 1), (0, 0, 1))
+        limit = units.of(DIMENSIONS[given["limit"][:1]]) if given["limit"] else ""
+        return {"limit": limit, "mean": units.time, "variance": variance, "rate": rate, **times}
+    if not key:
+        return {"rates": rate, "frequencies": rate}
+    if key in (curves := curves_by_key()):
+        points, values = map(units.of, curves[key].powers)
+        return {"points": points, key: values}
+    powers = [DIMENSIONS[name[0]] for name in given["observable"].split(",")]
+    own = [units.of(power) for power in powers]
+    return {
+        "points": own if len(own) > 1 else own[0], key: units.of(*powers, inverse=True), **times
+    }  # fmt: skip
+
+
+def passage_numbers(answer: Passage) -> Record:
+    """Return the moments, the failure rate and the reliability with their errors."""
+    record: Record = {}
+    for key, (*_, read) in NUMBERS.items():
+        record[key], record[f"{key}_error"] = read(answer)
+    record["times"] = answer.times
+    for key, (_, read) in CURVES.items():
+        record[key], record[f"{key}_error"] = read(answer)
+    return record
+
+
+def listed(points: tuple[Array, ...]) -> Array:
+    """Return points as numbers, those of a pair of coordinates as pairs."""
+    return points[0] if len(points) == 1 else np.stack(points, axis=-1)
+
+
+def answer_tail(
+    certificate: Certificate, settings: Mapping[str, str | float | int], seconds: float
+) -> Record:
+    """Return what every answer says last."""
+    return {"certificate": certificate.record, "settings": dict(settings), "seconds": seconds}
+
+
+def columns_text(record: Record) -> str:
+    """Return the points, after the times if there are any, the values and errors in columns."""
+    (key,) = record.keys() & {"density", *(curves := curves_by_key())}
+    names, units = record["observable"].split(","), (record.get("units") or {})
+    if key in curves:
+        names = [curves[key].axis or record["observable"]]
+    own = units.get("points", [""] * len(names))
+    points = zip(names, [own] if isinstance(own, str) else own, strict=True)
+    head = "   ".join(name + bracketed(unit) for name, unit in points)
+    words = f"{head}   {key}{bracketed(units.get(key, ''))}   {_kind(record)}"
+    if "times" not in record:
+        return "\n".join([f"# {words}", *_columns([], record, record[key], record["error"])])
+    lines = [f"# time{bracketed(units.get('times', ''))}   {words}"]
+    for time, *rows in zip(record["times"], record[key], record["error"], strict=True):
+        lines += _columns([time], record, *rows)
+    return "\n".join(lines)
+
+
+def _columns(
+    first: list[float], record: Record, values: list[float], errors: list[float]
+) -> Iterator[str]:
+    """Yield a line for each of the points, with what comes ``first`` in it."""
+    for point, value, error in zip(record["points"], values, errors, strict=True):
+        yield _row([*first, *(point if isinstance(point, list) else [point]), value], error)
+
+
+def passage_text(record: Record) -> str:
+    """Return the moments and the failure rate, and the reliability at the times in columns."""
+    units = record.get("units") or {}
+    unit = f" {units['limit']}" if units.get("limit") else ""
+    limit = ", ".join(f"{part}{unit}" for part in record["limit"].split(","))
+    lines = [f"# first passage of {limit} from {record['start']}   {_kind(record)}"]
+    if sampled := record["settings"].get("sampled_by"):
+        lines.append(f"# {sampled}")
+    for key in ("mean", "variance", "rate"):
+        unit = units.get(key, "")
+        row = _row([record[key]], record[f"{key}_error"])
+        lines.append(f"{key:8}  {row}{'  ' + unit if unit else ''}")
+    time = f"# time{bracketed(units.get('times', ''))}"
+    for key, words in (("survival", "survival"), ("failure", "P(T <= t)")):
+        if record["times"]:
+            lines.append(f"{time}   {words}   {_kind(record)}")
+            rows = zip(record["times"], record[key], record[f"{key}_error"], strict=True)
+            lines += [_row([t, value], error) for t, value, error in rows]
+    return "\n".join(lines)
+
+
+def rates_text(record: Record) -> str:
+    """Return the rates, their frequencies and errors in columns."""
+    rows = zip(record["rates"], record["frequencies"], record["errors"], strict=True)
+    lines = [_row([rate, frequency], error) for rate, frequency, error in rows]
+    unit = bracketed((record.get("units") or {}).get("rates", ""))
+    return "\n".join([f"# rate{unit}   angular frequency{unit}   numerical error", *lines])
+
+
+def _kind(record: Record) -> str:
+    return "one standard error" if record["error_kind"] == "sampling" else "numerical error"
+
+
+def _row(values: Iterable[float | None], error: float | None) -> str:
+    """Numbers of a line, a dash for one that there is not or that is beyond range."""
+    words = ["-" if x is None else f"{x:.12g}" for x in values]
+    return "  ".join([*words, "-" if error is None else bound(error)])

@@ -1,0 +1,212 @@
+"""The report of a run: one self-contained page, its answer in words, the pictures beside it."""
+
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from cases.compare.claims import ALMOST_KURTOSIS, ALMOST_L1
+from cases.compare.doubt import ACCEPTABLE_L1
+from cases.compare.stationary import Outcome
+from cases.scene.scene import Scene
+from cases.show.digest import curves_of
+from cases.show.facts import theories, units_record
+from cases.show.files import write_text
+from cases.show.live import live_record
+from cases.show.page import PLOTS, as_script_data, origin_record, page_record
+from cases.show.pictures.chain import chain_svg
+from cases.show.pictures.in_time import time_pictures
+from cases.show.pictures.joint import joint_pictures
+from cases.show.pictures.lines import line_pictures
+from cases.show.pictures.style import STYLE, in_units
+from cases.show.pictures.svg import inline_svg, svg_text
+from cases.show.records import Record
+from cases.show.text import rendered, theory_table
+from cases.show.words import named
+from cases.written import percent
+from fpk.answer.contacts import CLEARANCE_RULE
+from fpk.answer.method import Progress, silent
+from sim.sample.diagnostics import FALSE_ALARMS
+
+GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left": "difference"}
+"""Part of the page in which a picture stands, by the first word of its file; others: "density"."""
+
+SCRIPTS = *PLOTS, "closed_forms.js", "sliders.js"
+
+RELIABILITY = "in P(T > t) at the times asked for"
+
+
+def write_report(
+    outcome: Outcome,
+    digest: Record,
+    folder: Path,
+    *,
+    command: str = "",
+    progress: Progress = silent,
+) -> list[Path]:
+    """Write ``report.html`` and the pictures into ``folder``; return their paths.
+
+    ``digest`` is the record of the run, ``digest_of(outcome)``; ``command`` is what made it. The
+    page has links to the pictures and to the fields that are in the folder.
+    Every file appears whole or not at all. Raises ``BadInput`` where the folder cannot be written.
+    """
+    pictures, written = [], []
+    for stem, caption, figure in figures(outcome, progress=progress):
+        svg = svg_text(figure, salt=stem)
+        written.append(folder / f"{stem}.svg")
+        write_text(written[-1], svg)
+        group = GROUPS.get(stem.partition("_")[0], "density")
+        pictures.append(
+            {"stem": stem, "group": group, "caption": caption, "svg": inline_svg(svg, caption)}
+        )
+    fields = [path.name for path in sorted(folder.glob("*.nc"))]
+    page = report_html(
+        outcome.scene,
+        digest,
+        pictures,
+        live=live_record(outcome),
+        command=command,
+        downloads=[*fields, *(path.name for path in written)],
+    )
+    write_text(folder / "report.html", page)
+    return [folder / "report.html", *written]
+
+
+def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[str, str, Figure]]:
+    """Yield file stem, caption and figure of everything that an outcome can show."""
+    with mpl.rc_context(dict(STYLE)), in_units(outcome.scene.units):
+        for k, observable in enumerate(outcome.scene.observables, start=1):
+            curves = [c for c in outcome.curves if c.densities(observable)]
+            if curves and len(observable) == 1:
+                yield from line_pictures(curves, observable)
+            elif curves:
+                yield from joint_pictures(curves[0], observable)
+            progress(k, len(outcome.scene.observables), "drawing")
+        for k, curve in enumerate(outcome.curves):
+            yield from time_pictures(curve, f"_{k}" if k else "")
+
+
+def report_html(
+    scene: Scene,
+    digest: Record,
+    pictures: list[dict[str, Any]],
+    *,
+    live: Record | None = None,
+    command: str = "",
+    downloads: Sequence[str] = (),
+) -> str:
+    """Return the page; every text that comes from a scene is escaped by the template.
+
+    ``live`` is ``live_record``, with which the pictures can be touched.
+    """
+    curves = curves_of(digest)
+    settings = [m.get("settings", {}) for curve in curves for m in curve["methods"]]
+    seeds = sorted({own["seed"] for own in settings if "seed" in own})
+    record = {
+        "scene": scene,
+        "digest": digest,
+        "curves": curves,
+        "answer": headline_of(curves),
+        "answer_measure": measure_of(curves),
+        "tables": [
+            {**t, "label": c["label"], "columns": ["quantity", *(f"#{r}" for r in t["routes"])]}
+            for c in curves
+            for t in (theory_table(c["quantities"]),)
+        ],
+        "sketch": chain_svg(scene.system, scene.units),
+        "units": units_record(scene),
+        **page_record(SCRIPTS if live else ()),
+        "live": live and as_script_data(live),
+        **origin_record(command or f"fpk run {scene.name}", downloads, seeds=seeds),
+        "theories": theories(scene),
+        "pictures": pictures,
+        "limits": {
+            "gaussian": ALMOST_L1,
+            "kurtosis": ALMOST_KURTOSIS,
+            "acceptable": ACCEPTABLE_L1,
+            "clearance": CLEARANCE_RULE,
+            "false_alarms": FALSE_ALARMS,
+        },
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+    }
+    return rendered("report.html", record)
+
+
+def headline_of(curves: list[Record]) -> str:
+    """Return how far each averaged theory is from the full system, in one sentence.
+
+    Where the exact density of all curves is known, a sentence before it says so. Of each curve and
+    theory it is the largest L1 distance of a density, each by the reference with which its error is
+    least. Under modulated noise, which stationary densities know nothing of, the densities are
+    those at the times of the [[transient]] tables, or else it is P(T > t) of the [[passage]]
+    tables; without any the sentence says that it is about constant noise. Empty where nothing of it
+    is known.
+    """
+    parts = []
+    for curve in curves:
+        asked, rows = _asked(curve)
+        words = [_words(name, *row) for name, row in _worst(rows).items()]
+        where = ", ".join(filter(None, [f"at {curve['label']}" * bool(curve["label"]), asked]))
+        if words:
+            parts.append((f"{where}: " if where else "") + ", ".join(words))
+    sentences = []
+    if all(curve["regime"]["incompatible"] is None for curve in curves):
+        constant = curves[0]["system"]["modulation"] is None
+        known = "known" if constant else "known under constant noise"
+        sentences.append(f"The compatibility condition (8) holds: the exact density is {known}.")
+    if parts:
+        text = "; ".join(parts)
+        sentences.append(text[0].upper() + text[1:] + ".")
+    return " ".join(sentences)
+
+
+def measure_of(curves: list[Record]) -> str:
+    """Return in words what a distance in the answer of ``headline_of`` is; empty without one."""
+    if not any(_asked(curve)[1] for curve in curves):
+        return ""
+    if _asked(curves[0])[0] == RELIABILITY:
+        return "Largest difference of P(T > t), T the time of first passage"
+    return "L1 distance ∫|p − p_full| of the density that is furthest off"
+
+
+def _asked(curve: Record) -> tuple[str, list[Record]]:
+    """Words for what the distances are of, empty for stationary densities, and the distances."""
+    if curve["system"]["modulation"] is None:
+        return "", curve["averaging"]
+    for words, questions, norm in (
+        ("at the times asked for", curve["transients"], "L1"),
+        (RELIABILITY, curve["passages"], "absolute"),
+    ):
+        rows = [
+            {**c, "theory": c["a"], "observable": question["question"]}
+            for question in questions
+            for c in question["comparisons"]
+            if (c["measures"], c["norm"]) == ("averaging", norm)
+        ]
+        if rows:
+            return words, rows
+    return "under constant noise", curve["averaging"]
+
+
+def _worst(rows: list[Record]) -> dict[str, tuple[float, float]]:
+    """By theory the L1 distance of the density that is furthest off, and its error; best first.
+
+    ``rows`` are those of ``_asked``; a theory's solution and its simulation count as one.
+    """
+    best: dict[tuple[str, str], tuple[float, float]] = {}
+    for row in sorted(rows, key=lambda row: row["error"]):
+        name = named(row["theory"]).partition(",")[0]
+        best.setdefault((name, row["observable"]), (row["L1"], row["error"]))
+    ascending = sorted((distance, name) for (name, _), distance in best.items())
+    worst = {name: distance for distance, name in ascending}
+    return dict(sorted(worst.items(), key=lambda row: row[1]))
+
+
+def _words(name: str, distance: float, error: float) -> str:
+    if distance + error <= ACCEPTABLE_L1:
+        return f"{name} is within {percent(distance + error, up=True)} of the full system"
+    uncertain = f" (± {percent(error, up=True)})" if error > 0.05 * distance else ""
+    return f"{name} is {percent(distance)} off{uncertain}"

@@ -1,0 +1,251 @@
+"""Records as text and as HTML, by templates, with tables of quantities; refusals in words."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from html import escape
+from itertools import chain, repeat
+from pathlib import Path
+from textwrap import wrap
+from typing import Any, get_args
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from cases.compare.claims import Verdict
+from cases.scene.units import bracketed
+from cases.show.digest import curves_of
+from cases.show.records import Record
+from cases.show.words import effects_in_words, named, theory_of_route, with_key
+from cases.written import NOTE, bound, concise, duration, number, up, with_error
+from fpk.answer.method import solvers_of
+
+
+def rendered(template: str, record: Mapping[str, Any]) -> str:
+    """Return the record in the form of a template; in HTML all its text is escaped."""
+    return _templates().get_template(template).render(record).rstrip("\n")
+
+
+@cache
+def _templates() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=lambda name: name is not None and name.endswith("html"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals["quantity_note"] = NOTE
+    environment.filters |= {
+        "quantities": quantity_tables,
+        "num": number,
+        "ljust": str.ljust,
+        "duration": duration,
+        "short": _short,
+        "diagonal": _diagonal,
+        "term": _term,
+        "claim": _claim,
+        "named": named,
+        "theory": theory_of_route,
+        "keyed": with_key,
+        "effects": effects_in_words,
+        "unit": bracketed,
+        "table": text_table,
+        "pm": with_error,
+        "bound": bound,
+        "up": up,
+        "reasons": refusals_of,
+        "curves": curves_of,
+        "verdict": verdict_of,
+        "counted": claims_counted,
+    }
+    return environment
+
+
+def _claim(claim: Record) -> str:
+    """Return the claim, the curve that it is about and what was measured."""
+    where = f"{claim['curve']}: " if claim["curve"] else ""
+    return named(f"{claim['claim']}; {where}{claim['measured']}")
+
+
+def _term(term: Record) -> str:
+    """The damping term as an equation: ``c11 += 0.05 q1^2 v2^2 H``."""
+    powers = [(f"{key}{mass}", n) for key in ("q", "v") for mass, n in term[key].items()]
+    powers += [("H", term["energy"])] if term["energy"] else []
+    factors = [name if n == 1 else f"{name}^{n}" for name, n in powers]
+    return f"c{term['i']}{term['j']} += {' '.join([_short(term['coefficient']), *factors])}"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(_short(v) for v in value) or "none"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _diagonal(matrix: list[list[float]]) -> str:
+    off = [x for i, row in enumerate(matrix) for j, x in enumerate(row) if i != j]
+    if any(off):
+        return "; ".join(_short(row) for row in matrix)
+    return _short([row[i] for i, row in enumerate(matrix)])
+
+
+def refusals_of(curve: Record) -> list[Record]:
+    """Return the refusals of one curve, those with the same reason joined in one entry.
+
+    ``routes`` has the theories, with their solvers where a theory has several.
+    """
+    joined: dict[tuple[str, bool], Record] = {}
+    for r in curve["methods"]:
+        if r["applies"]:
+            continue
+        reason, failed = r["reason"], r["failed"]
+        for name in r["observables"]:
+            reason = reason.removeprefix(f"{name}: ")
+        entry = joined.setdefault((reason, failed), {"solvers": {}, "observables": []})
+        entry["observables"] += [o for o in r["observables"] if o not in entry["observables"]]
+        entry["solvers"].setdefault(r["method"], {})[r["solver"]] = None
+    for (reason, failed), entry in joined.items():
+        routes = ", ".join(
+            theory_of_route(method)
+            + (f" ({', '.join(own)})" if len(solvers_of(method)) > 1 else "")
+            for method, own in entry.pop("solvers").items()
+        )
+        entry |= {"routes": routes, "reason": reason, "failed": failed}
+    return list(joined.values())
+
+
+def verdict_of(digest: Record) -> str:
+    """Return the verdict in one sentence."""
+    if digest["problems"]:
+        count = len(digest["problems"])
+        words = "1 check fails" if count == 1 else f"{count} checks fail"
+        return f"{digest['judged']} judged comparisons, {words}"
+    if not digest["judged"]:
+        return "nothing to compare, every certificate holds"
+    return f"{digest['judged']} judged comparisons, every check holds"
+
+
+def claims_counted(claims: list[Record]) -> str:
+    """Return how many claims of the source have which verdict: ``2 hold, 1 undecided``."""
+    count = Counter(claim["verdict"] for claim in claims)
+    plural = {"holds": "hold", "does not hold": "do not hold"}
+    return ", ".join(
+        f"{count[verdict]} {verdict if count[verdict] == 1 else plural.get(verdict, verdict)}"
+        for verdict in get_args(Verdict)
+        if count[verdict]
+    )
+
+
+def shown_rows(rows: Sequence[Record]) -> list[Record]:
+    """Return the quantities by the first route of each method that solves, and that samples.
+
+    Chosen for each observable on its own. Other solvers of the same equation agree with the first
+    within their errors, or the run fails.
+    """
+    first: dict[tuple[str, str, str], str] = {}
+
+    def route_of(row: Record) -> str:
+        key = row["observable"], row["route"].partition("/")[0], row["error_kind"]
+        return first.setdefault(key, row["route"])
+
+    return [row for row in rows if route_of(row) == row["route"]]
+
+
+def theory_table(rows: Sequence[Record]) -> Record:
+    """Return the names of the theories as ``routes``, and of each quantity a cell by theory.
+
+    Of ``rows``, each with its observable (``of``), ``quantity`` and ``cells``, those of
+    ``shown_rows`` are taken; their units stand behind the quantities.
+    """
+    cells: dict[tuple[str, str], Record] = {}
+    for row in shown_rows(rows):
+        name = theory_of_route(row["route"])
+        quantity = row["quantity"] + bracketed(row.get("unit") or "")
+        cells.setdefault((row["observable"], quantity), {})[name] = row
+    return {
+        "routes": list(dict.fromkeys(name for own in cells.values() for name in own)),
+        "rows": [{"of": of, "quantity": q, "cells": own} for (of, q), own in cells.items()],
+    }
+
+
+def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> list[str]:
+    """Return the lines of a table of each observable, see ``text_table``. ``every``: all routes."""
+    lines: list[str] = []
+    for table in quantity_rows(rows, every=every):
+        lines += [*text_table(table, width), ""]
+    return lines
+
+
+def quantity_rows(rows: Sequence[Record], *, every: bool = True) -> Iterator[list[tuple[str, ...]]]:
+    """Yield a table of each observable: its name beside the routes, then rows of quantities.
+
+    Of ``every`` route, else of those of ``shown_rows``, by the names of the theories.
+    """
+    rows = rows if every else shown_rows(rows)
+    for observable in dict.fromkeys(row["observable"] for row in rows):
+        own = [row for row in rows if row["observable"] == observable]
+        routes = list(dict.fromkeys(row["route"] for row in own))
+        cells = {(r["quantity"], r["route"]): concise(r["value"], r["error"]) for r in own}
+        units = {row["quantity"]: bracketed(row.get("unit") or "") for row in own}
+        heads = [observable, *(name + unit for name, unit in units.items())]
+        words = named if every else theory_of_route
+        columns = [[words(r), *(cells.get((n, r), "") for n in units)] for r in routes]
+        yield list(zip(heads, *columns, strict=True))
+
+
+def html_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return the rows as a table of HTML, the heads of the columns first; texts are escaped."""
+    head, *body = (
+        f"<tr>{''.join(f'<{tag}>{escape(text)}</{tag}>' for text in row)}</tr>"
+        for row, tag in zip(rows, chain(["th"], repeat("td")), strict=False)
+    )
+    return f"<table><thead>{head}</thead><tbody>{''.join(body)}</tbody></table>"
+
+
+def text_table(rows: Sequence[Sequence[str]], width: int, words: int = 1) -> list[str]:
+    """Return the lines of a table no wider than ``width`` where that can be.
+
+    ``rows`` begin with the heads of the columns, alone there are no lines; the first ``words``
+    columns are text, the others numbers, which stand at the right. Where they do not fit, heads and
+    texts go on in a line below; what then still does not fit is in another table below, with the
+    first column again.
+    """
+    if len(rows) < 2:
+        return []
+    columns = list(zip(*rows, strict=True))
+    least = [max(len(w) for text in column for w in text.split() or [""]) for column in columns]
+    numbers = [max(map(len, c[1:]), default=0) for c in columns]
+    least[words:] = map(max, least[words:], numbers[words:])
+    sizes = [max(map(len, column)) for column in columns]
+    lines: list[str] = []
+    for block in _blocks(least[1:], width - least[0]):
+        chosen = [0, *(k + 1 for k in block)]
+        own = {k: sizes[k] for k in chosen}
+        while sum(own.values()) + 2 * len(own) - 2 > width:
+            k = max(chosen, key=lambda k: (own[k] > least[k], own[k] - least[k], own[k]))
+            if own[k] == least[k]:
+                break
+            own[k] -= 1
+        for row in rows:
+            cells = [wrap(row[k], max(own[k], 1)) or [""] for k in chosen]
+            for i in range(max(map(len, cells))):
+                texts = [cell[i] if i < len(cell) else "" for cell in cells]
+                aligned = (
+                    t.ljust(own[k]) if k < words else t.rjust(own[k])
+                    for k, t in zip(chosen, texts, strict=True)
+                )
+                lines.append("  ".join(aligned).rstrip())
+        lines.append("")
+    return lines[:-1]
+
+
+def _blocks(sizes: Sequence[int], width: int) -> list[list[int]]:
+    """Indices of columns of such ``sizes`` that fit together, at least one in each block."""
+    blocks: list[list[int]] = []
+    left = -1
+    for k, size in enumerate(sizes):
+        left -= size + 2
+        if left < 0:
+            blocks.append([])
+            left = width - size - 2
+        blocks[-1].append(k)
+    return blocks

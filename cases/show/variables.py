@@ -1,0 +1,141 @@
+"""Answers of several routes for several curves, and in time, as labelled arrays of a netCDF."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cases.compare.in_time import Replies, failure_of
+from cases.scene.questions import TransientQuestion
+from cases.scene.units import Units, attribute
+from fpk.answer.dynamics import Transient
+from fpk.answer.quantities import Number
+from fpk.numeric.arrays import Array
+
+if TYPE_CHECKING:
+    from cases.compare.stationary import Outcome
+
+Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
+"""Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
+
+Read = Callable[[Any], Any]
+"""Takes two things from an answer: a number or an array, and its error."""
+
+Part = tuple[tuple[str, str], str, str, Read, Mapping[str, int]]
+"""A quantity of every answer: the beginnings of its name and of its error's name, its description,
+its unit, its reader, and the names and sizes of its dimensions beyond curve and route."""
+
+NUMBERS: dict[str, tuple[str, int, Read]] = {
+    "mean": ("mean first-passage time", 1, lambda p: _parts(p.mean)),
+    "variance": ("variance of the first-passage time", 2, lambda p: _parts(p.variance)),
+    "rate": ("failure rate", -1, lambda p: _parts(p.rate)),
+}
+"""Numbers of a first passage by key: what each is, power of time in its unit, how to read it."""
+
+CURVES: dict[str, tuple[str, Read]] = {
+    "survival": ("P(T > t)", lambda p: (p.survival, p.survival_error)),
+    "failure": ("P(T <= t)", failure_of),
+}
+"""Probabilities over the times of a question by key: what each is, and how to read it."""
+
+
+def by_route(
+    name: str,
+    count: int,
+    answers: Mapping[tuple[int, str], Any],
+    parts: Iterable[Part],
+    *,
+    coordinates: Variables | None = None,
+    of_curves: Mapping[str, str] | None = None,
+    kinds: Mapping[str, str] | None = None,
+) -> Variables:
+    """Return the ``answers`` to one question by (number of the curve from 0, label of the route).
+
+    First the coordinate of the routes and ``error_kind`` of each answer, empty for none, then other
+    ``coordinates``, then of each of ``parts`` the variable and that of its error; both are not
+    numbers where there is no answer. ``name`` ends all names; ``count`` is the number of curves,
+    ``of_curves`` the attributes of what belongs to a curve, ``kinds`` those of ``error_kind``.
+    """
+    routes = list(dict.fromkeys(route for _, route in answers))
+    places = [(curve, routes.index(route)) for curve, route in answers]
+    dimensions = ("curve", f"route_{name}")
+    error_kinds = np.full((count, len(routes)), "", dtype=object)
+    for place, answer in zip(places, answers.values(), strict=True):
+        error_kinds[place] = answer.error_kind
+    variables: Variables = {
+        dimensions[1]: (dimensions[1:], np.array(routes), {}),
+        f"error_kind_{name}": (dimensions, error_kinds, kinds or {}),
+        **(coordinates or {}),
+    }
+    for keys, of, unit, read, axes in parts:
+        both = np.full((2, count, len(routes), *axes.values()), np.nan)
+        for place, answer in zip(places, answers.values(), strict=True):
+            both[(0, *place)], both[(1, *place)] = read(answer)
+        for key, values, long_name in zip(keys, both, (of, f"error of {of}"), strict=True):
+            words = {**(of_curves or {}), "units": unit, "long_name": long_name}
+            variables[f"{key}_{name}"] = (*dimensions, *axes), values, words
+    return variables
+
+
+def time_variables(outcome: "Outcome") -> Variables:
+    """Return the answers to question k = 1, 2, … of either kind, by curve and route.
+
+    ``mean_passage_1``, ``variance_…`` and ``rate_…`` (curve, route), ``survival_…`` and
+    ``failure_…`` (curve, route, time); ``p_transient_1`` (curve, route, time, point) at the
+    energies or displacements ``at_transient_1`` (curve, point). Beside each is the error, as
+    ``error_mean_passage_1``. What no route answers is not a number.
+    """
+    variables: Variables = {}
+    for kind in ("passage", "transient"):
+        columns = zip(*(getattr(curve, f"{kind}s") for curve in outcome.curves), strict=True)
+        for k, column in enumerate(columns, start=1):
+            variables |= _variables(f"{kind}_{k}", column, outcome.scene.units)
+    return variables
+
+
+def _variables(name: str, column: tuple[Replies, ...], units: Units) -> Variables:
+    """The answers to question ``name``, of which ``column`` has the replies of every curve."""
+    answers = {(i, g.route.label): g.answer for i, r in enumerate(column) for g in r.given}
+    if not answers:
+        return {}
+    question = column[0].question
+    coordinates: Variables = {}
+    times: dict[str, int] = {}
+    if question.times:
+        times = {f"time_{name}": len(question.times)}
+        values, words = np.array(question.times), {"units": attribute(units.time)}
+        coordinates[f"time_{name}"] = (f"time_{name}",), values, words
+    about, parts = f": {question.name}", list[Part]()
+    if isinstance(question, TransientQuestion):
+        points = [r.points if r.given and r.points is not None else np.zeros(0) for r in column]
+        size = max(p.size for p in points)
+        at = np.array([_padded(p, size) for p in points])
+        unit = attribute(units.coordinate(question.of[0]))
+        words = {"units": unit, "long_name": f"points of {question.name}, of each curve its own"}
+        coordinates[f"at_{name}"] = ("curve", f"point_{name}"), at, words
+        axes, unit = times | {f"point_{name}": size}, attribute(units.density(question.of))
+
+        def read_density(p: Transient) -> list[Array]:
+            return [_padded(rows, size) for rows in (p.values, p.errors)]
+
+        parts.append((("p", "error_p"), f"density{about}", unit, read_density, axes))
+    else:
+        for key, (what, power, read) in NUMBERS.items():
+            unit = attribute(units.of((0, 0, power)))
+            parts.append(((key, f"error_{key}"), f"{what}{about}", unit, read, {}))
+        for key, (what, read) in CURVES.items() if times else ():
+            parts.append(((key, f"error_{key}"), f"{what}{about}", "1", read, times))
+    kinds = {"long_name": question.name}
+    return by_route(name, len(column), answers, parts, coordinates=coordinates, kinds=kinds)
+
+
+def _padded(rows: Array, size: int) -> Array:
+    """The rows (…, points) with ``size`` points, those that are missing not numbers."""
+    missing = size - rows.shape[-1]
+    pads = [*[(0, 0)] * (rows.ndim - 1), (0, missing)]
+    return np.pad(rows, pads, constant_values=np.nan)
+
+
+def _parts(number: Number | None) -> tuple[float, float]:
+    return (np.nan, np.nan) if number is None else (number.value, number.error)

@@ -1,0 +1,183 @@
+"""Densities as VTK files (.vtu, .pvd) that open in ParaView: quadratic cells, errors stated."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+import meshio
+import numpy as np
+
+from cases.compare.answers import Answers
+from cases.compare.stationary import Outcome
+from cases.scene.units import attribute, bracketed
+from cases.show.fields import attributes_of, curve_numbers, variable_name
+from cases.show.files import write_by
+from fpk.answer.dynamics import Transient
+from fpk.answer.names import Observable, observable_name
+from fpk.answer.quantities import field_of
+from fpk.numeric.arrays import Array
+from fpk.system.system import System
+
+
+def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
+    """Write the first observable of the scene's own system as a grid of quadratic cells.
+
+    Beside it ``…_stops.vtu`` has the stops of its displacements, where there are any. ::
+
+        outcome = run_scene(fpk.load("fig7"), [NonIntegrable("closed-form")])
+        write_vtu(outcome, Path("fig7.vtu"))
+    """
+    return _write(outcome, outcome.curves[0], outcome.scene.observables[0], path)
+
+
+def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
+    """Write every observable as a collection over what ``[vary]`` varies, which stands for time.
+
+    ``path`` itself of one observable, of several ``…_q2.pvd`` and so on beside it; each with a
+    ``.vtu`` a curve, the values ascending, and the stops as a second part.
+    """
+    written: list[Path] = []
+    numbers = curve_numbers(outcome)
+    for observable in outcome.scene.observables:
+        entries: dict[Path, Mapping[str, str]] = {}
+        name = variable_name(observable)
+        for k in np.argsort(numbers):
+            curve = outcome.curves[k]
+            if not curve.densities(observable):
+                continue
+            file = path.with_name(f"{path.stem}_{name}_{k}.vtu")
+            for part, each in enumerate(_write(outcome, curve, observable, file)):
+                entry = {"timestep": repr(float(numbers[k])), "part": str(part)}
+                entries[each] = entry | {"name": "stops" if part else name}
+        if entries:
+            own = (
+                path
+                if len(outcome.scene.observables) == 1
+                else path.with_name(f"{path.stem}_{name}{path.suffix}")
+            )
+            written += _write_collection(own, entries)
+    return written
+
+
+def write_time_pvd(outcome: Outcome, folder: Path) -> list[Path]:
+    """Write every transient of the scene's own system as a collection over time, and its files.
+
+    One ``transient_k.pvd`` with a ``.vtu`` for each time, on the same lines between the points.
+    """
+    written: list[Path] = []
+    for k, replies in enumerate(outcome.curves[0].transients, start=1):
+        if not replies.given or replies.points is None:
+            continue
+        points = np.column_stack([replies.points, np.zeros((replies.points.size, 2))])
+        index = np.arange(replies.points.size)
+        lines = [("line", np.column_stack([index[:-1], index[1:]]))]
+        entries: dict[Path, Mapping[str, str]] = {}
+        for j, time in enumerate(replies.question.times):
+            data: dict[str, Array] = {}
+            for g in replies.given:
+                assert isinstance(g.answer, Transient)
+                name = g.route.label.replace("/", " ")
+                data[name] = g.answer.values[j]
+                data[f"error of {name}"] = g.answer.errors[j]
+            file = folder / f"transient_{k}_{j}.vtu"
+            words: dict[str, str | float] = {**_origin(outcome)}
+            words |= {"quantity": replies.question.name, "time": time}
+            _write_mesh(meshio.Mesh(points, lines, point_data=data), words, file)
+            entries[file] = {"timestep": repr(time), "part": "0"}
+        written += _write_collection(folder / f"transient_{k}.pvd", entries)
+    return written
+
+
+def _write_collection(path: Path, entries: Mapping[Path, Mapping[str, str]]) -> list[Path]:
+    """Write the collection of the files beside it, each with its ``entries``; return all paths."""
+    root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
+    collection = ElementTree.SubElement(root, "Collection")
+    for file, entry in entries.items():
+        ElementTree.SubElement(collection, "DataSet", {**entry, "file": file.name})
+    write_by(path, ElementTree.ElementTree(root).write)
+    return [path, *entries]
+
+
+def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path) -> list[Path]:
+    # A theory first: the differences from it then show what it leaves out.
+    densities = sorted(
+        curve.densities(observable).items(), key=lambda a: (a[0].sampled, a[0].solves != "averaged")
+    )
+    mesh, subdivision = field_of({route.label: density for route, density in densities})
+    name, units = observable_name(observable), outcome.scene.units
+    largest = float(mesh.point_data["density"].max())
+    data: dict[str, str | float] = {
+        **_origin(outcome),
+        "curve": curve.label,
+        "observable": name,
+        "axes": ", ".join(f"{c}{bracketed(units.coordinate(c))}" for c in observable),
+        "quantity": f"probability density of {name}",
+        "unit of density": attribute(units.density(observable)),
+        "first route": densities[0][0].label,
+        "subdivision error": subdivision,
+        "largest density": largest,
+    }
+    _write_mesh(mesh, data, path)
+    stops = stops_of(curve.system, observable, mesh.points, largest)
+    if stops is None:
+        return [path]
+    beside = path.with_name(f"{path.stem}_stops.vtu")
+    words: dict[str, str | float] = {**_origin(outcome), "quantity": f"stops beside {name}"}
+    _write_mesh(stops, words, beside)
+    return [path, beside]
+
+
+def stops_of(
+    system: System, observable: Observable, points: Array, height: float
+) -> meshio.Mesh | None:
+    """Return the stops of the displacements of ``observable`` as planes, None without any.
+
+    They stand on the field at ``points`` (…, 3), from 0 to ``height`` in z, where a density warped
+    by its own value has its surface; over a density of one coordinate they are as wide as high.
+    The cells say which ``mass`` it is, counted from 1.
+    """
+    ends = np.array([points.min(axis=0), points.max(axis=0)])
+    if len(observable) == 1:
+        ends[:, 1] = -0.5 * height, 0.5 * height
+    corners, masses = [], []
+    for axis, coordinate in enumerate(observable):
+        for stop in system.stops if coordinate.kind == "q" else ():
+            if stop.index != coordinate.row:
+                continue
+            for along, z in ((0, 0.0), (1, 0.0), (1, height), (0, height)):
+                corner = np.array([*ends[along, :2], z])
+                corner[axis] = stop.sign * stop.clearance
+                corners.append(corner)
+            masses.append(float(stop.mass))
+    if not masses:
+        return None
+    cells = np.arange(len(corners)).reshape(-1, 4)
+    return meshio.Mesh(np.array(corners), [("quad", cells)], cell_data={"mass": [np.array(masses)]})
+
+
+def _origin(outcome: Outcome) -> dict[str, str]:
+    return {key.replace("_", " "): text for key, text in attributes_of(outcome.scene).items()}
+
+
+def _write_mesh(mesh: meshio.Mesh, data: Mapping[str, str | float], path: Path) -> None:
+    """Write the mesh with ``data`` as field data; texts as VTK has them, zero-ended codes."""
+    root = ElementTree.Element("FieldData")
+    for name, value in data.items():
+        kind = "Float64" if isinstance(value, float) else "String"
+        entry = {"type": kind, "Name": name, "NumberOfTuples": "1", "format": "ascii"}
+        codes = [value] if isinstance(value, float) else [*value.encode(), 0]
+        ElementTree.SubElement(root, "DataArray", entry).text = " ".join(map(repr, codes))
+    fields = ElementTree.tostring(root, encoding="unicode")
+
+    def write(temporary: Path) -> None:
+        meshio.vtu.write(temporary, mesh)
+        # meshio writes no field data, and no array as the active one.
+        text, head = temporary.read_text(encoding="utf-8"), "<UnstructuredGrid>"
+        text = text.replace(head, head + fields, 1)
+        for kind, arrays in (("PointData", mesh.point_data), ("CellData", mesh.cell_data)):
+            active = f"<{kind} Scalars={quoteattr(next(iter(arrays), ''))}>"
+            text = text.replace(f"<{kind}>", active, 1)
+        temporary.write_text(text, encoding="utf-8")
+
+    write_by(path, write)

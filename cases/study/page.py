@@ -1,0 +1,191 @@
+"""Output of a study: tables as Markdown and netCDF, and a picture; all files in one writer."""
+
+import csv
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from io import StringIO
+from itertools import pairwise
+from math import nan
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+
+from cases.scene.scene import Scene
+from cases.scene.units import attribute, bracketed
+from cases.show.fields import attributes_of, write_variables
+from cases.show.files import write_text
+from cases.show.page import PLOTS, as_script_data, origin_record, page_record, script_record
+from cases.show.pictures.svg import inline_svg, svg_text
+from cases.show.text import html_table, rendered, text_table
+from cases.show.variables import Variables
+from cases.show.words import named
+from cases.study.picture import Field, Panel, live_plots, study_figure
+from cases.written import duration
+
+MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
+"""Characters to which Markdown gives a meaning inside a line, HTML and formulas included."""
+
+TIMES = ("seconds", "quartiles ±", "first call more", "coefficients", "simulation to this")
+FORMATS: Mapping[str, Callable[[Any], str]] = {
+    **dict.fromkeys(TIMES, duration),
+    "memory": lambda size: f"{size / 1e6:.2g} MB",
+    **dict.fromkeys(("mean", "limit"), "{:.6g}".format),
+    "value": "{:.10g}".format,
+}
+"""How the values of a column are written where three digits do not suit them."""
+
+
+def cell(value: Any, column: str = "") -> str:
+    """Return a value of a table in words: three digits of a plain number, a dash for none."""
+    if isinstance(value, tuple):
+        value = " ".join(map(cell, value))
+    if value is None or value == "" or value != value:
+        return "–"
+    if not isinstance(value, float):
+        return str(value)
+    if column in FORMATS:
+        return FORMATS[column](value)
+    return f"{value:#.3g}" if 0.01 <= abs(value) < 100 or not value else f"{value:.2e}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of equal keys, which are the columns, under a title; remarks stand below them.
+
+    ``name`` is the dimension of the rows in netCDF; ``units`` are those of columns that have one.
+    The first ``parameters`` columns have numbers that were given, which are shown with all digits.
+    """
+
+    name: str
+    title: str
+    rows: Sequence[Mapping[str, Any]]
+    remarks: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    parameters: int = 0
+
+    def cells(self) -> tuple[list[str], list[list[str]]]:
+        """Return the columns with their units, and the rows in words."""
+        rows = [[named(cell(v, column)) for column, v in row.items()] for row in self.rows]
+        for row, own in zip(self.rows, rows, strict=True):
+            own[: self.parameters] = [f"{v:.10g}" for v in list(row.values())[: self.parameters]]
+        return [key + bracketed(self.units.get(key, "")) for key in self.rows[0]], rows
+
+    def unrepeated(self) -> tuple[list[str], list[list[str]]]:
+        """Return ``cells`` without the first ones of a row that are those of the row above."""
+        head, rows = self.cells()
+        for above, row in reversed(list(pairwise(rows))):
+            same = [a == b for a, b in zip(above, row, strict=True)]
+            row[: same.index(False)] = [""] * same.index(False)
+        return head, rows
+
+    @property
+    def texts(self) -> list[bool]:
+        """Whether all cells of a column are text, for every column in order."""
+        return [all(isinstance(row[key], str) for row in self.rows) for key in self.rows[0]]
+
+    def lines(self, width: int) -> list[str]:
+        """Return title, table and remarks for a terminal, see ``text_table``."""
+        head, rows = self.unrepeated()
+        words = (*self.texts, False).index(False)
+        wrapped = [line for remark in self.remarks for line in wrap(named(remark), width)]
+        return [self.title, "", *text_table([head, *rows], width, max(words, 1)), "", *wrapped, ""]
+
+    def markdown(self) -> list[str]:
+        """Return title, rows in aligned columns, and remarks; first cells are not repeated."""
+        head, rows = self.unrepeated()
+        widths = [max(3, *map(len, column)) for column in zip(head, *rows, strict=True)]
+        rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+        lines = [f"## {self.title}", ""]
+        for first, *others in (head, rule, *rows):
+            cells = [first.ljust(widths[0]), *map(str.rjust, others, widths[1:])]
+            lines.append(f"| {' | '.join(cells)} |")
+        return [*lines, "", *(line for remark in map(named, self.remarks) for line in (remark, ""))]
+
+    def html(self) -> str:
+        """Return the rows as an HTML table."""
+        head, rows = self.cells()
+        return html_table([head, *rows])
+
+    def variables(self) -> Variables:
+        """Return the columns as netCDF variables ``name_column``: numbers, else text."""
+        columns: Variables = {}
+        for key in self.rows[0]:
+            values = [row[key] for row in self.rows]
+            if all(value is None or isinstance(value, int | float) for value in values):
+                column = np.array([nan if value is None else value for value in values], float)
+            else:
+                column = np.array(list(map(cell, values)))
+            variable = re.sub(r"\W+", "_", f"{self.name}_{key}".replace("²", "2")).strip("_")
+            unit = self.units.get(key)
+            words = {"units": attribute(unit)} if unit else {}
+            columns[variable] = ((self.name,), column, words)
+        return columns
+
+
+@dataclass(frozen=True)
+class Page:
+    """The page of a study: its title, tables, and panels of a picture.
+
+    Tables without rows are left out. ``gridded`` are the variables of a study over a grid: netCDF
+    has them in the place of the tables, and the first table is written as comma-separated values,
+    too. ``summary`` is what a terminal shows once the page is written; empty: the whole page.
+    """
+
+    name: str
+    scene: Scene
+    title: str
+    tables: Sequence[Table]
+    panels: Sequence[Panel | Field]
+    summary: str = ""
+    gridded: Variables | None = None
+
+    def shown(self, width: int) -> str:
+        """Return the page for a terminal of so many columns; as Markdown where that is 0."""
+        if not width:
+            return self.text().rstrip()
+        tables = [line for t in self.tables if t.rows for line in t.lines(width)]
+        return "\n".join([*wrap(self.title, width), "", *tables]).rstrip()
+
+    def text(self) -> str:
+        """Return the page as Markdown.
+
+        The title has the scene's own, any text: its characters stand for themselves.
+        """
+        title = MARKUP.sub(r"\\\g<0>", self.title)
+        tables = [line for t in self.tables if t.rows for line in t.markdown()]
+        return "\n".join([f"# {title}", "", *tables]).rstrip() + "\n"
+
+    def write(self, folder: Path, *, command: str = "") -> list[Path]:
+        """Write files of the study's name: md, svg, html, nc and, if it is over a grid, csv.
+
+        ``command`` is what made the page, which shows it; empty where Python did.
+        """
+        texts = {"md": self.text(), "svg": svg_text(study_figure(self.panels), salt=self.name)}
+        variables = self.gridded
+        if variables is None:
+            variables = {k: v for t in self.tables if t.rows for k, v in t.variables().items()}
+        else:
+            stream, rows = StringIO(), self.tables[0].rows
+            writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+            texts["csv"] = stream.getvalue()
+        paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "html", "nc")}
+        downloads = [path.name for ending, path in paths.items() if ending != "html"]
+        data = script_record(live_plots(self.panels, "picture"))
+        record = {
+            "page": self,
+            "svg": inline_svg(texts["svg"], self.title),
+            "data": as_script_data(data),
+            **page_record(PLOTS),
+            **origin_record(command, downloads),
+        }
+        texts["html"] = rendered("study.html", record)
+        attributes = {**attributes_of(self.scene), "title": self.title}
+        for ending, text in texts.items():
+            write_text(paths[ending], text)
+        write_variables(variables, attributes, paths["nc"])
+        return list(paths.values())
