@@ -26,7 +26,7 @@ def made(factor):
     return scaled
 '''
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture
