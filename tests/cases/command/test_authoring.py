@@ -130,7 +130,7 @@ def test_the_cost_of_a_simulation_is_that_of_all_its_systems(fpk):
 
 def test_the_table_of_keys_is_that_of_the_schema():
     """``python -m cases.scene.json_schema docs/scene.md`` writes it anew."""
-    page = (Path(__file__).parents[2] / "docs" / "scene.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "scene.md").read_text(encoding="utf-8")
     assert with_table(page) == page
     rows = [line.split(" | ") for line in key_table().splitlines()[2:]]
     assert len(rows) > 40 and not [row[0] for row in rows if row[-1].strip(" |") == ""]

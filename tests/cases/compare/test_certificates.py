@@ -14,7 +14,7 @@ from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.system import System
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 ONE_MAKER = {"Certificate": "fpk/answer/certificate.py", "Density": "fpk/answer/density.py"}
 
 STOPS = tuple(Contact(mass, "both", 10.0, 0.5) for mass in (1, 2))

@@ -25,7 +25,7 @@ from fpk.numeric.errors import InvalidInput, Unavailable
 from fpk.system.contact import Contact
 from fpk.system.system import System
 
-ROOT = Path(__file__).parent.parent.parent
+ROOT = Path(__file__).parents[3]
 LINEAR = System([1.0, 2.0], [1.0, 0.5], [0.08, 0.04], [0.08 * 0.3, 0.04 * 0.3])
 """In equilibrium at the temperature 0.3: q1 has the variance 0.3, q2 that of springs in series."""
 TEMPERATURE = 0.3
