@@ -17,7 +17,7 @@ from cases.scene.errors import BadInput
 
 if TYPE_CHECKING:
     from cases.scene.scene import Scene
-    from cases.study.page import Page
+    from cases.show.study_page import Page
 
 USUAL, COARSE, COARSE_PATHS = 38.0, 5.0, 4096
 """Relaxation times sampled on a path: a quarter of what ``fpk run`` takes. Bands are from the

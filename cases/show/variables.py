@@ -1,6 +1,8 @@
 """Answers of several routes for several curves, and in time, as labelled arrays of a netCDF."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,13 +10,16 @@ from numpy.typing import NDArray
 
 from cases.compare.in_time import Replies, failure_of
 from cases.scene.questions import TransientQuestion
-from cases.scene.units import Units, attribute
+from cases.scene.units import Units, attribute, bracketed
 from fpk.answer.dynamics import Transient
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 
 if TYPE_CHECKING:
     from cases.compare.stationary import Outcome
+
+LABELS = {"contact.stiffness": "contact stiffness B", "contact.clearance": "clearance δ"}
+"""Labels of axes that have one of their own."""
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
@@ -25,6 +30,31 @@ Read = Callable[[Any], Any]
 Part = tuple[tuple[str, str], str, str, Read, Mapping[str, int]]
 """A quantity of every answer: the beginnings of its name and of its error's name, its description,
 its unit, its reader, and the names and sizes of its dimensions beyond curve and route."""
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """One parameter and the values that it takes; ``symbol`` is its letter, such as B.
+
+    ``unit`` is empty without ``[units]``, and where it stands for numbers of several.
+    """
+
+    key: str
+    symbol: str
+    values: Array
+    logarithmic: bool
+    unit: str = ""
+
+    @property
+    def label(self) -> str:
+        """The words of the axis in a picture, with its unit."""
+        return LABELS.get(self.key, self.symbol) + bracketed(self.unit)
+
+    @property
+    def dimension(self) -> str:
+        """The name in netCDF: the key without brackets and commas."""
+        return re.sub(r"[\[\],]+\.?", ".", self.key).strip(".")
+
 
 NUMBERS: dict[str, tuple[str, int, Read]] = {
     "mean": ("mean first-passage time", 1, lambda p: _parts(p.mean)),

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from cases.scene.units import DIMENSIONS, Units, bracketed
+from cases.show.pictures.panel import Curve, Panel
+from cases.show.study_page import Page, Table
 from cases.study.converge import ROUND_OFF, ConvergenceStudy, Ladder
 from cases.study.orders import LIMITS
-from cases.study.page import Page, Table
-from cases.study.picture import Curve, Panel
 from cases.study.weak import ORDERS, WeakOrder
 
 GCI_WORDS = (

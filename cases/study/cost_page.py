@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from cases.show.pictures.panel import Curve, Panel
+from cases.show.study_page import Page, Table
 from cases.show.words import theory_of_route
 from cases.study.cost import CostStudy
 from cases.study.law import FULL
 from cases.study.levels import Level
-from cases.study.page import Page, Table
-from cases.study.picture import Curve, Panel
 from cases.study.prices import Cheapest, by_equation, crossovers, price_list
 from cases.written import bound, duration
 

@@ -12,11 +12,11 @@ from cases.compare.quantity import AVERAGING
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import Scene
 from cases.scene.units import bracketed
+from cases.show.pictures.panel import Field, Panel, curves_over, spans_decades
 from cases.show.pictures.style import COLOURS, symbol_of
+from cases.show.study_page import Page, Table
 from cases.show.variables import Variables
 from cases.show.words import named, stationary_note
-from cases.study.page import Page, Table
-from cases.study.picture import Field, Panel, curves_over, spans_decades
 from cases.study.sweep.answering import SIMULATION
 from cases.study.sweep.result import Sweep
 from cases.study.sweep.sweep import every_answer

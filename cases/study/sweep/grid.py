@@ -5,7 +5,6 @@ One parameter on the command line is ``contact.stiffness=0.01:1000:log25``, or a
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from math import nan, prod
 
@@ -13,13 +12,12 @@ import numpy as np
 
 from cases.scene.errors import BadInput, toml_value
 from cases.scene.numbers import VARIED, place_of, with_numbers
-from cases.scene.units import NO_UNITS, Units, bracketed
+from cases.scene.units import NO_UNITS, Units
+from cases.show.variables import Axis
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 
-LABELS = {"contact.stiffness": "contact stiffness B", "contact.clearance": "clearance δ"}
-"""Labels of axes that have one of their own."""
 MAX_POINTS = 2000
 """Points of a grid; each is a simulation of about a second."""
 WIDE = 30.0
@@ -27,30 +25,6 @@ WIDE = 30.0
 LARGEST = 1e100
 """Largest size of an end of a grid: its square is still a number."""
 FORMS = "low:high:count, low:high:logCOUNT for equal ratios, or a list such as 0.1,0.2"
-
-
-@dataclass(frozen=True, eq=False)
-class Axis:
-    """One parameter and the values that it takes; ``symbol`` is its letter, such as B.
-
-    ``unit`` is empty without ``[units]``, and where it stands for numbers of several.
-    """
-
-    key: str
-    symbol: str
-    values: Array
-    logarithmic: bool
-    unit: str = ""
-
-    @property
-    def label(self) -> str:
-        """The words of the axis in a picture, with its unit."""
-        return LABELS.get(self.key, self.symbol) + bracketed(self.unit)
-
-    @property
-    def dimension(self) -> str:
-        """The name in netCDF: the key without brackets and commas."""
-        return re.sub(r"[\[\],]+\.?", ".", self.key).strip(".")
 
 
 def place_words(axes: Sequence[Axis], values: Sequence[float]) -> str:

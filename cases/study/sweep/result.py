@@ -17,8 +17,8 @@ from cases.scene.scene import read_text
 from cases.scene.units import attribute, bracketed
 from cases.show.files import write_text
 from cases.show.records import Record, plain
-from cases.show.variables import Variables
-from cases.study.sweep.grid import Axis, place_words
+from cases.show.variables import Axis, Variables
+from cases.study.sweep.grid import place_words
 from fpk.numeric.recognition import fingerprint
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ class Sweep:
 
     def plot(self) -> "Figure":
         """Return a figure of every quantity: lines over one axis, heat pictures over two."""
-        study_figure = import_module("cases.study.picture").study_figure
+        study_figure = import_module("cases.show.pictures.panel").study_figure
         figure: Figure = study_figure(_page().sweep_panels(self))
         return figure
 

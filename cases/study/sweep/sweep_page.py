@@ -4,9 +4,9 @@ import numpy as np
 
 from cases.scene.scene import Scene
 from cases.scene.units import bracketed
+from cases.show.pictures.panel import Field, Panel, curves_over, spans_decades
+from cases.show.study_page import Page, Table
 from cases.show.words import named, stationary_note
-from cases.study.page import Page, Table
-from cases.study.picture import Field, Panel, curves_over, spans_decades
 from cases.study.sweep.result import Sweep
 from fpk.numeric.arrays import Array
 

@@ -13,13 +13,13 @@ from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
 from cases.show.live import live_record
+from cases.show.pictures.panel import HALO, Curve, Field, Panel, live_plots, study_figure
 from cases.show.pictures.style import COLOURS, DARK
 from cases.show.report import write_report
 from cases.show.words import named
 from cases.study.cost import CostStudy
 from cases.study.cost_page import cost_page
 from cases.study.levels import Level
-from cases.study.picture import HALO, Curve, Field, Panel, live_plots, study_figure
 from cases.study.prices import Priced
 from cases.study.regime_map import build_map, map_page
 from cases.study.sweep.sweep_page import sweep_page

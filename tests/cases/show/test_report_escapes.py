@@ -14,7 +14,7 @@ from cases.show.digest import digest_of
 from cases.show.live import live_record
 from cases.show.page import PageStyle
 from cases.show.report import report_html, write_report
-from cases.study.page import Page
+from cases.show.study_page import Page
 
 PAYLOADS = [
     "<script>document.title='pwned'</script>",

@@ -8,11 +8,11 @@ import pytest
 
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
+from cases.show.pictures.panel import Curve, Panel, study_figure
 from cases.study.converge import H_LEVELS, ROUND_OFF, chosen_routes, ladders, measured_ladder
 from cases.study.equations import P_DEGREES, energy_equation, modal_equation
 from cases.study.levels import FUNCTIONALS, NORMS, density_of, errors, refined_levels
 from cases.study.orders import NEAR, convergence, grid_convergence, observed_orders
-from cases.study.picture import Curve, Panel, study_figure
 from cases.study.simulation import Run, full_density, observed
 from cases.study.weak import (
     ORDER_ERROR,

@@ -9,13 +9,13 @@ import pytest
 from averaging.energy_process import averaged_density
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
+from cases.show.study_page import Table, cell
 from cases.study import prices
 from cases.study.cost import CostStudy, candidates, equation_routes, study_cost
 from cases.study.cost_page import cost_page
 from cases.study.equations import energy_equation
 from cases.study.law import FULL, Law, full_routes, solved_routes
 from cases.study.levels import Level, density_of, errors
-from cases.study.page import Table, cell
 from cases.study.prices import NotTimed, Priced, crossovers, passage_routes, price_list
 from cases.study.simulation import full_reference
 from cases.written import duration

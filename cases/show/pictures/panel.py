@@ -18,8 +18,8 @@ from cases.show.page import MARKS, rounded
 from cases.show.pictures.lines import CURVE_MARKS
 from cases.show.pictures.style import COLOURS, INK, STYLE
 from cases.show.records import Record
+from cases.show.variables import Axis
 from cases.show.words import named
-from cases.study.sweep.grid import Axis
 from fpk.numeric.arrays import Array
 
 DASHES: Any = (0, (4, 2))

@@ -18,11 +18,11 @@ from cases.scene.units import attribute, bracketed
 from cases.show.fields import attributes_of, write_variables
 from cases.show.files import write_text
 from cases.show.page import PLOTS, as_script_data, origin_record, page_record, script_record
+from cases.show.pictures.panel import Field, Panel, live_plots, study_figure
 from cases.show.pictures.svg import inline_svg, svg_text
 from cases.show.text import html_table, rendered, text_table
 from cases.show.variables import Variables
 from cases.show.words import named
-from cases.study.picture import Field, Panel, live_plots, study_figure
 from cases.written import duration
 
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
