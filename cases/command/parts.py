@@ -16,7 +16,7 @@ import click
 
 from cases.command import completed
 from cases.scene.errors import BadInput
-from cases.written import SCHEMA
+from cases.scene.written import SCHEMA
 from fpk.numeric.errors import InvalidInput
 
 if TYPE_CHECKING:

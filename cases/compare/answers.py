@@ -3,8 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cases.compare.attempts import Refusal
 from cases.compare.compare import Comparison, compared, discrepancies
@@ -21,11 +20,6 @@ from fpk.answer.method import Result, Route
 from fpk.answer.names import Level, Observable, observable_name, parse_observable
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from pandas import DataFrame
-    from xarray import Dataset
 
 
 @dataclass(frozen=True, repr=False)
@@ -123,44 +117,6 @@ class Answers(Mapping[Any, AnyDensity]):
         """Return the pairs in one line."""
         return f"Answers({', '.join(f'{o} by {m}' for o, m in self)})"
 
-    def summary(self) -> "DataFrame":
-        """Return the quantities as a data frame: rows by observable and quantity.
-
-        Columns by route, each with ``value``, ``error`` and ``error_kind``: ``numerical``, or
-        ``sampling`` for one standard error. Needs pandas; raises ``Unavailable`` without. ::
-
-            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).summary()
-        """
-        frame: DataFrame = presented().summary_frame(self)
-        return frame
-
-    def to_xarray(self) -> "Dataset":
-        """Return the densities and their errors on common grids, as in the file of a run.
-
-        ``p_q2`` (route_q2, q2) is the density, ``error_q2`` its error, of the kind that
-        ``error_kind_q2`` says. Needs xarray; raises ``Unavailable`` without. ::
-
-            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).to_xarray()["p_q2"]
-        """
-        data: Dataset = presented().dataset(self)
-        return data
-
-    def plot(self, observable: str, *, log: bool = False) -> "Figure":
-        """Return a figure of pyplot with the densities of ``observable`` by every route drawn.
-
-        Of a pair as contours. ``log``: on a logarithmic axis, down to 1e-6 of the largest, contours
-        to 1e-3. Raises ``InvalidInput`` for an observable that there is not. ::
-
-            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).plot("q2", log=True)
-        """
-        wanted = parse_observable(observable, self.system.n)
-        figure: Figure = presented().plot(self, wanted, log=log)
-        return figure
-
-    def _repr_html_(self) -> str:
-        """Return the quantities as tables, for a notebook."""
-        return str(presented().html_tables(self))
-
     def neglects(self, route: Route) -> bool:
         """Whether the answer of ``route`` leaves out an effect of the system."""
         return any(r.neglected for r in self.results if r.method.route == route)
@@ -213,8 +169,3 @@ class Answers(Mapping[Any, AnyDensity]):
             words = "no route gives its stationary density; --details says why"
             problems += [f"{name}: {words}" for name in sorted(names)]
         return tuple(f"{self.label}: {p}" if self.label else p for p in problems)
-
-
-def presented() -> Any:
-    """Return the module that shows answers, which is above this one and heavy: loaded late."""
-    return import_module("cases.show.presented")

@@ -14,7 +14,7 @@ from cases.compare.compare import distance_between
 from cases.compare.doubt import ACCEPTABLE_L1
 from cases.scene.expect import RELATIONS, Expect
 from cases.scene.questions import PassageQuestion
-from cases.written import with_error
+from cases.scene.written import with_error
 from fpk.answer.contacts import stop_clearances
 from fpk.answer.density import AnyDensity, distance_with_error
 from fpk.answer.names import Observable, observable_name

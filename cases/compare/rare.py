@@ -8,7 +8,7 @@ import numpy as np
 
 from averaging.energy_process import energy_process
 from cases.scene.questions import PassageQuestion
-from cases.written import bound
+from cases.scene.written import bound
 from fpk.answer.certificate import Measured, certify, tolerance
 from fpk.answer.dynamics import Passage
 from fpk.answer.method import Progress, Route

@@ -13,7 +13,7 @@ from cases.compare.attempts import INTERRUPTED, REFUSALS, Attempts, Budget, budg
 from cases.compare.in_time import Replies
 from cases.scene.questions import Question
 from cases.scene.scene import Scene
-from cases.written import bound
+from cases.scene.written import bound
 from fpk.answer.density import Density
 from fpk.answer.method import Method, Plan, Progress, Result, silent
 from fpk.answer.names import Coordinate, Observable, observable_name

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from cases.written import SUPERSCRIPTS
+from cases.scene.written import SUPERSCRIPTS
 from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.errors import InvalidInput
 

@@ -11,10 +11,10 @@ from cases.compare.quantities import Quantity
 from cases.compare.stationary import Outcome
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import NO_UNITS, Units
+from cases.scene.written import SCHEMA
 from cases.show.facts import facts_record
 from cases.show.records import Record, answer_tail, answer_units, passage_numbers, plain
 from cases.show.words import stationary_note
-from cases.written import SCHEMA
 from fpk.answer.dynamics import Passage
 from fpk.answer.method import Result, Route
 from fpk.answer.names import observable_name

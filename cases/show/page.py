@@ -14,9 +14,9 @@ from markupsafe import Markup
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
+from cases.scene.written import bound
 from cases.show.pictures.style import COLOURS, DARK
 from cases.show.records import Record, plain, program_version
-from cases.written import bound
 
 TEMPLATES = Path(__file__).parent / "templates"
 

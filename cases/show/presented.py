@@ -9,6 +9,7 @@ import numpy as np
 
 from cases.compare.answers import Answers
 from cases.scene.units import Units
+from cases.scene.written import NOTE
 from cases.show.digest import quantity_row
 from cases.show.fields import common_grid, density_variables
 from cases.show.pictures.joint import LOWEST, contour_panels, joint_figure
@@ -18,7 +19,6 @@ from cases.show.records import UNITS, plain, program_version
 from cases.show.text import html_table, quantity_rows
 from cases.show.variables import Variables
 from cases.show.words import named
-from cases.written import NOTE
 from fpk.answer.density import AnyDensity
 from fpk.answer.names import Observable, observable_name
 from fpk.numeric.errors import InvalidInput, Unavailable
@@ -28,7 +28,7 @@ TAIL = 1e-6
 
 
 def summary_frame(answers: Answers) -> Any:
-    """Return the quantities as a data frame of pandas, see ``Answers.summary``."""
+    """Return the quantities as a data frame of pandas, see ``PresentedAnswers.summary``."""
     pandas = needed("pandas")
     frame = pandas.DataFrame([quantity_row(q) for q in answers.quantities])
     if frame.empty:
@@ -42,7 +42,7 @@ def summary_frame(answers: Answers) -> Any:
 
 
 def dataset(answers: Answers) -> Any:
-    """Return the densities as a data set of xarray, see ``Answers.to_xarray``."""
+    """Return the densities as a data set of xarray, see ``PresentedAnswers.to_xarray``."""
     xarray = needed("xarray")
     variables: Variables = {}
     for observable in dict.fromkeys(d.observable for d in answers.values()):
@@ -54,7 +54,7 @@ def dataset(answers: Answers) -> Any:
 
 
 def plot(answers: Answers, observable: Observable, *, log: bool) -> Any:
-    """Return a figure of the densities of one coordinate or two, see ``Answers.plot``."""
+    """Return a figure of the densities of one coordinate or two, see ``PresentedAnswers.plot``."""
     densities = answers.densities(observable)
     if not densities:
         there = "; ".join(dict.fromkeys(o for o, _ in answers)) or "none"

@@ -10,8 +10,8 @@ from pydantic_core import to_jsonable_python
 from cases.compare.doubt import averaging_notes
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
+from cases.scene.written import bound
 from cases.show.variables import CURVES, NUMBERS
-from cases.written import bound
 from fpk.answer.certificate import Certificate
 from fpk.answer.dynamics import Curve, Passage, Rates, Transient
 from fpk.answer.method import Method

@@ -12,6 +12,7 @@ from cases.compare.claims import ALMOST_KURTOSIS, ALMOST_L1
 from cases.compare.doubt import ACCEPTABLE_L1
 from cases.compare.stationary import Outcome
 from cases.scene.scene import Scene
+from cases.scene.written import percent
 from cases.show.digest import curves_of
 from cases.show.facts import theories, units_record
 from cases.show.files import write_text
@@ -26,7 +27,6 @@ from cases.show.pictures.svg import inline_svg, svg_text
 from cases.show.records import Record
 from cases.show.text import rendered, theory_table
 from cases.show.words import named
-from cases.written import percent
 from fpk.answer.contacts import CLEARANCE_RULE
 from fpk.answer.method import Progress, silent
 from sim.sample.diagnostics import FALSE_ALARMS

@@ -15,6 +15,7 @@ import numpy as np
 
 from cases.scene.scene import Scene
 from cases.scene.units import attribute, bracketed
+from cases.scene.written import duration
 from cases.show.fields import attributes_of, write_variables
 from cases.show.files import write_text
 from cases.show.page import PLOTS, as_script_data, origin_record, page_record, script_record
@@ -23,7 +24,6 @@ from cases.show.pictures.svg import inline_svg, svg_text
 from cases.show.text import html_table, rendered, text_table
 from cases.show.variables import Variables
 from cases.show.words import named
-from cases.written import duration
 
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
 """Characters to which Markdown gives a meaning inside a line, HTML and formulas included."""

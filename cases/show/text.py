@@ -13,10 +13,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.compare.claims import Verdict
 from cases.scene.units import bracketed
+from cases.scene.written import NOTE, bound, concise, duration, number, up, with_error
 from cases.show.digest import curves_of
 from cases.show.records import Record
 from cases.show.words import effects_in_words, named, theory_of_route, with_key
-from cases.written import NOTE, bound, concise, duration, number, up, with_error
 from fpk.answer.method import solvers_of
 
 

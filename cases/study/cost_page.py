@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from cases.scene.written import bound, duration
 from cases.show.pictures.panel import Curve, Panel
 from cases.show.study_page import Page, Table
 from cases.show.words import theory_of_route
@@ -12,7 +13,6 @@ from cases.study.cost import CostStudy
 from cases.study.law import FULL
 from cases.study.levels import Level
 from cases.study.prices import Cheapest, by_equation, crossovers, price_list
-from cases.written import bound, duration
 
 MEANING = (
     "Processor times on one thread after a warm-up, the median of 3 to 21 runs where one takes"

@@ -17,7 +17,7 @@ from cases.command.parts import as_wide
 from cases.scene.json_schema import DIRECTIVE, FILE, key_table, scene_schema, with_table
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.schema import SCENE
-from cases.written import duration
+from cases.scene.written import duration
 from fpk.answer.contacts import stop_clearances
 from fpk.system.contact_law import LAWS
 from sim.montecarlo import MonteCarlo

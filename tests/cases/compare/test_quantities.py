@@ -17,9 +17,10 @@ from cases.compare.answers import Answers
 from cases.compare.routes import method_for
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.scene.written import concise, up, with_error
 from cases.show.digest import digest_of
+from cases.show.presented import summary_frame
 from cases.show.text import quantity_tables
-from cases.written import concise, up, with_error
 from fpk.answer.density import Density
 from fpk.numeric.errors import InvalidInput, Unavailable
 from fpk.system.contact import Contact
@@ -409,7 +410,7 @@ def test_a_frame_has_every_quantity_with_its_error_by_route(one):
         row = frame.loc[(q.observable, q.quantity), q.route.label]
         assert tuple(row) == (q.number.value, q.number.error, q.error_kind)
     assert [*frame.index] == list(dict.fromkeys((q.observable, q.quantity) for q in one.quantities))
-    assert Answers(ONE, ()).summary().empty
+    assert summary_frame(Answers(ONE, ())).empty
 
 
 def test_labelled_arrays_are_the_densities_at_their_points(one):

@@ -19,6 +19,7 @@ from cases.compare.routes import method_for, register_routes
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.scene.units import Units
+from cases.scene.written import bound, with_error
 from cases.show.digest import digest_of
 from cases.show.live import MARKS
 from cases.show.page import TEMPLATES
@@ -29,7 +30,6 @@ from cases.show.pictures.svg import TOLERANCE, inline_svg, svg_text
 from cases.show.report import headline_of, measure_of, report_html
 from cases.show.text import claims_counted, rendered, theory_table
 from cases.show.words import CONSTANT_NOISE, named
-from cases.written import bound, with_error
 from fpk import Contact, System
 from fpk.answer.method import ROUTES
 

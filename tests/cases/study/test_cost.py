@@ -9,6 +9,7 @@ import pytest
 from averaging.energy_process import averaged_density
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
+from cases.scene.written import duration
 from cases.show.study_page import Table, cell
 from cases.study import prices
 from cases.study.cost import CostStudy, candidates, equation_routes, study_cost
@@ -18,7 +19,6 @@ from cases.study.law import FULL, Law, full_routes, solved_routes
 from cases.study.levels import Level, density_of, errors
 from cases.study.prices import NotTimed, Priced, crossovers, passage_routes, price_list
 from cases.study.simulation import full_reference
-from cases.written import duration
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
 from fpk.solvers.line.stationary import solve_stationary
