@@ -60,8 +60,8 @@ class PresentedAnswers(Answers):
     def plot(self, observable: str, *, log: bool = False) -> "Figure":
         """Return a figure of pyplot with the densities of ``observable`` by every route drawn.
 
-        Contours for a pair. ``log``: on a logarithmic axis, down to 1e-6 of the largest density,
-        contours to 1e-3. Raises ``InvalidInput`` for an observable without a density. ::
+        Contours for a pair. ``log``: on a logarithmic axis, down to 1e-6 of the largest, contours
+        to 1e-3. Raises ``InvalidInput`` for an observable without a density. ::
 
             fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).plot("q2", log=True)
         """

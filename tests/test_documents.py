@@ -14,10 +14,10 @@ from averaging.phase_space import refinement
 from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.passage import first_passage, mesh
 from averaging.time import TOL
+from cases.api import PresentedAnswers
 from cases.command import studies
 from cases.command.app import app
 from cases.compare import answering, claims, doubt, quantity
-from cases.compare.answers import Answers
 from cases.compare.routes import listed_routes
 from cases.scene import schema
 from cases.show import facts, presented, text
@@ -253,8 +253,8 @@ def test_messages_and_help_state_the_limits_of_the_code():
     limits = short(presented.TAIL), short(joint.LOWEST)
     assert (
         "down to {} of the largest, contours".format(*limits)
-        in " ".join(Answers.plot.__doc__.split())
-        and f"to {limits[1]}." in Answers.plot.__doc__
+        in " ".join(PresentedAnswers.plot.__doc__.split())
+        and f"to {limits[1]}." in PresentedAnswers.plot.__doc__
     )
     for command in app.commands.values():
         for option in command.params:
