@@ -57,9 +57,20 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
     "navigation_depth": 2,
-    "header_links_before_dropdown": 8,
+    "header_links_before_dropdown": 10,
 }
-html_sidebars = {page: [] for page in ("index", "start", "tutorial", "choose", "faq")}
+html_sidebars = {
+    page: []
+    for page in (
+        "index",
+        "start",
+        "tutorial",
+        "acceleration",
+        "choose",
+        "faq",
+        "extend",
+    )
+}
 
 ORDER = [
     "density", "three_routes", "summary", "routes", "refusals", "contact_forces", "tails",
