@@ -1,22 +1,19 @@
-"""First passage of dH = (D' − cH) dt + √(2D'H) dB beside ``kramers``, rare failure beside pyTAMS.
+"""First passage of dH = (D' − cH) dt + √(2D'H) dB beside ``kramers``.
 
     python benchmarks/passage.py [--out docs/benchmarks/passage.md]
 
-Both peers are optional (``pip install kramers pytams``): what is missing is said in its row.
+``kramers`` is optional (``pip install kramers``): a missing one is said in its row.
 """
 
 import argparse
-import os
 from collections.abc import Callable
 from decimal import Decimal, getcontext
 from functools import partial
 from pathlib import Path
 from statistics import median
-from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import numpy as np
-from passage_rare import COLUMNS, STEP, TIME, rare
 from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
@@ -120,15 +117,7 @@ mean, variance, rate and checks at once, but for `mean alone`; those of `kramers
 ## Failure rate
 
 {rates}
-## Rare failure
-
-P(T <= {time:g}) = 1e-6, the limit by the closed form. Step {step}, one core; vibro-fpk makes as many runs at twice
-the step, and states inf where runs scatter too much to say. pyTAMS kills one path at a time in its one worker and
-states no error: `spread` is that of its runs. It knows no process: steps, score (that of vibro-fpk) and the maximum
-between steps are Python of its user's, in a process of its own. With few replicas it may not end: it looks for a
-parent above the least score where all scores are equal. `kramers` has no splitting; pyTAMS gives no mean times.
-
-{rare}"""  # noqa: E501
+"""  # noqa: E501
 
 
 def main() -> None:
@@ -137,13 +126,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/passage.md"))
     out = parser.parse_args().out.resolve()
     means = [line for x in (3, 30, 200, 500) for line in rows("mean", x, exact_mean(x))]
-    with TemporaryDirectory() as folder:  # pyTAMS leaves files where it runs
-        os.chdir(folder)
-        found = rare(SYSTEM, C, D)
     rates = rows("rate", 3, RATE)
-    tables = {"means": (HEADER, means), "rates": (HEADER, rates), "rare": (COLUMNS, found)}
+    tables = {"means": (HEADER, means), "rates": (HEADER, rates)}
     made = {key: markdown_table(*table) for key, table in tables.items()}
-    about = {"c": C, "D": D, "time": TIME, "step": STEP, "repeats": REPEATS, "machine": machine()}
+    about = {"c": C, "D": D, "repeats": REPEATS, "machine": machine()}
     out.write_text(TEXT.format(**about, **made))
 
 

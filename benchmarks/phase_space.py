@@ -7,17 +7,14 @@ error falls with the root of the time that is sampled, which is long against the
 then; the time before it, in which the start is forgotten, is the same for any error.
 """
 
-import argparse
 import os
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
 from itertools import product
-from pathlib import Path
-from statistics import median
 from time import perf_counter
 
-from report import machine, markdown_table
+from report import markdown_table, medians, write_page
 
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import MEMORY
@@ -60,27 +57,19 @@ def row(system: System, tol: float, words: list[str]) -> list[str]:
     certified = "yes" if density.certificate.certified else "no"
     degrees = f"{result.settings['highest degree']}"
     print(*words, f"{seconds:.1f} s", f"{density.l1_error:.1e}", flush=True)
-    return [
-        *words,
-        degrees,
-        f"{density.l1_error:.1e}",
-        certified,
-        f"{seconds:.1f} s",
-        f"{needed:.2g} s",
-    ]
+    times = [f"{seconds:.1f} s", f"{needed:.2g} s"]
+    return [*words, degrees, f"{density.l1_error:.1e}", certified, *times]
 
 
 def one_mass() -> list[str]:
     """Return what a stated error of 1e-10 costs with one mass, where the density is exact."""
     system = System([1], [1], [0.04], [0.02], contacts=(Contact(1, "both", 10.0, 0.5),))
-    q1, seconds, tol = (parse_observable("q1", 1),), [], 1e-10
-    for _ in range(REPEATED):
-        start = perf_counter()
-        result = PhaseSpace(tol=tol).solve(system, q1)
-        seconds.append(perf_counter() - start)
+    q1, tol = (parse_observable("q1", 1),), 1e-10
+    seconds = medians(lambda: PhaseSpace(tol=tol).solve(system, q1), repeats=REPEATED)
+    result = PhaseSpace(tol=tol).solve(system, q1)
     (density,), (exact,) = result.densities, Exact().solve(system, q1).densities
     assert isinstance(density, Density) and isinstance(exact, Density)
-    true, time = l1_distance(density, exact), f"{1e3 * median(seconds):.0f} ms"
+    true, time = l1_distance(density, exact), f"{1e3 * seconds:.0f} ms"
     degree, stated = f"{result.settings['highest degree']}", f"{density.l1_error:.1e}"
     return [f"{tol:.0e}", degree, stated, f"{true:.1e}", time]
 
@@ -104,43 +93,37 @@ def three_masses() -> list[list[str]]:
     return rows
 
 
-def main() -> None:
-    """Write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/phase_space.md"))
-    out = parser.parse_args().out
-    head = ["B", "clearance", "sides", "damping", "tol", "degree", "stated L1", "certified", "time"]
-    head.append("sampling")
+WORDS = (
+    "p(q2) of Fig. 6(a) with other stops; wall time on both cores, all coarser solutions included;"
+    " sampling: the time that a simulation would need for the same L1 error, from one of"
+    f" {SECONDS:g} s."
+)
+
+
+def body() -> str:
+    """Return the tables."""
+    cases = [(10.0, 0.5, "both", 1.0, tol) for tol in (1e-3, 1e-4)]
+    cases += [(B, gap, "both", 1.0, TOL) for B, gap in product(STIFFNESS, CLEARANCE)]
+    cases += [(B, 0.5, "right", 1.0, TOL) for B in STIFFNESS]
+    cases += [(10.0, 0.5, "both", 10.0, TOL)]
+    cases += [(10.0, 0.5, "both", 1.0, tol) for tol in (1e-5, 1e-6)]
     rows = []
-    for tol in (1e-3, 1e-4):
-        words = ["10", "0.5", "both", "c", f"{tol:.0e}"]
-        rows.append(row(fig6(10.0, 0.5, "both"), tol, words))
-    cases = [("both", B, clearance) for B, clearance in product(STIFFNESS, CLEARANCE)]
-    cases += [("right", B, 0.5) for B in STIFFNESS]
-    for side, B, clearance in cases:
-        words = [f"{B:g}", f"{clearance:g}", side, "c", f"{TOL:.0e}"]
-        rows.append(row(fig6(B, clearance, side), TOL, words))
-    rows.append(
-        row(fig6(10.0, 0.5, "both", 10.0), TOL, ["10", "0.5", "both", "c/10", f"{TOL:.0e}"])
+    for B, clearance, side, lighter, tol in cases:
+        damping = "c" if lighter == 1.0 else f"c/{lighter:g}"
+        words = [f"{B:g}", f"{clearance:g}", side, damping, f"{tol:.0e}"]
+        rows.append(row(fig6(B, clearance, side, lighter), tol, words))
+    head = ["B", "clearance", "sides", "damping", "tol", "degree", "stated L1", "certified", "time"]
+    one = markdown_table(["tol", "degree", "stated L1", "true L1", "time"], [one_mass()])
+    three = markdown_table(["memory", "degree", "stated L1", "time"], three_masses())
+    return (
+        markdown_table([*head, "sampling"], rows)
+        + "\n## One mass\n\nStops on both sides, B = 10, δ = 0.5; c = 0.04, D = 0.02; p(q1), median"
+        f" of {REPEATED}.\n\n{one}\n## Three masses\n\nStops on both sides of the second, B = 10,"
+        " δ = 0.5, c = (0.08, 0.06, 0.04), D = (0.01, 0.015, 0.02); p(q2), by the memory that a"
+        f" solution may need, and work in proportion to its power 3/2.\n\n{three}"
     )
-    for tol in (1e-5, 1e-6):
-        rows.append(row(fig6(10.0, 0.5, "both"), tol, ["10", "0.5", "both", "c", f"{tol:.0e}"]))
-    text = "# The full equation without sampling\n\nWritten by `benchmarks/phase_space.py`. "
-    text += machine() + ".\n\np(q2) of Fig. 6(a) with other stops; wall time on both cores, all "
-    text += "coarser solutions included; sampling: the time that a simulation would need for the "
-    text += f"same L1 error, from one of {SECONDS:g} s.\n\n"
-    text += markdown_table(head, rows)
-    text += (
-        "\n## One mass\n\nStops on both sides, B = 10, δ = 0.5; c = 0.04, D = 0.02; p(q1), median "
-    )
-    text += f"of {REPEATED}.\n\n"
-    text += markdown_table(["tol", "degree", "stated L1", "true L1", "time"], [one_mass()])
-    text += "\n## Three masses\n\nStops on both sides of the second, B = 10, δ = 0.5, "
-    text += "c = (0.08, 0.06, 0.04), D = (0.01, 0.015, 0.02); p(q2), by the memory that a "
-    text += "solution may need, and work in proportion to its power 3/2.\n\n"
-    text += markdown_table(["memory", "degree", "stated L1", "time"], three_masses())
-    out.write_text(text)
 
 
 if __name__ == "__main__":
-    main()
+    title = "The full equation without sampling"
+    write_page(title, "phase_space.py", WORDS, body, "docs/benchmarks/phase_space.md")

@@ -7,18 +7,15 @@ of the error estimate included. The error is the L1 distance to the closed form,
 one-sided coupling, where there is none, to the solution for the tolerance 1e-12.
 """
 
-import argparse
 import os
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
-import statistics
 from functools import partial
-from pathlib import Path
 from time import thread_time
 
 import numpy as np
-from report import machine, markdown_table
+from report import markdown_table, medians, write_page
 
 from averaging.modal.analysis import modal_analysis
 from cases.scene.scene import load_scene
@@ -138,11 +135,23 @@ def expanded(solution) -> str:
     return "u" if solution.degree else "–"
 
 
-def main() -> None:
-    """Measure, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/plane.md"))
-    arguments = parser.parse_args()
+WORDS = (
+    f"One thread, medians of the processor time of {REPEATS} solves (fewer of long ones) after a"
+    " warm-up, coefficients and error estimate included.\n\n"
+    "fig8a and fig8b are two uncoupled modes; the next five have van der Pol damping,"
+    " s_i = d_i − (γ_i + α_i H_i + d_i c H_j) H_i, with no flux; in the others probability"
+    " circulates: by construction with a closed form, or by a coupling that is stronger one way"
+    " than the other, in the scene vanderpol too. The error is ∫|p_h − p| dH1 dH2 against the"
+    " closed form, of one-sided"
+    f" coupling against the solution for the tolerance {TOLERANCES[-1]:.0e}. Least p: relative"
+    " to the largest, 0 where none is negative; below −1e-14 nothing is certified. Expanded: in"
+    " p = w u, u as a polynomial on each of few panels, or p itself on plain elements where no"
+    " weight w gets there; – where no probability flows and p = C w."
+)
+
+
+def body() -> str:
+    """Return the table."""
     rows = []
     product: dict[float, float] = {}
     for name, (process, log_p) in measured_cases().items():
@@ -151,51 +160,21 @@ def main() -> None:
         exact = best.density if log_p is None else lambda x, y, f=log_p: np.exp(f(x, y))
         for tol in TOLERANCES:
             work = partial(solve_plane, process, tol=tol)
-            solution, times = work(), []
-            while len(times) < REPEATS and sum(times) < LONGEST:
-                start = thread_time()
-                work()
-                times.append(thread_time() - start)
-            median = statistics.median(times)
+            seconds = medians(work, repeats=REPEATS, longest=LONGEST, clock=thread_time)
+            solution = work()
             if name == "fig8b":
-                product[tol] = median
+                product[tol] = seconds
             own = log_p is None and tol == TOLERANCES[-1]
-            error = "–" if own else f"{l1_distance(solution, exact, ends):.1e}"
-            rows.append(
-                [
-                    name,
-                    f"{tol:.0e}",
-                    expanded(solution),
-                    str(solution.degree),
-                    str(solution.unknowns),
-                    f"{1e3 * median:.1f}",
-                    f"{median / product[tol]:.1f}" if tol in product else "–",
-                    error,
-                    f"{solution.l1_error:.1e}",
-                    f"{min(solution.certificate.minimum, 0.0):.0e}",
-                    "yes" if solution.certificate.certified else "no",
-                ]
-            )
+            cells = [name, f"{tol:.0e}", expanded(solution), str(solution.degree)]
+            cells += [str(solution.unknowns), f"{1e3 * seconds:.1f}"]
+            cells += [f"{seconds / product[tol]:.1f}" if tol in product else "–"]
+            cells += ["–" if own else f"{l1_distance(solution, exact, ends):.1e}"]
+            cells += [f"{solution.l1_error:.1e}", f"{min(solution.certificate.minimum, 0.0):.0e}"]
+            rows.append([*cells, "yes" if solution.certificate.certified else "no"])
     header = ["scene", "tol", "expanded", "degree", "unknowns", "median ms", "of fig8b's"]
-    header += ["L1 error", "estimate", "least p", "certified"]
-    arguments.out.write_text(
-        "# Stationary density of two modal energies\n\n"
-        f"Written by `benchmarks/plane.py`, one thread, medians of the processor time of {REPEATS}"
-        " solves (fewer of long ones) after a warm-up, coefficients and error estimate included."
-        f" {machine()}.\n\n"
-        "fig8a and fig8b are two uncoupled modes; the next five have van der Pol damping,"
-        " s_i = d_i − (γ_i + α_i H_i + d_i c H_j) H_i, with no flux; in the others probability"
-        " circulates: by construction with a closed form, or by a coupling that is stronger one way"
-        " than the other, in the scene vanderpol too. The error is ∫|p_h − p| dH1 dH2 against the"
-        " closed form, of one-sided"
-        f" coupling against the solution for the tolerance {TOLERANCES[-1]:.0e}. Least p: relative"
-        " to the largest, 0 where none is negative; below −1e-14 nothing is certified. Expanded: in"
-        " p = w u, u as a polynomial on each of few panels, or p itself on plain elements where no"
-        " weight w gets there; – where no probability flows and p = C w.\n\n"
-        + markdown_table(header, rows)
-    )
-    print(arguments.out.read_text())
+    return markdown_table([*header, "L1 error", "estimate", "least p", "certified"], rows)
 
 
 if __name__ == "__main__":
-    main()
+    title = "Stationary density of two modal energies"
+    write_page(title, "plane.py", WORDS, body, "docs/benchmarks/plane.md")

@@ -16,7 +16,6 @@ sys.path.append(str(Path(__file__).resolve().parent / "sde_peers"))
 import ours
 import peer_numpy
 import trial
-from choice import best
 
 OURS, NUMPY = "this program", "NumPy"
 
@@ -41,7 +40,7 @@ def rows(lines: list[dict]) -> list[dict]:
     found = []
     for peer, scheme in dict.fromkeys((line["peer"], line["scheme"]) for line in lines):
         same = [line for line in lines if (line["peer"], line["scheme"]) == (peer, scheme)]
-        found.append(best(same, (peer,)) or min(same, key=lambda line: line["step"]))
+        found.append(trial.best(same, (peer,)) or min(same, key=lambda line: line["step"]))
     return found
 
 

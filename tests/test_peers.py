@@ -16,8 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PEERS = ROOT / "benchmarks" / "peers"
 KEYS = {"peer", "version", "problem", "setting", "unknowns", "L1", "seconds", "minimum", "mass"}
 ALWAYS = ("ours.py", "peer_chebyshev.py", "peer_chang_cooper.py", "peer_scikit_fem.py")
-OTHERS = {"ngsolve": "peer_ngsolve.py", "fipy": "peer_fipy.py", "fplanck": "peer_fplanck.py"}
-OTHERS |= {"pde": "peer_pypde.py"}
+OTHERS = {"ngsolve": "peer_ngsolve.py", "fipy": "peer_fipy.py"}
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -15,25 +15,47 @@ os.environ.update(
 
 import argparse
 import json
+import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
 from statistics import median
 from time import perf_counter
+from types import ModuleType
 
 import numpy as np
-from installed import version_of
 from numpy.typing import NDArray
 from problems import PROBLEMS
 
 Array = NDArray[np.float64]
 
+MISSING = 3
+"""Exit status of a script whose package is not installed."""
 LONG = 1.0
 """Seconds above which the first run is the only one; what it loads, a smaller one has loaded."""
 MOST, ENOUGH = 21, 0.4
 """Repeats at most, and seconds of repeats that are enough once there are three."""
 KEPT = 160
 """Letters kept of a warning or an error."""
+
+
+def need(module: str) -> ModuleType:
+    """Return the module, or exit with the status ``MISSING``, naming it."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        print(f"missing: {module} ({error})", file=sys.stderr)
+        sys.exit(MISSING)
+
+
+def version_of(package: str) -> str:
+    """Return the installed version of a distribution."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "–"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +76,7 @@ class Setting:
     """One measurement: ``work`` solves, coefficients and all, and its result goes to ``sampled``.
 
     ``unknowns`` takes the result, too. ``note`` says what a reader has to know of this setting,
-    ``words`` what the result says of itself; ``compiles`` that a first run compiles for its own
-    grid, so that the second one is timed, however long it takes.
+    ``words`` what the result says of itself.
     """
 
     problem: str
@@ -65,7 +86,6 @@ class Setting:
     unknowns: Callable[..., int]
     note: str = ""
     words: Callable[..., str] | None = None
-    compiles: bool = False
 
 
 def measure_all(peer: str, package: str, settings: Sequence[Setting]) -> None:
@@ -97,10 +117,7 @@ def measured(setting: Setting) -> dict[str, object]:
         except Exception as error:  # whatever a peer raises is what this run found out
             message = f"fails: {type(error).__name__}: {error}"[:KEPT]
             return nothing | {"note": "; ".join([*notes, message])}
-        if first <= LONG:
-            seconds = timed(setting.work)
-        else:
-            seconds = once(setting.work) if setting.compiles else first
+        seconds = timed(setting.work) if first <= LONG else first
     notes += [setting.words(result)] if setting.words else []
     notes += sorted({f"warns: {_words(w.message)}" for w in caught if _tells(w.category)})[:2]
     problem = PROBLEMS[setting.problem]

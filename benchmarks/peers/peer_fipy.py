@@ -6,8 +6,7 @@ Off-diagonal diffusion, which W3 has, takes p from the solve before: it is solve
 import os
 from functools import partial
 
-from installed import need
-from measure import Setting, cells, measure_all  # first: NumPy then has one thread
+from measure import Setting, cells, measure_all, need  # first: NumPy then has one thread
 
 # isort: split
 

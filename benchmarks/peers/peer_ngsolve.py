@@ -9,8 +9,7 @@ hand.
 from functools import partial
 from itertools import pairwise
 
-from installed import need
-from measure import Sampled, Setting, measure_all  # first: NumPy then has one thread
+from measure import Sampled, Setting, measure_all, need  # first: NumPy then has one thread
 
 # isort: split
 

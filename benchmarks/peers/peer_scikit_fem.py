@@ -2,8 +2,7 @@
 
 from functools import partial
 
-from installed import need
-from measure import Sampled, Setting, measure_all  # first: NumPy then has one thread
+from measure import Sampled, Setting, measure_all, need  # first: NumPy then has one thread
 
 # isort: split
 

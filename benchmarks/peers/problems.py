@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from afresh import afresh
 from coupled import Mixture
 from numpy.typing import NDArray
-from vanderpol import Averaged
+from vanderpol import Averaged, afresh
 
 from averaging.energy_process import averaged_density
 from averaging.modal.analysis import modal_analysis

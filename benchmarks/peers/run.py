@@ -16,7 +16,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
-from installed import MISSING  # noqa: E402
+from measure import MISSING  # noqa: E402
 from page import written  # noqa: E402
 
 SCRIPTS = {
@@ -26,8 +26,6 @@ SCRIPTS = {
     "scikit-fem": "peer_scikit_fem.py",
     "NGSolve": "peer_ngsolve.py",
     "FiPy": "peer_fipy.py",
-    "fplanck": "peer_fplanck.py",
-    "py-pde": "peer_pypde.py",
 }
 LIMIT = 120.0
 """Seconds a script may take."""

@@ -12,7 +12,7 @@ sys.path.append(str(Path(__file__).resolve().parent.parent))
 
 from accuracy import error_against_time, exact_scene
 from problem import EDGES, Array, Chain, judged
-from trial import (  # first: it knows the way to ``installed``
+from trial import (
     BURN_IN,
     Setting,
     begun,
@@ -21,11 +21,8 @@ from trial import (  # first: it knows the way to ``installed``
     nanoseconds,
     square_bias,
     stride,
+    version_of,
 )
-
-# isort: split
-
-from installed import version_of
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.names import parse_observable

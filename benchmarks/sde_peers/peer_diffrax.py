@@ -11,11 +11,7 @@ import os
 
 import numpy as np
 from problem import Array, Chain
-from trial import Setting, Walk, measure_all  # first: it knows the way to ``installed``
-
-# isort: split
-
-from installed import need
+from trial import Setting, Walk, measure_all, need
 
 os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 

@@ -6,11 +6,7 @@ the way its documentation makes it fast for a fixed step.
 
 import numpy as np
 from problem import Array, Chain
-from trial import Setting, Walk, measure_all  # first: it knows the way to ``installed``
-
-# isort: split
-
-from installed import need
+from trial import Setting, Walk, measure_all, need
 
 PATHS = 8192
 SETTINGS = (

@@ -32,8 +32,8 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parent.parent / "peers"))
 
-from choice import best
-from installed import version_of
+from measure import need as need  # the scripts of the packages import it from here
+from measure import version_of
 from numpy.typing import NDArray
 from problem import EDGES, Chain, judged, printed, probabilities, square
 
@@ -85,6 +85,7 @@ class Walk(Protocol):
         """Return the states (4, paths): q1, q2, p1, p2."""
 
 
+Line = dict
 Maker = Callable[[Setting, Chain, Array, int], Walk]
 """From a setting, the system, states (4, paths) to start from and a seed."""
 
@@ -272,3 +273,24 @@ def law(setting: Setting, line: dict, maker: Maker, sampling: float) -> dict | N
     L1 = float(np.abs(counts / counts.sum() - probabilities()).sum())
     words = {"scheme": setting.scheme, "step": setting.step, "time": time, "spent": spent}
     return {"kind": "law", **words, "L1": L1, "expected": sampling / time**0.5}
+
+
+def telling(lines: Sequence[Line]) -> list[Line]:
+    """Return the lines of kind ``scheme`` whose time to the wanted error may be taken.
+
+    Of a scheme that was run at several steps above the allowed one only the finest is taken, from
+    which the order is trusted least far; a step whose own bias is small enough always.
+    """
+    found: list[Line] = []
+    with_step = [s for s in lines if s["kind"] == "scheme" and s["allowed"] is not None]
+    for peer, scheme in dict.fromkeys((s["peer"], s["scheme"]) for s in with_step):
+        same = [s for s in with_step if (s["peer"], s["scheme"]) == (peer, scheme)]
+        found += [s for s in same if s["allowed"] == s["step"]]
+        found += sorted((s for s in same if s["allowed"] < s["step"]), key=lambda s: s["step"])[:1]
+    return found
+
+
+def best(lines: Sequence[Line], peers: Sequence[str]) -> Line | None:
+    """Return the scheme of ``peers`` with the least ns per path and unit time."""
+    fit = [s for s in telling(lines) if s["peer"] in peers]
+    return min(fit, key=lambda line: line["ns_time"], default=None)
