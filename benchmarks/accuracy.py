@@ -30,12 +30,6 @@ def _weight(q: float) -> float:
     return exp(-2.0 * (0.25 * q * q + 4.0 * max(abs(q) - 0.5, 0.0) ** 2.5))
 
 
-def exact_square() -> float:
-    """Return E q2² of ``exact_scene``."""
-    norm = quad(_weight, 0, 6, points=[0.5], epsabs=1e-13)[0]
-    return quad(lambda q: q * q * _weight(q), 0, 6, points=[0.5], epsabs=1e-13)[0] / norm
-
-
 def error_against_time(*, levels: int = 6, seeds: int = 4) -> tuple[list[Row], float]:
     """Return mean L1 errors of p(q2) in 64 bins against wall time, and the slope of their logs.
 

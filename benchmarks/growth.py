@@ -12,7 +12,6 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 
 from dataclasses import replace
 from functools import partial
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
 from averaging.theory import Exact
 from cases.scene.scene import load_scene
-from cases.study.converge import measured_ladder
 from cases.study.equations import energy_equation, modal_equation, solve_on
 from cases.study.levels import density_of, errors, timed_first, timing
 from fpk.answer.names import parse_observable
@@ -70,25 +68,6 @@ def one_energy() -> str:
     head = ["fig6b", "tol", "unknowns N", "L1 error", "ln(1/e)/√N"]
     words = "\nN = O(ln(1/e)²) at most: the last column does not fall.\n\n"
     return "## One energy: error and unknowns\n" + words + markdown_table(head, rows)
-
-
-def in_degree() -> str:
-    """Return error by degree on one mesh, with contact and without."""
-    system = load_scene("fig6b").system
-    equations = map(energy_equation, (system, replace(system, contacts=())))
-    ladders = [measured_ladder(equation, equation.degrees()) for equation in equations]
-    rows = [[level.settings] for level in ladders[0].levels]
-    for ladder in ladders:
-        nats = ["–", *(f"{order:.2f}" for order in ladder.verdicts["L1"].orders)]
-        for row, level, rate in zip_longest(rows, ladder.levels, nats, fillvalue="–"):
-            row += [f"{level.error:.1e}", rate]
-    words = (
-        "\nOne mesh, the contact energy among its nodes; nats: -ln of the ratio of neighbouring"
-        " errors, by degree. They do not fall to nothing: the error falls exponentially, log-lin in"
-        " `fpk converge fig6b --out DIR`.\n\n"
-    )
-    head = ["fig6b", "L1 with contact", "nats a degree", "L1 without", "nats a degree"]
-    return "## One energy: error and degree\n" + words + markdown_table(head, rows)
 
 
 def two_energies() -> str:
@@ -169,7 +148,7 @@ def stops_on_every_mass() -> str:
 
 def body() -> str:
     """Return the sections of the page."""
-    return "\n".join([one_energy(), in_degree(), two_energies(), masses(), stops_on_every_mass()])
+    return "\n".join([one_energy(), two_energies(), masses(), stops_on_every_mass()])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Measure the simulation: ns per particle-step, stiff stops, threads, start, time for an accuracy.
+"""Measure the simulation: ns per particle-step, stiff stops, threads, error against time.
 
     python benchmarks/montecarlo.py [--json] [--out docs/benchmarks/montecarlo.md]
 
@@ -139,80 +139,10 @@ def two_threads() -> float:
     return statistics.median(ratios[1:])
 
 
-FIRST_CHUNK = """
-import time
-from fpk.system.contact import Contact
-from fpk.answer.names import parse_observable
-from fpk.system.system import System
-from sim.montecarlo import MonteCarlo
-start, first = time.perf_counter(), []
-def progress(*_):
-    first.append(time.perf_counter() - start)
-contacts = (Contact(1, "both", 10.0, 0.5),)
-system = System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=contacts)
-method = MonteCarlo(paths=4096, time=20.0, burn_in=0.01)
-method.solve(system, (parse_observable("q2", 2),), progress=progress)
-print(first[0])
-"""
-
-
-def starts() -> list[float]:
-    """Return seconds from the end of imports to the first chunk: an empty cache, then a full one.
-
-    One relaxation time in a hundred is burnt in, so that stepping is a small part of them.
-    """
-    with TemporaryDirectory() as folder:
-        environment = {**os.environ, "NUMBA_CACHE_DIR": folder}
-        return [
-            float(
-                subprocess.run(
-                    [sys.executable, "-c", FIRST_CHUNK],
-                    env=environment, capture_output=True, text=True, check=True,
-                ).stdout
-            )
-            for _ in range(4)
-        ]  # fmt: skip
-
-
-def time_for_accuracy() -> list[dict]:
-    """Return what ``steps.py`` measures, in a process of its own."""
-    script = str(Path(__file__).parent / "steps.py")
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
-    return list(json.loads(done.stdout))
-
-
-def accuracy_table(lines: list[dict]) -> str:
-    """Return the section of the steps that an accuracy allows, as Markdown."""
-
-    def with_error(value: float | None, error: float | None) -> str:
-        return "–" if value is None or error is None else f"{value:.1e} ± {error:.0e}"
-
-    def known(value: float | None, form: str) -> str:
-        return "not resolved" if value is None else format(value, form)
-
-    text = "\n## Time for an accuracy\n\nEqual c/D, B = 10, where p(q2) has a closed form. Biases"
-    text += " of the states at a step where they are seen, ± one standard error: the L1 of p(q2),"
-    text += " sampling noise taken off, and the mean of q2² over its exact value. Allowed is the"
-    text += " step at which one or the other is 0.1 %, by the weak order, never longer than that"
-    text += " measured; ns a unit of time are those of the step by L1, one core, processor time."
-    text += " Packages for stochastic differential equations, at their own steps:"
-    return text + " [sde-peers](sde-peers.md).\n\n" + markdown_table(
-        ["scheme", "by", "step", "L1 of p(q2)", "bias of E q2²", "allowed by L1", "by E q2²",
-         "ns a step", "ns a unit of time"],
-        [
-            [r["scheme"], r["peer"], f"{r['step']:g}", with_error(r["L1"], r["L1_error"]),
-             with_error(r["bias"], r["bias_error"]), known(r["allowed"], ".2g"),
-             known(r["allowed_square"], ".2g"), known(r["ns"], ".2f"), known(r["ns_time"], ".0f")]
-            for r in lines
-        ],
-    )  # fmt: skip
-
-
 def more_tables(found: dict[str, object]) -> str:
     """Return the tables beside that of particle-steps, as Markdown."""
     stiff_rows: list[Row] = found["stiff"]  # type: ignore[assignment]
     errors: list[Row] = found["errors"]  # type: ignore[assignment]
-    first: list[float] = found["starts"]  # type: ignore[assignment]
     text = "\n## Stiff stops\n\nns of processor time per particle and unit time, one thread.\n\n"
     text += markdown_table(
         ["B", "small step", "in a long one", "small steps for all", "near a stop", "gain"],
@@ -222,10 +152,7 @@ def more_tables(found: dict[str, object]) -> str:
             for r in stiff_rows
         ],
     )  # fmt: skip
-    text += "\n## Threads and start\n\n"
-    text += f"Time of one thread over that of two: {found['threads']:.2f}. From the end of imports"
-    text += f" to the first chunk: {first[0]:.2f} s with nothing compiled, {min(first[1:]):.2f} s"
-    text += " from the disk cache.\n" + accuracy_table(found["accuracy"])  # type: ignore[arg-type]
+    text += f"\n## Threads\n\nTime of one thread over that of two: {found['threads']:.2f}.\n"
     text += "\n## Error against time\n\nL1 of p(q2) in 64 bins against the closed form, 8192"
     text += f" trajectories, one thread. Slope of the logarithms: {found['slope']:.2f}; theory"
     text += " −1/2.\n\n"
@@ -274,8 +201,6 @@ def main() -> None:
     found: dict[str, object] = {
         "stiff": [stiff(B) for B in (1e3, 1e5, 1e7)],
         "threads": two_threads(),
-        "starts": starts(),
-        "accuracy": time_for_accuracy(),
         "errors": errors,
         "slope": slope,
     }

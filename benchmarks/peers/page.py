@@ -1,45 +1,20 @@
 """The page of the peers, as Markdown, from their measurements."""
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 from report import machine, markdown_table
 
 Line = dict
 OURS = "vibro-fpk"
-GIVEN, PROCESS = "hp on the peers' coefficients", "hp from the averaged process on"
-ALONE = "coefficients alone"
-"""Beginnings of settings that are no whole way from the system to the density."""
-COST_ERRORS = {
-    "W1": (1e-6, 1e-8, 1e-10),
-    "W2": (1e-4, 1e-6, 1e-10),
-    "W3": (1e-4, 1e-6, 1e-10),
-    "W4": (1e-4, 1e-6, 1e-10),
-}
-KINDS = (
-    (OURS, "hp, ", "this program, hp elements"),
-    (OURS, "quadrature", "this program, quadrature (11)"),
-    (OURS, PROCESS, "this program, hp, from the averaged process on"),
-    (OURS, GIVEN, "this program, hp, the peers' coefficients"),
-    ("Chebyshev", "one domain", "Chebyshev collocation, one domain"),
-    ("Chebyshev", "split at", "Chebyshev collocation, split by hand at H_c"),
-    ("Chebyshev", "mapped", "the same, and mapped by hand"),
-    ("Chebyshev", "tensor", "Chebyshev collocation, tensor"),
-    ("NGSolve", "p = 8", "NGSolve, p = 8, graded by hand"),
-    ("NGSolve", "p = 12", "NGSolve, p = 12, graded by hand"),
-    ("NGSolve", "p = 16", "NGSolve, p = 16, graded by hand"),
-    ("NGSolve", "p = 2", "NGSolve, P2 uniform"),
-    ("scikit-fem", "P2", "scikit-fem, P2 uniform"),
-    ("scikit-fem", "P1", "scikit-fem, P1 uniform"),
-    ("Chang-Cooper", "", "Chang-Cooper finite volumes"),
-    ("FiPy", "", "FiPy, exponential"),
-)
+GIVEN = "hp on the peers' coefficients"
+"""Beginning of the settings of this program that are given what the other programs are given."""
 PROGRAMS = {
     OURS: "**this program**, from the system on, error estimated",
     "Chebyshev": "Chebyshev collocation by hand",
     "NGSolve": "NGSolve, graded by hand",
     "scikit-fem": "scikit-fem, uniform",
     "Chang-Cooper": "Chang-Cooper, 40 lines of SciPy",
+    "FiPy": "FiPy",
 }
 NEGATIVE = -1e-14
 """Smallest p / max p that counts as round-off: below it any answer is listed as negative."""
@@ -47,11 +22,6 @@ LOST = 1e-3
 """Defect of the mass from which it counts as lost or made."""
 WRONG = 0.1
 """L1 error from which an answer counts as wrong; 2 is the most there can be with mass one."""
-LEAST_ORDER = 1.0
-"""Order in the unknowns an axis below which refining does not count as converging."""
-GROWN = 2.0
-"""Factor on the unknowns from which two settings tell an order."""
-DIMENSION = {"W2": 2, "W3": 2, "W4": 2}
 FOUND = """\
 - NGSolve 6.2.2608: with `IntegrationRuleSpace` in 1-D, `GetIntegrationRules()` has no rule for
   intervals. Passed on as in 2-D, values and integration points are not the same: the graded
@@ -70,9 +40,9 @@ The same equations through what a user would take instead. W1: fig6 with B = 10,
 averaged energy, p(H). W2: fig8b, two modal energies, p(H1, H2), uncoupled. W3: two coupled energies
 with full diffusion, circulating probability and a mixture of exponentials for p(H1, H2), made so
 that it is exact: `coupled.py`. W4: the scene vanderpol, two modal energies that damp one another
-unequally: `vanderpol.py`. The other problems are W1 with stops of B = 1e4, with clearances 0.5 and
-0.8 (two contact energies), and with the right stop alone. L1 is ∫|p_h − p| against the closed forms
-(29) and (34) of this program, in W3 against the mixture, the probability beyond the box included.
+unequally: `vanderpol.py`. One more is W1 with stops of B = 1e4. L1 is ∫|p_h − p| against the
+closed forms (29) and (34) of this program, in W3 against the mixture, the probability beyond the box
+included.
 W4 has no closed form: answers are judged by a solution of this program that expands p itself with
 degree 20 and estimates its error as 1e-12, and the row of NGSolve with p = 16 is the distance of
 two programs that share no code.
@@ -103,7 +73,7 @@ OMISSIONS = """\
   finds is the answer, and its time there is all overhead.
 - W3 is made, not met with. Its numbers were written down before any program had solved it, by the
   authors of one of the programs.
-- W4 is a scene on which this program was tuned (`plane.md`); about ten settings each of NGSolve and
+- W4 is a scene on which this program was tuned; about ten settings each of NGSolve and
   Chebyshev collocation were tried on it.
 - FiPy was not asked for W4, where its answers are those of Chang-Cooper. Chang-Cooper's fluxes have
   no off-diagonal term: central differences stand for it, which are not positive. FiPy's holds the
@@ -127,12 +97,8 @@ def written(lines: Sequence[Line], stopped: Mapping[str, str]) -> str:
         "<!-- table: cost -->",
         short_table(lines),
         "<!-- end -->\n",
-        "## What an error costs\n",
-        "Milliseconds of the fastest setting with at most that L1 error; best: the least error.\n",
-        cost_table(lines),
         "## Failures\n",
-        "By rule: p below −1e-14 of its maximum, mass off by 1e-3, L1 above 0.1, refining"
-        " that gains less than first order, no answer.\n",
+        "By rule: p below −1e-14 of its maximum, mass off by 1e-3, L1 above 0.1, no answer.\n",
         markdown_table(["peer", "problem", "setting", "what is wrong"], failures(lines)),
         "Found while these scripts were written:\n",
         FOUND,
@@ -147,41 +113,15 @@ def written(lines: Sequence[Line], stopped: Mapping[str, str]) -> str:
     return "\n".join(parts)
 
 
-def cost_table(lines: Sequence[Line]) -> str:
-    """Return the short table: a row a peer, a column an error."""
-    header = ["ms to an L1 error of"]
-    for problem, errors in COST_ERRORS.items():
-        header += [f"{problem}: {error:.0e}" for error in errors] + [f"{problem}: best"]
-    rows = []
-    for peer, begin, words in KINDS:
-        own = [
-            line
-            for line in lines
-            if (line["peer"] == peer and line["L1"] is not None
-            and line["setting"].startswith(begin))
-            or (line["peer"] == peer and begin == "mapped" and "mapped" in line["setting"])
-        ]  # fmt: skip
-        row = [words]
-        for problem, errors in COST_ERRORS.items():
-            here = [line for line in own if line["problem"] == problem]
-            row += [_cheapest(here, error) for error in errors] + [_best(here)]
-        if own:
-            rows.append(row)
-    return markdown_table(header, rows)
-
-
 def short_table(lines: Sequence[Line]) -> str:
-    """Return the short table: a row a program, whichever of its settings is fastest.
-
-    Of the two problems in two energies it has the fair one.
-    """
+    """Return a row a program, whichever of its settings is fastest; of two energies the fair W3."""
     errors = {"W1": (1e-6, 1e-10), "W3": (1e-4, 1e-10)}
     header = ["ms to an L1 error of"]
     for problem, some in errors.items():
         header += [f"{problem}: {error:.0e}" for error in some] + [f"{problem}: least error"]
     rows = []
-    for name in dict.fromkeys(peer for peer, _, _ in KINDS):
-        row = [PROGRAMS.get(name, name)]
+    for name, words in PROGRAMS.items():
+        row = [words]
         for problem, some in errors.items():
             here = [line for line in _solutions(lines, name) if line["problem"] == problem]
             row += [_cheapest(here, error) for error in some] + [_best(here)]
@@ -196,7 +136,7 @@ def _solutions(lines: Sequence[Line], peer: str) -> list[Line]:
         line
         for line in lines
         if line["peer"] == peer and line["L1"] is not None
-        and not line["setting"].startswith((PROCESS, GIVEN, ALONE))
+        and not line["setting"].startswith(GIVEN)
     ]  # fmt: skip
 
 
@@ -246,7 +186,7 @@ def failures(lines: Sequence[Line]) -> list[list[str]]:
             rows.append([line["peer"], line["problem"], line["setting"], "; ".join(wrong)])
     needs = {(line["peer"], line["note"].split("; ")[0]) for line in lines}
     helped = [[peer, "all", "all", note] for peer, note in needs if note.startswith("needs")]
-    return rows + sorted(helped) + _slow(lines)
+    return rows + sorted(helped)
 
 
 def _of_one(line: Line) -> list[str]:
@@ -261,23 +201,3 @@ def _of_one(line: Line) -> list[str]:
         warned = "after a warning" if "warns" in line["note"] else "without a warning"
         wrong.append(f"wrong by {line['L1']:.2g}, {warned}")
     return wrong
-
-
-def _slow(lines: Sequence[Line]) -> list[list[str]]:
-    """Ladders of one kind of setting whose last refinement gains less than the first order."""
-    ladders = defaultdict(list)
-    for line in lines:
-        if line["L1"]:
-            kind = line["setting"].split(",")[0]
-            ladders[line["peer"], line["problem"], kind].append(line)
-    rows = []
-    for (peer, problem, kind), ladder in ladders.items():
-        if len(ladder) < 2 or peer == "vibro-fpk":
-            continue
-        coarse, fine = ladder[-2:]
-        grown = (fine["unknowns"] / coarse["unknowns"]) ** (1.0 / DIMENSION.get(problem, 1))
-        gain = coarse["L1"] / fine["L1"]
-        if grown >= GROWN**0.9 and gain < grown**LEAST_ORDER:
-            words = f"{grown:.2g} times the unknowns an axis lower the error {gain:.2g} times only"
-            rows.append([peer, problem, kind, words])
-    return rows

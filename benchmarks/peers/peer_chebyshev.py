@@ -181,12 +181,9 @@ def plane_setting(name, n, reach):
 def settings():
     """Return the ladder of each problem."""
     found = [line_setting("W1", (n,), 7.0) for n in (64, 256, 1024)]
-    for name in ("W1", "W1, B = 1e4", "W1, one-sided"):
+    for name in ("W1", "W1, B = 1e4"):
         found += [line_setting(name, d, e) for d, e in SPLIT]
         found += [line_setting(name, d, e, mapped=True) for d, e in MAPPED]
-    two = "W1, two contact energies"
-    found += [line_setting(two, (d[0], d[1], d[1]), e) for d, e in SPLIT]
-    found += [line_setting(two, (d[0], d[1], d[1]), e, mapped=True) for d, e in MAPPED]
     found += [plane_setting("W2", *step) for step in PLANE]
     found += [plane_setting("W3", *step) for step in COUPLED]
     return found + [plane_setting("W4", *step) for step in CIRCULATING]
@@ -195,16 +192,7 @@ def settings():
 SPLIT = (((8, 48), 6.5), ((10, 96), 7.5), ((10, 160), 7.5), ((10, 224), 7.5), ((10, 288), 7.5))
 MAPPED = (((8, 32), 6.5), ((8, 48), 7.0), ((10, 72), 7.5), ((10, 96), 7.5), ((10, 128), 7.5))
 PLANE = ((14, 12.0), (18, 14.0), (22, 18.0), (26, 22.0), (30, 26.0), (36, 29.0), (40, 32.0))
-COUPLED = (
-    (20, 14.0),
-    (24, 15.0),
-    (30, 18.0),
-    (36, 20.0),
-    (42, 22.0),
-    (46, 24.0),
-    (48, 24.0),
-    (50, 26.0),
-)
+COUPLED = ((20, 14.0), (24, 15.0), (30, 18.0), (36, 20.0), (42, 22.0), (48, 24.0), (50, 26.0))
 
 CIRCULATING = ((42, 7.0), (54, 8.0), (64, 9.0))
 

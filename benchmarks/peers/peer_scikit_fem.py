@@ -86,8 +86,7 @@ def setting(name, degree, count):
 
 if __name__ == "__main__":
     settings = [setting("W1", *step) for step in LINE]
-    settings += [setting("W1, B = 1e4", 2, 6_400), setting("W1, two contact energies", 2, 6_400)]
-    settings += [setting("W1, one-sided", 2, 6_400)]
+    settings += [setting("W1, B = 1e4", 2, 6_400)]
     settings += [setting("W2", *step) for step in PLANE]
     settings += [setting("W3", *step) for step in COUPLED]
     settings += [setting("W4", 2, count) for count in (32, 128)]

@@ -19,7 +19,6 @@ from trial import (
     density_bias,
     described,
     nanoseconds,
-    square_bias,
     stride,
     version_of,
 )
@@ -64,12 +63,11 @@ def tried(setting: Setting, sampling: float) -> dict:
     ensemble, every = walk.ensemble, stride(setting)
     ensemble.advance(round(BURN_IN / setting.step), stride=0)
     ns = nanoseconds(walk, setting)
-    ensemble.watch((Histogram(parse_observable("q2", 2), (BinAxis(EDGES),)),), (("q", 1, "q", 1),))
+    ensemble.watch((Histogram(parse_observable("q2", 2), (BinAxis(EDGES),)),))
     ensemble.advance(round(TIME * setting.seconds / setting.step), stride=every)
-    means = ensemble.sums[:, 0].ravel() / ensemble.samples
     counts = np.array([ensemble.counts[::2].sum(axis=0), ensemble.counts[1::2].sum(axis=0)])
-    found = {**square_bias(means), **density_bias(counts)}
-    return described(setting, ns, sampling, {"first": first, "lost": 0.0}, found, "")
+    about = {"first": first, "lost": 0.0}
+    return described(setting, ns, sampling, about, density_bias(counts), "")
 
 
 def sampling_constant() -> dict:

@@ -17,7 +17,7 @@ os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_paralleli
 
 PATHS = 4096
 SETTINGS = (
-    Setting("Euler", 0.01, 1, PATHS, 2.0, probe=True),
+    Setting("Euler", 0.01, 1, PATHS, 2.0),
     Setting("Heun", 0.15, 2, PATHS, 2.0),
     Setting("ShARK", 0.2, 2, PATHS, 2.0, note="recommended by its authors for additive noise"),
     Setting("ALIGN", 0.2, 2, PATHS, note="Langevin"),

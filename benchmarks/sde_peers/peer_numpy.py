@@ -7,7 +7,7 @@ from trial import Setting, Walk, measure_all
 SETTINGS = (
     Setting("BAOAB", 0.3, 2, 2048),
     Setting("BAOAB", 0.15, 2, 2048, 5.0),
-    Setting("Euler-Maruyama", 0.01, 1, 2048, probe=True),
+    Setting("Euler-Maruyama", 0.01, 1, 2048),
 )
 
 

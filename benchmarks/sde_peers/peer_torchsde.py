@@ -10,7 +10,7 @@ from trial import Setting, Walk, measure_all, need
 
 PATHS = 8192
 SETTINGS = (
-    Setting("euler (Itô)", 0.01, 1, PATHS, probe=True),
+    Setting("euler (Itô)", 0.01, 1, PATHS),
     Setting("srk (Itô)", 0.2, 2, PATHS, 3.0, note="Rößler's SRA1 where noise is additive"),
     Setting("heun (Stratonovich)", 0.15, 2, PATHS, 4.0),
     Setting("midpoint (Stratonovich)", 0.2, 2, PATHS, 3.0),

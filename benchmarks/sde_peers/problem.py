@@ -15,9 +15,8 @@ from scipy.integrate import quad
 
 sys.path.append(str(Path(__file__).resolve().parent.parent))
 
-from accuracy import _weight, exact_scene, exact_square
+from accuracy import _weight, exact_scene
 
-from fpk.system.contact import Contact
 from fpk.system.system import System
 
 Array = NDArray[np.float64]
@@ -70,17 +69,6 @@ def chain_of(system: System) -> Chain:
 def judged() -> Chain:
     """Return the chain with equal c/D, whose p(q2) is exact."""
     return chain_of(exact_scene())
-
-
-def printed() -> Chain:
-    """Return fig6 as the paper has it, weakly damped: it is where paths are lost."""
-    contacts = (Contact(2, "both", 10.0, 0.5),)
-    return chain_of(System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=contacts))
-
-
-def square() -> float:
-    """Return E q2² of ``judged``."""
-    return exact_square()
 
 
 def probabilities() -> Array:

@@ -1,10 +1,9 @@
 """The page of the packages for SDEs, as Markdown, from their lines."""
 
 from collections.abc import Mapping, Sequence
-from math import hypot
 
 from report import machine, markdown_table
-from trial import WANTED, best
+from trial import best
 
 Line = dict
 OURS = "vibro-fpk"
@@ -27,8 +26,6 @@ L1 of the noise falls as A/√(paths × time), A being that of the exact density
 measured with this program. The time to 0.1 % is (A/1e-3)² times ns per path and unit time.
 """
 FOUND = """\
-- A bias of E q2² of 0.1 % is not L1(p(q2)) of 0.1 %: of BAOAB at the step of the first, the second
-  is about 0.3 % (signs of the error change with q2). Steps are therefore allowed by L1.
 - diffrax 0.7.2: the default `adjoint` refuses `UnsafeBrownianPath`; it says what to do. A
   `lineax.FunctionLinearOperator` as diffusion runs with Euler and Heun and fails with a `TypeError`
   in ShARK and SRA1. SEA, of first order in the drift, gave NaN of all paths at a step of 0.1,
@@ -85,20 +82,11 @@ def written(lines: Sequence[Line], stopped: Mapping[str, str]) -> str:
         "## All measurements\n",
         markdown_table(
             ["package", "scheme", "step", "weak order", "paths", "ns a step", "first call, s",
-             "bias of E q2²", "L1", "allowed step", "ns a unit of time", "s to 0.1 %",
-             "by E q2²: step", "ns", "note"],
-            [_row(line) for line in _schemes(lines)],
-        ),
-        "## The law of sampling, checked\n",
-        "At the allowed step of each package's best scheme; expected is noise by the law and 0.1 %"
-        " of bias, in quadrature. L1 of noise scatters by some 15 %.\n",
-        markdown_table(
-            ["package", "scheme", "step", "paths × time", "seconds", "L1", "expected"],
-            [_law(line) for line in lines if line["kind"] == "law"],
+             "L1", "allowed step", "ns a unit of time", "s to 0.1 %", "note"],
+            [_row(line) for line in lines if line["kind"] == "scheme"],
         ),
         "## Failures\n",
-        "By rule: paths lost, no answer, no step found. fig6 as printed (c = (0.08, 0.04)) is where"
-        " first-order schemes lose paths; then 8.6 % at 0.01.\n",
+        "By rule: paths lost, no answer, no step found.\n",
         markdown_table(["package", "scheme", "what is wrong"], failures(lines)),
         "Found while these scripts were written:\n",
         FOUND,
@@ -129,25 +117,18 @@ def failures(lines: Sequence[Line]) -> list[list[str]]:
     """Return rows: package, scheme, what is wrong."""
     rows = []
     for line in lines:
-        if line["kind"] == "lost" and line["lost"]:
-            words = f"fig6 as printed: {100 * line['lost']:.1f} % of {line['paths']} paths lost"
-            words += f" by t = {line['time']:g} at a step of {line['step']:g}, without a warning"
-        elif line["kind"] != "scheme":
+        if line["kind"] != "scheme":
             continue
-        elif line["ns"] is None:
+        if line["ns"] is None:
             words = line["note"]
         elif line["lost"]:
             words = f"{100 * line['lost']:.1f} % of the paths lost at {line['step']:g}"
-        elif line["bias"] is not None and line["allowed"] is None:
+        elif line["L1"] is not None and line["allowed"] is None:
             words = f"no step found: at {line['step']:g} L1 is lost in its noise"
         else:
             continue
         rows.append([line["peer"], line["scheme"], words])
     return rows
-
-
-def _schemes(lines: Sequence[Line]) -> list[Line]:
-    return [line for line in lines if line["kind"] == "scheme"]
 
 
 def _constant(lines: Sequence[Line]) -> str:
@@ -164,22 +145,10 @@ def _row(line: Line) -> list[str]:
     def number(key: str, form: str) -> str:
         return "none" if line[key] is None else format(line[key], form)
 
-    def between(key: str) -> str:
-        size = "none" if line[key] is None else f"{line[key]:.1e} ± {line[f'{key}_error']:.0e}"
-        return size
-
+    L1 = "none" if line["L1"] is None else f"{line['L1']:.1e} ± {line['L1_error']:.0e}"
     return [
         line["peer"], line["scheme"], f"{line['step']:g}", str(line["order"]), str(line["paths"]),
-        number("ns", ".3g"), number("first", ".2g"), between("bias"), between("L1"),
-        number("allowed", ".2g"), number("ns_time", ".3g"), number("seconds", ".3g"),
-        number("allowed_square", ".2g"), number("ns_time_square", ".3g"),
+        number("ns", ".3g"), number("first", ".2g"), L1, number("allowed", ".2g"),
+        number("ns_time", ".3g"), number("seconds", ".3g"),
         line["note"].replace("|", "/"),
-    ]  # fmt: skip
-
-
-def _law(line: Line) -> list[str]:
-    expected = hypot(line["expected"], WANTED)
-    return [
-        line["peer"], line["scheme"], f"{line['step']:.2g}", f"{line['time']:.2e}",
-        f"{line['spent']:.2g}", f"{line['L1']:.1e}", f"{expected:.1e}",
     ]  # fmt: skip

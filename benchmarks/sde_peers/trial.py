@@ -1,13 +1,11 @@
 """What every package's script shares: how a scheme is tried, timed and judged, and its lines.
 
 A script lists its settings and says how a walk is made of one; ``measure_all`` prints JSON lines of
-three kinds. ``scheme``: one scheme at one step, the keys peer, version, kind, scheme, step, order,
+the kind ``scheme``, one scheme at one step: the keys peer, version, kind, scheme, step, order,
 paths, ns (per particle-step), first (seconds of the first call, compilation in it), lost (share of
-paths), bias (relative, of E q2²), bias_error (one standard error), L1 (of p(q2), the sampling noise
-taken off) and L1_error; allowed (the step at which L1 is ``WANTED``), ns_time (per particle and
-unit time there), seconds (until the noise is ``WANTED``, too); allowed_square and ns_time_square
-(the same where the bias of E q2² is ``WANTED``); note. ``law``: L1 at the allowed step after a
-sampled time, and what A/√time says. ``lost``: the share of paths that fig6 as printed loses.
+paths), L1 (of p(q2), the sampling noise taken off) and L1_error; allowed (the step at which L1 is
+``WANTED``), ns_time (per particle and unit time there), seconds (until the noise is ``WANTED``,
+too); note.
 
 Times are of the processor, one core: what else the machine does is not in them.
 """
@@ -35,12 +33,12 @@ sys.path.append(str(Path(__file__).resolve().parent.parent / "peers"))
 from measure import need as need  # the scripts of the packages import it from here
 from measure import version_of
 from numpy.typing import NDArray
-from problem import EDGES, Chain, judged, printed, probabilities, square
+from problem import EDGES, Chain, judged, probabilities
 
 Array = NDArray[np.float64]
 
 WANTED = 1e-3
-"""L1 of p(q2) that the allowed step leaves, and that times are derived for; bias of E q2²."""
+"""L1 of p(q2) that the allowed step leaves, and that times are derived for."""
 RESOLVED = 3.0
 """Standard errors from which a bias is told from zero."""
 BURN_IN, BETWEEN = 40.0, 0.4
@@ -52,18 +50,13 @@ JUDGED = 32
 """Paths below which there is no standard error to judge a bias by: they are timed only."""
 LOST = 1e3
 """Size of a state from which a path counts as lost; the energy there is 1e6 kT and more."""
-LOST_BY, LOST_STEP, LOST_PATHS = 200.0, 0.01, 1024
-CHECKED = (2e-3, 4e-3, 8e-3)
-CHECK_SECONDS = 2.5
-"""L1 at which the law of sampling is checked: the least that takes no more than so many seconds."""
 
 
 @dataclass(frozen=True)
 class Setting:
     """One scheme at one step: ``order`` is its weak order, in theory, for this additive noise.
 
-    ``seconds`` of processor time are sampled for the bias. ``probe`` asks for the lost paths of
-    fig6 as printed, too.
+    ``seconds`` of processor time are sampled for the bias.
     """
 
     scheme: str
@@ -72,7 +65,6 @@ class Setting:
     paths: int
     seconds: float = 3.0
     note: str = ""
-    probe: bool = False
 
 
 class Walk(Protocol):
@@ -98,18 +90,8 @@ def measure_all(peer: str, package: str, settings: Sequence[Setting], maker: Mak
     arguments = parser.parse_args()
     chosen = [replace(settings[0], seconds=0.2)] if arguments.smallest else settings
     about = {"peer": peer, "version": version_of(package)}
-    found = []
     for setting in chosen:
-        line = about | tried(setting, maker, arguments.sampling)
-        found.append(line)
-        print(json.dumps(line), flush=True)
-        if setting.probe and not arguments.smallest:
-            print(json.dumps(about | lost(setting, maker)), flush=True)
-    chosen_line = best(found, (peer,))
-    if chosen_line and arguments.sampling:
-        line = law(chosen[found.index(chosen_line)], chosen_line, maker, arguments.sampling)
-        if line:
-            print(json.dumps(about | line), flush=True)
+        print(json.dumps(about | tried(setting, maker, arguments.sampling)), flush=True)
 
 
 def tried(setting: Setting, maker: Maker, sampling: float | None) -> dict:
@@ -118,13 +100,13 @@ def tried(setting: Setting, maker: Maker, sampling: float | None) -> dict:
         walk, first = begun(setting, maker, judged())
         advanced(walk, round(BURN_IN / setting.step), stride(setting))
         ns = nanoseconds(walk, setting)
-        square_sums, counts = sampled(walk, setting)
+        counts = sampled(walk, setting)
         gone = share_lost(walk)
     except Exception as error:  # whatever a package raises is what this run found out
         words = f"fails: {type(error).__name__}: {' '.join(str(error).split())}"[:160]
         return described(setting, None, None, {}, {}, words)
     judge = not gone and setting.paths >= JUDGED
-    found = {**square_bias(square_sums), **density_bias(counts)} if judge else {}
+    found = density_bias(counts) if judge else {}
     return described(setting, ns, sampling, {"first": first, "lost": gone}, found, "")
 
 
@@ -134,13 +116,11 @@ def described(
     """Return the line of kind ``scheme``; keys that were not found are None."""
     line: dict = {"kind": "scheme", "scheme": setting.scheme, "step": setting.step}
     line |= {"order": setting.order, "paths": setting.paths, "ns": ns}
-    line |= dict.fromkeys(("first", "lost", "bias", "bias_error", "L1", "L1_error")) | about | found
-    by_density = allowed_step(setting, line["L1"], line["L1_error"])
-    by_square = allowed_step(setting, line["bias"], line["bias_error"])
-    ns_time, ns_square = (ns / h if ns and h else None for h in (by_density, by_square))
+    line |= dict.fromkeys(("first", "lost", "L1", "L1_error")) | about | found
+    allowed = allowed_step(setting, line["L1"], line["L1_error"])
+    ns_time = ns / allowed if ns and allowed else None
     seconds = 1e-9 * ns_time * (sampling / WANTED) ** 2 if ns_time and sampling else None
-    line |= {"allowed": by_density, "ns_time": ns_time, "seconds": seconds}
-    line |= {"allowed_square": by_square, "ns_time_square": ns_square}
+    line |= {"allowed": allowed, "ns_time": ns_time, "seconds": seconds}
     return line | {"note": "; ".join(filter(None, [setting.note, words]))}
 
 
@@ -172,18 +152,13 @@ def stride(setting: Setting) -> int:
     return max(1, round(BETWEEN / setting.step))
 
 
-def sampled(walk: Walk, setting: Setting) -> tuple[Array, Array]:
-    """Return means of q2² over each path, and counts (2, bins): of each half of the paths."""
-    sums, counts, samples = np.zeros(setting.paths), np.zeros((2, EDGES.size)), 0
-    end = process_time() + setting.seconds
+def sampled(walk: Walk, setting: Setting) -> Array:
+    """Return counts (2, bins) of q2 in each half of the paths."""
+    counts, end = np.zeros((2, EDGES.size)), process_time() + setting.seconds
     while process_time() < end:
         walk.advance(stride(setting))
-        q = walk.states()[1]
-        with np.errstate(over="ignore", invalid="ignore"):  # lost paths are counted at the end
-            sums += q**2
-        counts += counted(q)
-        samples += 1
-    return sums / samples, counts
+        counts += counted(walk.states()[1])
+    return counts
 
 
 def counted(q: Array) -> Array:
@@ -194,13 +169,6 @@ def counted(q: Array) -> Array:
     where = np.where(inside, np.minimum((bins * share).astype(int), bins - 1), bins)
     halves = (where[:half], where[half:])
     return np.array([np.bincount(w, minlength=bins + 1) for w in halves], dtype=float)
-
-
-def square_bias(means: Array) -> dict[str, float]:
-    """Return bias and bias_error from the means of the paths, which are independent."""
-    exact = square()
-    error = means.std(ddof=1) / np.sqrt(means.size)
-    return {"bias": float(means.mean() / exact - 1.0), "bias_error": float(error / exact)}
 
 
 def density_bias(counts: Array) -> dict[str, float]:
@@ -243,36 +211,6 @@ def share_lost(walk: Walk) -> float:
     """Return the share of paths that are not finite or far out."""
     with np.errstate(invalid="ignore"):
         return float(np.mean(~(np.abs(walk.states()) < LOST).all(axis=0)))
-
-
-def lost(setting: Setting, maker: Maker) -> dict:
-    """Return the line of the paths that fig6 as printed loses by ``LOST_BY``."""
-    setting = replace(setting, step=LOST_STEP, paths=LOST_PATHS)
-    walk, _ = begun(setting, maker, printed())
-    advanced(walk, round(LOST_BY / LOST_STEP), 20 * stride(setting))
-    words = {"scheme": setting.scheme, "step": LOST_STEP, "paths": LOST_PATHS, "time": LOST_BY}
-    return {"kind": "lost", **words, "lost": share_lost(walk)}
-
-
-def law(setting: Setting, line: dict, maker: Maker, sampling: float) -> dict | None:
-    """Return the line of L1 at the allowed step beside A/√time; None where it would take long."""
-    fit = [e for e in CHECKED if 1e-9 * line["ns_time"] * (sampling / e) ** 2 < CHECK_SECONDS]
-    if not fit:
-        return None
-    setting = replace(setting, step=line["allowed"])
-    walk, _ = begun(setting, maker, judged())
-    every = stride(setting)
-    advanced(walk, round(BURN_IN / setting.step), every)
-    samples = max(1, round((sampling / fit[0]) ** 2 / (setting.paths * every * setting.step)))
-    counts = np.zeros(EDGES.size)
-    spent = 0.0
-    for _ in range(samples):
-        spent += timed(walk, every)
-        counts += counted(walk.states()[1]).sum(axis=0)
-    time = samples * every * setting.step * setting.paths
-    L1 = float(np.abs(counts / counts.sum() - probabilities()).sum())
-    words = {"scheme": setting.scheme, "step": setting.step, "time": time, "spent": spent}
-    return {"kind": "law", **words, "L1": L1, "expected": sampling / time**0.5}
 
 
 def telling(lines: Sequence[Line]) -> list[Line]:
