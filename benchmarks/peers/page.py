@@ -41,8 +41,8 @@ averaged energy, p(H). W2: fig8b, two modal energies, p(H1, H2), uncoupled. W3: 
 with full diffusion, circulating probability and a mixture of exponentials for p(H1, H2), made so
 that it is exact: `coupled.py`. W4: the scene vanderpol, two modal energies that damp one another
 unequally: `vanderpol.py`. One more is W1 with stops of B = 1e4. L1 is ∫|p_h − p| against the
-closed forms (29) and (34) of this program, in W3 against the mixture, the probability beyond the box
-included.
+closed forms (29) and (34) of this program, in W3 against the mixture, the probability beyond the
+box included.
 W4 has no closed form: answers are judged by a solution of this program that expands p itself with
 degree 20 and estimates its error as 1e-12, and the row of NGSolve with p = 16 is the distance of
 two programs that share no code.
