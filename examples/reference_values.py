@@ -67,8 +67,8 @@ print("largest residual with half of the points {:.1e}, with all {:.1e}".format(
 assert residuals[1] < 0.5 * residuals[0]
 
 # %%
-# The *full* equation on a grid: p(q2, p2) by ``phase-space``, with an error at every point. A solver
-# in (q, v) takes p(q, v) = m p(q, m v), as p2 = m2 v2.
+# The *full* equation on a grid: p(q2, p2) by ``phase-space``, with an error at every point. A
+# solver in (q, v) takes p(q, v) = m p(q, m v), as p2 = m2 v2.
 
 full = fpk.solve(system, ["q2,p2"], methods=["phase-space"], tol=1e-2)["q2,p2"]
 q, v = np.linspace(-1.2, 1.2, 121), np.linspace(-2.0, 2.0, 101)

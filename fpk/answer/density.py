@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify
-from fpk.answer.names import Observable
+from fpk.answer.names import Observable, require_one_array_an_axis
 from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond, with_points
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array
@@ -75,7 +75,11 @@ class Density(Quantities):
         return np.asarray(self.pdf(*(np.asarray(x, dtype=float) for x in points)))
 
     def at(self, *points: Array) -> tuple[Array, Array]:
-        """Return the density and its error at ``points``, one array per axis."""
+        """Return the density and its error at ``points``, one array per axis, which broadcast.
+
+        Raises ``InvalidInput`` for another number of arrays.
+        """
+        require_one_array_an_axis(self.observable, points)
         return self.pdf(*points), self.pointwise(*points)
 
     def cell_averages(self, *edges: Array) -> Array:

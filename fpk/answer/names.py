@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, require
 
 if TYPE_CHECKING:
     from fpk.numeric.arrays import Array
@@ -68,6 +68,12 @@ def parse_observable(text: str, n: int) -> Observable:
 def observable_name(observable: Observable) -> str:
     """Return the name that a user writes, such as ``q2,p2``."""
     return ",".join(map(str, observable))
+
+
+def require_one_array_an_axis(observable: Observable, points: Sequence[Any]) -> None:
+    """Raise ``InvalidInput`` unless ``points`` has an array for each coordinate observed."""
+    words = f"{observable_name(observable)} takes {len(observable)}, one for each coordinate"
+    require(len(points) == len(observable), "arrays of points", len(points), words)
 
 
 def displacement_row(observable: Observable) -> int:

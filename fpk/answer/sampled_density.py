@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from fpk.answer.bins import ALARM, LARGEST_LOG, NODES, BinAxis, Box, Model, boxes
 from fpk.answer.certificate import Certificate
-from fpk.answer.names import Observable
+from fpk.answer.names import Observable, require_one_array_an_axis
 from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond
 from fpk.numeric.arrays import CHUNK, EPS, ROUND_OFF, SMALLEST, Array, Flags, Integers
 from fpk.numeric.quadrature import panel_rule
@@ -181,8 +181,9 @@ class SampledDensity(Quantities):
         The error is the spread of the batches; where fewer visits than batches are expected, it is
         at least by Poisson's law. One visit is added, as of a few none may be seen. At a kink the
         side with the smaller error counts. Outside the bins the density is 0, with the error at
-        their nearest point.
+        their nearest point. Raises ``InvalidInput`` for another number of arrays.
         """
+        require_one_array_an_axis(self.observable, points)
         batches = len(self.batch_values)
 
         def on_side(points: Array, bins: Integers) -> Values:

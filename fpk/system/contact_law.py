@@ -16,8 +16,8 @@ class ContactLaw:
     ``force(x, e)``, ``energy(x, e)`` (its integral from 0) and ``slope(x, e)`` (its derivative)
     take the overlap ``x >= 0`` and the exponent ``e``. ``exponent`` is the law's own one, or None
     where the contact has to state it. All are non-negative, the force increases with the
-    overlap, the slope stays finite at first touch, and all are smooth beyond it: a force with a kink
-    at a positive overlap is written as two contacts of one mass and side. ::
+    overlap, the slope stays finite at first touch, and all are smooth beyond it: a force with a
+    kink at a positive overlap is written as two contacts of one mass and side. ::
 
         cubic = ContactLaw(
             "cubic", exponent=3.0, force=lambda x, e: x**3,

@@ -16,6 +16,7 @@ from fpk.answer.density import (
 )
 from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.errors import InvalidInput
 
 PASSED = Certificate(l1_error=0.0, mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)
 REACH = 9.0
@@ -98,6 +99,19 @@ def test_moments_of_two_coordinates():
     assert density.moment(1, 1).value == pytest.approx(0.6, rel=1e-13)
     assert density.moment(2, 2).value == pytest.approx(1.0 + 2.0 * 0.36, rel=1e-13)
     assert density.name == "q1,p1"
+
+
+@pytest.mark.parametrize(
+    "density, points",
+    [
+        (normal(), np.zeros((2, 3))),
+        (correlated(), (np.zeros((3, 2)),)),
+        (histogram(), np.zeros((2, 3))),
+    ],
+)
+def test_points_of_another_number_of_coordinates_are_refused(density, points):
+    with pytest.raises(InvalidInput, match=f"takes {len(density.observable)}, one for each coordinate"):
+        density.at(*points)
 
 
 @pytest.mark.parametrize("shift", [0.5, 1.0, 3.0])
