@@ -110,7 +110,8 @@ def test_moments_of_two_coordinates():
     ],
 )
 def test_points_of_another_number_of_coordinates_are_refused(density, points):
-    with pytest.raises(InvalidInput, match=f"takes {len(density.observable)}, one for each coordinate"):
+    words = f"takes {len(density.observable)}, one for each coordinate"
+    with pytest.raises(InvalidInput, match=words):
         density.at(*points)
 
 
