@@ -18,7 +18,7 @@ from averaging.conditional import (
 from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.weyl import Part, StateDensity
 from averaging.zero_flux import density_of_energies
-from fpk.answer.density import Density, certified_density
+from fpk.answer.density import Density, certify_density
 from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import DEPTH, Array
 from fpk.solvers.line.mesh import DEEP_LAYERS, with_layers
@@ -73,7 +73,7 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
             matrix = np.array([[1.0, 0.0], [second.weights[0], 1.0]])
             along = panels(Coordinate("q", first.mass))
             frame = matrix[::-1] if swapped else matrix, (along, apart)
-    return certified_density(
+    return certify_density(
         observable,
         tuple(map(panels, observable)),
         pdf,

@@ -21,7 +21,7 @@ from fpk.answer.certificate import Measured
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.mesh import DEEP_LAYERS, Probe, initial_nodes, probed, with_layers
+from fpk.solvers.line.mesh import DEEP_LAYERS, Probe, initial_nodes, probe_process, with_layers
 from fpk.system.equivalent import equivalent_temperature
 from fpk.system.process import Coefficients, Process
 from fpk.system.system import System
@@ -155,7 +155,7 @@ def closed_form(
     ``residual`` is that of the equation which p solves; the flux is measured where none is given.
     """
     if reach is None:
-        probe = probed(process)
+        probe = probe_process(process)
         begin, end = 0.0, probe.extent(TAIL)
     else:
         begin, end, tail = reach

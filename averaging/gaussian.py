@@ -15,8 +15,8 @@ from scipy.linalg import block_diag, eig, expm, qr, solve_triangular
 
 from averaging.theory import Theory, energy_only_refusal
 from fpk.answer.certificate import Measured
-from fpk.answer.density import Density, certified_density
-from fpk.answer.dynamics import Curve, Rates, certified_curve, certified_rates
+from fpk.answer.density import Density, certify_density
+from fpk.answer.dynamics import Curve, Rates, certify_curve, certify_rates
 from fpk.answer.method import Plan, Progress, Result
 from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.question import QUESTIONS, Asked, answer
@@ -100,7 +100,7 @@ class Gaussian:
             return np.asarray(relative * (exponent + 0.5 * count) * height * np.exp(-exponent))
 
         tail = count * erfc(REACH * 0.5**0.5)
-        return certified_density(
+        return certify_density(
             observable,
             tuple(np.linspace(-REACH * s, REACH * s, panels + 1) for s in scale),
             lambda *x: height * np.exp(-half_square(x)),
@@ -123,7 +123,7 @@ class Gaussian:
         def error(energy: Array) -> Array:
             return gamma_sum(self.scales, self.shape, self.scale_errors, energy)[1]
 
-        return certified_density(
+        return certify_density(
             observable,
             (np.array([*nodes[:-1], end]),),
             # A third of the cost of its error.
@@ -322,10 +322,10 @@ class Linear(Theory):
         values = np.array([mu[terms].sum() for terms in sums])
         errors = np.array([error[terms].sum() for terms in sums])
         tol = asked.tol or self.wanted(system)
-        return certified_rates(values, errors, tol=tol, residual=covariance.residual)
+        return certify_rates(values, errors, tol=tol, residual=covariance.residual)
 
     def _curve(self, asked: Asked, question: str) -> tuple[float, float, Callable[..., Curve]]:
-        """Scale of the question, standard deviation of q, and ``certified_curve`` but for values.
+        """Scale of the question, standard deviation of q, and ``certify_curve`` but for values.
 
         Neither number is 0.
         """
@@ -338,7 +338,7 @@ class Linear(Theory):
         q, p = np.sqrt(variances).tolist()
         tol = asked.tol or self.wanted(system)
         scale = QUESTIONS[question].scale(q, p / float(system.mass[row]))
-        return scale, q, partial(certified_curve, scale=scale, of=density, tol=tol)
+        return scale, q, partial(certify_curve, scale=scale, of=density, tol=tol)
 
 
 Linear.register()

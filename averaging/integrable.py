@@ -14,7 +14,7 @@ from averaging.theory import Theory
 from averaging.time import TOL, settled_energies
 from fpk.answer.contacts import CLEARANCE_RULE
 from fpk.answer.density import Density
-from fpk.answer.dynamics import Curve, Passage, Rates, Transient, certified_curve, upcrossings
+from fpk.answer.dynamics import Curve, Passage, Rates, Transient, certify_curve, upcrossings
 from fpk.answer.method import Plan, Progress, Result
 from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.question import QUESTIONS, Asked, answer
@@ -98,7 +98,7 @@ class Integrable(Theory):
         velocity = float(np.sqrt(of_both.moment(0, 2).value)) / mass
         scale = QUESTIONS["crossings"].scale(of_q.rms().value, velocity)
         tol = asked.tol or self.wanted(system)
-        return certified_curve(values, errors, scale=scale, of=of_q, tol=tol)
+        return certify_curve(values, errors, scale=scale, of=of_q, tol=tol)
 
     @answer
     def transient(self, asked: Asked) -> Transient:

@@ -18,19 +18,19 @@ from averaging.theory import EnergyTheory, energy_only_refusal
 from averaging.time import limited_modes, settled_energies, state_transient
 from averaging.weyl import StateDensity, tabulated
 from averaging.zero_flux import solved_energies
-from fpk.answer.dynamics import Passage, Rates, Transient, checked_times
+from fpk.answer.dynamics import Passage, Rates, Transient, require_times
 from fpk.answer.names import Coordinate
 from fpk.answer.question import Asked, answer
 from fpk.numeric.errors import NotApplicable
 from fpk.solvers.line.stationary import StationarySolution
-from fpk.solvers.line.time.modulated import modulated_transient, modulated_transition
-from fpk.solvers.line.time.passage import fem_passage, modulated_passage
-from fpk.solvers.line.time.resolvent import spectrum
+from fpk.solvers.line.time.modulated import transient_with_modulation, transition_with_modulation
+from fpk.solvers.line.time.passage import fem_passage, passage_with_modulation
+from fpk.solvers.line.time.resolvent import relaxation_spectrum
 from fpk.solvers.line.time.transition import Source, transition
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.escape import require_held
-from fpk.system.modulation import ROUND_OFF, require_constant_noise
+from fpk.system.modulation import FADED_ERROR, require_constant_noise
 from fpk.system.process import Process
 from fpk.system.system import System
 
@@ -92,7 +92,7 @@ class NonIntegrable(EnergyTheory):
         if not of_energy and (reason := energy_only_refusal(system, observable)):
             raise NotApplicable(reason)
         by_elements = self.solver == "fem"
-        checked_times(times, positive=start.noise is None or (by_elements and not of_energy))
+        require_times(times, positive=start.noise is None or (by_elements and not of_energy))
         if not by_elements:
             closed, energy = square_root(system, self.solver), float(start.energies[0])
             if of_energy:
@@ -105,13 +105,13 @@ class NonIntegrable(EnergyTheory):
         if modulation is None:
             solved = transition(process, source, times, tol=tol)
         elif of_energy:
-            return modulated_transient(under, modulation, source, times, at[0], tol=tol)
+            return transient_with_modulation(under, modulation, source, times, at[0], tol=tol)
         elif not modulation.last and times[-1] > modulation.times[-1]:
             raise NotApplicable(
                 "after the end of the noise fem gives densities of the energy only, not of q, p"
             )
         else:
-            solved = modulated_transition(under, modulation, source, times, tol=tol)
+            solved = transition_with_modulation(under, modulation, source, times, tol=tol)
         if not of_energy:
             return state_transient(solved, asked)
         numbers = solved.density(at[0])
@@ -130,7 +130,7 @@ class NonIntegrable(EnergyTheory):
             raise NotApplicable(f"{asked.limit}: {words}")
         asked = self._settled(asked)
         limited_modes(asked.limit, asked.start)
-        limit, times = asked.limit.value, checked_times(asked.times)
+        limit, times = asked.limit.value, require_times(asked.times)
         if self.solver != "fem":
             closed, energies = square_root(system, self.solver), asked.start.known()
             return closed.passage(limit, float(energies[0]), times, tol=asked.tol)
@@ -138,7 +138,7 @@ class NonIntegrable(EnergyTheory):
         if modulation is None:
             return fem_passage(process, limit, source, times, tol=asked.tol)
         under = partial(_under, system)
-        return modulated_passage(under, modulation, source, limit, times, tol=asked.tol)
+        return passage_with_modulation(under, modulation, source, limit, times, tol=asked.tol)
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
@@ -148,7 +148,7 @@ class NonIntegrable(EnergyTheory):
         process = system.fact(energy_process)
         require_constant_noise(system.modulation)
         if self.solver == "fem":
-            return spectrum(process, asked.count, tol=tol)
+            return relaxation_spectrum(process, asked.count, tol=tol)
         return square_root(system, self.solver).rates(asked.count, tol=tol)
 
     def _settled(self, asked: Asked) -> Asked:
@@ -187,7 +187,7 @@ def square_root(system: System, solver: str) -> SquareRoot:
         what = "contacts" if system.contacts else "damping terms"
         raise NotApplicable(f"the system has {what}: in time there is no closed form; use fem")
     (damping, noise), n = damping_and_noise(system), system.n
-    error = ROUND_OFF if system.modulation else 0.0
+    error = FADED_ERROR if system.modulation else 0.0
     return SquareRoot(n, damping / n, noise / n, error, system.modulation)
 
 

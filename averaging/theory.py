@@ -12,8 +12,8 @@ from averaging.energy_process import compatibility, energy_process, state_closed
 from averaging.shell.laplace import by_lines
 from averaging.weyl import StateDensity
 from fpk.answer.certificate import tolerance
-from fpk.answer.dynamics import Curve, certified_curve
-from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, Solves, register
+from fpk.answer.dynamics import Curve, certify_curve
+from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, Solves, register_route
 from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.question import QUESTIONS, Asked, answer
 from fpk.numeric.errors import InvalidInput
@@ -74,7 +74,7 @@ class Theory(Method):
         for solver, words, equation in cls.solvers:
             make, named = partial(cls, solver=solver), solver == "scikit-fem"
             names = cls.method, solver, words, equation, cls.solves
-            register(Route(*names, False, cls.colour, make, named=named, **options))
+            register_route(Route(*names, False, cls.colour, make, named=named, **options))
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class EnergyTheory(Theory):
         p = back_transformed(source, (Coordinate("p", asked.row),), tol=tol)
         flux, error, _ = marginal_of(source, asked.observable, flux_of=mass)
         scale = QUESTIONS["crossings"].scale(q.std().value, p.std().value / mass)
-        return certified_curve(flux(asked.at), error(asked.at), scale=scale, of=q, tol=tol)
+        return certify_curve(flux(asked.at), error(asked.at), scale=scale, of=q, tol=tol)
 
 
 def energy_only_refusal(

@@ -22,9 +22,9 @@ from fpk.answer.certificate import certify
 from fpk.answer.dynamics import Transient
 from fpk.answer.names import Limit, Observable, number_text, observable_name
 from fpk.answer.question import Asked
-from fpk.numeric.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
+from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.numeric.piecewise import Piecewise, interpolated
+from fpk.numeric.piecewise import Piecewise, legendre_coefficients
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 from fpk.solvers.line.mesh import with_layers
 from fpk.solvers.line.time.elements import SAFETY
@@ -155,7 +155,7 @@ class WeylInTime:
 
     def _table(self, f: Callable[[Array], Array], points: int) -> Piecewise:
         left, right = self.nodes[:-1], self.nodes[1:]
-        return Piecewise(self.nodes, interpolated(f, left, right, points - 1))
+        return Piecewise(self.nodes, legendre_coefficients(f, left, right, points - 1))
 
     @cached_property
     def tables(self) -> tuple[Piecewise, Piecewise, Piecewise]:
@@ -245,7 +245,7 @@ def _over_hidden(
     mean = law.weights @ given if given.size else np.zeros(energy.size)
     # Beyond the panels V is above the last energy, where Ψ is less than this error and falls.
     beyond = np.sqrt(2.0 * psi.nodes[-1] / law.precision) * psi.error(psi.nodes[-1:])
-    size = max(1, CHUNK // (2 * psi.nodes.size**2 * ERROR_POINTS))
+    size = max(1, BLOCK_SIZE // (2 * psi.nodes.size**2 * ERROR_POINTS))
     parts = []
     for start in range(0, energy.size, size):
         E, m = energy[start : start + size], mean[start : start + size]

@@ -12,9 +12,9 @@ from scipy.special import gammaincc
 from averaging.zero_flux import ZeroFluxDensity
 from fpk.answer.certificate import Measured
 from fpk.numeric.arrays import EPS, SMALLEST, Array
-from fpk.numeric.piecewise import Piecewise, interpolated
+from fpk.numeric.piecewise import Piecewise, legendre_coefficients
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
-from fpk.solvers.line.mesh import probed
+from fpk.solvers.line.mesh import probe_process
 from fpk.solvers.line.stationary import StationarySolution
 from fpk.system.system import System
 
@@ -65,7 +65,7 @@ def tabulated(system: System, solution: Solution, *, closed: bool = False) -> St
     temperature = process.energy_scale / process.degrees_of_freedom
     if process.state_damping:
         # u need not fall from H = 0, and may change much faster than over the scale of the energy.
-        temperature = min(temperature, probed(process).e_fold(end))
+        temperature = min(temperature, probe_process(process).e_fold(end))
     return StateDensity(
         system,
         lambda: solution,
@@ -162,7 +162,7 @@ def weyl_table(order: float, nodes: Array, u: Function, *, points: int = POINTS[
             total = total + weyl_integral(order, nodes, u, energy, points=points)
         return np.log(np.maximum(total, SMALLEST))
 
-    coefficients = interpolated(log_weyl, nodes[:-1], nodes[1:], points - 1)
+    coefficients = legendre_coefficients(log_weyl, nodes[:-1], nodes[1:], points - 1)
     return Piecewise(nodes, coefficients, outside=-np.inf)
 
 

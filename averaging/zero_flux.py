@@ -8,12 +8,12 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fpk.answer.certificate import Measured
-from fpk.answer.density import Density, certified_density
+from fpk.answer.density import Density, certify_density
 from fpk.answer.names import Observable
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Flags
 from fpk.numeric.piecewise import fit
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.mesh import initial_nodes, probed, split_points
+from fpk.solvers.line.mesh import initial_nodes, probe_process, split_points
 from fpk.solvers.line.stationary import StationarySolution, solve_stationary
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_plane
@@ -122,7 +122,7 @@ def density_of_energies(
         error = np.abs(solution.pointwise_error(*energies)) + of_model(p, *energies) + dropped
         return np.where(np.min(np.broadcast_arrays(*energies), axis=0) >= 0.0, error, 0.0)
 
-    return certified_density(
+    return certify_density(
         observable,
         panels,
         solution.density,
@@ -155,7 +155,7 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     The integral of (11) diverges at H = 0 as that of n/H, which is integrated in closed form, the
     rest panel by panel, each halved until its Legendre coefficients decay below ``tol``.
     """
-    probe, n = probed(process), process.degrees_of_freedom
+    probe, n = probe_process(process), process.degrees_of_freedom
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)
 
     def rate_and_error(energy: Array) -> Array:

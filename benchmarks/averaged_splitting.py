@@ -11,7 +11,7 @@ import numpy as np
 
 from fpk.answer.method import silent
 from fpk.numeric.arrays import Array, Integers
-from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
+from fpk.numeric.compiling import ROOT, cached_njit, checksum, njit_inline
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.process import Process
 from sim.questions.averaged.square_root import SquareRootForm, line_form
@@ -142,7 +142,7 @@ def energy_problem(
     )  # fmt: skip
 
 
-@inlined
+@njit_inline
 def bridge_maximum(a: float, b: float, variance: float, at: np.uint64) -> float:
     """Draw the maximum of a Brownian bridge from a to b whose motion has ``variance`` in all.
 
@@ -151,7 +151,7 @@ def bridge_maximum(a: float, b: float, variance: float, at: np.uint64) -> float:
     return 0.5 * (a + b + sqrt((b - a) * (b - a) - 2.0 * variance * log(uniform(at))))
 
 
-@inlined
+@njit_inline
 def damped(X: float, table: Array, top: float, h: float) -> float:
     """Return X after the damping beyond the linear over h, by an exponential midpoint rule."""
     cells = table.size - 1

@@ -21,7 +21,7 @@ from averaging.nonintegrable import NonIntegrable
 from fpk.answer.method import silent
 from fpk.answer.names import REST, parse_limit
 from fpk.solvers.line.time.elements import SAFETY
-from fpk.solvers.line.time.passage import first_passage
+from fpk.solvers.line.time.passage import chain_first_passage
 from fpk.system.system import System
 
 try:
@@ -56,7 +56,7 @@ def ours(solver: str, asked: str, x: int) -> Answer:
 
 def mean_alone(x: int) -> Answer:
     """Return the mean by the elements, without variance and the check by the forward equation."""
-    solved = first_passage(energy_process(SYSTEM), x * D / C, times=NONE)
+    solved = chain_first_passage(energy_process(SYSTEM), x * D / C, times=NONE)
     each = zip(solved.pair, solved.means, strict=True)
     value, other = (float(e.at(np.zeros(1), T)[0][0]) for e, T in each)
     return value, SAFETY * abs(value - other) + solved.relative * value

@@ -10,9 +10,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import fpk
-from fpk.system.contact_law import ContactLaw, register
+from fpk.system.contact_law import ContactLaw, register_law
 
-register(
+register_law(
     ContactLaw(
         "cubic",
         exponent=3.0,

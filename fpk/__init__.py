@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from fpk.system.damping import DampingTerm as DampingTerm
     from fpk.system.system import System as System
 
-_HOME = {
+_MODULE_OF = {
     "Contact": "fpk.system.contact",
     "DampingTerm": "fpk.system.damping",
     "Density": "fpk.answer.density",
@@ -45,7 +45,7 @@ _HOME = {
     **dict.fromkeys(("compare", "load", "plot", "solve"), "cases.api"),
     "sweep": "cases.study.sweep.sweep",
 }
-__all__ = [*_HOME]
+__all__ = [*_MODULE_OF]
 
 
 def __getattr__(name: str) -> Any:
@@ -53,10 +53,10 @@ def __getattr__(name: str) -> Any:
 
     Raises ``ImportError`` where a file or folder of the user's has the name of a room.
     """
-    if name not in _HOME:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module 'fpk' has no attribute {name!r}; it has {', '.join(__all__)}")
     beside = Path(__file__).resolve().parent.parent
-    for room in ("averaging", "sim", "cases") if _HOME[name].startswith("cases.") else ():
+    for room in ("averaging", "sim", "cases") if _MODULE_OF[name].startswith("cases.") else ():
         spec = find_spec(room)
         if spec is None:
             raise ImportError(f"the package {room} of vibro-fpk is missing: install it again")
@@ -65,7 +65,7 @@ def __getattr__(name: str) -> Any:
         where = next(place for place in places if place)
         if beside not in Path(where).resolve().parents:
             raise ImportError(f"{where} hides the package {room} of vibro-fpk: rename it")
-    value = getattr(import_module(_HOME[name]), name)
+    value = getattr(import_module(_MODULE_OF[name]), name)
     globals()[name] = value
     return value
 

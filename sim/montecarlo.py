@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fpk.answer.dynamics import Curve, Passage, Transient
-from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register
+from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register_route
 from fpk.answer.names import Observable
 from fpk.answer.question import Asked, answer
 from fpk.system.system import System
@@ -117,7 +117,7 @@ class MonteCarlo(Settings, Method):
         )
 
 
-register(
+register_route(
     Route(
         method="montecarlo",
         solver="simulation",

@@ -23,7 +23,7 @@ from cases.show.fields import write_netcdf
 from cases.show.vtk import write_vtu
 from fpk.answer.contacts import contact_quantities
 from fpk.answer.names import REST, parse_limit, parse_observable, parse_start
-from fpk.system.contact_law import LAWS, ContactLaw, register
+from fpk.system.contact_law import LAWS, ContactLaw, register_law
 from sim.questions.splitting import Splitting, rare_failure
 
 PAGE = (Path(__file__).parent.parent / "docs" / "api.md").read_text(encoding="utf-8")
@@ -87,7 +87,15 @@ def test_the_example_of_a_docstring_runs(name, tmp_path, monkeypatch):
     space |= {key: getattr(averaging, key) for key in averaging.__all__}
     space |= {"MonteCarlo": sim.MonteCarlo, "Splitting": Splitting}
     functions = (contact_quantities, energy_process, parse_limit, parse_observable, parse_start)
-    files = (rare_failure, run_scene, shipped_scenes, write_netcdf, write_vtu, ContactLaw, register)
+    files = (
+        rare_failure,
+        run_scene,
+        shipped_scenes,
+        write_netcdf,
+        write_vtu,
+        ContactLaw,
+        register_law,
+    )
     space |= {f.__name__: f for f in (*functions, *files)}
     before = set(LAWS)
     try:

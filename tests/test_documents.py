@@ -27,7 +27,7 @@ from cases.study.orders import grid_convergence
 from cases.study.sweep import answering as sweep_answering
 from fpk.answer import bins, contacts, quantities
 from fpk.numeric.errors import InvalidInput
-from fpk.solvers.line.time.resolvent import SPREAD
+from fpk.solvers.line.time.resolvent import CONTOUR_TIMES
 from fpk.system import damping
 from sim.questions import curves, passage
 from sim.questions.splitting import run as splitting
@@ -161,7 +161,7 @@ CONSTANTS = {
         f"stops on more than two masses by {short(theory.DEFAULT_BY_LINES)}.",
         f"solved to {short(sweep_answering.REFERENCE_TOL)}",
         f"within {short(quantities.SUBDIVISION)} of the largest density",
-        f"is at least {short(quantities.CUT)} of its maximum",
+        f"is at least {short(quantities.FIELD_CUT)} of its maximum",
     ),
     "cluster.md": (f"Every {workers.INTERVAL:g} seconds of a simulation",),
     "faq.md": (f"gives it to {short(phase_space.UNASKED_TOL)} or better",),
@@ -182,7 +182,7 @@ CONSTANTS = {
         f"disc of radius {plan.LARGEST_NORMAL:.2f}: `sim/sample/plan.py",
         f"$a \\ge {plan.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
         f"clearance > {contacts.CLEARANCE_RULE:g} rms",
-        f"one serves all times within a factor {SPREAD:g}",
+        f"one serves all times within a factor {CONTOUR_TIMES:g}",
         f"Above {100 * splitting.RESOLVED:g} % no error is stated",
         f"the error is {refinement.SAFETY:g} d",
         f"r at least {refinement.SLOWEST}",
@@ -200,8 +200,8 @@ CONSTANTS = {
         f"jackknife of {passage.GROUPS} groups",
         f"one Hann window of {curves.WINDOW:g} decay times",
         f"over paths and {curves.RELAXATIONS:g} relaxation times",
-        f"polynomial of total degree {bins.DEGREE} in the number of the bin",
-        f"A box whose {bins.HIGHEST[1]} highest coefficients differ from 0",
+        f"polynomial of total degree {bins.MAX_FIT_DEGREE} in the number of the bin",
+        f"A box whose {bins.TESTED_DEGREES[1]} highest coefficients differ from 0",
         f"with a probability below {bins.DOUBT:g} is cut in two",
         f"and the probability is below {short(bins.ALARM)}",
         f"ln p changes by more than {bins.STEEPEST:g} from bin to bin",

@@ -30,7 +30,7 @@ from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.compiling import ROOT
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.recognition import REGISTRY, canonical, fingerprint
-from fpk.system.compiled_laws import compiled_laws
+from fpk.system.compiled_laws import compile_laws
 from fpk.system.contact import Contact
 from fpk.system.contact_law import LAWS
 from fpk.system.damping import DampingTerm
@@ -148,15 +148,15 @@ def test_every_field_of_every_record_is_compared():
 
 
 def test_a_law_or_scheme_is_compared_by_what_it_is_not_by_its_name(monkeypatch):
-    before = canonical(SYSTEM), compiled_laws(("hertz",), "force")
+    before = canonical(SYSTEM), compile_laws(("hertz",), "force")
     for way, law in others(LAWS["hertz"]):
         if way != ("ContactLaw.name",):
             with monkeypatch.context() as context:
                 context.setitem(LAWS, "hertz", law)
                 assert canonical(SYSTEM) != before[0], way
                 if way == ("ContactLaw.force",):
-                    assert compiled_laws(("hertz",), "force") != before[1]
-    assert (canonical(SYSTEM), compiled_laws(("hertz",), "force")) == before
+                    assert compile_laws(("hertz",), "force") != before[1]
+    assert (canonical(SYSTEM), compile_laws(("hertz",), "force")) == before
 
 
 SCALE = 2.0

@@ -14,7 +14,7 @@ from scipy.special import factorial
 
 from fpk.numeric.arrays import EPS, ROUND_OFF, Array, Integers
 from fpk.numeric.errors import NotApplicable, NotCertified
-from fpk.solvers.line.mesh import probed
+from fpk.solvers.line.mesh import probe_process
 from fpk.system.damping import DampingTerm, gaussian_moment
 from fpk.system.ends import require_confined
 from fpk.system.equivalent import equivalent_temperature
@@ -186,7 +186,7 @@ def modal_analysis(system: System) -> ModalAnalysis:
     for group in () if constant else averaged.groups:
         try:
             if len(group) == 1:
-                probed(modes.process(group))
+                probe_process(modes.process(group))
             elif len(group) == 2:
                 require_confined(modes.process(group))
         except NotCertified as reason:

@@ -14,10 +14,10 @@ from averaging.energy_process import closed_form
 from averaging.gaussian import Gaussian, state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.zero_flux import density_of_energies, flux_residual, solved_energies
-from fpk.answer.certificate import Measured, worst
-from fpk.answer.density import Density, certified_density
+from fpk.answer.certificate import Measured, largest_measured
+from fpk.answer.density import Density, certify_density
 from fpk.answer.names import Coordinate, Observable
-from fpk.numeric.arrays import CHUNK, EPS, Array
+from fpk.numeric.arrays import BLOCK_SIZE, EPS, Array
 from fpk.numeric.piecewise import fit
 from fpk.numeric.quadrature import panel_rule
 
@@ -135,7 +135,7 @@ def _product(observable: Observable, parts: Sequence[Density], tol: float) -> De
                 factors.append((p @ w, error @ w))
         return product_of(factors)
 
-    return certified_density(
+    return certify_density(
         observable,
         tuple(panels[c] for c in observable),
         lambda *energies: both(*energies)[0],
@@ -160,7 +160,7 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
         """∫p(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
         sums = []
         size = energy.size * POINTS * (panels[0].size + panels[1].size)
-        for part in np.array_split(energy, 1 + 2 * size // CHUNK):
+        for part in np.array_split(energy, 1 + 2 * size // BLOCK_SIZE):
             H = part[:, None]
             ends = np.hstack([np.minimum(panels[0], H), np.maximum(H - panels[1], 0.0)])
             ends = np.sort(np.clip(ends, 0.0, np.minimum(H, panels[0][-1])), axis=1)
@@ -185,7 +185,7 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
         k = np.searchsorted(both.nodes[1:-1], energy, side="right")
         return np.asarray(np.abs(both(energy)[..., 1]) + local[k])
 
-    return certified_density(
+    return certify_density(
         observable,
         (both.nodes,),
         lambda energy: both(energy)[..., 0],
@@ -297,7 +297,7 @@ def state_density(
     # ``PHASE``, and no more of them than are affordable.
     turns = extent * (np.array([K, M])[:count] @ np.abs(phases)) / PHASE[count]
     halves = np.ceil(np.clip(turns, *HALF_PANELS)).astype(int)
-    return certified_density(
+    return certify_density(
         observable,
         tuple(np.linspace(-e, e, 1 + 2 * half) for e, half in zip(extent, halves, strict=True)),
         lambda *x: both(*x)[0],
@@ -314,9 +314,9 @@ def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
         l1_error=sum(part.l1_error for part in parts) + added,
         mass_defect=sum(c.mass_defect for c in checks if c.mass_defect is not None),
         minimum=None,
-        residual=worst(c.residual for c in checks),
+        residual=largest_measured(c.residual for c in checks),
         tail_mass=sum(c.tail_mass or 0.0 for c in checks),
-        net_flux=worst(c.net_flux for c in checks),
+        net_flux=largest_measured(c.net_flux for c in checks),
         failures=tuple(dict.fromkeys(words for c in checks for words in c.besides)),
     )
 
@@ -341,7 +341,7 @@ def _transformed(group: Density, size: Array) -> Array:
     )
     shares = shares.reshape(2, energies[0].size, -1)
     total = []
-    for part in np.array_split(size, 1 + len(size) * sum(H.size for H in energies) // CHUNK):
+    for part in np.array_split(size, 1 + len(size) * sum(H.size for H in energies) // BLOCK_SIZE):
         first, *second = (
             j0(np.multiply.outer(z, np.sqrt(H))) for z, H in zip(part.T, energies, strict=True)
         )

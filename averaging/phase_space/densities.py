@@ -13,7 +13,7 @@ from averaging.phase_space.equation.elimination import Expansion
 from averaging.phase_space.marginals import SPAN, marginal, moments
 from averaging.phase_space.refinement import ROUND_OFF, SAFETY, Ladder
 from fpk.answer.certificate import Measured
-from fpk.answer.density import Density, certified_density
+from fpk.answer.density import Density, certify_density
 from fpk.answer.method import Identity
 from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.numeric.arrays import Array
@@ -69,7 +69,7 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
         about = map_coordinates(local, np.array(place), order=1, mode="nearest")
         return np.asarray(factor * about + floor + quadrature_error(pdf(*x), *x))
 
-    return certified_density(
+    return certify_density(
         observable, panels, pdf, pointwise, measured=measured, tol=tol, added_error=quadrature_error
     )
 

@@ -28,7 +28,7 @@ from averaging.phase_space.refinement import (
 )
 from averaging.theory import Exact, Theory
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.dynamics import Curve, Passage, Rates, certified_curve
+from fpk.answer.dynamics import Curve, Passage, Rates, certify_curve
 from fpk.answer.method import Plan, Progress, Result, silent
 from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.question import Asked, answer
@@ -215,7 +215,7 @@ class PhaseSpace(Theory):
                 frame, [q, p], measure, options, apart, tol=tol, what=name, numbers=numbers
             )
         values, scale = np.asarray(answer.values, dtype=float), float(answer.scale)
-        return certified_curve(
+        return certify_curve(
             values,
             np.asarray(answer.errors),
             scale=scale,

@@ -20,9 +20,9 @@ import scipy  # its parts are loaded at their first use: scipy.optimize takes lo
 
 from averaging.conditional import conditionals
 from fpk.numeric.arrays import Array, Integers
-from fpk.numeric.compiling import cached_njit, checksum, inlined
+from fpk.numeric.compiling import cached_njit, checksum, njit_inline
 from fpk.numeric.quadrature import gauss_legendre
-from fpk.system.compiled_laws import compiled_laws, law_files, of_law
+from fpk.system.compiled_laws import compile_laws, law_files, of_law
 from fpk.system.system import System, looks_the_same_mirrored
 
 SAME = 1e-11
@@ -159,9 +159,9 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
     ``singular`` says that a = n − c/2 − 1 is not positive; the laws' slopes are needed then.
     """
     sources = checksum(law_files(names))
-    U: Any = compiled_laws(names, "energy")
-    g: Any = compiled_laws(names, "force")
-    bend: Any = compiled_laws(names, "slope" if singular else "force")
+    U: Any = compile_laws(names, "energy")
+    g: Any = compile_laws(names, "force")
+    bend: Any = compile_laws(names, "slope" if singular else "force")
 
     @cached_njit()
     def add_rays(
@@ -247,14 +247,14 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
     return add_rays
 
 
-@inlined
+@njit_inline
 def _of_stop(part: Any, ray: Stops, s: int, overlap: float) -> float:
     """Energy, force or slope, by ``part`` of the laws, of stop s of the ray."""
     value: float = ray.stiffness[s] * of_law(part, ray.law[s], overlap, ray.exponent[s])
     return value
 
 
-@inlined
+@njit_inline
 def _gain(low: float, width: float, top: float, ray: Stops, s: int, U: Any, g: Any) -> float:
     """U(low + width) − U(low) of stop s without cancellation, ``top`` being the first of the two.
 
@@ -269,7 +269,7 @@ def _gain(low: float, width: float, top: float, ray: Stops, s: int, U: Any, g: A
     return width * mean
 
 
-@inlined
+@njit_inline
 def _turning_point(height: float, start: float, k: int, ray: Stops, U: Any, g: Any) -> float:
     """The x > 0 where V has risen by ``height`` from ``start`` on; NaN where the iteration fails.
 
@@ -300,7 +300,7 @@ def _turning_point(height: float, start: float, k: int, ray: Stops, U: Any, g: A
     return np.nan
 
 
-@inlined
+@njit_inline
 def _bent(r: float, k: int, c: int, ray: Stops, U: Any, g: Any, bend: Any) -> float:
     """V ((c−1)/(r V_r) − V_rr/V_r²) at the distance r, V not as H (1 − v): that cancels at rest."""
     V, steepness, curvature = 0.5 * r * r, r, 1.0

@@ -170,9 +170,9 @@ def _times(text: str | None) -> Any:
     import numpy as np
 
     from cases.scene.points import parse_points
-    from fpk.answer.dynamics import checked_times
+    from fpk.answer.dynamics import require_times
 
     if text is None:
         return np.zeros(0)
     (times,) = parse_points(text, 1, option="times")
-    return parts.read("times", text, lambda: checked_times(times))
+    return parts.read("times", text, lambda: require_times(times))

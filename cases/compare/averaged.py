@@ -13,8 +13,8 @@ from typing import Any, Self
 import numpy as np
 
 from cases.scene.expect import Theory
-from fpk.answer.dynamics import Passage, Transient, checked_times
-from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register
+from fpk.answer.dynamics import Passage, Transient, require_times
+from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, register_route
 from fpk.answer.names import Coordinate, Limit, Observable, Start, observable_name
 from fpk.answer.question import Asked, answer
 from fpk.numeric.arrays import Array
@@ -98,7 +98,7 @@ class AveragedSimulation(Method):
         """
         from sim.questions.averaged.paths import energy_passage
 
-        checked_times(asked.times)
+        require_times(asked.times)
         system, wanted = asked.system, self.tol if asked.tol is None else asked.tol
         form = self._form(self._process(system))
         scales = form.scales / form.noise
@@ -126,7 +126,7 @@ class AveragedSimulation(Method):
 
         system = asked.system
         require_held(system)
-        checked_times(asked.times)
+        require_times(asked.times)
         if reason := self._unknown(asked.observable):
             raise NotApplicable(reason)
         form = self._form(self._process(system))
@@ -274,7 +274,7 @@ class AveragedSimulation(Method):
 
 def _register(theory: Theory, words: str, equation: str, colour: str) -> None:
     names, make = (theory, "simulation", words, equation), partial(AveragedSimulation, theory)
-    register(Route(*names, "averaged", True, colour, make))
+    register_route(Route(*names, "averaged", True, colour, make))
 
 
 _register("nonintegrable", "energy averaging, simulated", "(24)", "#601626")

@@ -15,7 +15,7 @@ from fpk.answer.method import Progress, Route
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.solvers.line.time.passage import first_passage
+from fpk.solvers.line.time.passage import chain_first_passage
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.passage import LEAST_FAILURES, horizon
@@ -172,7 +172,9 @@ def averaged_score(system: System, question: PassageQuestion) -> ScoreFunction |
     limit, last = question.limit.value, np.array([question.times[-1]])
 
     def score(energies: Array, times: Array) -> Array:
-        failure, _ = first_passage(process, limit, times=times, tol=TOL).failure(times, energies)
+        failure, _ = chain_first_passage(process, limit, times=times, tol=TOL).failure(
+            times, energies
+        )
         return np.asarray(np.log(np.maximum(failure, 1e-300)))
 
     try:

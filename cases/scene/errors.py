@@ -7,7 +7,7 @@ from datetime import date, time
 from itertools import islice, zip_longest
 from typing import Any
 
-from fpk.numeric.errors import InvalidInput, shown
+from fpk.numeric.errors import InvalidInput, one_line_repr
 
 LONGEST = 600
 """Characters of a message; what is quoted in a longer one is cut out of its middle."""
@@ -79,7 +79,7 @@ def toml_value(value: Any) -> str:
         pairs = islice(value.items(), WIDTH)
         text = f"{{{', '.join(f'{key} = {toml_value(entry)}' for key, entry in pairs)}}}"
     else:
-        text = shown(value)
+        text = one_line_repr(value)
     return text if len(text) <= WIDTH else text[: WIDTH - 1] + "…"
 
 

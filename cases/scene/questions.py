@@ -9,7 +9,7 @@ import numpy as np
 
 from cases.scene.errors import refused_as
 from cases.scene.expect import Range, Theory, range_of
-from fpk.answer.dynamics import checked_times
+from fpk.answer.dynamics import require_times
 from fpk.answer.names import (
     REST,
     Limit,
@@ -125,7 +125,7 @@ def _start(table: Mapping[str, Any], system: System) -> Start:
 def _times(table: Mapping[str, Any]) -> tuple[float, ...]:
     times = table.get("times", [])
     with refused_as("times", times):
-        checked_times(np.array(times, dtype=float))
+        require_times(np.array(times, dtype=float))
     return tuple(map(float, times))
 
 

@@ -9,7 +9,7 @@ from cases.scene.errors import BadInput
 from cases.scene.scene import read_text
 from cases.show.files import make_folder, write_text
 from cases.show.records import Record, program_version
-from fpk.numeric.machine import locked
+from fpk.numeric.machine import lock_file
 from fpk.numeric.recognition import canonical
 from sim.sample.workers import PROGRAM, program_checksum
 
@@ -29,7 +29,7 @@ def claimed(folder: Path | None, identity: Record) -> Iterator[None]:
     program = {"version": program_version(), "sources": program_checksum(rooms=PROGRAM)}
     record = canonical({**identity, **program})
     text = json.dumps(record, ensure_ascii=False) + "\n"
-    with locked(folder / "run.lock"):
+    with lock_file(folder / "run.lock"):
         if not path.exists():
             write_text(path, text)
         elif read_text(path, str(path), most=1 << 24, what="the run's identity") != text:

@@ -8,7 +8,7 @@ from shutil import rmtree
 from tempfile import TemporaryDirectory
 
 from cases.scene.errors import readable_errors
-from fpk.numeric.machine import locked
+from fpk.numeric.machine import lock_file
 
 NOT_WRITTEN = "cannot be written", "what was there is kept; make room or give another --out"
 
@@ -50,7 +50,7 @@ def output_folder(path: Path) -> Iterator[None]:
     What killed processes have left half-written there is removed. Raises ``Unavailable`` where
     another command has it, ``BadInput`` where it cannot be written.
     """
-    with locked(make_folder(path) / LOCK, needed=False):
+    with lock_file(make_folder(path) / LOCK, needed=False):
         for left in path.glob(f"{PREFIX}{'?' * 8}"):
             rmtree(left, ignore_errors=True)
         yield

@@ -21,11 +21,11 @@ from fpk.answer.names import parse_observable
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.solvers import operator
-from fpk.solvers.line.mesh import probed
+from fpk.solvers.line.mesh import probe_process
 from fpk.solvers.line.stationary import solve_on_mesh
 from fpk.solvers.operator import null_vectors, solve_by_scikit_fem
 from fpk.solvers.plane.elements import null_function
-from fpk.solvers.plane.solution import graded, solve_plane_on_mesh
+from fpk.solvers.plane.solution import root_spaced_nodes, solve_plane_on_mesh
 from fpk.solvers.plane.weight import flux_free_weight
 from fpk.system.escape import require_held
 from fpk.system.process import Process
@@ -105,7 +105,7 @@ class Equation:
         """
         count = ELEMENTS[self.dimension][degree]
         if self.dimension == 2:
-            return graded(self.ends, count * 2**halvings)
+            return root_spaced_nodes(self.ends, count * 2**halvings)
         inside = [H for H in self.process.nonsmooth if self.ends[0] > H]
         nodes = np.union1d(np.linspace(0.0, self.ends[0], count + 1), inside)
         for _ in range(halvings):
@@ -121,7 +121,7 @@ def solve_on(
     if len(nodes) == 1:
         own = null_vectors if slow else None
         return solve_on_mesh(process, nodes[0], degree, null_vectors=own)
-    solved = operator.null_function if slow else null_function
+    solved = operator.plane_null_function if slow else null_function
     return solve_plane_on_mesh(process, (nodes[0], nodes[1]), degree, solved=solved)
 
 
@@ -148,7 +148,7 @@ def energy_equation(system: System, solver: str = "fem") -> Equation:
         clock=clock,
         reference=density_of(observable, solution),
         reference_words=words,
-        ends=[probed(process).extent(BEYOND[1])],
+        ends=[probe_process(process).extent(BEYOND[1])],
         by_tolerance={
             NonIntegrable(solver).route: partial(solved_energies, solver=solver),
             NonIntegrable("quadrature").route: solve_by_quadrature,

@@ -11,7 +11,7 @@ from cases.compare.routes import listed_routes
 from cases.compare.stationary import answers_of
 from cases.study.levels import timed_first
 from fpk.answer.certificate import Measured
-from fpk.answer.density import AnyDensity, Density, certified_density
+from fpk.answer.density import AnyDensity, Density, certify_density
 from fpk.answer.method import Method, Result, Solves
 from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.sampled_density import SampledDensity
@@ -149,7 +149,7 @@ def full_reference(system: System, *, seed: int) -> Reference:
     assert isinstance(sampled, SampledDensity)
     few, own = joined(sampled), sampled.certificate
     measured = Measured(chance_l1(few)[0], None, None, own.residual, own.tail_mass)
-    density = certified_density(
+    density = certify_density(
         observable, few.edges, sampled, lambda q: sampled.at(q)[1], measured=measured, tol=inf
     )
     return Reference("long simulation", density, sampled)

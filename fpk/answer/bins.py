@@ -28,13 +28,13 @@ LogReference = Callable[[Array, Integers], Array]
 Bins = tuple[int, ...]
 """A bin number for each axis."""
 
-NODES = 3
+BIN_POINTS = 3
 """Gauss points along a bin: its content is right to 1e-4 where ln p changes by 2 within it."""
 LARGEST_LOG = 700.0
 """Largest |ln p/r| of a trial: its exponential is a number."""
-DEGREE = 8
+MAX_FIT_DEGREE = 8
 """Largest total degree of ln p on a box."""
-HIGHEST = {1: 3, 2: 2}
+TESTED_DEGREES = {1: 3, 2: 2}
 """How many of the highest degrees must be consistent with 0, by the number of coordinates."""
 PER_COEFFICIENT = 30
 """Least number of independent samples for each coefficient, which is then known to some 20 %."""
@@ -44,7 +44,7 @@ STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
 """Most Newton steps, halvings of each, and (distance from the maximum / error)² to stop at."""
 ROUNDING = 1e-13
 """Change of the mean log-likelihood of a sample that is round-off."""
-SPREAD = 10.0
+PRIOR_WIDTH = 10.0
 """Size of a coefficient of which no sample says anything: ln p changes by less within a box."""
 DOUBT, ALARM = 0.01, 1e-6
 """Probabilities with which a right fit is halved needlessly, and with which it is called wrong."""
@@ -90,8 +90,8 @@ class BinAxis:
 
     @cached_property
     def rule(self) -> tuple[Array, Array]:
-        """Numbers of the Gauss points of all bins (bins, ``NODES``), and weights times r."""
-        x, w = panel_rule(self.edges, NODES)
+        """Numbers of the Gauss points of all bins (bins, ``BIN_POINTS``), and weights times r."""
+        x, w = panel_rule(self.edges, BIN_POINTS)
         bins = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
         return self.number(x, bins), w * np.exp(self.log_r(x, bins))
 
@@ -119,7 +119,7 @@ class Box:
     @property
     def degrees(self) -> Integers:
         """Degrees (axes, coefficients) of the polynomials along each axis."""
-        return powers(len(self.first), self.theta.size)
+        return polynomial_degrees(len(self.first), self.theta.size)
 
     def basis(self, numbers: Sequence[Array]) -> Array:
         """Return the polynomials (points, coefficients) at ``numbers`` (points,) of each axis."""
@@ -133,7 +133,7 @@ def _polynomials(numbers: Array, first: int, last: int, degree: int) -> Array:
     return np.asarray(legvander(2.0 * (numbers - first) / (last - first) - 1.0, int(degree)))
 
 
-def powers(axes: int, count: int) -> Integers:
+def polynomial_degrees(axes: int, count: int) -> Integers:
     """Return the degrees (axes, count) along each axis, in ascending order of the total degree."""
     if axes == 1:
         return np.arange(count)[None]
@@ -152,7 +152,7 @@ def boxes(
 
     def parts(first: Bins, last: Bins, *, halved: bool) -> Iterator[Box]:
         own = tuple(map(slice, first, last))
-        box = _fit(axes, first, last, shares[own], batch_shares[(slice(None), *own)], samples)
+        box = _fit_box(axes, first, last, shares[own], batch_shares[(slice(None), *own)], samples)
         fits = box.chance > DOUBT  # ``halved``: this is half of a box that fits
         halves = _halves(box, shares[own], samples) if halve else []
         if not halves or (halved and fits):
@@ -168,8 +168,11 @@ def boxes(
 
 def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
     """Both parts of a box cut near the middle of the axis that fits worst; none if one is small."""
-    axes, bins = range(shares.ndim), DEGREE + 4  # more bins than coefficients: a misfit shows
-    needed = PER_COEFFICIENT * comb(DEGREE + shares.ndim, shares.ndim) / samples
+    axes, bins = (
+        range(shares.ndim),
+        MAX_FIT_DEGREE + 4,
+    )  # more bins than coefficients: a misfit shows
+    needed = PER_COEFFICIENT * comb(MAX_FIT_DEGREE + shares.ndim, shares.ndim) / samples
     for axis in sorted(axes, key=lambda k: _chance_of_highest(box, alone=k)):
         below = np.cumsum(shares.sum(axis=tuple(k for k in axes if k != axis)))[:-1]
         enough = np.flatnonzero((below >= needed) & (below <= below[-1] - needed)) + 1
@@ -183,7 +186,7 @@ def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
     return []
 
 
-def _fit(
+def _fit_box(
     axes: Sequence[BinAxis], first: Bins, last: Bins, shares: Array, batches: Array, samples: float
 ) -> Box:
     """Return the fit of one box, of the largest degree that has a largest likelihood."""
@@ -192,7 +195,7 @@ def _fit(
         return Box(first, last, np.zeros(0), np.zeros((many, 0)), np.zeros((0, 0)))
     held = shares * samples
     most = min(float(shares.sum()) * samples / PER_COEFFICIENT, float(np.count_nonzero(shares)))
-    degrees = range(min(DEGREE, min(shares.shape) - 1) + 1)
+    degrees = range(min(MAX_FIT_DEGREE, min(shares.shape) - 1) + 1)
     for degree in reversed([k for k in degrees if k == 0 or comb(k + len(axes), k) <= most]):
         model = Model(axes, first, last, degree)
         theta, information, solved = model.solved(shares.ravel(), samples)
@@ -227,7 +230,7 @@ class Model:
         ends = list(zip(axes, first, last, strict=True))
         numbers, weights = zip(*([x[a:b] for x in axis.rule] for axis, a, b in ends), strict=True)
         self.shape = tuple(map(len, numbers))
-        self.powers = powers(len(axes), comb(degree + len(axes), degree))
+        self.powers = polynomial_degrees(len(axes), comb(degree + len(axes), degree))
         self.vander = list(map(_polynomials, numbers, first, last, [degree] * len(axes)))
         self.weights = reduce(np.multiply.outer, [w.ravel() for w in weights])
         means = [
@@ -243,7 +246,7 @@ class Model:
         return np.asarray(split.sum(axis=tuple(range(1, split.ndim, 2)))).ravel()
 
     def spread(self, theta: Array) -> Array:
-        """Return p times the weight of each Gauss point, (bins, ``NODES``) for each axis."""
+        """Return p times the weight of each Gauss point, (bins, ``BIN_POINTS``) for each axis."""
         size = self.vander[0].shape[-1]
         square = np.zeros((size,) * len(self.shape))
         square[tuple(self.powers)] = theta
@@ -251,20 +254,21 @@ class Model:
         if len(self.shape) == 2:
             log_p = log_p @ self.vander[1].reshape(-1, size).T
         p = self.weights * np.exp(np.clip(log_p, -LARGEST_LOG, LARGEST_LOG))
-        return np.asarray(p.reshape([k for bins in self.shape for k in (bins, NODES)]))
+        return np.asarray(p.reshape([k for bins in self.shape for k in (bins, BIN_POINTS)]))
 
     def solved(self, shares: Array, samples: float) -> tuple[Array, Array, bool]:
         """Return θ of the largest likelihood, the information, and whether the maximum was reached.
 
         Newton's method with halved steps begins at a fit to ln of the counts and half a sample more
-        in each bin, or at a constant where it is likelier. Without samples θ is 0 ± ``SPREAD``.
+        in each bin, or at a constant where that is likelier. Without samples
+        θ is 0 ± ``PRIOR_WIDTH``.
         """
         constant = np.zeros(self.design.shape[1])
         held, volume = samples * shares + 0.5, self.contents(constant)
         weighted, log_p = self.design.T * held, np.log(held / (samples * volume))
         fitted = np.linalg.lstsq(weighted @ self.design, weighted @ log_p)[0]
         constant[0] = np.log(shares.sum() / volume.sum())
-        prior = np.where(self.powers.any(axis=0), 1.0 / (samples * SPREAD**2), 0.0)
+        prior = np.where(self.powers.any(axis=0), 1.0 / (samples * PRIOR_WIDTH**2), 0.0)
 
         def unlikely(theta: Array, content: Array) -> float:
             own = shares[shares > 0.0] @ np.log(content[shares > 0.0])
@@ -294,7 +298,7 @@ class Model:
 def _chance_of_highest(box: Box, alone: int | None = None) -> float:
     """Probability by Hotelling's T² that the highest coefficients (of an axis ``alone``) are 0."""
     total = box.degrees.sum(axis=0)
-    highest = total > max(0, int(total.max(initial=0)) - HIGHEST[len(box.first)])
+    highest = total > max(0, int(total.max(initial=0)) - TESTED_DEGREES[len(box.first)])
     if alone is not None:
         highest &= box.degrees[alone] == total
     size, batches = int(np.count_nonzero(highest)), len(box.deviations)

@@ -84,7 +84,7 @@ class Certificate(Measured):
         return tuple(words for words in self.failures if not words.startswith(MISSED))
 
 
-def worst(values: Iterable[float | None]) -> float | None:
+def largest_measured(values: Iterable[float | None]) -> float | None:
     """Return the largest of what was measured, NaN if one is; None where nothing was."""
     given = [x for x in values if x is not None]
     return float(np.max(given)) if given else None

@@ -11,12 +11,19 @@ from scipy.optimize import brentq
 
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.answer.names import Observable, require_one_array_an_axis
-from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond, with_points
+from fpk.answer.quantities import (
+    ErrorKind,
+    Function,
+    Number,
+    Quantities,
+    largest_in_tails,
+    with_points,
+)
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array
 from fpk.numeric.quadrature import GAUSS_POINTS, gauss_grid, integral
 
-RULES = {1: (12, 16, GAUSS_POINTS[1]), 2: (7, 9, GAUSS_POINTS[2])}
+COMPARED_RULES = {1: (12, 16, GAUSS_POINTS[1]), 2: (7, 9, GAUSS_POINTS[2])}
 """Gauss points per panel and axis, by the number of axes; the last rule is the answer. At a kink
 within a panel one coarser rule may agree with it by chance, two hardly."""
 SAFETY = 3.0
@@ -102,7 +109,7 @@ class Density(Quantities):
         panels = (self._axis(kinks),) if kinks else self.panels
         keeps = not kinks and len(panels) == 1  # the values at the nodes of a pair are too many
         coarse_p, p, e = (self if keeps else replace(self, panels=panels))._at_nodes
-        mesh, grids = gauss_grid(panels, points=RULES[len(panels)][1])
+        mesh, grids = gauss_grid(panels, points=COMPARED_RULES[len(panels)][1])
         coarse = integral(function(*mesh) * coarse_p, grids)
         mesh, grids = gauss_grid(panels)
         f = np.asarray(function(*mesh))
@@ -112,7 +119,7 @@ class Density(Quantities):
         error = integral(np.abs(f) * e, grids) * max(1.0, least_l1 / integral(e, grids))
         sizes = [np.repeat(_condition(nodes), GAUSS_POINTS[len(panels)]) for nodes in panels]
         rounding = EPS * integral(np.abs(f * p) * reduce(np.add.outer, sizes), grids)
-        tail = (self.certificate.tail_mass or 0.0) * beyond(function, self.panels, kinks)
+        tail = (self.certificate.tail_mass or 0.0) * largest_in_tails(function, self.panels, kinks)
         return Number(value, error + rounding + abs(value - coarse) + tail)
 
     def _probability(self, low: float, high: float) -> Number:
@@ -159,7 +166,7 @@ class Density(Quantities):
     @cached_property
     def _at_nodes(self) -> tuple[Array, Array, Array]:
         """The density at the Gauss points of the coarser and finer rule, and its error at these."""
-        coarse, _ = gauss_grid(self.panels, points=RULES[len(self.panels)][1])
+        coarse, _ = gauss_grid(self.panels, points=COMPARED_RULES[len(self.panels)][1])
         mesh, _ = gauss_grid(self.panels)
         return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
 
@@ -170,7 +177,7 @@ def _condition(nodes: Array) -> Array:
     return np.asarray(1.0 + largest / np.diff(nodes))
 
 
-def certified_density(
+def certify_density(
     observable: Observable,
     panels: tuple[Array, ...],
     pdf: Callable[..., Array],
@@ -254,7 +261,7 @@ def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
         at = [brentq(lambda q: difference(np.array([q]))[0], *x[k : k + 2]) for k in crossed]
         panels = [np.union1d(panels[0], at)]
     of_panels = []  # differences of the rules cancel between panels, so that each counts alone
-    for points in RULES[len(panels)]:
+    for points in COMPARED_RULES[len(panels)]:
         mesh, grids = gauss_grid(panels, points=points)
         shares = np.abs(difference(*mesh)) * reduce(np.multiply.outer, [w for _, w in grids])
         for axis in range(len(panels)):

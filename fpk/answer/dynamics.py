@@ -6,15 +6,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fpk.answer.certificate import Certificate, Measured, WithoutNaN, certify, worst
-from fpk.answer.density import RULES, SAFETY, AnyDensity, Density
+from fpk.answer.certificate import Certificate, Measured, WithoutNaN, certify, largest_measured
+from fpk.answer.density import COMPARED_RULES, SAFETY, AnyDensity, Density
 from fpk.answer.quantities import ErrorKind, Number
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import EPS, SMALLEST, Array, Complexes
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.quadrature import gauss_grid
 
-STARTS = 101
+START_POINTS = 101
 """Starts at which moments are given as a curve, from rest to the limit."""
 BEYOND_RANGE = "the mean time to it is beyond the range of double precision; take a lower one"
 """Why a limit is refused that is hardly ever reached."""
@@ -59,7 +59,7 @@ class Rates:
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
 
 
-def certified_rates(
+def certify_rates(
     values: Array | Complexes,
     errors: Array,
     *,
@@ -73,7 +73,7 @@ def certified_rates(
     return Rates(np.asarray(values, dtype=complex), errors, certificate, settings or {})
 
 
-def certified_curve(
+def certify_curve(
     values: Array,
     errors: Array,
     *,
@@ -93,7 +93,7 @@ def certified_curve(
     """
     relative, given = float(np.max(errors)) / scale, of.certificate
     least = float(np.min(values if positive is None else positive)) / scale
-    residual, words = worst((residual, given.residual)), (*given.besides, *failures)
+    residual, words = largest_measured((residual, given.residual)), (*given.besides, *failures)
     numbers = relative, given.mass_defect, least, residual, given.tail_mass
     measured = Measured(*numbers, failures=words, absolute_error=relative)
     return Curve(values, errors + SMALLEST, certify(measured, tol=tol), settings or {})
@@ -110,7 +110,7 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
     if isinstance(joint, SampledDensity):
         return joint.flux(lambda p: p / mass, nodes, at)
     rates = []
-    for points in RULES[1]:
+    for points in COMPARED_RULES[1]:
         _, [(p, w)] = gauss_grid([nodes], points=points)
         density, error = joint.at(at[:, None], p)
         rates.append((density @ (w * p / mass), error @ (w * p / mass)))
@@ -127,7 +127,7 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
     return value, own + SAFETY * missed + beyond / mass
 
 
-def checked_times(times: Array, *, positive: bool = False) -> Array:
+def require_times(times: Array, *, positive: bool = False) -> Array:
     """Return ``times`` if finite, 0 (``positive``: not 0) or later, and ascending, else raise."""
     if not (np.all(np.isfinite(times)) and np.all(times >= 0.0) and np.all(np.diff(times) > 0.0)):
         raise InvalidInput("times", times, "must be finite, 0 or later, and ascend")
@@ -207,7 +207,7 @@ class Passage:
             object.__setattr__(self, "certificate", self.certificate.with_failures(words))
 
 
-def certified_passage(
+def certify_passage(
     numbers: tuple[Number, Number, Number | None],
     times: Array,
     failure: Array,

@@ -73,7 +73,7 @@ class Plan:
 
 
 class Method(ABC):
-    """A route with its discretisation: a frozen dataclass, its route registered with ``register``.
+    """A route with its discretisation: a frozen dataclass, registered with ``register_route``.
 
     Callers ask ``planned``, not ``prepare``, for its plan.
     """
@@ -188,7 +188,7 @@ ROUTES: dict[tuple[str, str], Route] = {}
 """Every route by (method, solver), in the order of registration."""
 
 
-def register(route: Route) -> Route:
+def register_route(route: Route) -> Route:
     """Add a route to the registry and return it; ``ValueError`` where its names are taken."""
     key = route.method, route.solver
     if key in ROUTES:

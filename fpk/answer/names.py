@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fpk.numeric.arrays import Array
     from fpk.system.system import System
 
-LEAST = 1e-100
+LEAST_LIMIT = 1e-100
 """Least limit: of smaller ones the square of the mean time may leave double precision."""
 
 
@@ -162,14 +162,14 @@ def parse_limit(text: str, n: int) -> Limit:
         parse_limit("H=1.5", 2), parse_limit("H1=0.4,H2=0.6", 2), parse_limit("q2=1.2", 2)
 
     Raises ``InvalidInput`` for an unknown name, several limits that are not modal energies, or one
-    that is not a finite number of at least ``LEAST``.
+    that is not a finite number of at least ``LEAST_LIMIT``.
     """
     kinds = [("modal", [f"H{i + 1}" for i in range(n)], 1), ("H", ["H"], 1)]
     kinds += [("q", [f"q{i + 1}"], 1) for i in range(n)]
     remedy = "use H=1.5, H1=0.4 or H1=0.4,H2=0.6 (whichever is passed first), or q2=1.2 for |q2|"
     limit = Limit(*parse_numbers("limit", text, kinds, remedy))
-    if min(limit.values.values()) < LEAST:
-        raise InvalidInput("limit", text, f"must be > 0, {LEAST:g} at least")
+    if min(limit.values.values()) < LEAST_LIMIT:
+        raise InvalidInput("limit", text, f"must be > 0, {LEAST_LIMIT:g} at least")
     return limit
 
 

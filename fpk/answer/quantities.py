@@ -21,7 +21,7 @@ ErrorKind = Literal["numerical", "sampling"]
 """Estimate of a numerical error, or one standard error of sampling."""
 SUBDIVISION = 1e-5
 """Largest error of the quadratic cells between their nodes, relative to the largest density."""
-CUT = 1e-6
+FIELD_CUT = 1e-6
 """Share of its largest value down to which the first density lies in the box of the field."""
 MOST_CELLS = 60_000
 """Cells at which refinement ends; the error that is left is stated in any case."""
@@ -70,7 +70,7 @@ class Quantities(ABC):
 
     def probability(self, low: float, high: float) -> Number:
         """Return P(low < X <= high); ``InvalidInput`` unless both are numbers, infinite or not."""
-        return self._probability(_number("low", low), _number("high", high))
+        return self._probability(_real_number("low", low), _real_number("high", high))
 
     @abstractmethod
     def _probability(self, low: float, high: float) -> Number:
@@ -126,18 +126,18 @@ class Quantities(ABC):
 
     def cdf(self, x: float) -> Number:
         """Return P(X <= x). Raises ``InvalidInput`` unless x is a number."""
-        return self._probability(-inf, _number("x", x))
+        return self._probability(-inf, _real_number("x", x))
 
     def exceedance(self, x: float) -> Number:
         """Return P(X > x), with relative digits where it is small; ``InvalidInput`` as ``cdf``."""
-        return self._probability(_number("x", x), inf)
+        return self._probability(_real_number("x", x), inf)
 
     def quantile(self, p: float) -> Number:
         """Return the x with P(X <= x) = p, its error by x at p plus and minus the error of P.
 
         Raises ``InvalidInput`` unless 0 < p < 1.
         """
-        if not 0.0 < _number("p", p) < 1.0:
+        if not 0.0 < _real_number("p", p) < 1.0:
             raise InvalidInput("p", p, "must be a probability between 0 and 1")
         low, high = (float(x) for x in self._axis()[[0, -1]])
         # The smaller of P(X <= x) and P(X > x) is inverted: its relative digits are kept.
@@ -208,7 +208,7 @@ class Quantities(ABC):
         return Number(float(np.real(function(moments.astype(complex)))), own.error)
 
 
-def _number(key: str, value: Any) -> float:
+def _real_number(key: str, value: Any) -> float:
     """Return ``value``, one real number; raise ``InvalidInput`` for anything else."""
     if isinstance(value, bool) or not isinstance(value, Real) or isnan(value):
         raise InvalidInput(key, value, "must be one number; of several, ask for each")
@@ -225,7 +225,9 @@ def with_points(nodes: Array, points: Array) -> Array:
     return np.union1d(nodes, points[(points > nodes[0]) & (points < nodes[-1])])
 
 
-def beyond(function: Function, panels: Sequence[Array], kinks: Sequence[float] = ()) -> float:
+def largest_in_tails(
+    function: Function, panels: Sequence[Array], kinks: Sequence[float] = ()
+) -> float:
     """Return the largest |f| on the corners of a box twice as wide as support and ``kinks``.
 
     It stands for f in the tails, where densities fall at least exponentially.
@@ -239,10 +241,10 @@ def beyond(function: Function, panels: Sequence[Array], kinks: Sequence[float] =
 def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
     """Return the densities by route as a mesh of meshio, and the error of its cells.
 
-    The mesh is the smallest box with all points at which the first density is at least ``CUT`` of
-    its largest value, refined where it bends. In ``point_data`` are ``density``, the first, and
-    ``log10 density``, NaN where it is not positive; of every route its density, the error it
-    states, and the difference of the first from it. The error of the cells is the largest
+    The mesh is the smallest box with all points at which the first density is at least
+    ``FIELD_CUT`` of its largest value, refined where it bends. In ``point_data`` are ``density``,
+    the first, and ``log10 density``, NaN where it is not positive; of every route its density, the
+    error it states, and the difference of the first from it. The error of the cells is the largest
     difference of interpolant and density at the probes, in units of the density.
     """
     import meshio  # noqa: PLC0415  (0.1 s)
@@ -253,7 +255,7 @@ def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
     for _ in range(2):  # in the support, and again in the box that it gives
         grid = [np.linspace(a, b, 401 if len(box) == 1 else 101) for a, b in box]
         values = density(*np.ix_(*grid))
-        inside = np.nonzero(values >= CUT * values.max())
+        inside = np.nonzero(values >= FIELD_CUT * values.max())
         box = [
             x[np.clip([i.min() - 1, i.max() + 1], 0, x.size - 1)]
             for x, i in zip(grid, inside, strict=True)

@@ -106,7 +106,7 @@ QUESTIONS: dict[str, Question] = {}
 """Every question by its name, in the order of registration."""
 
 
-def register(question: Question) -> Question:
+def register_question(question: Question) -> Question:
     """Add a question to the registry and return it; ``ValueError`` where its name is taken."""
     if question.name in QUESTIONS:
         raise ValueError(f"the question {question.name} is registered already")
@@ -184,4 +184,4 @@ for _question in (
     Question("transient", "densities in time", ("observable", "start", "times", "at"), "density"),
     Question("passage", "first passage", ("limit", "start", "times")),
 ):
-    register(_question)
+    register_question(_question)

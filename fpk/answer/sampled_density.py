@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from fpk.answer.bins import ALARM, LARGEST_LOG, NODES, BinAxis, Box, Model, boxes
+from fpk.answer.bins import ALARM, BIN_POINTS, LARGEST_LOG, BinAxis, Box, Model, boxes
 from fpk.answer.certificate import Certificate
 from fpk.answer.names import Observable, require_one_array_an_axis
-from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, beyond
-from fpk.numeric.arrays import CHUNK, EPS, ROUND_OFF, SMALLEST, Array, Flags, Integers
+from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, largest_in_tails
+from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUND_OFF, SMALLEST, Array, Flags, Integers
 from fpk.numeric.quadrature import panel_rule
 
 Values = tuple[Array, Array]
@@ -80,7 +80,7 @@ class SampledDensity(Quantities):
 
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
         """Return E f(X) and one standard error; within a bin samples lie as the fitted density."""
-        x = [panel_rule(e, NODES)[0].ravel() for e in self.edges]
+        x = [panel_rule(e, BIN_POINTS)[0].ravel() for e in self.edges]
         f = np.asarray(function(*np.meshgrid(*x, indexing="ij")))
         within = self.within
         f = np.broadcast_to(f, [a.size for a in x]).reshape(within.shape) * within
@@ -90,7 +90,7 @@ class SampledDensity(Quantities):
         chance = standard_error(np.tensordot(shares, f, f.ndim))
         # One visit more, at what was seen; where only what was not seen counts, there.
         seen = float(np.max(np.abs(f), initial=0.0, where=self.values > 0.0))
-        far = beyond(function, self.edges, kinks)
+        far = largest_in_tails(function, self.edges, kinks)
         visit = self.visit * (seen or float(np.max(np.abs(f))) or far)
         error = float(np.hypot(chance, visit) + (self.certificate.tail_mass or 0.0) * far)
         return Number(float(total), error)
@@ -101,7 +101,7 @@ class SampledDensity(Quantities):
         inside = np.clip(edges, *np.clip([low, high], *edges[[0, -1]]))
         share = np.diff(inside) / np.diff(edges)
         for k in np.flatnonzero((share > 0.0) & (share < 1.0)):
-            x, w = panel_rule(np.array([edges[k], *inside[k : k + 2], edges[k + 1]]), NODES)
+            x, w = panel_rule(np.array([edges[k], *inside[k : k + 2], edges[k + 1]]), BIN_POINTS)
             parts = (w * self.at(x)[0]).sum(axis=1)
             if parts.sum() > 0.0:
                 share[k] = parts[1] / parts.sum()
@@ -204,7 +204,7 @@ class SampledDensity(Quantities):
         arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in points))
         x = np.stack([a.ravel() for a in arrays])
         value, error = np.zeros((2, x.shape[1]))
-        together = CHUNK // batches
+        together = BLOCK_SIZE // batches
         for first in range(0, value.size, together):
             k = slice(first, first + together)
             value[k], error[k] = self._better(x[:, k], on_side)
@@ -212,9 +212,9 @@ class SampledDensity(Quantities):
 
     @cached_property
     def within(self) -> Array:
-        """Share of each bin at its Gauss points, (bins, ``NODES``) for each axis."""
+        """Share of each bin at its Gauss points, (bins, ``BIN_POINTS``) for each axis."""
         axes, every = self.fits
-        spread = np.empty([k for axis in axes for k in (axis.edges.size - 1, NODES)])
+        spread = np.empty([k for axis in axes for k in (axis.edges.size - 1, BIN_POINTS)])
         for box in every:
             theta = box.theta if box.theta.size else np.zeros(1)
             degree = int(box.degrees.sum(axis=0).max(initial=0))
@@ -224,7 +224,7 @@ class SampledDensity(Quantities):
         points = tuple(range(1, spread.ndim, 2))
         whole = spread.sum(axis=points, keepdims=True)
         none = whole == 0.0  # so far beyond a stop that p underflows
-        shares: Array = np.where(none, 1.0 / NODES ** len(points), spread / (whole + none))
+        shares: Array = np.where(none, 1.0 / BIN_POINTS ** len(points), spread / (whole + none))
         return shares
 
     @property
@@ -248,7 +248,7 @@ class SampledDensity(Quantities):
 
     def flux(self, weight: Callable[[Array], Array], nodes: Array, at: Array) -> Values:
         """Return ∫ weight(y) p(x, y) dy over panels of y at x = ``at`` (points,), and its error."""
-        y, w = (a.ravel() for a in panel_rule(nodes, NODES))
+        y, w = (a.ravel() for a in panel_rule(nodes, BIN_POINTS))
         weights, shape = weight(y), (at.size, y.size)
 
         def on_side(points: Array, bins: Integers) -> Values:

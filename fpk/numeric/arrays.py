@@ -17,7 +17,7 @@ SMALLEST = float(np.finfo(float).tiny)
 """Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
 ROUNDINGS = 8.0
 """Roundings that are stated of a sum, for each of its terms that cancel."""
-CHUNK = 4_000_000
+BLOCK_SIZE = 4_000_000
 """Numbers of intermediate results that are held at once: 32 MB."""
 DEPTH = 40.0
 """Energies above the lowest, in kT, that Gibbs integrals reach: beyond lies about e^−40 = 4e-18."""

@@ -18,7 +18,7 @@ from zlib import crc32
 import numba
 from numba.core.caching import IndexDataCacheFile
 
-from fpk.numeric.machine import left_out
+from fpk.numeric.machine import pause_working_time
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -117,7 +117,7 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
 
         _awaited.add(result)
         try:
-            with left_out():
+            with pause_working_time():
                 threading.Thread(target=work, name=COMPILER).start()
                 return result.result()
         finally:
@@ -166,7 +166,7 @@ def cached_njit() -> Callable[[Function], Function]:
     return decorated
 
 
-def inlined(function: Function) -> Function:
+def njit_inline(function: Function) -> Function:
     """Return the function compiled into each compiled function that calls it, not for Python."""
     options = {"fastmath": FLAGS, "error_model": "numpy", "forceinline": True}
     compiled: Function = _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)

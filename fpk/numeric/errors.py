@@ -18,7 +18,7 @@ class InvalidInput(ValueError):
     def __init__(self, key: str, value: Any, remedy: str) -> None:
         """Keep the key, the value and the remedy; the message is one line of the three."""
         self.key, self.value, self.remedy = key, value, remedy
-        super().__init__(f"{key} = {shown(value)}: {remedy}")
+        super().__init__(f"{key} = {one_line_repr(value)}: {remedy}")
 
 
 class NotApplicable(ValueError):
@@ -57,7 +57,7 @@ def require(fits: Any, key: str, value: Any, remedy: str) -> None:
         raise InvalidInput(key, value, remedy)
 
 
-def shown(value: Any, *, width: int = 60) -> str:
+def one_line_repr(value: Any, *, width: int = 60) -> str:
     """Return ``value`` on one line of at most ``width`` characters, as messages quote it."""
     value = str(value) if isinstance(value, PurePath) else value
     text = repr(value.tolist() if hasattr(value, "tolist") else value).replace("\n", " ")

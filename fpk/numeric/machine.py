@@ -23,14 +23,14 @@ def usable_cores() -> int:
 
 
 def working_time() -> float:
-    """Return seconds of wall time since some moment, less what was ``left_out`` in any thread."""
+    """Return seconds of wall time since some moment, without those in ``pause_working_time``."""
     with _lock:
         now = perf_counter()
         return now - _left_out - (now - _begun if _within else 0.0)
 
 
 @contextmanager
-def left_out() -> Iterator[None]:
+def pause_working_time() -> Iterator[None]:
     """Do not count the time of what is within as work: compiling and loading of compiled code."""
     global _within, _begun, _left_out  # one clock for all threads
     with _lock:
@@ -45,7 +45,7 @@ def left_out() -> Iterator[None]:
 
 
 @contextmanager
-def locked(path: Path, *, needed: bool = True) -> Iterator[None]:
+def lock_file(path: Path, *, needed: bool = True) -> Iterator[None]:
     """Hold the lock on the file ``path``, made where it is missing, in a context.
 
     The operating system lifts it when the process ends, killed or not; the empty file stays, as

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from fpk.numeric.arrays import Array, Flags, Integers
 from fpk.numeric.quadrature import gauss_legendre
 
-DEGREE = 15
+PANEL_DEGREE = 15
 """Degree of a fit: with 16 Gauss points a panel, e^(−x) is met to round-off over five e-folds."""
 
 
@@ -29,7 +29,7 @@ def panels_at(nodes: Array, x: Array) -> tuple[Integers, Array, Flags]:
 
 
 @cache
-def compiled_clenshaw() -> Callable[..., Array]:
+def clenshaw_kernel() -> Callable[..., Array]:
     """Return Σ_j c_kj P_j(t) (points, values) of c (panels, degree + 1, values), k and t (points,).
 
     By Clenshaw's recurrence, compiled: ten times as fast as by arrays. numba takes 0.4 s to load.
@@ -72,7 +72,7 @@ class Piecewise:
         at, shape = np.asarray(x, dtype=float), self.coefficients.shape
         k, t, inside = panels_at(self.nodes, at.ravel())
         series = np.ascontiguousarray(self.coefficients).reshape(*shape[:2], -1)
-        value: Array = compiled_clenshaw()(series, k, t)
+        value: Array = clenshaw_kernel()(series, k, t)
         # One exponential: scale and factor may leave the range where their product does not.
         exponent = 0.0 if self.log_scale is None else self.log_scale[k]
         if np.any(exponent := exponent + np.asarray(log_factor, dtype=float).ravel()):
@@ -94,7 +94,7 @@ def fit(
     nodes: Array,
     tol: float,
     *,
-    degree: int = DEGREE,
+    degree: int = PANEL_DEGREE,
     cut: Callable[[Array, Array], Array] | None = None,
     estimate: Callable[[Array, Array], Array] | None = None,
     rounds: int = 60,
@@ -117,7 +117,7 @@ def fit(
 
     judge = estimate or last_two
     left, right = nodes[:-1], nodes[1:]
-    coefficients = interpolated(f, left, right, degree)
+    coefficients = legendre_coefficients(f, left, right, degree)
     error = judge(right - left, coefficients)
     for _ in range(rounds):
         at = middle(left, right)
@@ -125,7 +125,7 @@ def fit(
         if not split.any():
             break
         new = np.concatenate([left[split], at[split]]), np.concatenate([at[split], right[split]])
-        added = interpolated(f, *new, degree)
+        added = legendre_coefficients(f, *new, degree)
         left, right = (np.append(a[~split], b) for a, b in zip((left, right), new, strict=True))
         coefficients = np.concatenate([coefficients[~split], added])
         error = np.append(error[~split], judge(new[1] - new[0], added))
@@ -133,7 +133,9 @@ def fit(
     return Piecewise(np.append(left[order], nodes[-1]), coefficients[order], error=error[order])
 
 
-def interpolated(f: Callable[[Array], Array], left: Array, right: Array, degree: int) -> Array:
+def legendre_coefficients(
+    f: Callable[[Array], Array], left: Array, right: Array, degree: int
+) -> Array:
     """Return Legendre coefficients (panels, degree + 1, ...) of f, exact for ``degree``."""
     t, _ = gauss_legendre(degree + 1)
     x = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * t

@@ -34,10 +34,10 @@ def canonical(value: Any, less: Container[str] = ()) -> Any:
     arrays among the global names in it; functions that it calls count by their names. Equal values
     may differ: 1 is not 1.0. Raises ``InvalidInput`` for an object of any other kind.
     """
-    return json.loads(json.dumps(value, default=partial(_parts, less)))
+    return json.loads(json.dumps(value, default=partial(_json_value, less)))
 
 
-def _parts(less: Container[str], value: Any) -> Any:
+def _json_value(less: Container[str], value: Any) -> Any:
     """Return a JSON value for one that JSON does not have; its parts may be such values again."""
     value = getattr(value, "py_func", value)  # of a compiled function
     if is_dataclass(value) and not isinstance(value, type):

@@ -16,9 +16,9 @@ from skfem.helpers import grad, mul
 from fpk.numeric.arrays import Array
 from fpk.numeric.piecewise import PiecewiseTensor, projection
 from fpk.numeric.quadrature import gauss_legendre
-from fpk.solvers.line.mesh import GRADED_LAYERS, initial_nodes, probed
+from fpk.solvers.line.mesh import GRADED_LAYERS, initial_nodes, probe_process
 from fpk.solvers.line.stationary import StationarySolution, solve_on_mesh
-from fpk.solvers.plane.elements import Nodes, assembled, null_vector
+from fpk.solvers.plane.elements import Nodes, assemble, null_vector
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_by_elements
 from fpk.solvers.plane.weight import Weight, flux_free_weight
@@ -27,7 +27,7 @@ from fpk.system.process import Process
 
 MOST_ENTRIES = 1e5
 """Entries of all element matrices of one energy, beyond which no interval is halved."""
-DEGREE = 6
+SCIKIT_DEGREE = 6
 """Degree of the elements where none is given."""
 
 
@@ -97,7 +97,7 @@ def stationary_vector(
     entries = test @ trial.transpose(0, 2, 1) * np.exp(unit[:, None] - log_scale[dofs])[:, None, :]
     at = basis.mesh.p.T / np.array(process.energy_scales)
     near = np.argsort(np.sum((at - 1.0) ** 2, axis=1))
-    y, residual = null_vector(assembled(entries, dofs), basis.nodal_dofs[0, near])
+    y, residual = null_vector(assemble(entries, dofs), basis.nodal_dofs[0, near])
     return y, log_scale, residual
 
 
@@ -113,7 +113,7 @@ def null_vectors(process: Process, nodes: Array, degree: int, points: int) -> tu
     return series / series[:, :1], residual
 
 
-def null_function(
+def plane_null_function(
     process: Process, nodes: Nodes, degree: int, points: int, weight: Weight | None = None
 ) -> tuple[PiecewiseTensor, float]:
     """Return p of two energies on a tensor mesh, unscaled, and its algebraic residual."""
@@ -128,7 +128,7 @@ def null_function(
 
 
 def solve_by_scikit_fem(
-    process: Process, *, tol: float, degree: int = DEGREE, marked: float = 0.0
+    process: Process, *, tol: float, degree: int = SCIKIT_DEGREE, marked: float = 0.0
 ) -> StationarySolution | PlaneSolution:
     """Return the stationary density to the L1 tolerance ``tol`` by elements of one ``degree``.
 
@@ -142,9 +142,9 @@ def solve_by_scikit_fem(
         require_confined(process)
         first = flux_free_weight(process)
         return solve_by_elements(
-            process, first, tol=tol, degree=degree, marked=marked, solved=null_function
+            process, first, tol=tol, degree=degree, marked=marked, solved=plane_null_function
         )
-    probe, layers = probed(process), GRADED_LAYERS if process.state_damping else 0
+    probe, layers = probe_process(process), GRADED_LAYERS if process.state_damping else 0
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth, layers=layers)
     while True:
         solution = solve_on_mesh(process, nodes, degree, tol=tol, null_vectors=null_vectors)

@@ -13,13 +13,13 @@ from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import (
     BEYOND_RANGE,
     NO_NOISE_YET,
-    STARTS,
+    START_POINTS,
     Passage,
     Rates,
     StartCurve,
     Transient,
-    certified_passage,
-    certified_rates,
+    certify_passage,
+    certify_rates,
 )
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes
@@ -28,7 +28,7 @@ from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.time.resolvent import contours
 from fpk.system.modulation import Modulation, require_constant_noise
 
-FARTHEST = 690.0
+MAX_REDUCED_LIMIT = 690.0
 """Largest c H/d of a limit: the mean time is e^690 of its unit."""
 MORE = 8
 """Points of the contour beyond those of another one, whose distance is the error of the rule."""
@@ -36,7 +36,7 @@ CANCELLED = 1e3
 """Error in roundings beyond which a transform or P(T <= t) is sought in another way."""
 STEEPEST, NEGLIGIBLE = 1e5, 1e-20
 """Largest s x_f/c of Chernoff's bound, 1F1 ~ e^(2 √(s x_f/c)); where it is less P(T <= t) is 0."""
-NEAR = (0.02, 40.0)
+CLOSE_STARTS = (0.02, 40.0)
 """Least x_0/x_f and largest x_f − x_0 of starts from which some fail while a series cancels."""
 WIDTHS = 40.0
 """Standard deviations above the mean within which a density is integrated: e^(−√2·40) is beyond."""
@@ -44,7 +44,7 @@ MOST_TERMS = 20_000
 """Terms of a series of 1F1, or of a continued fraction, beyond which it is given up."""
 BESSEL = 50.0
 """Error of scipy's ``ive`` in roundings, and of the power series beside it."""
-FEW = 60.0
+SERIES_RANGE = 60.0
 """x y below which 40 powers give the Bessel function: 60^41/41!² is 1e-26."""
 LEAST_SIZE = 4.0
 """Least |a|: about the relaxation rates, small negative a, 1F1 has zeros near the real x."""
@@ -69,7 +69,7 @@ class SquareRoot:
     def rates(self, count: int, *, tol: float) -> Rates:
         """Return k c, the eigenvalues of −L; the eigenfunctions are Laguerre polynomials."""
         values = self.c * np.arange(1.0, count + 1.0)
-        return certified_rates(values, (4.0 * EPS + self.relative_error) * values, tol=tol)
+        return certify_rates(values, (4.0 * EPS + self.relative_error) * values, tol=tol)
 
     def transient(
         self, start: float, noise: float | None, times: Array, at: Array, *, tol: float
@@ -122,7 +122,7 @@ class SquareRoot:
         """
         require_constant_noise(self.modulation)
         rate, xf = self.rate(limit), limit * self.c / self.d
-        starts = np.linspace(0.0, limit, STARTS)
+        starts = np.linspace(0.0, limit, START_POINTS)
         x = np.append(starts, start) * self.c / self.d
         k = np.arange(1.0, int(xf + 12.0 * sqrt(xf)) + 61.0)  # up to round-off, as of e^x
         # The coefficient of a in 1F1 is A_1 = Σ x^k/(k (n)_k), that of a² is
@@ -142,7 +142,7 @@ class SquareRoot:
         mean = first / self.c
         curves = np.stack([mean, (relative + lost) * mean, variance, variance_error])
         own = curves[:, -1].tolist()
-        return certified_passage(
+        return certify_passage(
             (Number(*own[:2]), Number(*own[2:]), rate),
             times,
             *self.failure(limit, start, times, tol=tol),
@@ -156,7 +156,7 @@ class SquareRoot:
         Raises ``InvalidInput`` where the mean time to the limit is beyond double precision.
         """
         xf = limit * self.c / self.d
-        if not xf <= FARTHEST:
+        if not xf <= MAX_REDUCED_LIMIT:
             raise InvalidInput("limit", limit, BEYOND_RANGE)
         k = np.arange(1.0, int(xf + 12.0 * sqrt(xf)) + 61.0)  # as in ``passage``
         a, relative = 0.0, 4.0 * EPS * (k.size + 2.0)
@@ -220,7 +220,7 @@ class SquareRoot:
             relative = above_error / np.abs(above) + below_error / np.abs(below) + 4.0 * EPS
             ratio = above / below
         cancels = np.flatnonzero(~(relative <= CANCELLED * EPS))
-        if cancels.size and x0 > NEAR[0] * xf and xf - x0 < NEAR[1]:
+        if cancels.size and x0 > CLOSE_STARTS[0] * xf and xf - x0 < CLOSE_STARTS[1]:
             log_ratio, error = log_kummer_ratio(a[cancels], self.n, x0, xf)
             better = ~(relative[cancels] <= error)
             ratio[cancels[better]] = np.exp(log_ratio[better])
@@ -237,7 +237,7 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
 
     As a density of x it is that of half a noncentral χ² of 2n degrees, noncentrality 2y.
     """
-    few, root, other = x * y < FEW, np.sqrt(x), sqrt(y)
+    few, root, other = x * y < SERIES_RANGE, np.sqrt(x), sqrt(y)
     # Σ (x y)^k/(k! (n)_k), of positive terms.
     powers, series = x[few] * y, np.ones(np.count_nonzero(few))
     for k in range(40, 0, -1):

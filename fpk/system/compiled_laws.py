@@ -36,7 +36,7 @@ class CompiledLaws(types.Type):
         return CompiledLaws, (self.names, self.part, self.stamps)
 
 
-def compiled_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
+def compile_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
     """Return "force", "energy" or "slope" of the laws, to be called by ``of_law``."""
     stamps = (fingerprint(getattr(LAWS[name], part)) for name in names)
     return CompiledLaws(names, part, tuple(stamps))
@@ -54,7 +54,7 @@ def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
 
 
 def of_law(function: Any, law: int, overlap: float, exponent: float) -> float:
-    """Stand for a call of ``compiled_laws`` in compiled code; ``law`` picks one of several."""
+    """Stand for a call of ``compile_laws`` in compiled code; ``law`` picks one of several."""
     raise NotImplementedError
 
 

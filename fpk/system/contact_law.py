@@ -35,7 +35,7 @@ class ContactLaw:
 LAWS: dict[str, ContactLaw] = {}
 
 
-def register(law: ContactLaw) -> ContactLaw:
+def register_law(law: ContactLaw) -> ContactLaw:
     """Add a law to the registry and return it; raises ``ValueError`` for a name that is taken.
 
     An example::

@@ -22,9 +22,9 @@ from fpk.system.system import System
 SEARCHED = 2.0 ** np.arange(-2.0, 54.0)
 """Temperatures searched, in units of one at which the sizes of all damping powers balance the
 noise: up to 1e16 of it, as energies in ``fpk.system.ends.FAR_OUT``."""
-GRID = 2**16
+MAX_GRID_POINTS = 2**16
 """Most Gauss points of all contact masses together, 16 to 64 of each: three digits."""
-KEPT = 2**11
+RESAMPLED_POINTS = 2**11
 """Points drawn for more contact masses, from five on: moments to 2 % of up to thirty masses."""
 QUADRATURE = 1e-9
 """A power below this share of the terms that cancel in it counts as zero: what quadrature leaves
@@ -198,10 +198,11 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
     """Displacements (masses, points) of the contact masses, and weights (points,), at θ.
 
     A mass departs from the one before it by the flexibility in between, as far as its stops let it
-    go. Of many masses ``KEPT`` points are drawn again after each: weights leave few points else.
+    go. Of many masses ``RESAMPLED_POINTS`` points are drawn again after each: weights leave few
+    points else.
     """
     masses, reach = system.contact_masses, sqrt(2.0 * DEPTH)
-    on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= GRID]
+    on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= MAX_GRID_POINTS]
     x, w = gauss_legendre([*on_grid, 16][0])
     flexibility = np.cumsum(1.0 / system.stiffness)[list(masses)]
     q, weights = np.zeros((0, 1)), np.ones(1)
@@ -222,9 +223,9 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
         q = np.vstack([np.repeat(q, x.size, axis=1), own.reshape(1, -1)])
         if not on_grid:
             # Fractions of the golden ratio: evenly spread beside the order of the mass before.
-            k, total = np.arange(KEPT), np.cumsum(weights)
-            share = (k + k * 0.5 * (sqrt(5.0) - 1.0) % 1.0) / KEPT
+            k, total = np.arange(RESAMPLED_POINTS), np.cumsum(weights)
+            share = (k + k * 0.5 * (sqrt(5.0) - 1.0) % 1.0) / RESAMPLED_POINTS
             kept = np.searchsorted(total, share * total[-1])
             q = q[:, kept[np.argsort(q[-1, kept])]]
-            weights = np.full(KEPT, total[-1] / KEPT)
+            weights = np.full(RESAMPLED_POINTS, total[-1] / RESAMPLED_POINTS)
     return q, weights

@@ -68,7 +68,7 @@ def escape(system: System) -> str | None:
     if not LEVEL * last < MAX_ENERGY:  # terms too weak for any motion in double precision
         return None
     state = _escaping_state(system, unit, LEVEL * float(last), LEVEL * float(last) / float(least))
-    return None if state is None else _words(system, state)
+    return None if state is None else _escape_reason(system, state)
 
 
 def _escaping_state(system: System, unit: Array, energy: float, span: float) -> Array | None:
@@ -91,7 +91,7 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
     with np.errstate(over="ignore"):
         while (above := system.hamiltonian(q, momentum) > 2.0 * energy).any():
             q[above] *= 0.9  # as far as springs and stops let it
-    power = _powers(system, z)
+    power = _term_powers(system, z)
     feeding = np.sum(power, axis=0) < -ROUND_OFF * np.sum(np.abs(power), axis=0)
     x = far = (z / unit)[feeding][: max(8, min(FOLLOWED, 128 // n))]
     masses = sorted({m - 1 for t in system.damping_terms for m in t.masses.values()})
@@ -171,16 +171,16 @@ def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array
     return rates
 
 
-def _powers(system: System, z: Array) -> Array:
+def _term_powers(system: System, z: Array) -> Array:
     """The power c_ij v_i v_j (terms, states) of each damping term at z = (q, v) (states, 2n)."""
     q, v = z[:, : system.n], z[:, system.n :]
     H, terms = system.hamiltonian(q, v * system.mass), system.damping_terms
     return np.array([t.value(q, v, H) * v[:, t.row] * v[:, t.column] for t in terms])
 
 
-def _words(system: System, state: Array) -> str:
+def _escape_reason(system: System, state: Array) -> str:
     """The reason: the term that feeds most in at ``state``, and where it does so."""
-    term = system.damping_terms[int(np.argmin(_powers(system, state[None])[:, 0]))]
+    term = system.damping_terms[int(np.argmin(_term_powers(system, state[None])[:, 0]))]
     names = [f"{key}{i + 1}" for key in "qv" for i in range(system.n)]
     powers = [*term.powers("q", system.n), *term.powers("v", system.n)]
     factors = [f"{x}^{p}" if p > 1 else x for x, p in zip(names, powers, strict=True) if p]

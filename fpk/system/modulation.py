@@ -9,7 +9,7 @@ from scipy.special import hyp1f1
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable, require
 
-ROUND_OFF = 1e-13
+FADED_ERROR = 1e-13
 """Relative error of ``Modulation.faded``: 1F1 of SciPy has 2e-15, a decay by up to e^−700 8e-14."""
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fpk.numeric.arrays import SMALLEST, Array, Flags
 
-REST = 1e-250
+ZERO_ENERGY = 1e-250
 """Energy, over the last of a mesh, that stands for H = 0: integrals underflow below 1e-300."""
 UNKNOWN: Array = np.array(np.nan)
 """A coefficient that a process does not give: whatever is computed from it is not a number."""
@@ -66,7 +66,7 @@ class Process:
 
         p is 0 outside, and at H = 0 of several degrees of freedom.
         """
-        least = max(REST * last, SMALLEST)
+        least = max(ZERO_ENERGY * last, SMALLEST)
         above = energy >= 0.0 if self.degrees_of_freedom == 1 else energy > 0.0
         return np.clip(energy, least, last), above & (energy <= last)
 

@@ -11,12 +11,12 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from fpk.answer.certificate import Measured, certify, tolerance
-from fpk.answer.dynamics import Passage, checked_times
+from fpk.answer.dynamics import Passage, require_times
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import Array, Flags
 from fpk.numeric.errors import InvalidInput
-from fpk.numeric.machine import left_out
+from fpk.numeric.machine import pause_working_time
 from fpk.system.modulation import Modulation
 from sim.questions import limits
 from sim.questions.passing import reader_of
@@ -49,7 +49,7 @@ def passage(method: Settings, asked: Asked) -> Passage:
     ``paths`` trajectories are followed until all have failed, or for the ``horizon``; as many more
     for ``asked.tol``, the relative error of the mean, or ``seconds``.
     """
-    system, limit, start, times = asked.system, asked.limit, asked.start, checked_times(asked.times)
+    system, limit, start, times = asked.system, asked.limit, asked.start, require_times(asked.times)
     wanted, modulation, loud = tolerance(asked.tol, method.tol), system.modulation, loudest(system)
     reach = limits.reach_of(loud, limit, start, method.time or inf)
     dt, failures = limits.motion_step(method, loud, reach, error=wanted)
@@ -70,7 +70,7 @@ def passage(method: Settings, asked: Asked) -> Passage:
         seed = seed_of(method.seed, number)
         read = lambda motion: reader_of(system, limit, motion.dt, motion.begin)  # noqa: E731
         known: Any = {"energies": energies, "workers": workers, "modulation": modulation}
-        with left_out():  # by the same random numbers
+        with pause_working_time():  # by the same random numbers
             both = (0.5 * first, False), (first, True)
             pair = [ensemble_from(system, q, p, h, seed, halved=x, **known) for h, x in both]
         chance = stream_of(seed, number + 2**63).exponential(size=(paths, max(1, len(energies))))

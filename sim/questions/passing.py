@@ -11,7 +11,7 @@ import numpy as np
 
 from fpk.answer.names import Limit
 from fpk.numeric.arrays import SMALLEST, Array, Integers
-from fpk.numeric.compiling import cached_njit, inlined
+from fpk.numeric.compiling import cached_njit, njit_inline
 from fpk.system.linear import natural_modes
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
@@ -24,21 +24,21 @@ from sim.step.lanes import form_of
 Cubic = tuple[float, float, float, float]
 
 
-@inlined
+@njit_inline
 def cubic_of(q0: float, v0: float, q1: float, v1: float, h: float) -> Cubic:
     """Return the coefficients of q(s), s = t/h in [0, 1], ascending."""
     change = q1 - q0
     return q0, h * v0, 3.0 * change - h * (2.0 * v0 + v1), h * (v0 + v1) - 2.0 * change
 
 
-@inlined
+@njit_inline
 def value_of(c: Cubic, s: float) -> float:
     """Return q(s)."""
     value: float = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
     return value
 
 
-@inlined
+@njit_inline
 def turning_points(c: Cubic) -> tuple[float, float]:
     """Return where q'(s) = 0 within (0, 1), ascending; 1 for one that is not there."""
     a, b, d = 3.0 * c[3], c[2], c[1]  # a s² + 2 b s + d
@@ -54,7 +54,7 @@ def turning_points(c: Cubic) -> tuple[float, float]:
     return min(s1, s2), max(s1, s2)
 
 
-@inlined
+@njit_inline
 def distance_to(limit: float, H: float, variance: float, growth: float, at_rest: float) -> float:
     """Return ∫dH/σ from H to the ``limit``, σ² = ``variance`` being linear in H with the slope β.
 
@@ -66,7 +66,7 @@ def distance_to(limit: float, H: float, variance: float, growth: float, at_rest:
     return float(2.0 * (np.sqrt(max(e + limit - H, 0.0)) - np.sqrt(e)) / np.sqrt(beta))
 
 
-@inlined
+@njit_inline
 def first_passage(c: Cubic, limit: float) -> float:
     """Return the first s in (0, 1] with |q(s)| >= ``limit``, |q(0)| being below; else 2."""
     turning, low = turning_points(c), 0.0
@@ -99,7 +99,7 @@ def reader(make: Callable[[int], Any]) -> Reader:
     return read
 
 
-@inlined
+@njit_inline
 def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None:
     """Count the levels in (low, high]: +1 at the first of them, −1 behind the last."""
     if high <= levels[0] or low >= levels[-1] or not low < high:

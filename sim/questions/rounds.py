@@ -15,7 +15,7 @@ from fpk.answer.names import Start
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.numeric.machine import left_out, usable_cores, working_time
+from fpk.numeric.machine import pause_working_time, usable_cores, working_time
 from fpk.system.linear import natural_modes
 from fpk.system.system import System
 from sim.questions.limits import CHUNK, needs_steps
@@ -154,7 +154,7 @@ def motions(
             parts = ceil(steps / CHUNK)
             stride = ceil(steps / parts)
             long = (time - now) / (parts * stride)
-            with left_out():  # by the same random numbers
+            with pause_working_time():  # by the same random numbers
                 running = [e.onward(long / each) for e, each in zip(running, many, strict=False)]
                 running = running or [begun(dt=long / k, halved=k < many[0]) for k in many]
             for ensemble, each in zip(running, many, strict=True):
@@ -263,7 +263,7 @@ def in_rounds(
         if not (onward and running):
             seed, (q, p) = seed_of(method.seed, number), origin(own, number)
             begun = partial(ensemble_from, system, q, p, seed=seed, workers=workers)
-            with left_out():
+            with pause_working_time():
                 running = [begun(dt=dt, halved=halved) for dt, _, halved, _ in simulations]
         sums, done = [np.zeros((own // LANES, *numbers)) for _ in simulations], 0
         first, last = (samples * k // least for k in (number, number + 1))

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from fpk.answer.bins import BinAxis
-from fpk.answer.certificate import Measured, certify, tolerance, worst
-from fpk.answer.dynamics import Transient, checked_times
+from fpk.answer.certificate import Measured, certify, largest_measured, tolerance
+from fpk.answer.dynamics import Transient, require_times
 from fpk.answer.names import Observable
 from fpk.answer.question import Asked
 from fpk.answer.sampled_density import SampledDensity
@@ -32,7 +32,7 @@ def transient(method: Settings, asked: Asked) -> Transient:
     where neither it nor a time is given.
     """
     system, observable, start = asked.system, asked.observable, asked.start
-    times, modulation = checked_times(asked.times), system.modulation
+    times, modulation = require_times(asked.times), system.modulation
     wanted, loud = tolerance(asked.tol, method.tol), loudest(system)
     reach = limits.reach_of(loud, None, start, float(np.max(times)))
     dt, failures = limits.motion_step(method, loud, reach, error=wanted)
@@ -123,9 +123,9 @@ def counted_in_rounds(
     own = dict.fromkeys(words for c in certificates for words in c.failures)
     measured = Measured(
         l1_error=max(density.l1_error for density in fine),
-        mass_defect=worst(c.mass_defect for c in certificates),
+        mass_defect=largest_measured(c.mass_defect for c in certificates),
         minimum=min((x for c in certificates if (x := c.minimum) is not None), default=None),
-        residual=worst(c.residual for c in certificates),
+        residual=largest_measured(c.residual for c in certificates),
         tail_mass=max(c.tail_mass or 0.0 for c in certificates),
         failures=(*failures, *interrupted, *own, *wide[:1]),
     )

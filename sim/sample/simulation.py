@@ -13,7 +13,7 @@ from fpk.answer.method import Progress, Result, silent
 from fpk.answer.names import Observable
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array, Integers
-from fpk.numeric.machine import left_out, usable_cores, working_time
+from fpk.numeric.machine import pause_working_time, usable_cores, working_time
 from fpk.system.system import System, effects_of
 from sim.sample import diagnostics
 from sim.sample.diagnostics import CHUNKS
@@ -206,7 +206,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
         # Any ranges: with the kinds of observables as later there is one kernel for all.
         reached = np.full((sum(map(len, setup.observables)), 2), (-1.0, 1.0))
         ensemble.watch(covered(reached), products)
-        with left_out():
+        with pause_working_time():
             ensemble.advance(0, stride=0)  # compiles
         begin = working_time()
         checkpoint.deadline = begin + setup.seconds

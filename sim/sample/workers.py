@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from fpk.numeric.compiling import ROOT, abandon, checksum
 from fpk.numeric.errors import NotCertified, Unavailable
-from fpk.numeric.machine import locked, working_time
+from fpk.numeric.machine import lock_file, working_time
 from fpk.numeric.recognition import fingerprint
 
 INTERVAL = 2.0
@@ -136,7 +136,7 @@ class Checkpoint:
         if self.path is None:
             yield
             return
-        with locked(self.path.with_suffix(".lock")):
+        with lock_file(self.path.with_suffix(".lock")):
             for part in self.path.parent.glob(f"{self.path.name}.*.part"):
                 part.unlink(missing_ok=True)
             yield

@@ -15,27 +15,27 @@ import numpy as np
 from numba import njit
 
 from fpk.numeric.arrays import Array, Integers
-from fpk.numeric.compiling import inlined
+from fpk.numeric.compiling import njit_inline
 from fpk.system.compiled_laws import of_law
 from sim.step.arrays import Rows, StepArrays, TermArrays, W, WatchArrays
 from sim.step.lanes import add, add_matrix, add_product, copy, fill, form_of, kick, multiply, row
 
 
-@inlined
+@njit_inline
 def numbers_of(step: StepArrays, stop: int) -> tuple[float, float, float, float, Any]:
     """Return the sign, clearance, stiffness, exponent and law of one stop."""
     s = step.stops[stop]
     return s[0], s[1], s[2], s[3], np.int64(s[4])
 
 
-@inlined
+@njit_inline
 def overlap_of(q: float, sign: float, clearance: float) -> tuple[float, float]:
     """Return the side on which the displacement ``q`` lies and its overlap with the stop there."""
     d = sign if sign != 0.0 else np.copysign(1.0, q)
     return d, max(d * q - clearance, 0.0)
 
 
-@inlined
+@njit_inline
 def contact_forces(
     s: Array, g0: int, step: StepArrays, force: Any, slope: Any, width: int = W
 ) -> None:
@@ -53,7 +53,7 @@ def contact_forces(
             g[width + k] += B * of_law(slope, law, o, e) if o > 0.0 else 0.0
 
 
-@inlined
+@njit_inline
 def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W) -> None:
     """Take the modified contact forces in the rows from ``g0`` times dt from the momenta."""
     for slot in range(step.slot_mass.size):
@@ -61,7 +61,7 @@ def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W)
         kick(p, g, step.dt, step.slot_shift[slot], width)
 
 
-@inlined
+@njit_inline
 def add_contact(
     s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool, width: int = W
 ) -> None:
@@ -79,7 +79,7 @@ def add_contact(
             f[k] += size * of_law(law_part, law, o, e)
 
 
-@inlined
+@njit_inline
 def potential_energy(
     s: Array, q0: int, to: int, step: StepArrays, potential: Any, width: int = W
 ) -> None:
@@ -88,7 +88,7 @@ def potential_energy(
     add_contact(s, q0, to, step, potential, False, width)
 
 
-@inlined
+@njit_inline
 def add_kinetic(H: Array, s: Array, p0: int, step: StepArrays, width: int = W) -> None:
     """Add Σ p²/(2m) of the momenta from row ``p0``."""
     for i in range(step.half_inverse_mass.size):
@@ -96,7 +96,7 @@ def add_kinetic(H: Array, s: Array, p0: int, step: StepArrays, width: int = W) -
         add_product(H, p, p, step.half_inverse_mass[i], width)
 
 
-@inlined
+@njit_inline
 def whole_energy(s: Array, work: int, step: StepArrays, width: int = W) -> None:
     """Write H of the state from its V, both in the scratch rows."""
     H = row(s, work + 2, 1, width)
@@ -104,7 +104,7 @@ def whole_energy(s: Array, work: int, step: StepArrays, width: int = W) -> None:
     add_kinetic(H, s, step.half_inverse_mass.size, step, width)
 
 
-@inlined
+@njit_inline
 def term_rate(
     rate: Array, s: Array, first: int, terms: TermArrays, k: int, own: int, width: int = W
 ) -> None:
@@ -114,7 +114,7 @@ def term_rate(
         multiply(rate, row(s, first + terms.factor[f], 1, width), 1, width)
 
 
-@inlined
+@njit_inline
 def flow(p: Array, rate: Array, N: int, t: float, width: int = W) -> None:
     """Replace p by the solution of ``p' = −rate p^N`` after ``t``; NaN after a blow-up."""
     if N == 0:
@@ -140,7 +140,7 @@ def flow(p: Array, rate: Array, N: int, t: float, width: int = W) -> None:
             p[k] = p[k] * base ** (-1.0 / (N - 1)) if base > 0.0 else np.nan
 
 
-@inlined
+@njit_inline
 def term_flows(
     s: Array, work: int, step: StepArrays, backwards: bool, with_energy: bool, width: int = W
 ) -> None:
@@ -168,7 +168,7 @@ def term_flows(
         flow(p, rate, N, 0.5 * h, width)
 
 
-@inlined
+@njit_inline
 def damping_forces(
     s: Array, first: int, H: Array, at: Rows, step: StepArrays, width: int = W
 ) -> None:
@@ -181,7 +181,7 @@ def damping_forces(
         add(row(s, at.damping + terms.target[k] - n, 1, width), rate, 1.0, width)
 
 
-@inlined
+@njit_inline
 def processed_by_terms(s: Array, at: Rows, shift: float, step: StepArrays, width: int = W) -> None:
     """Change the observed (q*, p*) by the processor of the terms; H is that of the state.
 
@@ -268,7 +268,7 @@ def observe(
             damping_forces(s, at.q, whole, at, step, width)
 
 
-@inlined
+@njit_inline
 def find_bins(
     x: Array, number: Array, watch: WatchArrays, m: int, axis: int, index: Integers
 ) -> None:
@@ -295,7 +295,7 @@ def find_bins(
         index[k] = np.int64(min(number[k], bins - 1.0)) if inside else np.int64(bins)
 
 
-@inlined
+@njit_inline
 def count_all(
     s: Array, number: Array, index: Integers, second: Integers, live: int, watch: WatchArrays,
     counts: Integers,

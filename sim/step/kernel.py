@@ -19,8 +19,8 @@ import numpy as np
 from numba import njit
 
 from fpk.numeric.arrays import Array, Integers
-from fpk.numeric.compiling import ROOT, cached_njit, checksum, inlined
-from fpk.system.compiled_laws import compiled_laws, law_files
+from fpk.numeric.compiling import ROOT, cached_njit, checksum, njit_inline
+from fpk.system.compiled_laws import compile_laws, law_files
 from sim.step import forces, random
 from sim.step.arrays import COLUMNS, NARROW, StepArrays, W, WatchArrays
 from sim.step.lanes import add, add_matrix, add_product, aligned_rows, copy, fill, row
@@ -53,7 +53,7 @@ class KernelKey(NamedTuple):
     def parts_of_laws(self) -> Any:
         """Return force, slope and energy of the laws for ``of_law``, None where nothing touches."""
         parts = "force", "slope", "energy"
-        return [compiled_laws(self.laws, part) if self.laws else None for part in parts]
+        return [compile_laws(self.laws, part) if self.laws else None for part in parts]
 
 
 def once(make: Callable[..., Any]) -> Callable[..., Any]:
@@ -67,7 +67,7 @@ def once(make: Callable[..., Any]) -> Callable[..., Any]:
     return made
 
 
-@inlined
+@njit_inline
 def map_state(s: Array, z: Singles, matrix: Array, pairs: int, width: int = W) -> None:
     """Apply the random linear map to the first rows of ``s``, by rows ``z`` of normals."""
     n, scratch = matrix.shape
@@ -92,7 +92,7 @@ def map_state(s: Array, z: Singles, matrix: Array, pairs: int, width: int = W) -
     copy(row(s, 0, n, width), row(s, scratch, n, width), n * width)
 
 
-@inlined
+@njit_inline
 def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: StepArrays) -> int:
     """Write the lanes that may touch a stop to ``index`` and return how many they are.
 

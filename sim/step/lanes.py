@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.numeric.arrays import Array
-from fpk.numeric.compiling import inlined
+from fpk.numeric.compiling import njit_inline
 from sim.step.arrays import W
 
 
-@inlined
+@njit_inline
 def aligned_rows(rows: int) -> Array:
     """Return rows of zeros that begin at a cache line: no vector of 64 bytes lies across two."""
     memory = np.zeros(rows * W + 8)
@@ -23,34 +23,34 @@ def aligned_rows(rows: int) -> Array:
     return memory[first : first + rows * W]
 
 
-@inlined
+@njit_inline
 def row(s: Array, first: int, rows: int = 1, width: int = W) -> Array:
     """Return a view of ``rows`` rows from ``first`` on."""
     return s[first * width : (first + rows) * width]
 
 
-@inlined
+@njit_inline
 def kick(p: Array, g: Array, h: float, a: float, width: int = W) -> None:
     """Take ``h g (1 − a g')`` from p; g holds the rows of g and of g'."""
     for k in range(width):
         p[k] -= h * g[k] * (1.0 - a * g[width + k])
 
 
-@inlined
+@njit_inline
 def fill(target: Array, value: float, width: int = W) -> None:
     """Set a row, or rows of ``width`` lanes together, to one value."""
     for k in range(width):
         target[k] = value
 
 
-@inlined
+@njit_inline
 def copy(target: Array, source: NDArray[Any], width: int = W) -> None:
     """Copy one row, of normals in single precision too."""
     for k in range(width):
         target[k] = source[k]
 
 
-@inlined
+@njit_inline
 def add(target: Array, source: Array, factor: float, width: int = W) -> None:
     """Add ``factor`` times one row to another; no work where the factor is 0."""
     if factor != 0.0:
@@ -58,7 +58,7 @@ def add(target: Array, source: Array, factor: float, width: int = W) -> None:
             target[k] += factor * source[k]
 
 
-@inlined
+@njit_inline
 def add_matrix(
     s: Array, to: int, source: int, matrix: Array, factor: float, width: int = W
 ) -> None:
@@ -69,7 +69,7 @@ def add_matrix(
             add(row(s, to + i, 1, width), x, factor * matrix[i, j], width)
 
 
-@inlined
+@njit_inline
 def multiply(target: Array, source: Array, times: int = 1, width: int = W) -> None:
     """Multiply one row by another, so many ``times``."""
     for _ in range(times):
@@ -77,7 +77,7 @@ def multiply(target: Array, source: Array, times: int = 1, width: int = W) -> No
             target[k] *= source[k]
 
 
-@inlined
+@njit_inline
 def add_product(target: Array, a: Array, b: Array, factor: float, width: int = W) -> None:
     """Add ``factor`` times the product of two rows to another; no work where it is 0."""
     if factor != 0.0:
@@ -85,7 +85,7 @@ def add_product(target: Array, a: Array, b: Array, factor: float, width: int = W
             target[k] += factor * a[k] * b[k]
 
 
-@inlined
+@njit_inline
 def form_of(
     target: Array, s: Array, first: int, form: Array, factor: float = 1.0, width: int = W
 ) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fpk.numeric.arrays import Array
-from fpk.numeric.compiling import cached_njit, inlined
+from fpk.numeric.compiling import cached_njit, njit_inline
 from fpk.system.system import System
 from sim.step.arrays import LANES, in_blocks
 from sim.step.schemes import factored
@@ -49,7 +49,7 @@ def stream_of(seed: int, number: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=np.array([seed, number], dtype=np.uint64)))
 
 
-@inlined
+@njit_inline
 def mixed_word(z: np.uint64) -> np.uint64:
     """Return the word at the place ``z`` of the sequence."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -63,7 +63,7 @@ def mixed_seed(seed: int) -> np.uint64:
     return np.uint64(finaliser.py_func(np.array([seed], dtype=np.uint64))[0])
 
 
-@inlined
+@njit_inline
 def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
     """Write one pair a lane: a row of cosines, then a row of sines; bits as in the module."""
     root_half, mantissa = u32(0x3F3504F3), u32(0x007FFFFF)  # bits of √½; u is scaled by 2**32
@@ -84,13 +84,13 @@ def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
         rows[k] = r * (_B0 + y * (_B1 + y * (_B2 + y * (_B3 + y * _B4))))
 
 
-@inlined
+@njit_inline
 def place_of(trajectory: int, counter: Any, offset: np.uint64) -> np.uint64:
     """Return the place of a word of a trajectory in the sequence of the finalised seed."""
     return ((np.uint64(trajectory) << np.uint64(40)) + np.uint64(counter)) * GOLDEN + offset
 
 
-@inlined
+@njit_inline
 def fill_normals(
     z: Singles, words: Words, place: np.uint64, pairs: int, width: int = LANES
 ) -> None:

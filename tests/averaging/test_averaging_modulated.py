@@ -12,8 +12,8 @@ from fpk.answer.method import silent
 from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.time.elements import meshed
-from fpk.solvers.line.time.modulated import stepped
+from fpk.solvers.line.time.elements import element_pair
+from fpk.solvers.line.time.modulated import radau_steps
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
 from fpk.system.modulation import Modulation
@@ -177,21 +177,21 @@ def test_what_has_failed_at_the_start_has_an_error_of_its_own():
 @pytest.mark.parametrize("name", ["H", "q1"])
 def test_the_tolerance_that_is_asked_for_is_the_one_that_judges(name, monkeypatch):
     # Steps halved once: their error is above 1e-10, and nothing may loosen that.
-    monkeypatch.setattr("fpk.solvers.line.time.modulated.LEVELS", (0, 1))
+    monkeypatch.setattr("fpk.solvers.line.time.modulated.STEP_HALVINGS", (0, 1))
     answer = transient(FADING, [5.0], [0.1], name, tol=1e-10)
     assert answer.settings["tol"] == 1e-10 and answer.certificate.missed > 1e-10
 
 
 def test_steps_of_nothing_have_no_residual_and_one_that_is_no_number_stays(recwarn):
     process = energy_process(FREE)
-    e, _ = meshed(process, np.linspace(0.0, 4.0 * process.energy_scale, 9), 6)
+    e, _ = element_pair(process, np.linspace(0.0, 4.0 * process.energy_scale, 9), 6)
     always, times = Modulation([0.0], [1.0]), np.array([1.0])
     nothing = np.zeros(e.load.shape)
-    evolved, _, _, mass = stepped(e, nothing, always, 1.0, times, level=0)
+    evolved, _, _, mass = radau_steps(e, nothing, always, 1.0, times, level=0)
     assert evolved.residual == 0.0 and not evolved.values.any() and not recwarn.list
     assert not mass.any()
     nothing[2, 1] = np.nan
-    assert np.isnan(stepped(e, nothing, always, 1.0, times, level=0)[0].residual)
+    assert np.isnan(radau_steps(e, nothing, always, 1.0, times, level=0)[0].residual)
 
 
 def test_after_the_noise_none_fails():

@@ -16,7 +16,7 @@ from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.mesh import probed
+from fpk.solvers.line.mesh import probe_process
 from fpk.solvers.line.stationary import solve_stationary
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
@@ -232,7 +232,7 @@ def test_condition_8_with_terms():
 
 def test_a_narrow_maximum_is_not_missed_by_the_probe():
     process = energy_process(cycle(1, 1e-6))
-    probe = probed(process)
+    probe = probe_process(process)
     mode = probe.energy[np.flatnonzero(np.diff(np.sign(probe.slope)) < 0)]
     # Width √(1e-6/0.05) = 0.0045 about H = 1; the first grid has steps of a sixth of H.
     assert np.min(np.abs(mode - 1.0)) < 0.0045

@@ -25,17 +25,17 @@ from fpk.answer.dynamics import (
     Passage,
     Rates,
     Transient,
-    certified_passage,
-    certified_rates,
-    checked_times,
+    certify_passage,
+    certify_rates,
+    require_times,
 )
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
-from fpk.numeric.arrays import CHUNK, EPS, ROUNDINGS, SMALLEST, Array
+from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.square_root import SquareRoot
-from fpk.system.modulation import ROUND_OFF, Modulation
+from fpk.system.modulation import FADED_ERROR, Modulation
 
 SUM_PANELS, SUM_POINTS = 16, (20, 24)
 """Panels and Gauss points of each along H1 + H2 = H: answer and error."""
@@ -67,7 +67,7 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
         return orbit_transient(
             [(_mode(modes, m, modulation), *of) for m, of in enumerate(orbits)], asked
         )
-    checked_times(times, positive=start.noise is None)
+    require_times(times, positive=start.noise is None)
     rows = observed_modes(observable)
     parts = [
         (_mode(modes, m, modulation), float(start.energies[m])) for m in rows or range(modes.n)
@@ -97,7 +97,7 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
 
 def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
     """Return the first passage of one modal energy, of any of several, or of their sum."""
-    start, times, tol = asked.start, checked_times(asked.times), asked.tol
+    start, times, tol = asked.start, require_times(asked.times), asked.tol
     limits, energies = limited_modes(asked.limit, start), start.known()
     if not limits:
         if (alike := _alike(modes)) is None:
@@ -112,7 +112,7 @@ def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
     rates = [mode.rate(a) for mode, a, _ in parts]
     rate = Number(sum(r.value for r in rates), sum(r.error for r in rates))
     survival, lost = _surviving(parts, times, tol)
-    return certified_passage(
+    return certify_passage(
         (*_first_of(parts, rate.value, tol), rate), times, 1.0 - survival, lost, tol=tol
     )
 
@@ -123,7 +123,7 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
     for m in range(modes.n):
         multiples = _mode(modes, m).c * np.arange(count + 1.0)
         rates = np.sort(np.add.outer(rates, multiples).ravel())[: count + 1]
-    return certified_rates(rates[1:], (modes.relative_error + 4.0 * EPS) * rates[1:], tol=tol)
+    return certify_rates(rates[1:], (modes.relative_error + 4.0 * EPS) * rates[1:], tol=tol)
 
 
 def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) -> SquareRoot:
@@ -131,7 +131,7 @@ def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) ->
     if not modes.constant:
         raise NotApplicable("damping that depends on the state has no closed form in time; use fem")
     c, d = float(modes.modal_damping[m, m]), float(modes.noise[m])
-    error = modes.relative_error + (ROUND_OFF if modulation else 0.0)
+    error = modes.relative_error + (FADED_ERROR if modulation else 0.0)
     return SquareRoot(1, c, d, error, modulation)
 
 
@@ -193,7 +193,7 @@ def orbit_transient(parts: Sequence[Orbit], asked: Asked) -> Transient:
     Raises ``NotApplicable`` where an orbit is too thin for ``MOST_WAVES``.
     """
     noise, times, at = asked.start.noise, asked.times, asked.at
-    checked_times(times, positive=noise is None)
+    require_times(times, positive=noise is None)
     each = [_density(parts, noise, t, at) for t in times.tolist()]
     values = np.array([p for p, _, _ in each]).reshape(times.size, at[0].size)
     errors = np.zeros(values.shape) + np.array([floor for _, floor, _ in each])[:, None]
@@ -255,7 +255,7 @@ def _density(
     condition = float(np.linalg.cond(factor)) ** 2
     floor = float(np.sum(EPS * condition * rounded + model)) + 4.0 * count * EPS
     phases = np.pad(pi * whitened / box[:, None], (0, 2 - count))
-    chunks = np.array_split(np.array(at), 1 + at[0].size * sum(wave.shape) // CHUNK, axis=1)
+    chunks = np.array_split(np.array(at), 1 + at[0].size * sum(wave.shape) // BLOCK_SIZE, axis=1)
     p = np.concatenate([fourier_sum(phases, wave[None], *chunk)[0] for chunk in chunks])
     jacobian = abs(float(np.linalg.det(whitened)))
     total = np.eye(count) + sum(orbit / (2.0 * n) for n, orbit in orbits)

@@ -13,8 +13,8 @@ from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.observables import state_density
 from averaging.time import EnergyStart, limited_modes, observed_modes
 from fpk.answer.certificate import Measured
-from fpk.answer.density import Density, certified_density
-from fpk.answer.dynamics import LARGEST_ERROR, Passage, Rates, Transient, checked_times
+from fpk.answer.density import Density, certify_density
+from fpk.answer.dynamics import LARGEST_ERROR, Passage, Rates, Transient, require_times
 from fpk.answer.names import Coordinate
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
@@ -22,8 +22,8 @@ from fpk.numeric.errors import NotApplicable
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_plane
 from fpk.solvers.plane.time.operator import PlaneStart
-from fpk.solvers.plane.time.passage import PlaneLimit, first_passage, relaxation_rates
-from fpk.solvers.plane.time.transient import PAIR, seen_at, transient_densities
+from fpk.solvers.plane.time.passage import PlaneLimit, plane_first_passage, relaxation_rates
+from fpk.solvers.plane.time.transient import BOTH_AXES, marginal_at, transient_densities
 from fpk.system.modulation import require_constant_noise
 
 
@@ -31,7 +31,7 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     """Return the densities of one or two modal energies, of the sum of two, or of (q, p)."""
     require_constant_noise(asked.system.modulation)
     start, times, at, tol = asked.start, asked.times, asked.at, asked.tol
-    checked_times(times, positive=True)
+    require_times(times, positive=True)
     if {c.kind for c in asked.observable} <= {"q", "p"}:
         return _state_transient(modes, asked)
     rows = observed_modes(asked.observable)
@@ -48,12 +48,12 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
 
 def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
     """Return the first passage of one or two modal energies, or of the sum of two."""
-    limit, times, tol = asked.limit, checked_times(asked.times), asked.tol
+    limit, times, tol = asked.limit, require_times(asked.times), asked.tol
     limits = limited_modes(limit, asked.start)
     pair, stationary, start = _posed(modes, limits or range(modes.n), asked.start, tol)
     first, second = map(limits.get, pair)
     plane, error = PlaneLimit(first, second, None if limits else limit.value), modes.relative_error
-    return first_passage(stationary, start, plane, times, tol=tol, coefficients_error=error)
+    return plane_first_passage(stationary, start, plane, times, tol=tol, coefficients_error=error)
 
 
 def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
@@ -102,7 +102,7 @@ def _state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     times, at, tol = asked.times, asked.at, asked.tol
     pair, stationary, start = _posed(modes, range(modes.n), asked.start, tol)
     answer, ((other_op, other), (op, g)) = transient_densities(
-        stationary, start, PAIR, times, (np.zeros(0), np.zeros(0)), tol=0.5 * tol
+        stationary, start, BOTH_AXES, times, (np.zeros(0), np.zeros(0)), tol=0.5 * tol
     )
     tail = answer.certificate.tail_mass or 0.0
     measured = Measured(start.l1_error + 2.0 * tail, None, None, g.residual, tail)
@@ -113,16 +113,16 @@ def _state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
         rounding = float(np.max(ROUNDINGS * g.rounding)) + 2.0 * mass_defect
 
         def pdf(*H: Array) -> Array:
-            return np.asarray(seen_at(op, PAIR, g.values[k : k + 1], H)[0])
+            return np.asarray(marginal_at(op, BOTH_AXES, g.values[k : k + 1], H)[0])
 
         def pointwise(*H: Array) -> Array:
             p = pdf(*H)
-            moved = np.abs(p - seen_at(other_op, PAIR, other.values[k : k + 1], H)[0])
-            moved += np.abs(seen_at(op, PAIR, g.change[k : k + 1], H)[0])
+            moved = np.abs(p - marginal_at(other_op, BOTH_AXES, other.values[k : k + 1], H)[0])
+            moved += np.abs(marginal_at(op, BOTH_AXES, g.change[k : k + 1], H)[0])
             relative = _by_modes(modes, pair, pair, asked.start, t, *H) + rounding
             return np.asarray(moved + relative * np.abs(p))
 
-        return certified_density(
+        return certify_density(
             (Coordinate("H", 0), Coordinate("H", 1)),
             op.nodes,
             pdf,

@@ -13,7 +13,7 @@ from averaging.phase_space.passage.mesh import (
     oscillator_of,
 )
 from fpk.answer.certificate import tolerance
-from fpk.answer.dynamics import Passage, certified_passage, checked_times
+from fpk.answer.dynamics import Passage, certify_passage, require_times
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import EPS, ROUND_OFF, ROUNDINGS, Array
@@ -37,7 +37,7 @@ States = tuple[Array, Array, Array]
 Level = tuple[Array, Array, Array, float, dict[str, Any]]
 """Results on one mesh: E T, E T², rate of failure, and E T of probe states over E T of the start;
 P(T <= t) at the times; its change by the last Krylov vectors; relative round-off of the first; and
-what ``certified_passage`` takes by name."""
+what ``certify_passage`` takes by name."""
 
 
 def first_passage(asked: Asked) -> Passage:
@@ -47,7 +47,7 @@ def first_passage(asked: Asked) -> Passage:
     absolute in the reliability. Raises as ``fpk.answer.question`` says, and ``NotCertified``
     where the limit, or the energy of the start, is beyond the reach of double precision.
     """
-    times, o = checked_times(asked.times), oscillator_of(asked.system)
+    times, o = require_times(asked.times), oscillator_of(asked.system)
     limit, start = asked.limit, asked.start
     for what, given in (("limit", limit), ("start", start)):
         if given.kind == "modal" and asked.system.contacts:
@@ -164,4 +164,4 @@ def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
     lost = SAFETY * np.maximum(apart, SHARE * np.max(apart, initial=0.0))
     lost += krylov + krylov_before + ROUNDINGS * EPS * (times > 0.0)
     mean, variance, rate = (Number(float(x), float(e)) for x, e in zip(values, errors, strict=True))
-    return certified_passage((mean, variance, rate), times, failure, lost, tol=tol, **stated)
+    return certify_passage((mean, variance, rate), times, failure, lost, tol=tol, **stated)

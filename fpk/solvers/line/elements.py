@@ -27,7 +27,7 @@ from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 ENRICHMENT = 2
 """Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
-MORE_POINTS = 4
+ELEMENT_POINTS = 4
 """Points of an element beyond its degree. Twice as many where T ~ H^(n−1) is steep, n > 2: with
 fewer the answer and the enriched solution share an error (n from 7 to 40: up to four times their
 distance). With more where it is not, their distance no longer shows what a root of H in T costs:
@@ -64,7 +64,7 @@ class Rule(NamedTuple):
 @lru_cache
 def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
     """Return the points of elements of ``degree`` where T ~ H^(n−1), n = ``degrees_of_freedom``."""
-    points = degree + (2 if degrees_of_freedom > 2 else 1) * MORE_POINTS
+    points = degree + (2 if degrees_of_freedom > 2 else 1) * ELEMENT_POINTS
     count, highest = degree + CONTACT_POINTS, degree + ENRICHMENT
     x, w = gauss_legendre(points)
     rules = gauss_legendre(count), gauss_legendre(2 * count - 2)
@@ -138,7 +138,7 @@ def solve_elements(
     A /= largest
     degrees = degree, degree + ENRICHMENT
     if null_vectors is None:
-        u, enriched = (_null_vectors(A, m) for m in degrees)
+        u, enriched = (_element_null_vectors(A, m) for m in degrees)
     else:
         (u, own), (enriched, _) = (null_vectors(process, nodes, m, points) for m in degrees)
     residual, net_flux, one_way = _residuals(A, u)
@@ -193,7 +193,7 @@ def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
     return residual.max(axis=1) / np.maximum(size.max(axis=1), SMALLEST), residual[:, 0], size[:, 0]
 
 
-def _null_vectors(A: Array, degree: int) -> Array:
+def _element_null_vectors(A: Array, degree: int) -> Array:
     """Return u (elements, ``degree`` + 1), u_0 = 1, that the first rows of A map to zero.
 
     u_0 is the mean of u over the element, which is not zero as u does not change sign. Where T

@@ -17,33 +17,33 @@ from fpk.numeric.errors import NotCertified
 from fpk.system.ends import FAR_OUT, OUT_OF_RANGE, require_falling
 from fpk.system.process import Coefficients, Process, log_density_slope
 
-GRID = np.concatenate(
+PROBE_ENERGIES = np.concatenate(
     [np.logspace(-3.0, 0.0, 10), np.logspace(0.1, 2.0, 20), np.logspace(2.25, 4.0, 8), FAR_OUT[1:]]
 )
 """Energies of a probe, in units of the process's scale."""
 SAGITTA = 1.0
 """Largest (d²ln(p H)/d(ln H)²)·(Δ ln H)² between two points of a probe: eight times what ln p H
-may rise above its chord. Asked for where p is within exp(−``DEEP``) of its maximum."""
-DEEP = 100.0
+may rise above its chord. Asked for where p is within exp(−``PROBE_DEPTH``) of its maximum."""
+PROBE_DEPTH = 100.0
 """Nats below the largest p H down to which a probe resolves it: 1e-43 of the mass."""
-NATS = 3.0
+ELEMENT_FALL = 3.0
 """Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
-SMOOTH_NATS = 4.0
+SMOOTH_FALL = 4.0
 """Fall of ln(p/T) over one element where ln(p/T) is linear in H: over n nats a polynomial of degree
 p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the degree of a
 tolerance (four more than its digits) 1e-1 to 1e-2 of the tolerance."""
-SPREAD = 20.0
+CONTACT_GROWTH = 20.0
 """Largest ratio of the ends of an element that begins where contact does."""
 GRADING = 0.15
 """Ratio of neighbouring lengths towards a point where smoothness is lost."""
 GRADED_LAYERS = 5
 DEEP_LAYERS = 14
 """Layers down to 3e-12 of the next element: T has such layers at stiff stops and small gaps."""
-HIGHEST = 16
+MAX_ELEMENT_DEGREE = 16
 """Highest degree of elements."""
-GROWTH = 1.6
+LENGTH_RATIO = 1.6
 """Ratio of neighbouring lengths away from where f changes fast: f is as smooth on each of them."""
-SAME = 1e-3
+NODE_DISTANCE = 1e-3
 """Distance of two nodes, relative to the elements beside it, below which one is left out."""
 LAYER = 0.5
 """Length of the elements at a start or a limit, in widths of the density at the first time."""
@@ -111,12 +111,12 @@ class Probe:
         return end / float(np.trapezoid(np.interp(energy, self.energy, self.roughness), energy))
 
 
-def probed(process: Process) -> Probe:
+def probe_process(process: Process) -> Probe:
     """Return the probe of a process, with points between which no maximum of p can hide.
 
     Raises ``NotCertified`` where the density does not fall off at the highest energies.
     """
-    energy = process.energy_scale * GRID
+    energy = process.energy_scale * PROBE_ENERGIES
 
     def sampled(energy: Array, c: Coefficients) -> tuple[Array, Array, Array]:
         return energy, log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
@@ -124,14 +124,16 @@ def probed(process: Process) -> Probe:
     # Of energies farther out than that, those whose coefficients overflow are not judged.
     with np.errstate(over="ignore", invalid="ignore"):
         c = process.coefficients(energy)
-        finite = np.isfinite(log_density_slope(c) * energy) | (FAR_OUT[0] >= GRID)
+        finite = np.isfinite(log_density_slope(c) * energy) | (FAR_OUT[0] >= PROBE_ENERGIES)
         if not finite.all():
             energy = energy[finite]
-            c = Coefficients(*(np.broadcast_to(a, GRID.shape)[finite] for a in c))
+            c = Coefficients(*(np.broadcast_to(a, PROBE_ENERGIES.shape)[finite] for a in c))
         probe = Probe(*sampled(energy, c))
         require_falling(probe.energy, c, probe.slope)
     for _ in range(60 if process.state_damping else 0):
-        bulk = np.maximum(probe.log_mass[1:], probe.log_mass[:-1]) > probe.log_mass.max() - DEEP
+        bulk = (
+            np.maximum(probe.log_mass[1:], probe.log_mass[:-1]) > probe.log_mass.max() - PROBE_DEPTH
+        )
         bent = np.abs(np.diff(probe.rate)) * np.diff(np.log(probe.energy)) > SAGITTA
         i = np.flatnonzero(bulk & bent)
         if not i.size:
@@ -148,7 +150,7 @@ def initial_nodes(
     end: float,
     nonsmooth: tuple[float, ...],
     *,
-    nats: Array | float = NATS,
+    nats: Array | float = ELEMENT_FALL,
     layers: int = GRADED_LAYERS,
 ) -> Array:
     """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
@@ -167,9 +169,9 @@ def initial_nodes(
     nodes: Array = np.interp(np.interp(np.arange(number[-1] + 1.0), number, amount), total, grid)
     nodes[number.astype(int)] = ends
     for H in ends[1:-1]:
-        if nodes[np.searchsorted(nodes, H) + 1] > SPREAD * H:
-            steps = np.arange(1.0, math.log(end / H) / math.log(SPREAD))
-            nodes = np.unique(np.append(nodes, H * SPREAD**steps))
+        if nodes[np.searchsorted(nodes, H) + 1] > CONTACT_GROWTH * H:
+            steps = np.arange(1.0, math.log(end / H) / math.log(CONTACT_GROWTH))
+            nodes = np.unique(np.append(nodes, H * CONTACT_GROWTH**steps))
     return with_layers(nodes, nonsmooth, count=layers)
 
 
@@ -224,7 +226,7 @@ def time_nodes(
     which grow from there, and ``more`` nodes, but for those that nearly are others.
     """
     n = process.degrees_of_freedom
-    nodes = initial_nodes(probed(process), end, process.nonsmooth, nats=SMOOTH_NATS)
+    nodes = initial_nodes(probe_process(process), end, process.nonsmooth, nats=SMOOTH_FALL)
     added = [nodes, more, end * np.array([0.25, 0.5, 0.75])]  # four elements at least
     if n > 2:
         # Of degree k the first element gives k + 2 times as many digits as its share of the scale.
@@ -232,15 +234,15 @@ def time_nodes(
         scale = min([process.energy_scale, end, *beside_zero])
         first = 10.0 ** (-16.0 / (first_degree(degree - 1, n) + 2)) * scale
         # ln T ~ (n − 1) ln H.
-        ratio = min(math.exp(SMOOTH_NATS / (n - 1)), GROWTH if beside_zero else np.inf)
+        ratio = min(math.exp(SMOOTH_FALL / (n - 1)), LENGTH_RATIO if beside_zero else np.inf)
         if first < 0.5 * nodes[1]:
             steps = int(math.log(end / first) / math.log(ratio))
             added.append(first * ratio ** np.arange(steps + 1.0))
         fine = [x for x in fine if x[0] > 0.0]
     gaps = np.diff(nodes)
     for energy, length in fine:
-        count = 1.0 + max(math.log(end / length), 0.0) / math.log(GROWTH)
-        lengths = length * GROWTH ** np.arange(count)
+        count = 1.0 + max(math.log(end / length), 0.0) / math.log(LENGTH_RATIO)
+        lengths = length * LENGTH_RATIO ** np.arange(count)
         ends = lengths.cumsum()
         added.append(np.array([energy]))
         for side in (1.0, -1.0):
@@ -251,7 +253,7 @@ def time_nodes(
     nodes = nodes[(nodes >= 0.0) & (nodes <= end)]
     kept = np.isin(nodes, [0.0, end, *process.nonsmooth, *(energy for energy, _ in fine)])
     gaps = np.diff(nodes)
-    close = gaps < SAME * np.maximum(np.append(gaps[1:], 0.0), np.append(0.0, gaps[:-1]))
+    close = gaps < NODE_DISTANCE * np.maximum(np.append(gaps[1:], 0.0), np.append(0.0, gaps[:-1]))
     # Of two nodes that are nearly the same the right one is left out, or else the left one.
     right, left = close & ~kept[1:], close & kept[1:] & ~kept[:-1]
     return np.asarray(nodes[~(np.append(False, right) | np.append(left, False))])

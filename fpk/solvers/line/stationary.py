@@ -18,12 +18,12 @@ from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.numeric.piecewise import Piecewise
 from fpk.solvers.line.elements import Elements, NullVectors, element_rule, solve_elements
 from fpk.solvers.line.mesh import (
+    ELEMENT_FALL,
     GRADED_LAYERS,
-    NATS,
-    SMOOTH_NATS,
+    SMOOTH_FALL,
     Probe,
     initial_nodes,
-    probed,
+    probe_process,
     split_points,
     with_layers,
 )
@@ -163,18 +163,18 @@ def solve_stationary(
     if degree is None:
         digits = round(-math.log10(tol))
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
-    probe = probed(process)
-    nats: Array | float = NATS
+    probe = probe_process(process)
+    nats: Array | float = ELEMENT_FALL
     if smooth:
         # The error of an element counts by its mass, and rises with the nats to this power; over 7
         # nats p still exceeds its error at the far end, so that it stays positive.
         fall = probe.log_mass.max() - probe.log_mass
-        nats = SMOOTH_NATS * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
+        nats = SMOOTH_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
     end, layers = probe.extent(1e-2 * tol), 0 if smooth else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
         elements = solve_elements(process, nodes, degree)
-        solution, marked = _assembled(process, probe, nodes, elements, degree, tol)
+        solution, marked = _join_and_judge(process, probe, nodes, elements, degree, tol)
         if not marked.any() or marked.size > MOST_ELEMENTS:
             break
         cut = split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
@@ -194,15 +194,15 @@ def solve_on_mesh(
 ) -> StationarySolution:
     """Return the finite element solution on a given mesh; ``null_vectors`` as in elements."""
     elements = solve_elements(process, nodes, degree, null_vectors)
-    return _assembled(process, probed(process), nodes, elements, degree, tol)[0]
+    return _join_and_judge(process, probe_process(process), nodes, elements, degree, tol)[0]
 
 
-def _assembled(
+def _join_and_judge(
     process: Process, probe: Probe, nodes: Array, e: Elements, degree: int, tol: float
 ) -> tuple[StationarySolution, Flags]:
     """Return the elements scaled to one density, judged, and which of them to cut in two."""
     series = e.u, e.enriched
-    signed, log_scale, share = zip(*(_chained(u, e.log_factor) for u in series), strict=True)
+    signed, log_scale, share = zip(*(_match_at_nodes(u, e.log_factor) for u in series), strict=True)
     p, better = share[0][:, None] * e.values, share[1][:, None] * e.enriched_values
     distance = float((e.weights * np.abs(p - better)).sum())
     # The enriched solution has the mass 1 by a rule with more, or half, of the error of this one:
@@ -253,7 +253,7 @@ def _assembled(
     return solution, (p.min(axis=1) < NEGATIVE * most) | (own > 0.1 * tol / own.size)
 
 
-def _chained(u: Array, log_factor: Array) -> tuple[Array, Array, Array]:
+def _match_at_nodes(u: Array, log_factor: Array) -> tuple[Array, Array, Array]:
     """Scale elements so that they match at the nodes and make a density of mass 1.
 
     ``u`` (elements, terms) are Legendre series of the mass 1 times e^``log_factor`` each. Returned

@@ -43,14 +43,14 @@ def local_numbers(nodes: Nodes, degree: int) -> Integers:
     return flat.reshape(len(first) * len(second), -1)[:, local_order(degree)]
 
 
-def assembled(matrices: Array, numbers: Integers) -> csc_array:
+def assemble(matrices: Array, numbers: Integers) -> csc_array:
     """Return the sum of element matrices (elements, m, m) of functions ``numbers``."""
     m, size = numbers.shape[1], int(numbers.max()) + 1
     places = np.repeat(numbers, m, axis=1).ravel(), np.tile(numbers, (1, m)).ravel()
     return csc_array((matrices.ravel(), places), shape=(size, size))
 
 
-def factorised(
+def lu_factors(
     matrix: csc_array, refusal: str = "the equations of a step in time have no unique solution"
 ) -> SuperLU:
     """Return the LU factors in a symmetric ordering, with pivots on the diagonal.
@@ -80,7 +80,7 @@ def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
         entries[rows == held] = entries[own] = 0.0
         entries[own][rows[own] == held], right[held] = scale, scale
         pinned = csc_array((entries, rows, starts))
-        factors = factorised(pinned, "the stationary equation has no unique solution on this mesh")
+        factors = lu_factors(pinned, "the stationary equation has no unique solution on this mesh")
         y = factors.solve(right)
         y += factors.solve(right - pinned @ y)
         largest = int(vertices[np.argmax(np.abs(y[vertices]))])
@@ -102,7 +102,7 @@ def null_function(
     _, numbers = np.unique(local_numbers(nodes, degree)[:, :n], return_inverse=True)
     numbers = numbers.reshape(-1, n)
     vertices = np.unique(numbers[:, [0, 1, degree + 1, degree + 2]])
-    outer = assembled(matrices[:, :n, :n] + matrices[:, :n, n:] @ fold, numbers)
+    outer = assemble(matrices[:, :n, :n] + matrices[:, :n, n:] @ fold, numbers)
     y, residual = null_vector(outer, vertices)
     null = np.empty((len(matrices), k * k))
     null[:, order[:n]] = own = y[numbers]
@@ -163,7 +163,7 @@ def flux_coefficients(
 
 
 @lru_cache
-def _products(degree: int, points: int) -> tuple[Array, Array, Array, Array, Integers]:
+def _quadrature_products(degree: int, points: int) -> tuple[Array, Array, Array, Array, Integers]:
     """Weighted products of test and trial functions at Gauss points, (points, (degree+1)²) each.
 
     value·value, slope·value, value·slope, slope·slope, test first, on the unit interval; then the
@@ -190,7 +190,7 @@ def element_matrices(coefficients: Array, nodes: Nodes, degree: int) -> Array:
     # Lengths (elements, 1, 1) of the elements.
     h1, h2 = (h.reshape(-1, 1, 1) for h in np.meshgrid(*map(np.diff, nodes), indexing="ij"))
     first, *more = by_element(coefficients, (nodes[0].size - 1, nodes[1].size - 1))
-    vv, sv, vs, ss, places = _products(degree, first.shape[-1])
+    vv, sv, vs, ss, places = _quadrature_products(degree, first.shape[-1])
     # Along H2 first: for every Gauss point of H1 a small matrix over (k, l).
     if not more:
         outer, inner = [vv], [(h1 * h2 * first) @ vv]

@@ -14,7 +14,7 @@ from fpk.numeric.quadrature import gauss_grid, integral
 from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.line.stationary import HALF_WAVE
 from fpk.solvers.plane.elements import Nodes, null_function
-from fpk.solvers.plane.weight import PLAIN, Weight
+from fpk.solvers.plane.weight import UNIT_WEIGHT, Weight
 from fpk.system.process import Process
 
 SAFETY = 3.0
@@ -114,7 +114,7 @@ class PlaneSolution:
         return np.asarray(own + relative * np.abs(self.density(x, y)))
 
 
-def graded(ends: Sequence[float] | Array, panels: int) -> Nodes:
+def root_spaced_nodes(ends: Sequence[float] | Array, panels: int) -> Nodes:
     """Return nodes from 0 to the ``ends``, equidistant in √H, as p has layers along the axes."""
     share = np.linspace(0.0, 1.0, panels + 1) ** 2
     return ends[0] * share, ends[1] * share
@@ -151,7 +151,7 @@ def solve_plane_on_mesh(
     degree: int,
     *,
     tol: float = np.inf,
-    weight: Weight = PLAIN,
+    weight: Weight = UNIT_WEIGHT,
     longer: bool = False,
     solved: Callable[..., tuple[PiecewiseTensor, float]] = null_function,
 ) -> PlaneSolution:

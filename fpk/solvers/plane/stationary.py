@@ -18,17 +18,23 @@ from fpk.numeric.piecewise import PiecewiseTensor
 from fpk.numeric.quadrature import gauss_grid, integral
 from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.plane.elements import null_function
-from fpk.solvers.plane.solution import ROUND_OFF, PlaneSolution, graded, solve_plane_on_mesh, tails
+from fpk.solvers.plane.solution import (
+    ROUND_OFF,
+    PlaneSolution,
+    root_spaced_nodes,
+    solve_plane_on_mesh,
+    tails,
+)
 from fpk.solvers.plane.weight import (
     NATS,
     RISE,
     RISE_PER_DEGREE,
     Weight,
-    divided_by_diffusion,
-    fitted_weight,
+    fit_weight,
     flux_free_weight,
-    last,
-    reach,
+    inverse_diffusion,
+    last_index,
+    negligible_rise,
 )
 from fpk.system.ends import require_confined
 from fpk.system.process import Process
@@ -36,13 +42,13 @@ from fpk.system.process import Process
 RUNGS = ((2, 6), (2, 10), *((4, p) for p in range(8, 19)), *((n, 18) for n in range(5, 9)))
 """Panels along each axis and degree of the attempts: on two long panels higher degrees lose digits
 to round-off; from four on a digit costs less by the degree."""
-DIGITS = 0.6
+DIGITS_PER_RUNG = 0.6
 """Digits of the error that a rung of the ladder gains: 0.4 to 0.85 were measured."""
-COARSE = 1e-4
+REFIT_ERROR = 1e-4
 """Error above which a better weight is tried first, on the same rung or five rungs on."""
-KNOWN = 0.1
+FIT_ERROR = 0.1
 """Relative error of p up to which ln p is fitted."""
-SAMPLES = 32
+FIT_POINTS = 32
 """Points along each axis at which a weight is fitted."""
 MAX_ENTRIES = 2e7
 """Entries of all element matrices of the enriched solution: 160 MB, several times over."""
@@ -90,15 +96,15 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     """
     weight = replace(weight, floor=0.0)
     try:
-        ends = weight.ends(max(NATS, reach(tol)))
+        ends = weight.ends(max(NATS, negligible_rise(tol)))
     except NotCertified:
         return None
     for panels in (2, 4, 8, 16, 24):
-        H, grids = gauss_grid(graded(ends, panels), points=22)  # e^(−32 t) to 4e-14
+        H, grids = gauss_grid(root_spaced_nodes(ends, panels), points=22)  # e^(−32 t) to 4e-14
         w = weight(*H)
         mass = integral(w, grids)
         # On four parts of each panel 11 points give e^(−8 t) to 6e-15: a rule that may judge.
-        nodes = graded(ends, 4 * panels)
+        nodes = root_spaced_nodes(ends, 4 * panels)
         finer_H, finer = gauss_grid(nodes, points=11)
         p = weight(*finer_H) / mass
         mass_defect = abs(integral(p, finer) - 1.0)
@@ -111,7 +117,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     slope = np.stack(weight.slopes(*H), axis=-1).reshape(-1, 2)
     flow = 2.0 * c.drift - c.divergence
     flux = np.einsum("nij,nj->ni", c.diffusion, slope) + flow
-    missed = np.abs(divided_by_diffusion(flux, c.diffusion)).reshape(at.shape)
+    missed = np.abs(inverse_diffusion(flux, c.diffusion)).reshape(at.shape)
     missed[w < np.exp(-NATS) * w.max()] = 0.0
     # Twice, as p is normalised: a factor in one place is a factor everywhere else.
     along = zip((missed[..., 0].max(axis=1), missed[..., 1].max(axis=0)), grids, strict=True)
@@ -135,12 +141,12 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
 def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterator[PlaneSolution]:
     """Yield solutions on more unknowns and with better weights, while these lower the error."""
     rung, least, stalled, best = 0, np.inf, 0, weight
-    rise = reach(tol)
+    rise = negligible_rise(tol)
     farthest = max(rise, 25.0)  # the first weight may be far from p
     while rung < len(RUNGS) and stalled < 2:
         panels, degree = RUNGS[rung]
         try:
-            nodes = graded(weight.ends(farthest), panels)
+            nodes = root_spaced_nodes(weight.ends(farthest), panels)
         except NotCertified:
             return
         solution = solve_plane_on_mesh(process, nodes, degree, tol=tol, weight=weight, longer=True)
@@ -154,20 +160,20 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         if gained:
             best, better, least = weight, weight_of(solution), error
         # On the first rung an error above ten times that says too little of p.
-        if better is None or error < COARSE or (rung == 0 and error > 10.0 * COARSE):
-            rung = finer(rung, error / tol, most=5 if error > COARSE else len(RUNGS))
+        if better is None or error < REFIT_ERROR or (rung == 0 and error > 10.0 * REFIT_ERROR):
+            rung = next_rung(rung, error / tol, most=5 if error > REFIT_ERROR else len(RUNGS))
         # A weight that does not lower the error extrapolates badly: back to the one before.
         weight = best if better is None else better
         stalled = 0 if gained else stalled + 1
 
 
-def finer(rung: int, missing: float, *, most: int) -> int:
+def next_rung(rung: int, missing: float, *, most: int) -> int:
     """Return the next of ``RUNGS`` where the error is ``missing`` times the tolerance.
 
     By its digits, at the most ``most`` rungs on and up to the highest degree on four panels.
     """
     digits = float(np.log10(max(missing, 1.0))) if np.isfinite(missing) else np.inf
-    gain = ceil(min(digits / DIGITS, most))
+    gain = ceil(min(digits / DIGITS_PER_RUNG, most))
     # The second rung is four degrees above the first.
     return max(rung + 1, min(rung + gain - (3 if rung == 0 else 0), RUNGS.index((4, 18))))
 
@@ -175,24 +181,24 @@ def finer(rung: int, missing: float, *, most: int) -> int:
 def weight_of(solution: PlaneSolution) -> Weight | None:
     """Return a weight fitted to −ln p where p is known, None where no fit is much better.
 
-    An error ε √p of p is below ``KNOWN`` of it as far as p > (ε/KNOWN)² of its maximum.
+    An error ε √p of p is below ``FIT_ERROR`` of it as far as p > (ε/KNOWN)² of its maximum.
     """
-    rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / KNOWN))
+    rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / FIT_ERROR))
     if not rise > 2.0 * RISE_PER_DEGREE:
         return None
     ends = [nodes[-1] for nodes in solution.nodes]
     # First on the whole mesh, to see how far p is known; then on the box in which it is.
     for _ in range(2):
-        x, y = (np.linspace(0.0, end, SAMPLES) for end in ends)
+        x, y = (np.linspace(0.0, end, FIT_POINTS) for end in ends)
         w = solution.weight(x[:, None], y)
         p, better = (u(x[:, None], y) * w for u in (solution.u, solution.enriched))
-        known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < KNOWN * better)
+        known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < FIT_ERROR * better)
         known &= better > np.exp(-rise) * better.max()
         if not known.any():
             return None
-        ends = [H[min(last(known, k) + 1, SAMPLES - 1)] for k, H in enumerate((x, y))]
+        ends = [H[min(last_index(known, k) + 1, FIT_POINTS - 1)] for k, H in enumerate((x, y))]
     log_p = np.log(np.where(known, better, 1.0))
-    return fitted_weight((x, y), log_p, known, rise, present=solution.weight)
+    return fit_weight((x, y), log_p, known, rise, present=solution.weight)
 
 
 def solve_by_elements(
@@ -215,7 +221,7 @@ def solve_by_elements(
     if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
         degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))
     solution = None
-    first, second = graded(weight.ends(-float(np.log(1e-2 * tol))), 4)
+    first, second = root_spaced_nodes(weight.ends(-float(np.log(1e-2 * tol))), 4)
     while (first.size - 1) * (second.size - 1) * (degree + ENRICHMENT + 1) ** 4 <= MAX_ENTRIES:
         solution = solve_plane_on_mesh(
             process, (first, second), degree, tol=tol, longer=True, solved=solved

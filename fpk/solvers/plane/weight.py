@@ -22,11 +22,11 @@ PROBE = np.logspace(-2.0, 3.0, 26)
 """Energies of a probe, in units of the process's scales; the first for the axis, b singular."""
 NATS = -float(np.log(EPS))
 """Fall of ln p, 36, beyond which the density is below round-off of its largest value."""
-BEYOND = 1e-3
+EDGE_WEIGHT = 1e-3
 """Fraction of the tolerance that w falls to at the far edges of the first mesh."""
 RISE = 3.0
 """Rise of −ln w to the ends of the next mesh: the difference shows what ending it costs."""
-HIGHEST = 6
+MAX_WEIGHT_DEGREE = 6
 """Highest total degree of Φ: under detailed balance one above the damping's in the energies."""
 GAIN = 0.5
 """Factor by which a higher degree must lower the misfit: high degrees extrapolate badly."""
@@ -86,17 +86,17 @@ class Weight:
         inside = polygrid2d(RAYS, RAYS, self.coefficients) < rise
         if inside[-1].any() or inside[:, -1].any():
             raise NotCertified(f"the weight falls by less than exp(−{rise:.0f})")
-        first, second = (float(RAYS[last(inside, axis) + 1]) for axis in (0, 1))
+        first, second = (float(RAYS[last_index(inside, axis) + 1]) for axis in (0, 1))
         return first * self.scales[0], second * self.scales[1]
 
 
-PLAIN = Weight(np.zeros((1, 1)), (1.0, 1.0))
+UNIT_WEIGHT = Weight(np.zeros((1, 1)), (1.0, 1.0))
 """w = 1: the floor is below its round-off."""
 
 
-def reach(tol: float, height: float = 0.0, level: int = 0) -> float:
+def negligible_rise(tol: float, height: float = 0.0, level: int = 0) -> float:
     """Return the rise of −ln w beyond which p is negligible from a start at that ``height``."""
-    return height - float(np.log(BEYOND * tol)) + level * RISE
+    return height - float(np.log(EDGE_WEIGHT * tol)) + level * RISE
 
 
 def flux_free_weight(process: Process) -> Weight:
@@ -108,7 +108,7 @@ def flux_free_weight(process: Process) -> Weight:
     scales = np.array(process.energy_scales)
     points = np.stack(np.broadcast_arrays(PROBE[:, None], PROBE), axis=-1).reshape(-1, 2)
     c = process.coefficients(points * scales)
-    slopes = divided_by_diffusion(2.0 * c.drift - c.divergence, c.diffusion)
+    slopes = inverse_diffusion(2.0 * c.drift - c.divergence, c.diffusion)
     first, second = (slopes * scales).T.reshape(2, PROBE.size, PROBE.size)
     # The mean of the integrals along two paths, first one energy, then the other.
     a = cumulative_trapezoid(first, PROBE, axis=0, initial=0)
@@ -119,23 +119,23 @@ def flux_free_weight(process: Process) -> Weight:
     weight = None
     if max(log_mass[-1].max(), log_mass[:, -1].max()) < log_mass.max() - NATS:
         rise = log_p.max() - log_p
-        m, n = (max(last(rise < NATS, axis) + 2, HIGHEST + 2) for axis in (0, 1))
+        m, n = (max(last_index(rise < NATS, axis) + 2, MAX_WEIGHT_DEGREE + 2) for axis in (0, 1))
         ends = PROBE[[min(m, PROBE.size) - 1, min(n, PROBE.size) - 1]]
         x, y = PROBE[:m] / ends[0], PROBE[:n] / ends[1]
-        powers, root = _powers(HIGHEST)[1:], np.exp(-0.5 * rise[:m, :n] / IMPORTANCE)
+        powers, root = _power_pairs(MAX_WEIGHT_DEGREE)[1:], np.exp(-0.5 * rise[:m, :n] / IMPORTANCE)
         i, j = powers.T
         columns = [
-            root[..., None] * _monomials(x, i, slope=True)[:, None] * _monomials(y, j),
-            root[..., None] * _monomials(x, i)[:, None] * _monomials(y, j, slope=True),
+            root[..., None] * _power_columns(x, i, slope=True)[:, None] * _power_columns(y, j),
+            root[..., None] * _power_columns(x, i)[:, None] * _power_columns(y, j, slope=True),
         ]
         right = -root * first[:m, :n] * ends[0], -root * second[:m, :n] * ends[1]
-        candidates = fits(np.reshape(columns, (-1, len(powers))), np.ravel(right), powers)
+        candidates = fits_by_degree(np.reshape(columns, (-1, len(powers))), np.ravel(right), powers)
         weight = _chosen(candidates, tuple((ends * scales).tolist()))
     # 40 times the scales: within them RAYS see Φ rise by ``NATS``.
     return weight or Weight(np.array([[0.0, 40.0], [40.0, 0.0]]), tuple((40.0 * scales).tolist()))
 
 
-def divided_by_diffusion(flow: Array, diffusion: Array) -> Array:
+def inverse_diffusion(flow: Array, diffusion: Array) -> Array:
     """Return b⁻¹ ``flow`` (points, 2); raises ``NotCertified`` where b is singular."""
     (a, b), (_, c) = np.moveaxis(diffusion, 0, -1)
     determinant = a * c - b**2
@@ -146,7 +146,7 @@ def divided_by_diffusion(flow: Array, diffusion: Array) -> Array:
     return np.asarray(slopes / determinant[:, None])
 
 
-def fitted_weight(
+def fit_weight(
     grid: tuple[Array, Array],
     log_p: Array,
     known: Flags,
@@ -158,35 +158,37 @@ def fitted_weight(
     scales, (i, j) = (float(grid[0][-1]), float(grid[1][-1])), np.nonzero(known)
     x, y = grid[0][i], grid[1][j]
     target = log_p[known].max() - log_p[known]
-    root, powers = np.exp(-0.5 * target / IMPORTANCE), _powers(int(rise / RISE_PER_DEGREE))
-    columns = _monomials(x / scales[0], powers[:, 0]) * _monomials(y / scales[1], powers[:, 1])
+    root, powers = np.exp(-0.5 * target / IMPORTANCE), _power_pairs(int(rise / RISE_PER_DEGREE))
+    columns = _power_columns(x / scales[0], powers[:, 0]) * _power_columns(
+        y / scales[1], powers[:, 1]
+    )
     columns, least = root[:, None] * columns, np.inf
     if present is not None:
         misfit = target - present.exponent(x, y)
         misfit -= np.average(misfit, weights=root**2)
         least = float(np.linalg.norm(root * misfit) / np.linalg.norm(root * target))
-    return _chosen(fits(columns, root * target, powers), scales, rise, least)
+    return _chosen(fits_by_degree(columns, root * target, powers), scales, rise, least)
 
 
-def last(inside: Flags, axis: int) -> int:
+def last_index(inside: Flags, axis: int) -> int:
     """Return the last index along an axis at which anything is ``inside``."""
     return int(np.flatnonzero(inside.any(axis=1 - axis))[-1])
 
 
 @lru_cache
-def _powers(degree: int) -> Integers:
-    """Pairs of powers up to a total ``degree``, or ``HIGHEST``, in its order, (coefficients, 2)."""
-    totals = range(min(degree, HIGHEST) + 1)
+def _power_pairs(degree: int) -> Integers:
+    """Pairs of powers (coefficients, 2) up to the total ``degree``, or ``MAX_WEIGHT_DEGREE``."""
+    totals = range(min(degree, MAX_WEIGHT_DEGREE) + 1)
     return np.array([(i, total - i) for total in totals for i in range(total + 1)])
 
 
-def _monomials(x: Array, powers: Integers, *, slope: bool = False) -> Array:
+def _power_columns(x: Array, powers: Integers, *, slope: bool = False) -> Array:
     """x^k or its slope k x^(k−1), (points, powers)."""
     values = np.vander(x, int(powers.max(initial=0)) + 1, increasing=True)
     return values[:, powers] if not slope else powers * values[:, np.maximum(powers - 1, 0)]
 
 
-def fits(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array, float]]:
+def fits_by_degree(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array, float]]:
     """Yield the least-squares fit of ``right`` for each total degree, with its relative misfit.
 
     One triangular factor holds all; they end where ``columns`` are linearly dependent.

@@ -1,8 +1,8 @@
 """Linear spring behind the clearance: force ~ overlap (the "bilinear spring" of section 7)."""
 
-from fpk.system.contact_law import ContactLaw, register
+from fpk.system.contact_law import ContactLaw, register_law
 
-BILINEAR = register(
+BILINEAR = register_law(
     ContactLaw(
         name="bilinear",
         exponent=1.0,

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from fpk.system.contact_law import ContactLaw, register
+from fpk.system.contact_law import ContactLaw, register_law
 
-HERTZ = register(
+HERTZ = register_law(
     ContactLaw(
         name="hertz",
         exponent=1.5,

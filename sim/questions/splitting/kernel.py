@@ -13,7 +13,7 @@ import numpy as np
 
 from fpk.answer.names import Coordinate, Limit, Start
 from fpk.numeric.arrays import Array, Integers
-from fpk.numeric.compiling import cached_njit, inlined
+from fpk.numeric.compiling import cached_njit, njit_inline
 from fpk.system.compiled_laws import of_law
 from fpk.system.linear import natural_modes
 from fpk.system.system import System
@@ -127,7 +127,7 @@ class CompiledReplicas:
         self.streams += dead.size
 
 
-@inlined
+@njit_inline
 def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
     """Make the first record of ``parent`` above ``level`` the only one of ``i``, and its state x.
 
@@ -141,14 +141,14 @@ def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
     return int(paths.step[i, 0])
 
 
-@inlined
+@njit_inline
 def record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) -> None:
     """Write a state as the record number ``records`` of replica i."""
     paths.state[i, records] = x
     paths.level[i, records], paths.step[i, records] = level, step
 
 
-@inlined
+@njit_inline
 def level_of(t: Array, x: float, elapsed: float) -> int:
     """Return the level of the share x of the limit and of the time, by one of ``score_tables``.
 
@@ -165,13 +165,13 @@ def level_of(t: Array, x: float, elapsed: float) -> int:
     return min(int(low + b * (high - low)), LEVELS - 1)
 
 
-@inlined
+@njit_inline
 def uniform(place: np.uint64) -> float:
     """Return the uniform number in (0, 1) of the word at a place."""
     return (np.float64(mixed_word(place) >> np.uint64(11)) + 0.5) * 2.0**-53
 
 
-@inlined
+@njit_inline
 def look(
     seen: Array, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, law: Any,
     of_q: bool,

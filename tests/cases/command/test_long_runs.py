@@ -12,7 +12,7 @@ import pytest
 distributed = pytest.importorskip("distributed")
 import dask  # noqa: E402
 
-from fpk.numeric.machine import locked  # noqa: E402
+from fpk.numeric.machine import lock_file  # noqa: E402
 
 DENSITY = ["fig3a", "--method", "montecarlo", "--of", "q2", "--at", "0:1:0.25", "--json"]
 GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--paths", 4096, "--time", 60, "--seed", 3]
@@ -73,7 +73,7 @@ def test_a_damaged_state_ends_a_run_in_one_line(fpk, tmp_path):
 
 
 def test_a_map_is_built_by_one_process_at_a_time(fpk, tmp_path):
-    with locked(tmp_path / "run.lock"):
+    with lock_file(tmp_path / "run.lock"):
         status, out, err = fpk("regime", "fig6a", *GRID, "--checkpoint", tmp_path)
     assert (status, out) == (2, "") and err.count("\n") == 1
     assert "another process is using this folder" in err

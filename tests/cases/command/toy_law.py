@@ -1,8 +1,8 @@
 """A contact law of one's own: force ~ overlap**3."""
 
-from fpk.system.contact_law import ContactLaw, register
+from fpk.system.contact_law import ContactLaw, register_law
 
-CUBIC = register(
+CUBIC = register_law(
     ContactLaw(
         name="cubic",
         exponent=3.0,

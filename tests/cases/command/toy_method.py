@@ -7,8 +7,8 @@ from typing import Self
 import numpy as np
 
 from fpk.answer.certificate import NEGATIVE, Measured
-from fpk.answer.density import certified_density
-from fpk.answer.method import Method, Plan, Result, Route, register
+from fpk.answer.density import certify_density
+from fpk.answer.method import Method, Plan, Result, Route, register_route
 from fpk.numeric.errors import NotApplicable
 
 REACH = 8.5
@@ -48,7 +48,7 @@ class Equipartition(Method):
             return np.exp(-0.5 * (x / scale) ** 2) / (sqrt(2.0 * np.pi) * scale)
 
         tail = erfc(REACH / sqrt(2.0))
-        return certified_density(
+        return certify_density(
             observable,
             (np.linspace(-REACH * scale, REACH * scale, 18),),
             pdf,
@@ -58,7 +58,7 @@ class Equipartition(Method):
         )
 
 
-EQUIPARTITION = register(
+EQUIPARTITION = register_route(
     Route(
         "equipartition",
         "closed-form",

@@ -6,9 +6,9 @@ import numpy as np
 
 from averaging import Linear
 from fpk.answer.dynamics import Curve
-from fpk.answer.question import Asked, Question, answer, register, require_lags
+from fpk.answer.question import Asked, Question, answer, register_question, require_lags
 
-INCREMENT = register(
+INCREMENT = register_question(
     Question(
         name="increment",
         words="variance of an increment",

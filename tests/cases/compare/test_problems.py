@@ -13,7 +13,7 @@ from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
 from cases.show.text import rendered, verdict_of
 from fpk.answer.certificate import Measured
-from fpk.answer.density import certified_density
+from fpk.answer.density import certify_density
 from fpk.answer.method import Plan
 from fpk.answer.names import parse_observable
 
@@ -23,7 +23,7 @@ def shifted(density, shift, tol):
     measured = Measured(density.l1_error, 0.0, 0.0, 0.0, 0.0)
     panels = tuple(nodes + shift for nodes in density.panels)
     pdf, pointwise = density.pdf, density.pointwise
-    return certified_density(
+    return certify_density(
         density.observable,
         panels,
         lambda x, *p: pdf(x - shift, *p),

@@ -14,7 +14,7 @@ from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
 from cases.show.text import rendered
 from fpk.answer.certificate import Measured
-from fpk.answer.density import certified_density
+from fpk.answer.density import certify_density
 from fpk.answer.method import Method, Plan
 from fpk.answer.names import parse_observable
 
@@ -37,7 +37,7 @@ class Coarse(NonIntegrable):
         plan = super().prepare(system)
 
         def stated(d):
-            return certified_density(
+            return certify_density(
                 d.observable,
                 tuple(nodes + self.shift for nodes in d.panels),
                 lambda x: d.pdf(x - self.shift),

@@ -15,7 +15,7 @@ from cases.show.vtk import write_vtu
 from fpk.answer.certificate import Certificate
 from fpk.answer.density import Density
 from fpk.answer.names import parse_observable
-from fpk.answer.quantities import CUT, SUBDIVISION, field_of
+from fpk.answer.quantities import FIELD_CUT, SUBDIVISION, field_of
 
 FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -75,12 +75,12 @@ def test_the_field_is_the_smallest_box_that_holds_the_density_down_to_the_cut(co
     pair = parse_observable("q1,p1", 1)
     mesh, _ = field_of({"a": Density(pair, panels, pdf, lambda x, y: 0 * x * y, 0.0, FINE)})
     for x, deviation in zip(mesh.points.T, deviations, strict=False):
-        half_width = deviation * np.sqrt(-2.0 * np.log(CUT))
+        half_width = deviation * np.sqrt(-2.0 * np.log(FIELD_CUT))
         for end in (x.min(), x.max()):
             # Beyond it by no more than one of 100 intervals along the axis.
             assert 1.0 <= abs(end) / half_width < 1.03
     p = mesh.point_data["density"]
-    assert p.min() < 1e-3 * CUT * p.max()  # in the corners of the box
+    assert p.min() < 1e-3 * FIELD_CUT * p.max()  # in the corners of the box
 
 
 @pytest.mark.parametrize("of", ["q2", "q2,p2", "H"])

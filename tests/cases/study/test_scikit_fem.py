@@ -16,8 +16,8 @@ from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.stationary import solve_on_mesh
-from fpk.solvers.operator import null_function, null_vectors, solve_by_scikit_fem
-from fpk.solvers.plane.solution import graded, solve_plane_on_mesh
+from fpk.solvers.operator import null_vectors, plane_null_function, solve_by_scikit_fem
+from fpk.solvers.plane.solution import root_spaced_nodes, solve_plane_on_mesh
 
 METHODS = ((NonIntegrable, "H"), (Integrable, "H1,H2"))
 QUICK = ("fig6a", "vanderpol", "stiff-stops", "chain-50")
@@ -32,9 +32,9 @@ def test_on_one_mesh_it_is_the_solution_of_the_fast_solver(degree):
     x = np.linspace(0.05, 3.9, 50)
     np.testing.assert_allclose(slow.density(x), fast.density(x), rtol=1e-10)
     process = modal_analysis(load_scene("vanderpol").system).process((0, 1))
-    mesh = graded(10.0 * np.array(process.energy_scales), 4)
+    mesh = root_spaced_nodes(10.0 * np.array(process.energy_scales), 4)
     quick = solve_plane_on_mesh(process, mesh, degree)
-    other = solve_plane_on_mesh(process, mesh, degree, solved=null_function)
+    other = solve_plane_on_mesh(process, mesh, degree, solved=plane_null_function)
     grid = [np.linspace(0.01, 9.0, 20) * scale for scale in process.energy_scales]
     p = quick.density(grid[0][:, None], grid[1])
     np.testing.assert_allclose(

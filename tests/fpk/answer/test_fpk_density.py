@@ -10,7 +10,7 @@ from fpk.answer.density import (
     Certificate,
     Density,
     bin_differences,
-    certified_density,
+    certify_density,
     distance_with_error,
     l1_distance,
 )
@@ -270,7 +270,7 @@ def test_a_density_may_be_negative_within_its_stated_error(error, certified):
         return norm.pdf(x) + 1e-6 * norm.pdf(0.0) * np.sin(3.0 * x)
 
     nodes = np.linspace(-REACH, REACH, 37)
-    made = certified_density(
+    made = certify_density(
         parse_observable("q1", 1),
         (nodes,),
         pdf,

@@ -14,7 +14,7 @@ from averaging.theory import Exact
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Certificate, Measured
 from fpk.answer.contacts import contact_quantities
-from fpk.answer.density import Density, certified_density
+from fpk.answer.density import Density, certify_density
 from fpk.answer.names import parse_observable
 from fpk.answer.quantities import Number
 from fpk.answer.sampled_density import SampledDensity
@@ -298,7 +298,7 @@ def gaussian(mean: float, mass: float, tail: float) -> Density:
     nodes = (mean + np.linspace(-8.0, 8.0, 33),)
     measured = Measured(abs(mass - 1.0) + 1e-12, None, 0.0, 0.0, tail)
     q = parse_observable("q1", 1)
-    return certified_density(q, nodes, pdf, lambda x: 1e-8 * pdf(x), measured=measured, tol=0.1)
+    return certify_density(q, nodes, pdf, lambda x: 1e-8 * pdf(x), measured=measured, tol=0.1)
 
 
 @pytest.mark.parametrize("mass", [0.999, 1.001])

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erfc
 
 from fpk.answer.certificate import Measured
-from fpk.answer.density import certified_density
+from fpk.answer.density import certify_density
 from fpk.answer.dynamics import upcrossings
 from fpk.answer.names import parse_observable
 
@@ -24,7 +24,7 @@ def test_the_error_holds_on_any_mesh(panels, reach, correlation):
         return np.exp(-0.5 * square) / (2.0 * np.pi * own)
 
     nodes = np.linspace(-reach, reach, 2 * panels + 1)
-    joint = certified_density(
+    joint = certify_density(
         parse_observable("q1,p1", 1), (np.linspace(-9.0, 9.0, 19), nodes), pdf,
         lambda q, p: 0.0 * (q + p), measured=Measured(1e-12, 0.0, 0.0, 0.0, 0.0), tol=1.0,
     )  # fmt: skip
@@ -46,7 +46,7 @@ def test_a_kink_within_a_panel_is_in_the_error(power):
         return np.maximum(1.0 - 0.5 * (q**2 + p**2), 0.0) ** power
 
     nodes = np.linspace(-2.0, 2.0, 9)
-    joint = certified_density(
+    joint = certify_density(
         parse_observable("q1,p1", 1), (nodes, nodes), pdf,
         lambda q, p: 0.0 * (q + p), measured=Measured(1e-12, 0.0, 0.0, 0.0, 0.0), tol=1.0,
     )  # fmt: skip
@@ -66,7 +66,7 @@ def test_round_off_at_the_end_does_not_decide_the_error(slope):
         end = 1e-14 * (1.0 + slope * 1e14 * (8.0 - p))
         return np.where(np.abs(p) < 7.0, np.exp(-0.5 * (q * q + p * p)) / (2.0 * np.pi), end)
 
-    joint = certified_density(
+    joint = certify_density(
         parse_observable("q1,p1", 1), (np.linspace(-9.0, 9.0, 19), np.linspace(-8.0, 8.0, 17)), pdf,
         lambda q, p: 1e-12 + 0.0 * (q + p), measured=Measured(1e-12, 0.0, 0.0, 0.0, 0.0), tol=1.0,
     )  # fmt: skip

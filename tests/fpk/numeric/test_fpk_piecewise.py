@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fpk.numeric.piecewise import Piecewise, PiecewiseTensor, fit, interpolated
+from fpk.numeric.piecewise import Piecewise, PiecewiseTensor, fit, legendre_coefficients
 
 X = np.random.default_rng(20260101).uniform(0.0, 6.0, 400)
 NODES = np.array([0.0, 0.7, 1.5, 4.0, 6.0])
@@ -55,7 +55,7 @@ def test_values_may_have_a_shape():
 def test_scales_reach_beyond_double_precision():
     # f = exp(−200 x): 520 decades over the panels, each with its own scale.
     nodes = np.linspace(0.0, 6.0, 241)
-    unit = interpolated(lambda x: np.exp(-200.0 * x), nodes[:1], nodes[1:2], 20)
+    unit = legendre_coefficients(lambda x: np.exp(-200.0 * x), nodes[:1], nodes[1:2], 20)
     f = Piecewise(nodes, np.repeat(unit, 240, axis=0), log_scale=-200.0 * nodes[:-1])
     np.testing.assert_allclose(f(X, log_factor=200.0 * X), 1.0, rtol=1e-11)
     assert f(3.6) == 0.0 or f(3.6) < 1e-300
@@ -70,9 +70,9 @@ def test_outside_its_nodes_it_is_what_it_is_said_to_be():
 
 
 def tensor() -> PiecewiseTensor:
-    first = interpolated(np.sin, NODES[:-1], NODES[1:], 14)
+    first = legendre_coefficients(np.sin, NODES[:-1], NODES[1:], 14)
     nodes = np.array([0.0, 1.0, 6.0])
-    second = interpolated(np.exp, nodes[:-1], nodes[1:], 17)
+    second = legendre_coefficients(np.exp, nodes[:-1], nodes[1:], 17)
     return PiecewiseTensor((NODES, nodes), np.einsum("ki,lj->klij", first, second))
 
 

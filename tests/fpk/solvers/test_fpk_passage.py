@@ -9,7 +9,7 @@ from square_root_exact import failure, moments
 from averaging.energy_process import energy_process
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.line.time.passage import fem_passage, first_passage
+from fpk.solvers.line.time.passage import chain_first_passage, fem_passage
 from fpk.solvers.line.time.transition import Source
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.contact import Contact
@@ -50,7 +50,7 @@ def test_mean_and_variance_keep_their_digits_at_any_size(n, x, solver):
 
 @pytest.mark.parametrize(("n", "x"), CASES)
 def test_the_failure_rate_is_the_least_zero_of_the_confluent_function(n, x):
-    value, error = first_passage(process(n), x, times=NONE).rate()
+    value, error = chain_first_passage(process(n), x, times=NONE).rate()
     closed = SquareRoot(n, 1.0, 1.0).passage(x, 0.0, NONE, tol=1e-10).rate
     assert error < 1e-11 * value and closed.error < 1e-11 * value
     assert abs(value - closed.value) <= error + closed.error
@@ -60,7 +60,7 @@ def test_the_failure_rate_is_the_least_zero_of_the_confluent_function(n, x):
 
 
 def test_the_failure_rate_of_the_literature_value():
-    value, error = first_passage(process(1, 0.1, 0.05), 1.5, times=NONE).rate()
+    value, error = chain_first_passage(process(1, 0.1, 0.05), 1.5, times=NONE).rate()
     assert value == pytest.approx(0.013742123052434, abs=5e-16) and error < 1e-14
 
 
@@ -68,7 +68,7 @@ def test_the_failure_rate_of_the_literature_value():
 def test_the_probability_of_failure_at_any_time(n, x):
     times = np.array([0.0, 1e-2, 0.1, 1.0, 100.0])
     starts = np.array([0.0, 0.3, 0.99]) * x
-    solved = first_passage(process(n), x, times=times)
+    solved = chain_first_passage(process(n), x, times=times)
     p, error = solved.failure(times, starts)
     assert error.max() < 1e-10
     assert np.all(p[0] == 0.0)
@@ -130,7 +130,9 @@ def test_contacts_by_the_formula_of_the_mean_and_the_forward_equation(name):
     # ∫_0^∞ P(T > t) dt = E T, by the trapezoidal rule in ln t from e^(−12) E T on.
     s = np.arange(-12.0, 12.0, 0.05)
     t = answer.mean.value * np.exp(s)
-    survival = 1.0 - first_passage(p, limit, times=t[::40]).failure(t, np.array([start]))[0][:, 0]
+    survival = (
+        1.0 - chain_first_passage(p, limit, times=t[::40]).failure(t, np.array([start]))[0][:, 0]
+    )
     late = t < 40.0 / answer.rate.value
     total = 0.05 * (t * survival)[late].sum()
     assert total == pytest.approx(answer.mean.value, rel=1e-4)
@@ -148,7 +150,7 @@ def test_starts_at_once_and_stationary_starts():
     mixed = fem_passage(process(2), 5.0, Source(process=process(2)), np.array([0.0]), tol=1e-10)
     assert mixed.survival[0] == pytest.approx(1.0 - 6.0 * np.exp(-5.0), abs=1e-12)
     x, w = panel_rule(np.linspace(0.0, 5.0, 9), 20)
-    solved = first_passage(process(2), 5.0, times=NONE)
+    solved = chain_first_passage(process(2), 5.0, times=NONE)
     mean = solved.moments(x.ravel())[0] * solved.longest
     expected = (w * x * np.exp(-x)).ravel() @ mean
     assert abs(mixed.mean.value - expected) < 1e-12 * expected
@@ -163,7 +165,7 @@ def test_a_start_under_much_less_or_more_noise_is_seen(noise):
     assert abs(answer.failure[0] - beyond) <= answer.failure_error[0] < 1e-12
     x, w = panel_rule(np.linspace(0.0, min(5.0, 60.0 * noise), 41), 20)
     x, w = x.ravel(), (w * x * np.exp(-x / noise)).ravel() / noise**2
-    solved = first_passage(process(2), 5.0, times=np.ones(1))
+    solved = chain_first_passage(process(2), 5.0, times=np.ones(1))
     mean, failure = (
         w @ solved.moments(x)[0] * solved.longest,
         w @ solved.failure(np.ones(1), x)[0][0] + beyond,

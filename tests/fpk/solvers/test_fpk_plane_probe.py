@@ -10,7 +10,7 @@ from test_fpk_plane import manufactured
 
 from fpk.numeric.errors import NotCertified
 from fpk.solvers.plane.elements import by_element, flux_coefficients
-from fpk.solvers.plane.weight import Weight, divided_by_diffusion, fits, flux_free_weight
+from fpk.solvers.plane.weight import Weight, fits_by_degree, flux_free_weight, inverse_diffusion
 
 PROCESS, LOG_P = manufactured(0.4, 0.2)
 X, Y = np.linspace(0.1, 3.0, 7), np.linspace(0.2, 2.0, 5)
@@ -48,7 +48,7 @@ def test_slopes_without_flux_are_those_of_a_linear_system() -> None:
     c = manufactured(0.4, 0.0)[0].coefficients(grid)
     flow = 2.0 * c.drift - c.divergence
     expected = np.linalg.solve(c.diffusion, flow[..., None])[..., 0]
-    assert_allclose(divided_by_diffusion(flow, c.diffusion), expected, rtol=1e-9, atol=1e-12)
+    assert_allclose(inverse_diffusion(flow, c.diffusion), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_noise_that_leaves_a_combination_alone_is_refused() -> None:
@@ -69,7 +69,7 @@ def test_fits_of_rising_degree_are_least_squares_fits() -> None:
     powers = powers_to(4)
     x, y = (a.ravel() for a in np.broadcast_arrays(X[:, None], Y))
     columns = x[:, None] ** powers[:, 0] * y[:, None] ** powers[:, 1]
-    fitted = list(fits(columns, target, powers))
+    fitted = list(fits_by_degree(columns, target, powers))
     assert len(fitted) == 4
     for degree, (c, misfit) in enumerate(fitted, start=1):
         matrix = columns[:, powers.sum(axis=1) <= degree]
@@ -83,7 +83,7 @@ def test_fits_of_rising_degree_are_least_squares_fits() -> None:
 def test_fits_end_where_the_points_do_not_tell_columns_apart() -> None:
     x = np.linspace(0.0, 1.0, 8)
     columns = np.column_stack([np.ones(8), x, x, x**2, x**2, x**2])
-    assert not list(fits(columns, x, powers_to(2)))
+    assert not list(fits_by_degree(columns, x, powers_to(2)))
 
 
 def test_a_weight_on_a_grid_is_that_at_its_points_and_its_slopes() -> None:

@@ -11,11 +11,16 @@ from test_fpk_plane import COUPLED, FIG8, manufactured, square_root_process
 
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.quadrature import panel_rule
-from fpk.solvers.plane.solution import graded
+from fpk.solvers.plane.solution import root_spaced_nodes
 from fpk.solvers.plane.stationary import solve_plane
 from fpk.solvers.plane.time.operator import PlaneOperator, PlaneStart
-from fpk.solvers.plane.time.passage import PlaneLimit, _hopeless, first_passage, relaxation_rates
-from fpk.solvers.plane.time.transient import evolved, transient_densities
+from fpk.solvers.plane.time.passage import (
+    PlaneLimit,
+    _hopeless,
+    plane_first_passage,
+    relaxation_rates,
+)
+from fpk.solvers.plane.time.transient import krylov_exponential, transient_densities
 
 
 def density(process):
@@ -64,16 +69,16 @@ def test_one_equation_written_twice(limit):
     # The process as it is, and with a weight: the matrices differ, u and T do not.
     process, _ = manufactured(0.4, 0.2)
     start, times = PlaneStart(np.array([0.2, 0.1])), np.array([0.1, 0.4])
-    by_weight = first_passage(density(process), start, limit, times, tol=1e-9)
+    by_weight = plane_first_passage(density(process), start, limit, times, tol=1e-9)
     assert by_weight.certificate.certified, by_weight.certificate.failures
     nodes = (
-        graded((0.6, 0.5), 4)
+        root_spaced_nodes((0.6, 0.5), 4)
         if limit.total is None
-        else (graded((0.7, 1.0), 4)[0], np.linspace(0, 1, 5))
+        else (root_spaced_nodes((0.7, 1.0), 4)[0], np.linspace(0, 1, 5))
     )
     op = PlaneOperator(process, nodes, 14, absorbing=limit.absorbing, collapsed=limit.collapsed)
     A, M, shares = op.matrices
-    forward = evolved(A, M, start.dual(op), times, tol=1e-13)
+    forward = krylov_exponential(A, M, start.dual(op), times, tol=1e-13)
     assert_allclose(forward.values @ shares, by_weight.survival, atol=1e-9)
     mean = start.dual(op) @ splu((-A).T.tocsc()).solve(shares)
     assert_allclose(mean, by_weight.mean.value, rtol=1e-9)
@@ -92,7 +97,7 @@ def test_reliability_is_the_mass_that_the_absorbing_forward_equation_keeps(degre
     step = expm(0.2 * np.linalg.solve(forward.M.toarray(), forward.A.toarray()))
     p = step @ np.linalg.solve(forward.M.toarray(), at)
     start, times = PlaneStart(np.array([0.2, 0.15])), np.array([0.2])
-    answer = first_passage(density(process), start, PlaneLimit(0.6, 0.5), times, tol=tol)
+    answer = plane_first_passage(density(process), start, PlaneLimit(0.6, 0.5), times, tol=tol)
     assert answer.certificate.certified, answer.certificate.failures
     assert abs(answer.survival[0] - forward.shares @ p) <= gap
 
@@ -101,7 +106,7 @@ def test_a_time_by_which_all_have_failed_spoils_no_other():
     process, _ = manufactured(0.4, 0.2)
     start, limit = PlaneStart(np.array([0.2, 0.15])), PlaneLimit(0.6, 0.5)
     alone, late = (
-        first_passage(density(process), start, limit, np.array(times), tol=1e-8)
+        plane_first_passage(density(process), start, limit, np.array(times), tol=1e-8)
         for times in ([0.2], [0.2, 1e6])
     )
     assert late.certificate.certified, late.certificate.failures
@@ -156,7 +161,7 @@ def test_coupled_passage_at_a_loose_tolerance_is_within_its_error():
     of, times = density(process), np.array([5.0, 50.0])
     for limit in (PlaneLimit(total=2.0), PlaneLimit(1.8, None)):
         loose, tight = (
-            first_passage(of, PlaneStart(np.array([0.1, 0.3])), limit, times, tol=tol)
+            plane_first_passage(of, PlaneStart(np.array([0.1, 0.3])), limit, times, tol=tol)
             for tol in (1e-3, 1e-8)
         )
         assert tight.certificate.certified, tight.certificate.failures
@@ -169,7 +174,7 @@ def test_coupled_passage_at_a_loose_tolerance_is_within_its_error():
 
 def test_a_failure_of_probability_1e_17_keeps_its_digits():
     c, d = 0.1, 0.05
-    answer = first_passage(
+    answer = plane_first_passage(
         density(square_root_process((c, c), (d, d))), PlaneStart(np.zeros(2)),
         PlaneLimit(total=40.0 * d / c), np.array([1.0, 1e15, 1e17]), tol=1e-8,
     )  # fmt: skip
@@ -191,7 +196,7 @@ RARE_MEAN = 155086592685738.702
 def test_a_tiny_limit_is_passed_as_by_the_same_motion_without_damping(small):
     # Below it dH = 2 d dt + √(2 d H) dB: E T = H_f/(2 d), E T² − (E T)² = H_f²/(12 d²).
     c, d = 0.1, 0.05
-    answer = first_passage(
+    answer = plane_first_passage(
         density(square_root_process((c, c), (d, d))), PlaneStart(np.zeros(2)),
         PlaneLimit(total=small), np.zeros(0), tol=1e-8,
     )  # fmt: skip
@@ -206,7 +211,7 @@ def test_a_tiny_limit_is_passed_as_by_the_same_motion_without_damping(small):
 def test_a_limit_that_nobody_reaches_is_refused():
     c, d = FIG8
     with pytest.raises(InvalidInput, match="beyond the range"):
-        first_passage(
+        plane_first_passage(
             density(square_root_process(c, d)), PlaneStart(np.zeros(2)), PlaneLimit(total=1e4),
             np.zeros(0), tol=1e-8,
         )  # fmt: skip
@@ -214,7 +219,7 @@ def test_a_limit_that_nobody_reaches_is_refused():
 
 def test_a_failure_too_rare_for_memory_is_refused_before_any_work():
     with pytest.raises(InvalidInput, match="more equations than fit into memory"):
-        first_passage(
+        plane_first_passage(
             density(square_root_process((0.1, 0.1), (0.05, 0.025))), PlaneStart(np.zeros(2)),
             PlaneLimit(total=140.0), np.zeros(0), tol=1e-8,
         )  # fmt: skip
@@ -223,7 +228,7 @@ def test_a_failure_too_rare_for_memory_is_refused_before_any_work():
 @pytest.mark.parametrize("collapsed", [False, True])
 def test_coordinates_and_energies_are_inverse(collapsed):
     process, _ = manufactured(0.4, 0.2)
-    domain = PlaneOperator(process, graded((0.6, 0.5), 4), 3, collapsed=collapsed)
+    domain = PlaneOperator(process, root_spaced_nodes((0.6, 0.5), 4), 3, collapsed=collapsed)
     H = np.array([[0.2, 0.7], [0.0, 0.4], [0.3, 0.0]]).T
     back = domain.energies(*domain.coordinates(*H))
     assert_allclose(back, H, atol=1e-15)

@@ -29,12 +29,12 @@ from fpk.solvers.plane.solution import PlaneSolution, solve_plane_on_mesh
 from fpk.solvers.plane.stationary import (
     RUNGS,
     detailed_balance,
-    finer,
+    next_rung,
     solve_by_elements,
     solve_plane,
     solve_with_weight,
 )
-from fpk.solvers.plane.weight import Weight, fitted_weight, flux_free_weight
+from fpk.solvers.plane.weight import Weight, fit_weight, flux_free_weight
 from fpk.system.process import Coefficients, Process
 
 Array = NDArray[np.float64]
@@ -123,7 +123,7 @@ def test_values_on_a_grid_are_those_at_its_points() -> None:
     process = one_sided(*STRONG)
     weight = flux_free_weight(process)
     nodes = np.array([0.0, 0.4, 1.5, 5.0]), np.array([0.0, 1.0, 4.0])
-    for w in (weight_module.PLAIN, weight):
+    for w in (weight_module.UNIT_WEIGHT, weight):
         p = solve_plane_on_mesh(process, nodes, 6, weight=w).density
         x, y = np.linspace(-0.5, 5.5, 25), np.linspace(-0.5, 4.5, 17)
         at_points = p(*(a.ravel() for a in np.meshgrid(x, y, indexing="ij"))).reshape(25, 17)
@@ -202,12 +202,12 @@ def test_a_fit_that_would_not_fall_off_is_not_taken() -> None:
     known = np.ones((30, 30), dtype=bool)
     x, y = grid[0][:, None], grid[1]
     # Rises again beyond H1 = 1.25; then what falls everywhere.
-    bent = fitted_weight(grid, -5.0 * x + 2.0 * x**2 - y, known, 5.0)
+    bent = fit_weight(grid, -5.0 * x + 2.0 * x**2 - y, known, 5.0)
     assert bent is None or np.all(
         np.diff(bent.exponent(np.linspace(1.0, 30.0, 50), 0.0 * x[0])) > 0
     )
-    assert fitted_weight(grid, 0.0 * x + y, known, 5.0) is None
-    straight = fitted_weight(grid, -5.0 * x - y, known, 5.0)
+    assert fit_weight(grid, 0.0 * x + y, known, 5.0) is None
+    straight = fit_weight(grid, -5.0 * x - y, known, 5.0)
     assert straight is not None
     assert_allclose(straight.exponent(np.array(2.0), np.array(3.0)), 13.0, rtol=1e-9)
 
@@ -369,7 +369,7 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
 ) -> None:
     # Few panels of low degree and no plain elements: inaccurate, and said so in words.
     monkeypatch.setattr(stationary, "RUNGS", ((2, 6), (4, 18)))
-    monkeypatch.setattr(stationary, "finer", lambda *_, **__: 2)
+    monkeypatch.setattr(stationary, "next_rung", lambda *_, **__: 2)
     monkeypatch.setattr(stationary, "MAX_ENTRIES", 0)
     solution = solve_plane(one_sided(0.3, 0.05), tol=1e-10)
     assert not solution.certificate.certified
@@ -377,13 +377,13 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
 
 
 def test_a_density_that_does_not_fall_off_at_the_edges_takes_five_rungs_at_the_most() -> None:
-    after = [finer(rung, np.inf, most=5) for rung in range(len(RUNGS))]
+    after = [next_rung(rung, np.inf, most=5) for rung in range(len(RUNGS))]
     assert [RUNGS[k] for k in after[:3]] == [(4, 8), (4, 12), (4, 13)]
     assert all(k == rung + 1 for rung, k in enumerate(after) if RUNGS[rung][1] == 18)
     assert after == sorted(after)
     # Half a digit takes one degree more, six digits all that four panels have.
-    assert RUNGS[finer(RUNGS.index((4, 8)), 3.0, most=99)] == (4, 9)
-    assert RUNGS[finer(RUNGS.index((4, 8)), 1e6, most=99)] == (4, 18)
+    assert RUNGS[next_rung(RUNGS.index((4, 8)), 3.0, most=99)] == (4, 9)
+    assert RUNGS[next_rung(RUNGS.index((4, 8)), 1e6, most=99)] == (4, 18)
 
 
 @pytest.mark.parametrize("tol", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8])

@@ -11,7 +11,7 @@ from averaging.energy_process import energy_process
 from fpk.numeric.errors import InvalidInput
 from fpk.solvers.line.stationary import solve_stationary
 from fpk.solvers.line.time.passage import fem_passage
-from fpk.solvers.line.time.resolvent import contours, eigenvalues_below, spectrum
+from fpk.solvers.line.time.resolvent import contours, eigenvalues_below, relaxation_spectrum
 from fpk.solvers.line.time.transition import Source, transition
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.contact import Contact
@@ -146,7 +146,7 @@ def test_a_time_too_short_for_double_precision_is_said():
 
 @pytest.mark.parametrize(("n", "count"), [(1, 5), (2, 25), (4, 10), (20, 5), (100, 3)])
 def test_the_rates_of_the_square_root_process(n, count):
-    solved = spectrum(cox_ingersoll_ross(a=n * 0.3, c=2.0, d=0.3), count)
+    solved = relaxation_spectrum(cox_ingersoll_ross(a=n * 0.3, c=2.0, d=0.3), count)
     exact = 2.0 * np.arange(1.0, count + 1.0)
     assert solved.certificate.certified and solved.errors.max() < 1e-10 * exact[-1]
     assert np.all(np.abs(solved.values - exact) <= solved.errors)

@@ -116,7 +116,7 @@ def test_samples_of_many_contact_masses_give_what_gauss_points_give(
 ) -> None:
     system = stopped_chain(count)
     expected = damping_balance(system)
-    monkeypatch.setattr("fpk.system.equivalent.GRID", 0)
+    monkeypatch.setattr("fpk.system.equivalent.MAX_GRID_POINTS", 0)
     sampled = damping_balance(system)
     assert sampled.temperature == pytest.approx(expected.temperature, rel=0.02)
     assert sampled.energy == pytest.approx(expected.energy, rel=0.03)

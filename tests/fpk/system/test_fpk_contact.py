@@ -6,7 +6,7 @@ import pytest
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.quadrature import panel_rule
 from fpk.system.contact import Contact
-from fpk.system.contact_law import LAWS, ContactLaw, register
+from fpk.system.contact_law import LAWS, ContactLaw, register_law
 
 ROWS = [
     (name, exponent)
@@ -107,7 +107,7 @@ def test_the_power_law_needs_its_exponent(exponent):
 def test_a_law_of_a_name_that_is_taken_is_refused():
     one = LAWS["hertz"]
     with pytest.raises(ValueError, match="registered already"):
-        register(ContactLaw("hertz", 1.5, one.force, one.energy, one.slope))
+        register_law(ContactLaw("hertz", 1.5, one.force, one.energy, one.slope))
 
 
 def test_both_sides_are_a_left_and_a_right_stop():

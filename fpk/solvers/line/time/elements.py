@@ -23,7 +23,7 @@ from scipy.special import roots_jacobi
 from fpk.numeric.arrays import Array, Flags, Integers
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.solvers.line.elements import ENRICHMENT
-from fpk.solvers.line.mesh import HIGHEST, first_degree, split_points
+from fpk.solvers.line.mesh import MAX_ELEMENT_DEGREE, first_degree, split_points
 from fpk.solvers.plane.elements import shape_functions
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
@@ -31,7 +31,7 @@ SAFETY = 3.0
 """Factor on the distance to the enriched solution, of densities, first passage and rates."""
 MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
 """Most rounds of cutting elements in two, and elements beyond which none is cut."""
-TAIL = (1e-3, 1e-8)
+TAIL_SHARES = (1e-3, 1e-8)
 """Share of the tolerance that may lie beyond the mesh: of the answer, and of the enriched one."""
 Settings = dict[str, str | float | int]
 
@@ -159,8 +159,8 @@ Pair = tuple[Elements, Elements]
 """The elements of the answer and of the enriched solution."""
 
 
-class Evolved(NamedTuple):
-    """A density of ``elements`` at several times: the coefficients ``values`` of p/π.
+class ChainDensity(NamedTuple):
+    """A density of ``chain_elements`` at several times: the coefficients ``values`` of p/π.
 
     They are in the units 1/e^``log_scale`` of the elements, but for what is no density, ``size``
     those of the terms that cancel in them, (times, elements, functions). ``residual`` is relative.
@@ -207,7 +207,7 @@ def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
     return t, weight, series, integral, values.T, slopes.T
 
 
-def elements(
+def chain_elements(
     process: Process, left: Array, right: Array, degree: int, *, enriched: bool = False
 ) -> Elements:
     """Return the elements between ``left`` and ``right`` (elements,), sorted.
@@ -216,7 +216,9 @@ def elements(
     """
     kind = np.isin(left, process.nonsmooth) + 2 * (left == 0.0)
     alike = [np.flatnonzero(kind == k) for k in np.unique(kind)]
-    parts = [_alike(process, left[k], right[k], degree, enriched=enriched) for k in alike]
+    parts = [
+        _elements_of_kind(process, left[k], right[k], degree, enriched=enriched) for k in alike
+    ]
     order = np.argsort(np.concatenate(alike))
     arrays: dict[str, Any] = {
         x.name: np.concatenate([getattr(part, x.name) for part in parts])[order]
@@ -226,7 +228,9 @@ def elements(
     return replace(parts[0], **arrays)
 
 
-def _alike(process: Process, left: Array, right: Array, degree: int, *, enriched: bool) -> Elements:
+def _elements_of_kind(
+    process: Process, left: Array, right: Array, degree: int, *, enriched: bool
+) -> Elements:
     """Elements that all begin at H = 0, or at contact, or all do not."""
     n, first = process.degrees_of_freedom, left[0] == 0.0
     contact = bool(left[0] in process.nonsmooth)
@@ -289,19 +293,19 @@ def _alike(process: Process, left: Array, right: Array, degree: int, *, enriched
 
 def degree_for(tol: float) -> int:
     """Return the degree of elements for the tolerance ``tol``: four more than its digits."""
-    return int(np.clip(round(-math.log10(tol)), 4, HIGHEST - 4)) + 4
+    return int(np.clip(round(-math.log10(tol)), 4, MAX_ELEMENT_DEGREE - 4)) + 4
 
 
-def meshed(process: Process, nodes: Array, degree: int, *, beyond: ArrayLike = ()) -> Pair:
+def element_pair(process: Process, nodes: Array, degree: int, *, beyond: ArrayLike = ()) -> Pair:
     """Return elements between ``nodes``; those of the enriched solution end at ``beyond``, too."""
     every = np.append(nodes, beyond)
     return (
-        elements(process, nodes[:-1], nodes[1:], degree),
-        elements(process, every[:-1], every[1:], degree + ENRICHMENT, enriched=True),
+        chain_elements(process, nodes[:-1], nodes[1:], degree),
+        chain_elements(process, every[:-1], every[1:], degree + ENRICHMENT, enriched=True),
     )
 
 
-def refined(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
+def solve_with_refinement(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
     """Return the answer of ``solve`` on a pair whose elements are cut until it marks none."""
     for _ in range(MOST_ROUNDS):
         answer, marked = solve(pair)
@@ -310,5 +314,5 @@ def refined(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer
         e, every = pair[0], pair[1].nodes
         at = split_points(e.left[marked], e.right[marked], e.process.nonsmooth)
         nodes = np.sort(np.append(e.nodes, at))
-        pair = meshed(e.process, nodes, e.degree, beyond=every[e.count + 1 :])
+        pair = element_pair(e.process, nodes, e.degree, beyond=every[e.count + 1 :])
     return answer

@@ -22,23 +22,30 @@ from fpk.answer.dynamics import LARGEST_ERROR, NO_NOISE_YET, Transient
 from fpk.answer.names import number_text
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.solvers.line.time.elements import SAFETY, Elements, Evolved, Pair, Settings
+from fpk.solvers.line.time.elements import SAFETY, ChainDensity, Elements, Pair, Settings
 from fpk.solvers.line.time.resolvent import matrices
-from fpk.solvers.line.time.transition import Question, Source, Transition, adapted, judged, posed
+from fpk.solvers.line.time.transition import (
+    Question,
+    Source,
+    Transition,
+    estimate_error,
+    pose_question,
+    solve_adaptively,
+)
 from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
 STAGES = 5
 """Stages of a step of Radau IIA: of the order 2 · 5 − 1."""
-FIRST = 1e-3
+FIRST_STEP = 1e-3
 """The first step, in units of the first time or kink of e: what it errs by is forgotten."""
-RATIO = 3.0
+STEP_RATIO = 3.0
 """Ratio of the ends of a step at the level 0, as long as steps grow with the time."""
-LEVELS = (1, 4)
+STEP_HALVINGS = (1, 4)
 """Halvings of all steps: those with which the mesh is adapted, and the most."""
 Processes = Callable[[float], Process]
 """The process of an energy under F times the noise intensity, by F."""
-Carried = tuple[Evolved, Array, Array]
+Carried = tuple[ChainDensity, Array, Array]
 """A density at the times asked for, numbers that follow from it, and errors of those."""
 
 
@@ -57,7 +64,7 @@ def quiet_until(modulation: Modulation, source: Source) -> float:
     return modulation.quiet
 
 
-def stepped(
+def radau_steps(
     e: Elements,
     load: Array,
     modulation: Modulation,
@@ -66,7 +73,7 @@ def stepped(
     *,
     level: int,
     absorbing: bool = False,
-) -> tuple[Evolved, Array, Array, Array]:
+) -> tuple[ChainDensity, Array, Array, Array]:
     """Return the density at ``times`` > 0 of what begins with ``load``, e² in units of ``unit``.
 
     Then times of the stages, weights that integrate over time, and the mass, (steps · stages,).
@@ -82,11 +89,13 @@ def stepped(
     begun, shares = (spread.T @ each.ravel() for each in (load / root, e.load * root))
     stops = np.unique(np.append(times, modulation.times[modulation.times < times[-1]]))
     stops = stops[stops > 0.0]
-    first = FIRST * stops[0]
-    grown = first * RATIO ** np.arange(0.0, np.ceil(np.log(stops[-1] / first) / np.log(RATIO)))
+    first = FIRST_STEP * stops[0]
+    grown = first * STEP_RATIO ** np.arange(
+        0.0, np.ceil(np.log(stops[-1] / first) / np.log(STEP_RATIO))
+    )
     ends = [0.0]
     for stop in stops.tolist():
-        inner = grown[(grown > ends[-1] * (1.0 + FIRST)) & (grown < stop * (1.0 - FIRST))]
+        inner = grown[(grown > ends[-1] * (1.0 + FIRST_STEP)) & (grown < stop * (1.0 - FIRST_STEP))]
         ends += [*inner.tolist(), stop]
     number, parts = np.arange(len(ends)), 2**level
     ends = np.interp(np.arange(number[-1] * parts + 1) / parts, number, ends)
@@ -105,14 +114,14 @@ def stepped(
     last = at_stages[np.searchsorted(ends[1:], times), -1]
     values = root * (spread @ last.T).T.reshape(-1, *e.load.shape)
     return (
-        Evolved(e, values, np.abs(values), float(np.max(residuals))),
+        ChainDensity(e, values, np.abs(values), float(np.max(residuals))),
         (ends[1:, None] - lengths * (1.0 - c)).ravel(),
         (lengths * A[-1]).ravel(),
         (at_stages @ shares).ravel(),
     )
 
 
-def halved(
+def halve_steps(
     question: Question,
     pair: Pair,
     carried: Callable[[Elements, int], Carried],
@@ -126,9 +135,9 @@ def halved(
     answer, by steps twice as long, and by these on the elements of a higher degree.
     """
     carried = lru_cache(maxsize=4)(carried)
-    solved = adapted(question, pair, lambda e, **_: carried(e, LEVELS[0])[0])
+    solved = solve_adaptively(question, pair, lambda e, **_: carried(e, STEP_HALVINGS[0])[0])
     e, sizes = solved.elements, []
-    for level in range(LEVELS[0] + 1, LEVELS[1] + 1):
+    for level in range(STEP_HALVINGS[0] + 1, STEP_HALVINGS[1] + 1):
         numbers = carried(e, level)[1]
         sizes.append(size(np.abs(numbers - carried(e, level - 1)[1]), numbers))
         if SAFETY * sizes[-1] <= wanted:
@@ -145,27 +154,29 @@ def halved(
     return replace(solved, settings=settings), [carried(e, level), *longer]
 
 
-def modulated_transition(
+def transition_with_modulation(
     under: Processes, modulation: Modulation, source: Source, times: Array, *, tol: float
 ) -> Transition:
     """Return the density at ``times`` > 0 of an energy that begins with ``source``.
 
     The error is the distance to elements of a higher degree and to steps twice as long. Without
     noise it is the equation of the decay alone, of first order. Raises ``InvalidInput`` for times
-    at which the density is still one energy, and as ``quiet_until`` and ``posed`` do.
+    at which the density is still one energy, and as ``quiet_until`` and ``pose_question`` do.
     """
     quiet = quiet_until(modulation, source)
     if times[0] <= quiet:
         raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
     modulation, times = modulation.after(quiet), times - quiet
     unit = modulation.largest or 1.0
-    question, pair = posed(under(unit), source, float(modulation.energy(times[0])) / unit, tol)
+    question, pair = pose_question(
+        under(unit), source, float(modulation.energy(times[0])) / unit, tol
+    )
 
     def carried(e: Elements, level: int) -> Carried:
-        g = stepped(e, source.load(e), modulation, unit, times, level=level)[0]
+        g = radau_steps(e, source.load(e), modulation, unit, times, level=level)[0]
         return g, g.density(e.x.ravel())[0] * e.weight.ravel(), np.zeros(0)
 
-    solved, found = halved(
+    solved, found = halve_steps(
         question, pair, carried, lambda moved, _: float(moved.sum(axis=1).max()), 0.25 * tol
     )
     e, (own, _, enriched) = solved.elements, (each[0] for each in found)
@@ -176,7 +187,7 @@ def modulated_transition(
         return np.asarray(np.abs(p - in_longer) + np.abs(in_longer - in_both))
 
     distance = apart(e.x.ravel()).reshape(-1, *e.x.shape)
-    answer, _, _ = judged(question, own, enriched, distance=distance)
+    answer, _, _ = estimate_error(question, own, enriched, distance=distance)
     # At the ends of elements, where no point is, distances are largest while there is no noise.
     at_ends = apart(e.right)
     beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
@@ -184,10 +195,10 @@ def modulated_transition(
     return replace(answer, distance=distance, settings={**answer.settings, **solved.settings})
 
 
-def modulated_transient(
+def transient_with_modulation(
     under: Processes, modulation: Modulation, source: Source, times: Array, at: Array, *, tol: float
 ) -> Transient:
-    """Return the densities at energies ``at``; all else as of ``modulated_transition``.
+    """Return the densities at energies ``at``; all else as of ``transition_with_modulation``.
 
     Where the modulation ends with 0, dH/dt = F(H) leads from H_0 at its end to H at a later time,
     so that p(H, t) dH = p(H_0, 0) dH_0, where dH_0/dH = F(H_0)/F(H). Where the estimated error
@@ -197,7 +208,7 @@ def modulated_transient(
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
     later = times > end
     stops = np.unique(np.minimum(times, end))
-    solved = modulated_transition(under, modulation, source, stops, tol=tol)
+    solved = transition_with_modulation(under, modulation, source, stops, tol=tol)
     values, errors = np.zeros((2, times.size, at.size))
     values[~later], errors[~later] = (a[: int((~later).sum())] for a in solved.density(at))
     process, e, l1_error = under(1.0), solved.elements, solved.measured.l1_error

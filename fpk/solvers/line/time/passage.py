@@ -10,25 +10,38 @@ from functools import cached_property
 
 import numpy as np
 
-from fpk.answer.dynamics import BEYOND_RANGE, STARTS, Passage, StartCurve, certified_passage
+from fpk.answer.dynamics import BEYOND_RANGE, START_POINTS, Passage, StartCurve, certify_passage
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.elements import ENRICHMENT
-from fpk.solvers.line.mesh import HIGHEST, layer_at, probed, time_nodes
-from fpk.solvers.line.time.elements import SAFETY, Elements, Pair, degree_for, meshed, refined
-from fpk.solvers.line.time.modulated import Carried, Processes, halved, quiet_until, stepped
-from fpk.solvers.line.time.resolvent import evolved, moment
-from fpk.solvers.line.time.transition import Source, posed
+from fpk.solvers.line.mesh import MAX_ELEMENT_DEGREE, layer_at, probe_process, time_nodes
+from fpk.solvers.line.time.elements import (
+    SAFETY,
+    Elements,
+    Pair,
+    degree_for,
+    element_pair,
+    solve_with_refinement,
+)
+from fpk.solvers.line.time.modulated import (
+    Carried,
+    Processes,
+    halve_steps,
+    quiet_until,
+    radau_steps,
+)
+from fpk.solvers.line.time.resolvent import chain_potential, inverse_laplace
+from fpk.solvers.line.time.transition import Source, pose_question
 from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
-FARTHEST = 900.0
+MAX_BARRIER = 900.0
 """Fall of ln(π H) from its maximum to the limit beyond which none is solved for: e^900 times."""
-MOST_STEPS = 2_000
+MAX_POWER_STEPS = 2_000
 """Most iterations for the failure rate; a hundred do for a hundred masses."""
-SHARE = 0.1
+MODULATED_SHARE = 0.1
 """Share of the tolerance for mesh and steps of modulated noise: variances have larger errors."""
 
 
@@ -42,7 +55,7 @@ class FirstPassage:
     @cached_property
     def means(self) -> list[Array]:
         """T: mean time over the start, L T = −1, by both elements, (elements, functions) each."""
-        return [moment(e, e.load) for e in self.pair]
+        return [chain_potential(e, e.load) for e in self.pair]
 
     @cached_property
     def longest(self) -> float:
@@ -79,7 +92,7 @@ class FirstPassage:
         for e, mean in zip(self.pair, self.means, strict=True):
             f = mean / self.longest
             # (−L)⁻¹ T is half of the second moment.
-            half = moment(e, np.einsum("eij,ej->ei", e.mass, f)) / self.longest
+            half = chain_potential(e, np.einsum("eij,ej->ei", e.mass, f)) / self.longest
             values += [*e.at(x, f), *e.at(x, half)]
         T, of_T, U, of_U, better, _, half, _ = values
         # T is about linear in H_f − x, and has the round-off of energies.
@@ -103,10 +116,10 @@ class FirstPassage:
         for e, f in zip(self.pair, self.means, strict=True):
             share = np.exp(e.log_scale - e.log_mass.max())  # what underflows counts nothing
             quotient = bracket = np.nan
-            for _ in range(MOST_STEPS):
+            for _ in range(MAX_POWER_STEPS):
                 f = f / f[0, 1]
                 load = np.einsum("eij,ej->ei", e.mass, f)
-                g = moment(e, load)
+                g = chain_potential(e, load)
                 quotient = float(share @ (load * f).sum(axis=1) / (share @ (load * g).sum(axis=1)))
                 before, bracket = bracket, float(np.ptp(f[:, 0] / g[:, 0])) / quotient
                 if bracket < 1e-9 or (bracket < 1e-6 and not bracket < before):
@@ -122,7 +135,7 @@ class FirstPassage:
         later = times > 0.0
         for k, e in enumerate(self.pair):
             nothing, more = np.zeros(e.load.shape), k * ENRICHMENT
-            f = evolved(e, nothing, times[later], held=1.0, more=more, density=False)
+            f = inverse_laplace(e, nothing, times[later], held=1.0, more=more, density=False)
             p[k, later], size[k, later] = e.at(x, f.values, f.size)
         return p, size
 
@@ -139,7 +152,7 @@ def _by_coefficients(relative: float, failure: Array) -> Array:
     return np.asarray(relative * steep * np.abs(failure))
 
 
-def first_passage(
+def chain_first_passage(
     process: Process, limit: float, times: Array, tol: float = 1e-10, source: Source | None = None
 ) -> FirstPassage:
     """Return the first passage of ``limit`` > 0 with errors below ``tol`` where that is possible.
@@ -148,12 +161,12 @@ def first_passage(
     which ascend. Raises ``InvalidInput`` for a limit whose mean time is beyond double precision.
     """
     degree, wanted = degree_for(tol), 0.25 * tol
-    beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probed(process)
+    beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probe_process(process)
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
-    if not probe.log_mass.max() - log_mass < FARTHEST:
+    if not probe.log_mass.max() - log_mass < MAX_BARRIER:
         raise beyond
     fine = [layer_at(process, limit, time) for time in times[times > 0.0][:1]]
-    more = source.nodes(limit, HIGHEST) if source else ()
+    more = source.nodes(limit, MAX_ELEMENT_DEGREE) if source else ()
     nodes = time_nodes(process, limit, degree, fine=fine, more=more)
 
     def solved(pair: Pair) -> tuple[FirstPassage, Flags]:
@@ -175,7 +188,7 @@ def first_passage(
             marked |= (distance > wanted).reshape(a.count, -1).any(axis=1)
         return answer, marked
 
-    return refined(meshed(process, nodes, degree), solved)
+    return solve_with_refinement(element_pair(process, nodes, degree), solved)
 
 
 def fem_passage(
@@ -186,12 +199,12 @@ def fem_passage(
     Of a density that begins beyond the limit in part, that part has failed at the time 0. Raises
     ``InvalidInput`` where the mean time is beyond double precision.
     """
-    solved = first_passage(process, limit, times=times, tol=tol, source=source)
+    solved = chain_first_passage(process, limit, times=times, tol=tol, source=source)
     e, unit = solved.pair[0], solved.longest
     # The means over the source by the points of the elements, and by those of the enriched ones.
     (x, weights), (y, better) = (source.samples(each) for each in solved.pair)
     beyond, off = float(1.0 - weights.sum()), 0.0 if source.process is None else solved.round_off
-    starts, both = np.linspace(0.0, limit, STARTS), x.size + y.size
+    starts, both = np.linspace(0.0, limit, START_POINTS), x.size + y.size
 
     def over(values: Array, errors: Array) -> tuple[Array, Array]:
         mean, finer = values[..., : x.size] @ weights, values[..., x.size : both] @ better
@@ -216,13 +229,13 @@ def fem_passage(
     failure_error = failure_error + SAFETY * np.abs(weights.sum() - better.sum()) + off
     # ∫p where the limit absorbs, by the forward equation.
     load, later = source.load(e), compared > 0.0
-    g = evolved(e, load, compared[later], held=0.0)
+    g = inverse_laplace(e, load, compared[later], held=0.0)
     kept = np.full(compared.size, load[:, :2].sum())
     kept[later] = np.einsum("tei,ei->t", g.values, e.load)
     settings = {"degree": e.degree, "elements": e.count, "tol": tol}
     if source.process is not None:
         settings["beyond the limit at the start"] = beyond
-    return certified_passage(
+    return certify_passage(
         (mean, Number(variance, variance_error), Number(*solved.rate())),
         times,
         failure[: times.size],
@@ -235,7 +248,7 @@ def fem_passage(
     )
 
 
-def modulated_passage(
+def passage_with_modulation(
     under: Processes,
     modulation: Modulation,
     source: Source,
@@ -250,7 +263,8 @@ def modulated_passage(
     and failure rate are those of the noise that the modulation ends with. Where it ends with 0 who
     lives then never fails: moments are infinite, and there is no failure rate. Errors as of
     ``modulated_transition``, in probabilities and in the moments. Raises ``NotApplicable`` where
-    damping feeds energy in at the limit while there is no noise, and as ``first_passage`` does.
+    damping feeds energy in at the limit while there is no noise, and as
+    ``chain_first_passage`` does.
     """
     unit, last, quiet = modulation.largest, modulation.last, quiet_until(modulation, source)
     if unit == 0.0:
@@ -267,7 +281,9 @@ def modulated_passage(
     end = float(modulation.times[-1])
     asked = asked if last else np.minimum(asked, end)
     stops = np.unique([0.0, *asked, end])
-    later = first_passage(under(last), limit, times=stops[:0], tol=0.01 * tol) if last else None
+    later = (
+        chain_first_passage(under(last), limit, times=stops[:0], tol=0.01 * tol) if last else None
+    )
     first = float(modulation.energy(stops[1])) / unit
 
     def carried(e: Elements, level: int) -> Carried:
@@ -277,7 +293,7 @@ def modulated_passage(
         τ that is left, E(t_e + τ)², over the density of then.
         """
         load = source.load(e)
-        g, t, weight, mass = stepped(
+        g, t, weight, mass = radau_steps(
             e, load, modulation, unit, stops[1:], level=level, absorbing=True
         )
         kept = np.append(load[:, :2].sum(), np.einsum("tei,ei->t", g.values, e.load))
@@ -295,11 +311,11 @@ def modulated_passage(
             lost += [one[1], 2.0 * end * one[1] + two[1]]
         return g, np.append(kept, moments), lost
 
-    solved, found = halved(
-        *posed(process, source, first, SHARE * tol, limit=limit),
+    solved, found = halve_steps(
+        *pose_question(process, source, first, MODULATED_SHARE * tol, limit=limit),
         carried,
         lambda moved, numbers: float(np.max(moved / np.maximum(numbers, 1.0))),
-        SHARE * tol,
+        MODULATED_SHARE * tol,
     )
     e, (numbers, longer, both) = solved.elements, (each[1] for each in found)
     # What twice as long steps change, and with them a higher degree: errors of both may cancel.
@@ -319,7 +335,7 @@ def modulated_passage(
             Number(square - mean**2, square_error + 2.0 * mean * mean_error),
             Number(*later.rate()),
         )
-    return certified_passage(
+    return certify_passage(
         moments,
         times,
         failure[at],

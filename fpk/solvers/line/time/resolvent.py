@@ -14,34 +14,34 @@ import numpy as np
 from scipy.sparse import block_diag, coo_array, csc_array
 from scipy.sparse.linalg import eigsh
 
-from fpk.answer.dynamics import Rates, certified_rates
+from fpk.answer.dynamics import Rates, certify_rates
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes, Integers
 from fpk.numeric.errors import NotCertified
-from fpk.solvers.line.mesh import probed, split_points, time_nodes
+from fpk.solvers.line.mesh import probe_process, split_points, time_nodes
 from fpk.solvers.line.time.elements import (
     MOST_ELEMENTS,
     SAFETY,
-    TAIL,
+    TAIL_SHARES,
+    ChainDensity,
     Elements,
-    Evolved,
     degree_for,
-    meshed,
+    element_pair,
 )
 from fpk.system.process import Process
 
-SPREAD = 10.0
+CONTOUR_TIMES = 10.0
 """Largest ratio of the times that share one contour: 75 points, where one time has 46."""
 PHI = 0.5
 """Inclination of the hyperbola. Faster converging ones (1.17) lie flat along the negative axis,
 where the transform of what has drifted for a time t_0 grows as e^(−z t_0): that cancels to
 less than a millionth where many masses start from rest."""
-GROWTH = 6.0
+CONTOUR_VERTEX = 6.0
 """z t where the contour crosses the real axis, times 1/(1 − sin φ): e^3.1 multiplies round-off."""
 LONGER = 1.3
 """Factor on the last energy from one round to the next."""
 WAVES = 10
 """Waves of an eigenfunction that an element takes."""
-ROUNDS = 6
+RATE_ROUNDS = 6
 """Most rounds, at every second of which all elements are cut in two."""
 SHIFT = 0.1
 """Shift below 0 of the inverse, in units of the scale of the rates: K alone is singular."""
@@ -60,12 +60,12 @@ def contours(times: Array, *, more: int = 0) -> list[tuple[Integers, Complexes, 
     order, found, digits = np.argsort(times, kind="stable"), [], -log(EPS)
     while order.size:
         first = times[order[0]]
-        together = order[times[order] <= SPREAD * first]
+        together = order[times[order] <= CONTOUR_TIMES * first]
         order = order[together.size :]
         last = float(times[together[-1]])
-        mu, reach = GROWTH / last, digits * last / float(first) + GROWTH
-        step = 2.0 * pi * PHI / (GROWTH + digits)
-        points = ceil(acosh(reach / (GROWTH * sin(PHI))) / step)
+        mu, reach = CONTOUR_VERTEX / last, digits * last / float(first) + CONTOUR_VERTEX
+        step = 2.0 * pi * PHI / (CONTOUR_VERTEX + digits)
+        points = ceil(acosh(reach / (CONTOUR_VERTEX * sin(PHI))) / step)
         step *= points / (points + more)
         theta = step * (np.arange(points + more) + 0.5)
         z = mu * (1.0 + np.sin(1j * theta - PHI))
@@ -75,7 +75,7 @@ def contours(times: Array, *, more: int = 0) -> list[tuple[Integers, Complexes, 
     return found
 
 
-def eliminated(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
+def eliminate_chain(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
     """Return the elements at the Laplace variables ``z`` (points,), each with all below eliminated.
 
     Arrays (elements, …, points): ``series`` conducts from end to end, ``shunt`` flows off at both
@@ -100,7 +100,7 @@ def eliminated(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
     return series, shunt, damped, total, ratio, passed
 
 
-def resolvent(
+def chain_resolvent(
     e: Elements, z: Numbers, load: Array, end: Numbers | None = None, *, density: bool = True
 ) -> tuple[Numbers, float]:
     """Return the coefficients f (elements, functions, points) of (z − L) f = ``load``.
@@ -110,7 +110,7 @@ def resolvent(
     functions) physical, and has a relative residual at the nodes; otherwise f has one unit, and
     the load those of the elements.
     """
-    series, shunt, damped, total, ratio, passed = eliminated(e, z)
+    series, shunt, damped, total, ratio, passed = eliminate_chain(e, z)
     coupling = e.mass[:, 2:, :2]
     up, down = (np.ones(e.count - 1), e.steps) if density else (e.steps, np.ones(e.count - 1))
     inner = load[:, 2:, None] / damped
@@ -139,11 +139,11 @@ def resolvent(
     return f, float((np.abs(terms.sum(axis=0)) / size).max())
 
 
-def evolved(
+def inverse_laplace(
     e: Elements, load: Array, times: Array, *, held: float | None = None, more: int = 0,
     density: bool = True,
-) -> Evolved:  # fmt: skip
-    """Return the coefficients at ``times`` > 0 of what begins with ``load``, as of ``resolvent``.
+) -> ChainDensity:  # fmt: skip
+    """Return the coefficients at ``times`` > 0 of what begins with ``load``.
 
     Contours have ``more`` points. The last end is ``held`` at a value, or no flux leaves there.
     """
@@ -151,14 +151,14 @@ def evolved(
     residuals = [0.0]
     for places, z, factors in contours(times, more=more):
         end = None if held is None else held / z
-        f, residual = resolvent(e, z, load, end, density=density)
+        f, residual = chain_resolvent(e, z, load, end, density=density)
         values[places] = np.einsum("tz,eiz->tei", factors, f).imag
         size[places] = np.einsum("tz,eiz->tei", np.abs(factors), np.abs(f))
         residuals.append(residual)
-    return Evolved(e, values, size, float(np.max(residuals)))
+    return ChainDensity(e, values, size, float(np.max(residuals)))
 
 
-def moment(e: Elements, load: Array) -> Array:
+def chain_potential(e: Elements, load: Array) -> Array:
     """Return (−L)⁻¹ of a load in the units of the elements, 0 at the right end: first passage."""
     own = zip(load[:, :2].sum(axis=1), e.steps, strict=False)
     below = accumulate(own, lambda current, k: (current + k[0]) * k[1], initial=0.0)
@@ -198,38 +198,39 @@ def eigenvalues_below(e: Elements, rates: Array) -> Integers:
 
     As many as negative pivots of A − λM: Wittrick, Williams, Q. J. Mech. Appl. Math. 24 (1971) 263.
     """
-    _, shunt, damped, total, _, passed = eliminated(e, -rates)
+    _, shunt, damped, total, _, passed = eliminate_chain(e, -rates)
     inner, ends = (damped < 0.0).sum(axis=(0, 1)), (total[1:] < 0.0).sum(axis=0)
     return np.asarray(inner + ends + (passed[-1] + shunt[-1, 1] < 0.0))
 
 
-def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
+def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
     """Return the ``count`` least eigenvalues of −L but 0, all of them real.
 
-    To the relative tolerance ``tol``, up to where π φ², φ ~ H^``count``, has the share ``TAIL``.
+    To the relative tolerance ``tol``, up to where π φ², φ ~ H^``count``, has the share
+    ``TAIL_SHARES``.
     """
     degree, scale = degree_for(tol), process.energy_scale
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
     temperature = scale / process.degrees_of_freedom
     # φ rises from the temperature on. Of a Laguerre polynomial of the norm 1, with φ ~ H^count, the
     # largest π φ² far out is 4^count.
-    probe = probed(process)
+    probe = probe_process(process)
     rise = np.where(probe.energy > temperature, 2.0 * count / probe.energy, 0.0)
     grown = replace(probe, slope=probe.slope + rise)
     try:
-        ends = np.array([grown.extent(tail * tol * 0.25**count) for tail in TAIL])
+        ends = np.array([grown.extent(tail * tol * 0.25**count) for tail in TAIL_SHARES])
     except NotCertified:
         words = "the density does not fall faster than the eigenfunctions rise"
         raise NotCertified(words) from None
     # Towards H = 0 the k-th eigenfunction has k waves a temperature.
     fine = [(0.0, WAVES / count * temperature)] if count > WAVES else []
-    for turn in range(ROUNDS):
+    for turn in range(RATE_ROUNDS):
         end, last = LONGER**turn * ends
         nodes = time_nodes(process, end, degree, fine=fine)
         for _ in range(turn // 2):
             at = split_points(nodes[:-1], nodes[1:], process.nonsmooth)
             nodes = np.sort(np.append(nodes, at))
-        pair, found = meshed(process, nodes, degree, beyond=[last]), []
+        pair, found = element_pair(process, nodes, degree, beyond=[last]), []
         for e in pair:
             M, K, *_ = matrices(e)
             first, shift = np.linspace(1.0, 2.0, M.shape[0]), -SHIFT * order
@@ -252,4 +253,4 @@ def spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
     below = eigenvalues_below(answer, np.array([0.5 * rates[0], beyond]))
     residual = float(below.tolist() != [1, count + 1])
     settings = {"elements": answer.count, "tol": tol}
-    return certified_rates(rates, errors, tol=tol, residual=residual, settings=settings)
+    return certify_rates(rates, errors, tol=tol, residual=residual, settings=settings)

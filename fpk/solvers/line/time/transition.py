@@ -12,23 +12,30 @@ from fpk.answer.names import number_text
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput
 from fpk.solvers.line.elements import ENRICHMENT
-from fpk.solvers.line.mesh import GROWTH, HIGHEST, LAYER, layer_at, probed, time_nodes
+from fpk.solvers.line.mesh import (
+    LAYER,
+    LENGTH_RATIO,
+    MAX_ELEMENT_DEGREE,
+    layer_at,
+    probe_process,
+    time_nodes,
+)
 from fpk.solvers.line.time.elements import (
     SAFETY,
-    TAIL,
+    TAIL_SHARES,
+    ChainDensity,
     Elements,
-    Evolved,
     Pair,
     Settings,
+    chain_elements,
     degree_for,
-    elements,
-    meshed,
-    refined,
+    element_pair,
+    solve_with_refinement,
 )
-from fpk.solvers.line.time.resolvent import evolved
+from fpk.solvers.line.time.resolvent import inverse_laplace
 from fpk.system.process import Process
 
-FARTHEST = -600.0
+MIN_LOG_SHARE = -600.0
 """ln of the least stationary probability beyond a start that double precision can relate to one;
 four times as much where the start is a density and not one energy (at −5000 errors exceed it)."""
 
@@ -43,22 +50,24 @@ class Source:
     @cached_property
     def extent(self) -> float:
         """Energy above which no more than the round-off of the source is."""
-        return self.energy if self.process is None else float(probed(self.process).extent(EPS))
+        return (
+            self.energy if self.process is None else float(probe_process(self.process).extent(EPS))
+        )
 
     def nodes(self, end: float, degree: int) -> Array:
         """Return ends of elements that see the source; beyond it they grow up to ``end``."""
         if self.process is None:
             return np.zeros(0)
         last = min(end, self.extent)
-        steps = np.arange(1.0, np.log(end / last) / np.log(GROWTH))
-        return np.append(time_nodes(self.process, last, degree), last * GROWTH**steps)
+        steps = np.arange(1.0, np.log(end / last) / np.log(LENGTH_RATIO))
+        return np.append(time_nodes(self.process, last, degree), last * LENGTH_RATIO**steps)
 
     def samples(self, e: Elements) -> tuple[Array, Array]:
         """Return energies within the elements, and their weights in a mean over the source."""
         if self.process is None:
             return np.array([self.energy]), np.ones(1)
-        nodes = time_nodes(self.process, self.extent, HIGHEST)
-        own = elements(self.process, nodes[:-1], nodes[1:], HIGHEST)
+        nodes = time_nodes(self.process, self.extent, MAX_ELEMENT_DEGREE)
+        own = chain_elements(self.process, nodes[:-1], nodes[1:], MAX_ELEMENT_DEGREE)
         within = e.x < self.extent
         x = e.x[within]
         log_p = own.log_density(x) - np.logaddexp.reduce(own.log_mass)
@@ -103,8 +112,8 @@ class Transition:
     """
 
     question: Question
-    solution: Evolved
-    enriched: Evolved
+    solution: ChainDensity
+    enriched: ChainDensity
     distance: Array
     top: Array
     measured: Measured
@@ -139,17 +148,19 @@ class Transition:
 
 def transition(process: Process, source: Source, times: Array, *, tol: float = 1e-10) -> Transition:
     """Return the density at ``times`` > 0 after ``source``, to ``tol`` if certified."""
-    question, pair = posed(process, source, float(times.min()), tol)
-    return adapted(question, pair, lambda e, more: evolved(e, source.load(e), times, more=more))
+    question, pair = pose_question(process, source, float(times.min()), tol)
+    return solve_adaptively(
+        question, pair, lambda e, more: inverse_laplace(e, source.load(e), times, more=more)
+    )
 
 
-def posed(
+def pose_question(
     process: Process, source: Source, time: float, tol: float, *, limit: float | None = None
 ) -> tuple[Question, Pair]:
     """Return the question, ``time`` the first one asked for, and the meshes to begin with.
 
-    Without an absorbing ``limit`` no more than ``TAIL`` is beyond them at any time: from a start
-    above the energy H_0 it is less than the stationary tail over that beyond H_0. Raises
+    Without an absorbing ``limit`` no more than ``TAIL_SHARES`` is beyond them at any time: from a
+    start above the energy H_0 it is less than the stationary tail over that beyond H_0. Raises
     ``InvalidInput`` for a start beyond the range of double precision.
     """
     degree, start, width, fine = degree_for(tol), source.energy, process.energy_scale, []
@@ -162,9 +173,12 @@ def posed(
     if limit is not None:
         fine.append(layer_at(process, limit, time))
         nodes = time_nodes(process, limit, degree, fine=fine, more=source.nodes(limit, degree))
-        return Question(source, width, tol), meshed(process, nodes, degree)
-    probe, share = probed(process), 0.0
-    top, least = int(probe.log_mass.argmax()), FARTHEST * (1.0 if source.process is None else 4.0)
+        return Question(source, width, tol), element_pair(process, nodes, degree)
+    probe, share = probe_process(process), 0.0
+    top, least = (
+        int(probe.log_mass.argmax()),
+        MIN_LOG_SHARE * (1.0 if source.process is None else 4.0),
+    )
     if source.extent > probe.energy[top]:
         above = np.interp(np.log(source.extent), np.log(probe.energy), probe.log_mass)
         share = float(above - probe.log_mass[top])
@@ -172,36 +186,40 @@ def posed(
         remedy = "the stationary probability beyond it is out of the range of double precision"
         raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
     ends = []
-    for tail in TAIL:
+    for tail in TAIL_SHARES:
         if source.process is None:
             ends.append(max(probe.extent(math.exp(math.log(tail * tol) + share)), 1.05 * start))
         else:
-            ends.append(max(each.extent(tail * tol) for each in (probe, probed(source.process))))
+            ends.append(
+                max(each.extent(tail * tol) for each in (probe, probe_process(source.process)))
+            )
     # The enriched solution reaches farther, by a fiftieth at least.
     end, last = ends[0], max(ends[1], 1.02 * ends[0])
     nodes = time_nodes(process, end, degree, fine=fine, more=source.nodes(end, degree))
     beyond = np.linspace(end, last, 1 + math.ceil((last - end) / float(nodes[-1] - nodes[-2])))
-    return Question(source, width, tol), meshed(process, nodes, degree, beyond=beyond[1:])
+    return Question(source, width, tol), element_pair(process, nodes, degree, beyond=beyond[1:])
 
 
-def adapted(question: Question, pair: Pair, solve: Callable[..., Evolved]) -> Transition:
+def solve_adaptively(
+    question: Question, pair: Pair, solve: Callable[..., ChainDensity]
+) -> Transition:
     """Return what ``solve(e=elements, more=degrees)`` gives on meshes that adapt, judged."""
     before, tol = math.inf, question.tol
 
     def solved(pair: Pair) -> tuple[Transition, Flags]:
         nonlocal before
         solutions = solve(e=pair[0], more=0), solve(e=pair[1], more=ENRICHMENT)
-        answer, own, rounding = judged(question, *solutions)
+        answer, own, rounding = estimate_error(question, *solutions)
         marked = own > np.maximum(0.1 * tol / own.size, rounding)
         small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < before
         before = own.sum()
         return answer, marked & (not small)
 
-    return refined(pair, solved)
+    return solve_with_refinement(pair, solved)
 
 
-def judged(
-    question: Question, own: Evolved, finer: Evolved, *, distance: Array | None = None
+def estimate_error(
+    question: Question, own: ChainDensity, finer: ChainDensity, *, distance: Array | None = None
 ) -> tuple[Transition, Array, Array]:
     """Return the solution, judged by its ``distance``, to the enriched one ``finer`` unless given.
 
@@ -217,7 +235,7 @@ def judged(
     far, far_w = enriched.x[answer.count :], enriched.weight[answer.count :]
     beyond = np.abs(finer.density(np.append(far.ravel(), last))[0])
     tail = (beyond[:, :-1] @ far_w.ravel()).max()
-    tail += probed(answer.process).tail_bound(last, float(beyond[:, -1].max()))
+    tail += probe_process(answer.process).tail_bound(last, float(beyond[:, -1].max()))
     common = question.common_error(answer, p, size + other, x.ravel())
     pointwise = SAFETY * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w

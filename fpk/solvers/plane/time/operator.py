@@ -16,7 +16,7 @@ from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.quadrature import gauss_grid
 from fpk.solvers.plane.elements import (
     Nodes,
-    assembled,
+    assemble,
     axis_numbers,
     element_matrices,
     flux_coefficients,
@@ -24,12 +24,12 @@ from fpk.solvers.plane.elements import (
     shape_functions,
 )
 from fpk.solvers.plane.solution import PlaneSolution, gauss_points
-from fpk.solvers.plane.weight import PLAIN, RISE, Weight, reach
+from fpk.solvers.plane.weight import RISE, UNIT_WEIGHT, Weight, negligible_rise
 from fpk.system.process import Process
 
-LEVELS = ((3, 7), (4, 9), (5, 11), (6, 13), (8, 14), (11, 15))
+PLANE_LEVELS = ((3, 7), (4, 9), (5, 11), (6, 13), (8, 14), (11, 15))
 """Panels along each axis and degree: about two digits more from one to the next."""
-SHARE = 0.1
+DISTANCE_SHARE = 0.1
 """Share of the largest difference of two levels, anywhere, in every error: it may cross zero."""
 
 
@@ -48,7 +48,7 @@ class PlaneOperator:
     process: Process
     nodes: Nodes
     degree: int
-    weight: Weight = PLAIN
+    weight: Weight = UNIT_WEIGHT
     balanced: bool = False
     absorbing: tuple[bool, bool] = (False, False)
     collapsed: bool = False
@@ -135,7 +135,7 @@ class PlaneOperator:
         parts = flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
         parts = self.pulled_back(x, y, parts)
         A, M = (
-            assembled(element_matrices(of, self.nodes, self.degree), numbers)
+            assemble(element_matrices(of, self.nodes, self.degree), numbers)
             for of in (parts[1:], parts[:1])
         )
         S, N, k = self.functions
@@ -223,8 +223,8 @@ def operators(
     """
     weight, balanced = stationary.weight, not stationary.degree and share == 1.0
     weight = replace(weight, coefficients=share * weight.coefficients)
-    for level, (panels, degree) in enumerate(LEVELS):
-        rise = reach(tol, height, level)
+    for level, (panels, degree) in enumerate(PLANE_LEVELS):
+        rise = negligible_rise(tol, height, level)
         floored = replace(weight, floor=float(np.exp(-share * (rise + RISE))))
         yield PlaneOperator(
             stationary.process, nodes(rise, panels), degree, floored, balanced, absorbing, collapsed

@@ -11,26 +11,26 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, eigs
 
-from fpk.answer.dynamics import BEYOND_RANGE, Passage, Rates, certified_passage, certified_rates
+from fpk.answer.dynamics import BEYOND_RANGE, Passage, Rates, certify_passage, certify_rates
 from fpk.answer.names import number_text
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotCertified
-from fpk.solvers.plane.elements import Nodes, factorised
-from fpk.solvers.plane.solution import SAFETY, PlaneSolution, graded
-from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators
-from fpk.solvers.plane.time.transient import KRYLOV, evolved, relative_residual
-from fpk.solvers.plane.weight import reach
+from fpk.solvers.plane.elements import Nodes, lu_factors
+from fpk.solvers.plane.solution import SAFETY, PlaneSolution, root_spaced_nodes
+from fpk.solvers.plane.time.operator import DISTANCE_SHARE, PlaneOperator, PlaneStart, operators
+from fpk.solvers.plane.time.transient import KRYLOV_SHARE, krylov_exponential, relative_residual
+from fpk.solvers.plane.weight import negligible_rise
 
 FOLDS = 5.0
 """Largest mean rise of −ln w over a panel: the elimination loses the root of its exponential."""
-HIGHEST = 300.0
+MAX_LIMIT_RISE = 300.0
 """Largest rise of −ln w up to a limit: E T² of the order of e^600 is within double precision."""
-MOST_UNKNOWNS = 300_000
+MAX_PLANE_UNKNOWNS = 300_000
 """Unknowns of the largest level, of 3 GB; two levels are needed for an answer with an error."""
 VECTORS = (4, 30)
 """Arnoldi vectors: so many times those sought, and more: few may miss one of several like rates."""
-HEIGHT = 8.0
+RATES_HEIGHT = 8.0
 """Rise of −ln w by which meshes are longer than for densities: modes grow with the energy."""
 
 
@@ -66,20 +66,20 @@ class PlaneLimit:
         if self.total is not None:
             corners = stationary.weight.exponent(*(self.total * np.eye(2)))
             angles = max(panels, int(abs(corners[1] - corners[0]) / FOLDS))
-            along = graded((self.total, 1.0), max(panels, int(corners.max() / FOLDS)))[0]
+            along = root_spaced_nodes((self.total, 1.0), max(panels, int(corners.max() / FOLDS)))[0]
             return along, np.sin(np.linspace(0.0, 0.5 * np.pi, 1 + angles)) ** 2
         limits = zip((self.first, self.second), stationary.far_ends(rise), strict=True)
         ends = [far if limit is None else limit for limit, far in limits]
         rises = stationary.weight.exponent(*np.diag(ends))
         counts = [max(panels, int(rise / FOLDS)) for rise in rises]
-        return graded(ends, counts[0])[0], graded(ends, counts[1])[1]
+        return root_spaced_nodes(ends, counts[0])[0], root_spaced_nodes(ends, counts[1])[1]
 
 
 Level = tuple[PlaneOperator, Array, Array, float]
 """An operator; mean, variance, rate, reliability at all times; their numerical errors; residual."""
 
 
-def first_passage(
+def plane_first_passage(
     stationary: PlaneSolution,
     start: PlaneStart,
     limit: PlaneLimit,
@@ -93,14 +93,14 @@ def first_passage(
     Levels rise until two agree to ``tol``, relative to mean, variance and rate, or more are
     ``_hopeless``. What a density at the start has beyond the limit fails at 0.
     ``coefficients_error`` is relative. Raises ``InvalidInput`` for a limit whose mean time is
-    beyond double precision, or that takes more than ``MOST_UNKNOWNS``.
+    beyond double precision, or that takes more than ``MAX_PLANE_UNKNOWNS``.
     """
     height = start.height(stationary)
-    far = stationary.far_ends(reach(tol, height))
+    far = stationary.far_ends(negligible_rise(tol, height))
     lowest = float(np.min(stationary.weight.exponent(*limit.edge(far))))
     given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
     words = ", ".join(map(number_text, given))
-    if lowest > HIGHEST:
+    if lowest > MAX_LIMIT_RISE:
         raise InvalidInput("limit", words, BEYOND_RANGE)
     finer = operators(
         stationary,
@@ -110,7 +110,7 @@ def first_passage(
         absorbing=limit.absorbing,
         collapsed=limit.collapsed,
     )
-    every = [op for op in finer if op.sizes[0] * op.sizes[1] <= MOST_UNKNOWNS]
+    every = [op for op in finer if op.sizes[0] * op.sizes[1] <= MAX_PLANE_UNKNOWNS]
     if len(every) < 2:
         remedy = "so rare a failure takes more equations than fit into memory; take a lower one"
         raise InvalidInput("limit", words, remedy)
@@ -127,11 +127,11 @@ def first_passage(
         # The variance is the difference of two moments, each with the error of the coefficients.
         errors[1] += model * 2.0 * values[0] ** 2
         mean, variance, rate = map(Number, values[:3].tolist(), errors[:3].tolist())
-        answer = certified_passage(
+        answer = certify_passage(
             (mean, variance, rate),
             times,
             1.0 - values[3:],
-            errors[3:] + SHARE * np.max(errors[3:], initial=0.0),
+            errors[3:] + DISTANCE_SHARE * np.max(errors[3:], initial=0.0),
             tol=tol,
             residual=float(np.max([residual, coarse[3]])),
             settings={"unknowns": op.matrices[2].size, "degree": op.degree},
@@ -158,7 +158,7 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
     # Equal factors on all three change nothing; without them small energies underflow.
     A, M, shares = (part / op.matrices[2].max() for part in op.matrices)
     transposed, dual = (-A.T).tocsc(), start.dual(op)
-    backward = factorised(transposed)
+    backward = lu_factors(transposed)
     sizes = abs(transposed)
 
     def solved(right: Array) -> tuple[Array, Array, float]:
@@ -185,12 +185,12 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
     # E T <= t + P(T > t) max E T: where failure is rare that is enough. At 0 it is not needed.
     top, at_zero = float(op.largest(T)), times <= 0.0
     bound = np.where(at_zero, 0.0, (top - mean + times) / top + relative)
-    late = bound > KRYLOV * tol
+    late = bound > KRYLOV_SHARE * tol
     survival, lost = np.ones(times.size), np.where(late, 0.0, bound)
     if start.density is not None:
-        survival[at_zero] = float(dual @ factorised(M).solve(shares))
+        survival[at_zero] = float(dual @ lu_factors(M).solve(shares))
     if np.any(late):
-        u = evolved(-transposed, M, shares, times[late], tol=KRYLOV * tol)
+        u = krylov_exponential(-transposed, M, shares, times[late], tol=KRYLOV_SHARE * tol)
         survival[late] = u.values @ dual
         lost[late] = np.abs(u.change @ dual) + ROUNDINGS * u.rounding * op.largest(u.values)
         residual = float(np.max([residual, u.residual]))
@@ -214,14 +214,14 @@ def relaxation_rates(
     vectors, levels = VECTORS[0] * sought + VECTORS[1], list[Complexes]()
     for op in operators(
         stationary,
-        lambda rise, panels: graded(stationary.far_ends(rise), panels),
+        lambda rise, panels: root_spaced_nodes(stationary.far_ends(rise), panels),
         tol=tol,
-        height=HEIGHT,
+        height=RATES_HEIGHT,
     ):
         A, M, shares = op.matrices
         if vectors >= shares.size:
             continue
-        factors = factorised((shift * M - A).tocsc())
+        factors = lu_factors((shift * M - A).tocsc())
         inverse = LinearOperator(A.shape, matvec=factors.solve, dtype=float) @ aslinearoperator(M)
         start: Array = np.random.default_rng(0).normal(size=shares.size)
         s, X = eigs(inverse, k=sought, ncv=vectors, v0=start, tol=0.0)
@@ -243,7 +243,7 @@ def relaxation_rates(
         errors += 50.0 * EPS * (size + shift) ** 2 / shift
         errors += (relative + 2.0 * stationary.relative_error * (stationary.degree == 0)) * size
         settings = {"unknowns": shares.size, "degree": op.degree}
-        answer = certified_rates(values, errors, tol=tol, residual=residual, settings=settings)
+        answer = certify_rates(values, errors, tol=tol, residual=residual, settings=settings)
         if answer.certificate.certified:
             break
     if answer is None:

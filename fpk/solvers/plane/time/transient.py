@@ -15,32 +15,32 @@ from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import LARGEST_ERROR, Transient
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array
 from fpk.numeric.quadrature import gauss_grid, panel_rule
-from fpk.solvers.plane.elements import Nodes, factorised
-from fpk.solvers.plane.solution import PlaneSolution, graded
-from fpk.solvers.plane.time.operator import SHARE, PlaneOperator, PlaneStart, operators
-from fpk.solvers.plane.weight import reach
+from fpk.solvers.plane.elements import Nodes, lu_factors
+from fpk.solvers.plane.solution import PlaneSolution, root_spaced_nodes
+from fpk.solvers.plane.time.operator import DISTANCE_SHARE, PlaneOperator, PlaneStart, operators
+from fpk.solvers.plane.weight import negligible_rise
 
-PAIR = (0, 1)
+BOTH_AXES = (0, 1)
 """The axes along which a density of both energies is seen; one of them alone, or none: the sum."""
-HEIGHT = 12.0
+MAX_START_HEIGHT = 12.0
 """Largest rise of −ln w up to a start, by whose root errors grow: higher up w is flatter."""
 GIVEN_UP = (13, 0.5)
 """Degree from which on a larger L1 distance ends the search: the time is too short to resolve."""
-RATIO = 30.0
+TIME_RATIO = 30.0
 """Largest over smallest time of one Krylov space."""
 POLE = 0.03
 """Shift γ over the largest time. A rational function of one such pole approximates e^(−x) on the
 whole half-axis with an error that falls by (√2 − 1) a degree (Andersson 1981), on any mesh."""
-KRYLOV = 1e-2
+KRYLOV_SHARE = 1e-2
 """Fraction of the tolerance of an answer to which e^(tA) is computed."""
-GROWN = 8
+KRYLOV_BLOCK = 8
 """Dimensions by which a space grows; the answer without the last ones gives the error."""
-MOST = 160
+MAX_KRYLOV = 160
 """Largest dimension."""
 
 
-class Evolved(NamedTuple):
-    """g at times (times, unknowns), its change by the last ``GROWN`` dimensions, its round-off.
+class KrylovSolution(NamedTuple):
+    """g at times (times, unknowns), its change by the last ``KRYLOV_BLOCK`` dimensions, round-off.
 
     That is relative (times,) in the norm ∫ w g²; ``residual`` is the largest of the linear systems.
     """
@@ -57,32 +57,38 @@ def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Arra
     return float(np.max(defect) / (np.max(np.abs(right)) + np.max(sizes @ np.abs(x))))
 
 
-def evolved(A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float) -> Evolved:
+def krylov_exponential(
+    A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float
+) -> KrylovSolution:
     """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of its norm ∫ w g².
 
     The eigenvalues of (M − γA)⁻¹ M give slow rates to round-off/γ, at large times to their digits.
     """
-    start = factorised(M).solve(dual)
+    start = lu_factors(M).solve(dual)
     residuals, parts, first = [relative_residual(M, abs(M), start, dual)], [], 0
     while first < times.size:
-        last = int(np.searchsorted(times, RATIO * times[first], side="right"))
+        last = int(np.searchsorted(times, TIME_RATIO * times[first], side="right"))
         parts.append(_of_group(A, M, start, times[first:last], tol))
         first = last
     *arrays, own = zip(*parts, strict=True)
     values, change, rounding = map(np.concatenate, arrays)
-    return Evolved(values, change, rounding, float(np.max([*residuals, *own])))
+    return KrylovSolution(values, change, rounding, float(np.max([*residuals, *own])))
 
 
-def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float) -> Evolved:
+def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float) -> KrylovSolution:
     gamma = POLE * float(times[-1])
     matrix = (M - gamma * A).tocsc()
-    factors, sizes = factorised(matrix), abs(matrix)
-    V, MV = np.empty((MOST, start.size)), np.empty((MOST, start.size))
-    H, residuals, norm = np.zeros((MOST, MOST)), [0.0], float(np.sqrt(start @ (M @ start)))
+    factors, sizes = lu_factors(matrix), abs(matrix)
+    V, MV = np.empty((MAX_KRYLOV, start.size)), np.empty((MAX_KRYLOV, start.size))
+    H, residuals, norm = (
+        np.zeros((MAX_KRYLOV, MAX_KRYLOV)),
+        [0.0],
+        float(np.sqrt(start @ (M @ start))),
+    )
     V[0], MV[0] = start / norm, (M @ start) / norm
-    for k in range(1, MOST):
+    for k in range(1, MAX_KRYLOV):
         v = factors.solve(MV[k - 1])
-        if k % GROWN == 1:
+        if k % KRYLOV_BLOCK == 1:
             residuals.append(relative_residual(matrix, sizes, v, MV[k - 1]))
         before = float(np.sqrt(v @ (M @ v)))
         for _ in range(2):
@@ -91,19 +97,24 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
             v = v - along @ V[:k]
         Mv = M @ v
         H[k, k - 1] = size = float(np.sqrt(v @ Mv))
-        fewer = k if size <= 1e-12 * before else k - GROWN  # round-off: the space is complete
-        if fewer == k or (k + 1 >= 3 * GROWN and (k + 1) % GROWN == 0):
-            more, rounding, norms = _reduced(H[:k, :k], times, gamma)
+        fewer = (
+            k if size <= 1e-12 * before else k - KRYLOV_BLOCK
+        )  # round-off: the space is complete
+        if fewer == k or (k + 1 >= 3 * KRYLOV_BLOCK and (k + 1) % KRYLOV_BLOCK == 0):
+            more, rounding, norms = _small_exponential(H[:k, :k], times, gamma)
             change = more.copy()
-            change[:, :fewer] -= _reduced(H[:fewer, :fewer], times, gamma)[0]
-            if float(np.max(np.linalg.norm(change, axis=1) / norms)) <= tol or k + GROWN >= MOST:
+            change[:, :fewer] -= _small_exponential(H[:fewer, :fewer], times, gamma)[0]
+            if (
+                float(np.max(np.linalg.norm(change, axis=1) / norms)) <= tol
+                or k + KRYLOV_BLOCK >= MAX_KRYLOV
+            ):
                 break
         V[k], MV[k] = v / size, Mv / size
     values, lost = norm * more @ V[:k], norm * change @ V[:k]
-    return Evolved(values, lost, rounding / norms, float(np.max(residuals)))
+    return KrylovSolution(values, lost, rounding / norms, float(np.max(residuals)))
 
 
-def _reduced(H: Array, times: Array, gamma: float) -> tuple[Array, Array, Array]:
+def _small_exponential(H: Array, times: Array, gamma: float) -> tuple[Array, Array, Array]:
     """e^(tA) of the first basis vector (times, m), A = (1 − S⁻¹)/γ, its round-off and norms."""
     s, X = np.linalg.eig(H)
     condition, first = float(np.linalg.cond(X)), np.linalg.solve(X, np.eye(len(H))[0])
@@ -119,11 +130,11 @@ def _reduced(H: Array, times: Array, gamma: float) -> tuple[Array, Array, Array]
     return values, EPS * condition * (1.0 + times / gamma), norms
 
 
-Level = tuple[PlaneOperator, Evolved]
+Level = tuple[PlaneOperator, KrylovSolution]
 """An operator, and its free unknowns at all times."""
 
 
-def seen_at(op: PlaneOperator, seen: tuple[int, ...], g: Array, at: Sequence[Array]) -> Array:
+def marginal_at(op: PlaneOperator, seen: tuple[int, ...], g: Array, at: Sequence[Array]) -> Array:
     """Return the densities (times, ...) of unknowns g (times, unknowns) at energies ``at``.
 
     These are points (points,), or of a pair also the axes (m, 1) and (1, n) of a grid.
@@ -131,10 +142,10 @@ def seen_at(op: PlaneOperator, seen: tuple[int, ...], g: Array, at: Sequence[Arr
     if len(seen) == 1:
         y, v = (a.ravel() for a in panel_rule(op.nodes[1 - seen[0]], op.points))
         if seen == (0,):
-            return np.asarray(seen_at(op, PAIR, g, np.ix_(at[0], y)) @ v)
-        return np.asarray(v @ seen_at(op, PAIR, g, np.ix_(y, at[0])))
+            return np.asarray(marginal_at(op, BOTH_AXES, g, np.ix_(at[0], y)) @ v)
+        return np.asarray(v @ marginal_at(op, BOTH_AXES, g, np.ix_(y, at[0])))
     g = op.spread(g)
-    if seen == PAIR:
+    if seen == BOTH_AXES:
         first, second = (op.along(k, H.ravel()) for k, H in enumerate(at))
         if at[0].ndim == 2:
             return np.asarray((first @ g @ second.T) * op.weight(*at))
@@ -152,13 +163,13 @@ def seen_at(op: PlaneOperator, seen: tuple[int, ...], g: Array, at: Sequence[Arr
     return np.asarray(g.reshape(len(g), -1) @ rows.reshape(len(rows), -1).T)
 
 
-def seen_grid(
+def marginal_grid(
     op: PlaneOperator, seen: tuple[int, ...]
 ) -> tuple[Sequence[Array], Array, list[float]]:
     """Return axes of energies, weights of an integral on their grid, and the last energies."""
     ends = [float(x[-1]) for x in op.nodes]
     if not seen:  # panels equidistant in √H
-        x, w = panel_rule(graded((sum(ends), 1.0), 12)[0], 8)
+        x, w = panel_rule(root_spaced_nodes((sum(ends), 1.0), 12)[0], 8)
         return (x.ravel(),), w.ravel(), [sum(ends)]
     axes, grids = gauss_grid([op.nodes[k] for k in seen], points=op.degree + 2)
     return axes, reduce(np.multiply.outer, [w for _, w in grids]).ravel(), [ends[k] for k in seen]
@@ -182,11 +193,11 @@ def transient_densities(
     """
     for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
         (op, g), (other_op, other_g) = fine, coarse
-        axes, area, ends = seen_grid(op, seen)
+        axes, area, ends = marginal_grid(op, seen)
         points = [x.ravel() for x in np.broadcast_arrays(*axes)]
         solutions = (op, g.values), (other_op, other_g.values), (op, g.change)
         p, other, change = (
-            seen_at(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions
+            marginal_at(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions
         )
         lost = np.abs(p - other) + np.abs(change)
         largest, distance = np.max(np.abs(p), axis=1), lost @ area
@@ -194,12 +205,14 @@ def transient_densities(
         # Up to 3 times the estimated round-off was measured.
         rounding = ROUNDINGS * g.rounding + 2.0 * np.abs(mass - 1.0)
         highest = np.max(lost, axis=1) + rounding * largest
-        values, coarser, change = (seen_at(op, seen, g, at) for op, g in solutions)
+        values, coarser, change = (marginal_at(op, seen, g, at) for op, g in solutions)
         # What lies beyond the mesh is less than what there is at its end.
         within = tuple(np.clip(x, 0.0, end) for x, end in zip(at, ends, strict=True))
         outside = np.any([x != y for x, y in zip(at, within, strict=True)], axis=0)
-        beyond = np.abs(seen_at(op, seen, g.values, within)) * outside
-        errors = np.abs(values - coarser) + np.abs(change) + beyond + SHARE * highest[:, None]
+        beyond = np.abs(marginal_at(op, seen, g.values, within)) * outside
+        errors = (
+            np.abs(values - coarser) + np.abs(change) + beyond + DISTANCE_SHARE * highest[:, None]
+        )
         errors = np.maximum(errors, (rounding * largest)[:, None])
         errors += np.abs(values) * np.array([coefficients_error(t, *at) for t in times])
         model = (np.abs(p) * np.array([coefficients_error(t, *points) for t in times])) @ area
@@ -207,7 +220,7 @@ def transient_densities(
         errors = np.where(unresolved[:, None], np.inf, errors)
         errors = np.where(np.min(np.broadcast_arrays(*at), axis=0) < 0.0, 0.0, errors) + SMALLEST
         l1 = distance + model + rounding + start.l1_error
-        farther = zip(points, seen_grid(other_op, seen)[2], strict=True)
+        farther = zip(points, marginal_grid(other_op, seen)[2], strict=True)
         tail = np.abs(p * np.any([x > end for x, end in farther], axis=0)) @ area
         absolute = float(np.max(highest / largest))
         short = (f"the time {t:.4g} is too short for the mesh" for t in times[unresolved])
@@ -238,14 +251,14 @@ def _levels(
     stationary: PlaneSolution, start: PlaneStart, times: Array, tol: float
 ) -> Iterator[Level]:
     height, least = start.height(stationary), np.zeros(2)
-    share = min(1.0, HEIGHT / max(height, HEIGHT), 1.0 / start.factor)
+    share = min(1.0, MAX_START_HEIGHT / max(height, MAX_START_HEIGHT), 1.0 / start.factor)
     if start.density is not None:
         least = np.array([x[-1] for x in start.density.nodes])
 
     def nodes(rise: float, panels: int) -> Nodes:
-        longer = 1.0 + 0.03 * (rise - reach(tol, height))
-        return graded(np.maximum(stationary.far_ends(rise), least * longer), panels)
+        longer = 1.0 + 0.03 * (rise - negligible_rise(tol, height))
+        return root_spaced_nodes(np.maximum(stationary.far_ends(rise), least * longer), panels)
 
     for op in operators(stationary, nodes, tol=tol, height=height, share=share):
         A, M, _ = op.matrices
-        yield op, evolved(A, M, start.dual(op), times, tol=KRYLOV * tol)
+        yield op, krylov_exponential(A, M, start.dual(op), times, tol=KRYLOV_SHARE * tol)
