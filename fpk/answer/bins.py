@@ -1,8 +1,8 @@
-"""Bins of coordinates, and the density between their edges: exp(polynomial) on boxes of bins.
+"""Density estimation from bin counts: exp(polynomial) on boxes of bins.
 
 On a box the density of one or two coordinates is ``p = r exp(Σ_j θ_j P_j)``, P_j products of
-Legendre polynomials of the bin number and r a known reference. The θ have the largest likelihood of
-the *contents* of the bins, integrals of p: the width of the bins is not in the answer. Boxes end at
+Legendre polynomials of the bin number and r a known reference. θ maximises the likelihood of the
+*contents* of the bins, integrals of p, so that the width of the bins does not bias p. Boxes end at
 the known kinks of p. A box whose highest coefficients are not consistent with 0 is halved, and each
 box that fits is halved once more, so that a misfit that the test does not see is small beside the
 sampling error. Errors follow from independent batches. Kooperberg and Stone, Comput. Stat. Data
@@ -24,44 +24,48 @@ from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.quadrature import panel_rule
 
 LogReference = Callable[[Array, Integers], Array]
-"""ln r of one coordinate at values and their bins, up to a constant, such as −U/kT."""
+"""Function of values x and their bins that returns ln r, up to a constant, such as −U/kT."""
 Bins = tuple[int, ...]
-"""A bin number for each axis."""
+"""One bin number for each axis."""
 
 BIN_POINTS = 3
-"""Gauss points along a bin: its content is right to 1e-4 where ln p changes by 2 within it."""
+"""Gauss points along a bin: relative error 1e-4 of its content if ln p changes by 2 within it."""
 LARGEST_LOG = 700.0
-"""Largest |ln p/r| of a trial: its exponential is a number."""
+"""Largest |ln p/r| of a trial solution, so that its exponential does not overflow."""
 MAX_FIT_DEGREE = 8
-"""Largest total degree of ln p on a box."""
+"""Largest total degree of the polynomial on a box."""
 TESTED_DEGREES = {1: 3, 2: 2}
-"""How many of the highest degrees must be consistent with 0, by the number of coordinates."""
+"""Number of highest total degrees whose coefficients must be consistent with 0, by the number of
+coordinates."""
 PER_COEFFICIENT = 30
-"""Least number of independent samples for each coefficient, which is then known to some 20 %."""
+"""Smallest number of independent samples for each coefficient: its error is then about 20 %."""
 PER_BATCH = 10
-"""Samples in each batch above which the mean of all batches is nearly normal."""
+"""Samples in a batch above which the mean of all batches is nearly normal."""
 STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
-"""Most Newton steps, halvings of each, and (distance from the maximum / error)² to stop at."""
+"""Largest numbers of Newton steps and of halvings of each; (distance from the maximum / sampling
+error)² at which the iteration ends."""
 ROUNDING = 1e-13
 """Change of the mean log-likelihood of a sample that is round-off."""
 PRIOR_WIDTH = 10.0
-"""Size of a coefficient of which no sample says anything: ln p changes by less within a box."""
+"""Standard deviation of the Gaussian prior of each coefficient: larger than changes of ln p/r in a
+box, and effective only where there are no samples."""
 DOUBT, ALARM = 0.01, 1e-6
-"""Probabilities with which a right fit is halved needlessly, and with which it is called wrong."""
+"""False-alarm rates of the tests of a fit: to halve its box, and to report it as wrong."""
 STEEPEST = 2.0
-"""Change of ln p from bin to bin above which the contents of bins do not show the density."""
+"""Change of ln p from bin to bin above which bin contents no longer determine the density."""
 
 
 def no_reference(x: Array, bins: Integers) -> Array:
-    """Return ln 1."""
+    """Return ln r = 0 for values ``x`` in ``bins``: no reference."""
     return np.zeros_like(x)
 
 
 @dataclass(frozen=True, eq=False)
 class BinAxis:
-    """Bins of one coordinate: ascending ``edges``, positions of ``kinks`` among them, and ln r.
+    """Bins of one coordinate between ascending ``edges``, with the reference density r.
 
-    Between kinks bins are equally wide; above one of ``widening`` edges lie at k⁴ times the first.
+    ``kinks`` are the edges at which p is not smooth. Between kinks bins are equally wide, but above
+    an edge in ``widening`` the k-th edge lies at k⁴ times the width of the first bin.
     """
 
     edges: Array
@@ -71,11 +75,11 @@ class BinAxis:
 
     @cached_property
     def cuts(self) -> list[int]:
-        """Numbers of the edges at both ends and at the kinks, ascending."""
+        """Ascending indices of the edges at both ends and at the kinks."""
         return sorted({0, self.edges.size - 1, *np.searchsorted(self.edges, self.kinks).tolist()})
 
     def number(self, x: Array, bins: Integers) -> Array:
-        """Return at ``x`` within ``bins`` a number smooth between kinks, whole at each edge."""
+        """Return the bin number at ``x`` in ``bins``: an integer at edges, smooth between kinks."""
         value = np.empty(x.shape)
         for a, b, interpolant in self._numbers:
             own = (bins >= a) & (bins < b)
@@ -90,13 +94,13 @@ class BinAxis:
 
     @cached_property
     def rule(self) -> tuple[Array, Array]:
-        """Numbers of the Gauss points of all bins (bins, ``BIN_POINTS``), and weights times r."""
+        """Bin numbers at the Gauss points (bins, ``BIN_POINTS``), and their weights times r."""
         x, w = panel_rule(self.edges, BIN_POINTS)
         bins = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
         return self.number(x, bins), w * np.exp(self.log_r(x, bins))
 
     def log_r(self, x: Array, bins: Integers) -> Array:
-        """Return ln r, at least −``LARGEST_LOG``/2, so that r does not underflow."""
+        """Return ln r at ``x`` in ``bins``, raised to −``LARGEST_LOG``/2 so that r is not 0."""
         return np.maximum(self.log_reference(x, bins), -0.5 * LARGEST_LOG)
 
 
@@ -104,9 +108,10 @@ class BinAxis:
 class Box:
     """Fit of ln p on the bins ``first`` <= bin < ``last`` of each axis.
 
-    ``theta`` (coefficients,) is empty where p is 0; ``deviations`` (batches, coefficients) are θ of
-    batches less ``theta``, ``covariance`` is for independent samples. ``chance`` is the
-    probability of a misfit at least as large, 0 where p changes too much from bin to bin.
+    ``theta`` (coefficients,) is empty if p is 0 there; ``deviations`` (batches, coefficients) are
+    the θ of single batches less ``theta``; ``covariance`` is for independent samples. ``chance`` is
+    the probability of a misfit at least as large as the one observed, 0 if ln p changes by more
+    than ``STEEPEST`` from bin to bin.
     """
 
     first: Bins
@@ -118,23 +123,23 @@ class Box:
 
     @property
     def degrees(self) -> Integers:
-        """Degrees (axes, coefficients) of the polynomials along each axis."""
+        """Degrees (axes, coefficients) of the polynomials P_j along each axis."""
         return polynomial_degrees(len(self.first), self.theta.size)
 
     def basis(self, numbers: Sequence[Array]) -> Array:
-        """Return the polynomials (points, coefficients) at ``numbers`` (points,) of each axis."""
+        """Return P_j (points, coefficients) at bin ``numbers`` (points,), one array per axis."""
         ends = zip(numbers, self.first, self.last, self.degrees, strict=True)
         factors = [_polynomials(u, a, b, max(k, default=0))[:, k] for u, a, b, k in ends]
         return reduce(np.multiply, factors)
 
 
 def _polynomials(numbers: Array, first: int, last: int, degree: int) -> Array:
-    """P_0 to P_degree (..., degree + 1) of bin ``numbers`` scaled to [−1, 1]."""
+    """P_0 to P_``degree`` (..., degree + 1) of ``numbers`` from ``first`` to ``last``."""
     return np.asarray(legvander(2.0 * (numbers - first) / (last - first) - 1.0, int(degree)))
 
 
 def polynomial_degrees(axes: int, count: int) -> Integers:
-    """Return the degrees (axes, count) along each axis, in ascending order of the total degree."""
+    """Return degrees (axes, count) of ``count`` polynomials of 1 or 2 ``axes``, by total degree."""
     if axes == 1:
         return np.arange(count)[None]
     pairs = [(total - k, k) for total in range(count) for k in range(total + 1)]
@@ -144,10 +149,11 @@ def polynomial_degrees(axes: int, count: int) -> Integers:
 def boxes(
     axes: Sequence[BinAxis], shares: Array, batch_shares: Array, samples: float, *, halve: bool
 ) -> Iterator[Box]:
-    """Yield the fits that cover all bins of ``axes``, none of them across a kink.
+    """Yield fits whose boxes cover all bins of ``axes``; no box contains a kink.
 
-    ``shares`` (*bins) is the share of all samples in each bin, ``batch_shares`` (batches, *bins) of
-    each batch; ``samples`` counts independent ones. ``halve`` False: no box is halved.
+    ``shares`` (*bins) are the shares of all samples in each bin, ``batch_shares`` (batches, *bins)
+    the shares of single batches; ``samples`` is the number of independent samples. Boxes are only
+    halved if ``halve``.
     """
 
     def parts(first: Bins, last: Bins, *, halved: bool) -> Iterator[Box]:
@@ -167,7 +173,11 @@ def boxes(
 
 
 def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
-    """Both parts of a box cut near the middle of the axis that fits worst; none if one is small."""
+    """Halves (first, last) of ``box``, cut across the axis that fits worst, near its middle.
+
+    ``shares`` (*bins) are the contents of the box and ``samples`` the independent samples of all
+    bins. Empty if a half would have too few samples or bins for all coefficients.
+    """
     axes, bins = (
         range(shares.ndim),
         MAX_FIT_DEGREE + 4,
@@ -189,7 +199,11 @@ def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
 def _fit_box(
     axes: Sequence[BinAxis], first: Bins, last: Bins, shares: Array, batches: Array, samples: float
 ) -> Box:
-    """Return the fit of one box, of the largest degree that has a largest likelihood."""
+    """Return the fit of one box of ``axes``, of the highest degree whose likelihood has a maximum.
+
+    ``shares`` and ``batches`` are as in ``boxes``, within the box from ``first`` to ``last``;
+    ``samples`` are the independent samples of all bins.
+    """
     many = len(batches)
     if not shares.any():
         return Box(first, last, np.zeros(0), np.zeros((many, 0)), np.zeros((0, 0)))
@@ -223,10 +237,13 @@ def _fit_box(
 
 
 class Model:
-    """Contents of the bins of a box by θ; ``design`` has the mean polynomials (bins, θ) of each."""
+    """Contents of the bins of a box as a function of θ.
+
+    ``design`` (bins, coefficients) are the means of the P_j over each bin.
+    """
 
     def __init__(self, axes: Sequence[BinAxis], first: Bins, last: Bins, degree: int):
-        """Evaluate the polynomials."""
+        """Evaluate the P_j up to ``degree`` at the Gauss points of bins ``first`` to ``last``."""
         ends = list(zip(axes, first, last, strict=True))
         numbers, weights = zip(*([x[a:b] for x in axis.rule] for axis, a, b in ends), strict=True)
         self.shape = tuple(map(len, numbers))
@@ -241,12 +258,12 @@ class Model:
         self.design = products.reshape(-1, self.powers.shape[1])
 
     def contents(self, theta: Array) -> Array:
-        """Return the integral of p over each bin, (bins of all axes,)."""
+        """Return ∫p over each bin, (bins of all axes,), for the coefficients ``theta``."""
         split = self.spread(theta)
         return np.asarray(split.sum(axis=tuple(range(1, split.ndim, 2)))).ravel()
 
     def spread(self, theta: Array) -> Array:
-        """Return p times the weight of each Gauss point, (bins, ``BIN_POINTS``) for each axis."""
+        """Return weight times p at each Gauss point, (bins, ``BIN_POINTS``) for each axis."""
         size = self.vander[0].shape[-1]
         square = np.zeros((size,) * len(self.shape))
         square[tuple(self.powers)] = theta
@@ -259,9 +276,9 @@ class Model:
     def solved(self, shares: Array, samples: float) -> tuple[Array, Array, bool]:
         """Return θ of the largest likelihood, the information, and whether the maximum was reached.
 
-        Newton's method with halved steps begins at a fit to ln of the counts and half a sample more
-        in each bin, or at a constant where that is likelier. Without samples
-        θ is 0 ± ``PRIOR_WIDTH``.
+        ``shares`` (bins,) are the contents, ``samples`` the independent samples of all bins.
+        Newton's method with halved steps starts from a least-squares fit to ln(count + ½), or from
+        a constant if that is likelier. Coefficients without samples are 0 ± ``PRIOR_WIDTH``.
         """
         constant = np.zeros(self.design.shape[1])
         held, volume = samples * shares + 0.5, self.contents(constant)
@@ -296,7 +313,7 @@ class Model:
 
 
 def _chance_of_highest(box: Box, alone: int | None = None) -> float:
-    """Probability by Hotelling's T² that the highest coefficients (of an axis ``alone``) are 0."""
+    """P-value, by Hotelling's T², of zero highest coefficients (of the axis ``alone`` only)."""
     total = box.degrees.sum(axis=0)
     highest = total > max(0, int(total.max(initial=0)) - TESTED_DEGREES[len(box.first)])
     if alone is not None:
@@ -305,7 +322,7 @@ def _chance_of_highest(box: Box, alone: int | None = None) -> float:
     theta, freedom = box.theta[highest], batches - size
     if not size:
         return 1.0
-    known = freedom > 2 * size  # enough batches to know a covariance from them
+    known = freedom > 2 * size  # enough batches to estimate a covariance
     spread = np.cov(box.deviations[:, highest].T).reshape(size, size) / batches
     covariance = spread if known else box.covariance[np.ix_(highest, highest)]
     square = float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta)
@@ -315,7 +332,11 @@ def _chance_of_highest(box: Box, alone: int | None = None) -> float:
 
 
 def _chance_of_misfit(residuals: Array, held: Array) -> float:
-    """Probability of the largest of ``residuals`` (batches, *bins) in blocks of 1, 2, 4, … bins."""
+    """P-value of the largest mean of ``residuals`` (batches, *bins) in blocks of 1, 2, 4, … bins.
+
+    ``held`` (*bins) are the numbers of independent samples in the bins; blocks with few are left
+    out.
+    """
     least, count, batches, size = 1.0, 0, len(residuals), 1
     while 4 * size <= max(held.shape):
         blocks, own = residuals, held

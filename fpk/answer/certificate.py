@@ -1,4 +1,4 @@
-"""Certificates of answers: the measured numbers, their limits, and the one place that compares."""
+"""Certificates: numbers measured on an answer, and the only place that compares them to limits."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -12,13 +12,13 @@ from fpk.numeric.errors import InvalidInput
 Default = TypeVar("Default")
 
 NEGATIVE = -1e-14
-"""Smallest p / max p that counts as round-off; its size is the round-off of a mass."""
+"""Lowest p / max p that counts as round-off of 0; its size is the round-off of a mass."""
 MISSED = "the estimated error"
-"""First words of the failure that an estimated error exceeds the tolerance."""
+"""First words of the failure whose estimated error exceeds the tolerance."""
 
 
 def tolerance(tol: float | None, default: Default) -> float | Default:
-    """Return the tolerance asked for, or else the default; ``InvalidInput`` unless it is > 0."""
+    """Return ``tol``, or ``default`` if it is None; raise ``InvalidInput`` unless ``tol`` > 0."""
     if tol is None:
         return default
     if not tol > 0.0:
@@ -28,15 +28,15 @@ def tolerance(tol: float | None, default: Default) -> float | Default:
 
 @dataclass(frozen=True)
 class Measured:
-    """Numbers measured on an answer, None where it has no such thing.
+    """Numbers measured on an answer; None if a number does not apply.
 
-    ``l1_error`` estimates ∫|p − p_exact| in full. ``mass_defect`` is |∫p − 1| over the support,
-    before any tail; ``minimum`` the smallest value of p over its largest; ``residual`` how far p is
-    from solving its equation, relative to the terms that cancel (for sampling: the largest |z| of
-    the moment identities, or NaN); ``tail_mass`` a bound (for sampling: the share) of the mass
-    outside the support; ``net_flux`` the largest probability flux through an element relative to
-    its one-way parts; ``absolute_error`` the stated error of p anywhere, in units of its largest
-    value, to which its sign is known; ``failures`` what else does not hold, in words.
+    ``l1_error`` estimates ∫|p − p_exact|, all errors included. ``mass_defect`` is |∫p − 1| over the
+    support, without tails; ``minimum`` is min p / max p; ``residual`` is the residual of the
+    equation relative to its largest term (for sampling: the largest |z| of the moment identities,
+    or NaN); ``tail_mass`` is a bound (for sampling: the share) of the mass outside the support;
+    ``net_flux`` is the largest probability flux through an element, relative to its one-way parts;
+    ``absolute_error`` is the largest stated error of p over max p, within which p may be negative;
+    ``failures`` are further failed checks, in words.
     """
 
     l1_error: float
@@ -49,17 +49,17 @@ class Measured:
     absolute_error: float = 0.0
 
     def with_failures(self, *words: str) -> Self:
-        """Return the same with more that does not hold."""
+        """Return a copy with the further failed checks ``words``."""
         return replace(self, failures=(*self.failures, *words))
 
 
 @dataclass(frozen=True)
 class Certificate(Measured):
-    """Checks that an answer passed or failed; nothing was mended to make them pass.
+    """Measured numbers and the checks that failed; made by ``certify`` only.
 
-    ``Measured`` explains the numbers. ``failures`` says in words what does not hold; the answer
-    is certified when it is empty. ``missed`` is the estimated error where it exceeds the tolerance,
-    else None. Made by ``certify`` only. ::
+    ``Measured`` explains the numbers. ``failures`` are the failed checks in words; the answer is
+    certified if there are none. ``missed`` is the estimated error if it exceeds the tolerance, else
+    None. ::
 
         certificate = fpk.solve(system, ["q2"], methods=["integrable"])["q2"].certificate
         certificate.certified, certificate.failures, certificate.mass_defect
@@ -69,42 +69,42 @@ class Certificate(Measured):
 
     @property
     def certified(self) -> bool:
-        """Whether every check holds."""
+        """Whether every check passed."""
         return not self.failures
 
     @property
     def record(self) -> dict[str, Any]:
-        """The checks and their numbers by name, but for the errors, which stand in the answer."""
+        """Checks and numbers by name, without both errors, which the answer gives itself."""
         own = {k: x for k, x in vars(self).items() if k not in ("l1_error", "absolute_error")}
         return own | {"certified": self.certified}
 
     @property
     def besides(self) -> tuple[str, ...]:
-        """The failures but that the estimated error exceeds the tolerance."""
+        """Failures other than an estimated error above the tolerance."""
         return tuple(words for words in self.failures if not words.startswith(MISSED))
 
 
 def largest_measured(values: Iterable[float | None]) -> float | None:
-    """Return the largest of what was measured, NaN if one is; None where nothing was."""
+    """Return the largest of ``values`` that are not None, NaN if one is NaN; None without any."""
     given = [x for x in values if x is not None]
     return float(np.max(given)) if given else None
 
 
 class WithoutNaN:
-    """An answer that is not certified with a NaN among its ``values`` and ``errors``."""
+    """Base of answers with ``values`` and ``errors``: a NaN among them is a failed check."""
 
     def __post_init__(self: Any) -> None:
-        """Add the failure to the certificate."""
+        """Add a failure to the certificate if a value or an error is NaN. Raises nothing."""
         if missing := int(np.isnan(self.values).sum() + np.isnan(self.errors).sum()):
             words = f"{missing} of the values and errors are not numbers"
             object.__setattr__(self, "certificate", self.certificate.with_failures(words))
 
 
 def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certificate:
-    """Return the certificate of an answer: the only place where one is made.
+    """Return the certificate of an answer, by comparing ``measured`` numbers to their limits.
 
-    ``tol`` is the tolerance of the L1 error, infinite where none was asked for. The residual of a
-    ``sampled`` answer is a |z|, which the simulation judges. A NaN fails every comparison.
+    ``tol`` is the tolerance of the L1 error, infinite if there is none. Mass and residual of a
+    ``sampled`` answer are not checked here: its residual is a |z|. A NaN fails every check.
     """
     m, failures = measured, list(measured.failures)
     if m.minimum is not None and not m.minimum >= NEGATIVE - m.absolute_error:
@@ -114,7 +114,7 @@ def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certifi
         failures.append(f"{MISSED} {m.l1_error:.2g} exceeds the tolerance {tol:.2g}")
     if m.tail_mass is not None and not m.tail_mass < float("inf"):
         failures.append("the density does not fall off at the end of the mesh")
-    # ∫|p − p_exact| cannot be less than |∫p − ∫p_exact|.
+    # ∫|p − p_exact| is at least |∫p − ∫p_exact|.
     off = None if sampled else m.mass_defect
     if off is not None and not off <= m.l1_error - NEGATIVE:
         failures.append(

@@ -1,4 +1,4 @@
-"""Contacts in answers: clearances over the motion, and quantities at stops."""
+"""Clearances in units of the rms motion; probability, overlap and force of a contact."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,12 +13,15 @@ from fpk.system.linear import stationary_covariance
 from fpk.system.system import System
 
 CLEARANCE_RULE = 2.0
-"""Section 6.3: contacts may be neglected beyond this many root mean squares of the motion."""
+"""Clearance over rms displacement above which a contact may be neglected, section 6.3."""
 
 
 @dataclass(frozen=True)
 class StopClearance:
-    """A stop's clearance over the rms motion without contact; None where it is not stationary."""
+    """Clearance of a stop, ``rms`` displacement of its mass without contact, and their ``ratio``.
+
+    ``rms`` and ``ratio`` are None if the motion without contact is not stationary.
+    """
 
     mass: int
     side: str
@@ -28,12 +31,12 @@ class StopClearance:
 
     @property
     def beyond_rule(self) -> bool | None:
-        """Whether the rule of section 6.3 lets this contact be neglected."""
+        """Whether section 6.3 allows neglecting this contact; None without a ``ratio``."""
         return None if self.ratio is None else self.ratio > CLEARANCE_RULE
 
 
 def stop_clearances(system: System) -> tuple[StopClearance, ...]:
-    """Return every stop with its clearance over the rms displacement of the linear system."""
+    """Return the clearance of every stop over the rms displacement without contacts."""
     try:
         rms = np.sqrt(np.diag(stationary_covariance(system))).tolist()
     except NotApplicable:
@@ -46,12 +49,12 @@ def stop_clearances(system: System) -> tuple[StopClearance, ...]:
 
 
 def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, Number]:
-    """Return numbers of the contact at a one-sided ``stop``, by their names.
+    """Return quantities of the contact at a one-sided ``stop``, by their names.
 
     ``displacement`` is the density of the displacement of the stop's mass. "contact probability":
     P(overlap > 0), the share of time in contact; "mean overlap" and "mean force": expectations over
-    all time, 0 without contact (force in force units, Eq. (2)); "overlap in contact" and "force in
-    contact": the same over the time in contact alone. ::
+    all time, 0 without contact (force as in Eq. (2)); "overlap in contact" and "force in contact":
+    expectations over the time in contact. ::
 
         q2 = fpk.solve(system, ["q2"], methods=["nonintegrable/fem"])["q2"]
         contact_quantities(system.stops[0], q2)["mean force"]
@@ -66,7 +69,7 @@ def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, 
 
 
 def contact_quantity(name: str, stop: Contact, displacement: Quantities) -> Number:
-    """Return the quantity ``name`` of ``contact_quantities``, one of the first three."""
+    """Return one of the first three ``contact_quantities``, by its ``name``."""
     at = stop.sign * stop.clearance
     if name == "contact probability":
         return displacement.exceedance(at) if stop.sign > 0 else displacement.cdf(at)
@@ -79,7 +82,7 @@ def contact_quantity(name: str, stop: Contact, displacement: Quantities) -> Numb
 
 
 def ratio(a: Number, b: Number) -> Number:
-    """Return a/b and the most that it can be off by; b may be 0: NaN with an infinite error."""
+    """Return ``a``/``b`` with a bound of its error; NaN ± ∞ if ``b`` is not > its error."""
     if not b.value > b.error:
         return Number(np.nan, np.inf)
     value = a.value / b.value

@@ -1,4 +1,4 @@
-"""Probability densities that carry their error, their certificate and where they come from."""
+"""Probability densities given as functions, with their errors and certificates, and distances."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -33,13 +33,13 @@ kinks (1 − H)^1.5 and (1 − H)^2.5 anywhere in panels it held at 97 %, with o
 
 @dataclass(frozen=True)
 class Density(Quantities):
-    """Density of one or two coordinates, as a function, with its numerical error.
+    """Density of one or two coordinates, given as a function, with its numerical error.
 
     ``panels`` holds for every axis the ascending nodes between which the density is smooth; the
     first and last are its support. ``pdf`` takes one array per axis (broadcast together) and
-    returns the density; ``pointwise`` likewise the estimate of its error there. ``l1_error``
-    estimates ∫|p − p_exact| including the mass outside the support. ``source(observables)`` is a
-    result with the density solved for again: where there is one, the density can be pickled. ::
+    returns the density, ``pointwise`` the estimate of its error there. ``l1_error`` estimates
+    ∫|p − p_exact|, the mass outside the support included. ``source(observables)`` solves again and
+    returns a ``Result``; the density can be pickled only if it has a source. ::
 
         p = fpk.solve(fpk.load("fig6a").system, ["q2"], methods=["nonintegrable/fem"])["q2"]
         value, error = p.at(np.linspace(-1.5, 1.5, 31))
@@ -60,11 +60,11 @@ class Density(Quantities):
     source: Callable[[Sequence[Observable]], Any] | None = None
 
     def __repr__(self) -> str:
-        """Return what the density is of, its error and its support in one line."""
+        """Return the observable, the support and the error in one line."""
         return self.described(f"L1 error {self.l1_error:.2g}")
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: all but the functions, which ``source`` gives again."""
+        """Return the state to pickle: all fields but the functions, which ``source`` recomputes."""
         if self.source is None:
             words = "does not know what it follows from and cannot be pickled; take it from the"
             raise TypeError(f"the density of {self.name} {words} result of a method")
@@ -72,7 +72,7 @@ class Density(Quantities):
         return {k: v for k, v in self.__dict__.items() if k in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the density; it is solved for again when a function is first called."""
+        """Restore from ``state``; the first call of a function solves for the density again."""
         again = cache(lambda: state["source"]([state["observable"]]).densities[0])
         functions = {k: lambda *x, k=k: getattr(again(), k)(*x) for k in ("pdf", "pointwise")}
         self.__dict__.update(state, **functions)
@@ -90,7 +90,7 @@ class Density(Quantities):
         return self.pdf(*points), self.pointwise(*points)
 
     def cell_averages(self, *edges: Array) -> Array:
-        """Return the mean of the density over each cell of the grid of ``edges``."""
+        """Return the mean of the density over each cell of the grid of ``edges``, one per axis."""
         mesh, grids = gauss_grid(list(map(with_points, edges, self.panels)))
         values = self.pdf(*mesh)
         for axis, (e, (x, w)) in enumerate(zip(edges, grids, strict=True)):
@@ -102,19 +102,19 @@ class Density(Quantities):
         return values
 
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
-        """Return E f(X) and its error: the density's error weighted by |f|, and the tails.
+        """Return E f(X) and its error, made of the error of p weighted by |f| and of the tails.
 
-        ``function`` takes an array per axis; ``kinks`` (one axis only) are where it is not smooth.
+        ``function`` takes one array per axis and is smooth except at ``kinks`` (one axis only).
         """
         panels = (self._axis(kinks),) if kinks else self.panels
-        keeps = not kinks and len(panels) == 1  # the values at the nodes of a pair are too many
+        keeps = not kinks and len(panels) == 1  # values of a pair take too much memory to store
         coarse_p, p, e = (self if keeps else replace(self, panels=panels))._at_nodes
         mesh, grids = gauss_grid(panels, points=COMPARED_RULES[len(panels)][1])
         coarse = integral(function(*mesh) * coarse_p, grids)
         mesh, grids = gauss_grid(panels)
         f = np.asarray(function(*mesh))
         value = integral(f * p, grids)
-        e = e + SMALLEST  # where there is none at points the L1 error is spread evenly
+        e = e + SMALLEST  # if all pointwise errors are 0, the L1 error is distributed evenly
         least_l1 = max(self.l1_error, self.certificate.mass_defect or 0.0)
         error = integral(np.abs(f) * e, grids) * max(1.0, least_l1 / integral(e, grids))
         sizes = [np.repeat(_condition(nodes), GAUSS_POINTS[len(panels)]) for nodes in panels]
@@ -123,9 +123,10 @@ class Density(Quantities):
         return Number(value, error + rounding + abs(value - coarse) + tail)
 
     def _probability(self, low: float, high: float) -> Number:
-        """As the mass is 1, the error at points counts inside or outside, whichever is less.
+        """Return P(``low`` < X <= ``high``).
 
-        The rest of the L1 error, at least |1 − mass|, may lie anywhere and is added.
+        As the total mass is 1, its error is at most the integrated pointwise error inside, and at
+        most that outside the interval. The rest of the L1 error, at least |1 − mass|, is added.
         """
         value, error, rounding = (float(x) for x in self._share(low, high))
         of_all = float(self._panel_shares[1].sum())
@@ -137,11 +138,11 @@ class Density(Quantities):
         return Number(value, located + unlocated + beyond_ends + rounding)
 
     def share(self, low: float, high: float) -> float:
-        """Return P(low < X <= high) without its error, which takes as long again."""
+        """Return P(``low`` < X <= ``high``) without its error, in half of the time."""
         return float(self._share(low, high, rows=1)[0])
 
     def _share(self, low: float, high: float, *, rows: int = 3) -> Array:
-        """The first ``rows`` of ``_panel_shares`` between two points, within the support."""
+        """The first ``rows`` of ``_panel_shares``, integrated from ``low`` to ``high``."""
         nodes = self._axis()
         low, high = np.clip([low, high], *nodes[[0, -1]])
         first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
@@ -157,7 +158,7 @@ class Density(Quantities):
 
     @cached_property
     def _panel_shares(self) -> Array:
-        """∫ of the density, of its error and of its round-off over every panel of the one axis."""
+        """∫p, ∫error and the round-off of ∫p over each panel of the only axis, (3, panels)."""
         _, [(_, w)] = gauss_grid(self.panels)
         weighted = [np.broadcast_to(f, w.shape) * w for f in self._at_nodes[1:]]
         value, error = np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
@@ -165,14 +166,14 @@ class Density(Quantities):
 
     @cached_property
     def _at_nodes(self) -> tuple[Array, Array, Array]:
-        """The density at the Gauss points of the coarser and finer rule, and its error at these."""
+        """p at the Gauss points of the coarser rule; p and its error at those of the finer rule."""
         coarse, _ = gauss_grid(self.panels, points=COMPARED_RULES[len(self.panels)][1])
         mesh, _ = gauss_grid(self.panels)
         return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
 
 
 def _condition(nodes: Array) -> Array:
-    """1 + |x|/width of panels: times EPS the relative round-off of an integral over each."""
+    """1 + |x|/width of the panels between ``nodes``: relative round-off of integrals over EPS."""
     largest = np.maximum(np.abs(nodes[1:]), np.abs(nodes[:-1]))
     return np.asarray(1.0 + largest / np.diff(nodes))
 
@@ -188,12 +189,13 @@ def certify_density(
     added_error: Callable[..., Array] | None = None,
     frame: tuple[Array, tuple[Array, ...]] | None = None,
 ) -> Density:
-    """Return a density with its certificate: the one place where densities by a function are made.
+    """Return a density given by functions, with its certificate.
 
-    ``measured`` is from the solver, but mass and smallest value are measured here; ``tol`` is the
-    L1 tolerance. ``added_error(p, *points)`` returns an error of p at points, p being given, that
-    ``measured.l1_error`` lacks. With ``frame``, a matrix F and panels of y, all is measured at
-    x = F y: where coordinates are so correlated that no affordable panels of x resolve the ridge.
+    ``panels``, ``pdf`` and ``pointwise`` are as in ``Density``. ``measured`` comes from the solver,
+    but mass and minimum are measured here; ``tol`` is the L1 tolerance. ``added_error(p, *points)``
+    is a pointwise error of p that ``measured.l1_error`` does not contain. With ``frame``, a matrix
+    F and panels of y, integrals are taken over x = F y, for a ridge of correlated coordinates that
+    no affordable panels of x resolve.
     """
     jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
     mesh, grids = gauss_grid(axes)
@@ -203,7 +205,7 @@ def certify_density(
     values = np.asarray(pdf(*mesh))
     largest = float(values.max(initial=0.0))
     smallest = float(values.min(initial=0.0)) / largest if largest > 0.0 else np.nan
-    # To its stated error the sign of p is known.
+    # p may be negative within its stated error.
     known = float(np.max(pointwise(*mesh))) / largest if smallest < NEGATIVE else 0.0
     if measured.minimum is not None and measured.minimum < smallest:
         solved = measured.minimum, measured.absolute_error
@@ -228,16 +230,16 @@ AnyDensity = Density | SampledDensity
 
 
 def l1_distance(a: AnyDensity, b: AnyDensity) -> float:
-    """Return ∫|p_a − p_b|, as ``distance_with_error`` does."""
+    """Return ∫|p_a − p_b| as ``distance_with_error`` does, without its error."""
     return distance_with_error(a, b)[0]
 
 
 def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
-    """Return ∫|p_a − p_b| and the error of the integral, whatever the errors of the densities.
+    """Return ∫|p_a − p_b| and the quadrature error of the integral, not that of the densities.
 
-    Beside a histogram a function enters by its averages over the bins: a sum without error. Where
-    functions of one coordinate cross, panels end; of two, such kinks are in the error. Raises
-    ``ValueError`` for different observables, or two histograms on different bins.
+    A function is compared with a histogram by its averages over the bins: a sum without quadrature
+    error. Panels end where functions of one coordinate cross; for two coordinates the error covers
+    such kinks. Raises ``ValueError`` for different observables, or histograms on different bins.
     """
     if a.observable != b.observable:
         raise ValueError(f"densities of {a.name} and of {b.name} cannot be compared")
@@ -245,7 +247,7 @@ def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
         first, second = (a, b) if isinstance(a, SampledDensity) else (b, a)
         assert isinstance(first, SampledDensity)
         shares = bin_differences(first, second) * first.areas
-        # All that lies outside is one more bin; as both masses are one, its share is minus the sum.
+        # The outside is one more bin; as both masses are 1, its difference is minus the sum.
         return float(np.sum(np.abs(shares)) + abs(np.sum(shares))), 0.0
     panels = list(map(np.union1d, a.panels, b.panels))
 
@@ -260,7 +262,7 @@ def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
         crossed = np.flatnonzero((d[1:] * d[:-1] < 0.0) & known)
         at = [brentq(lambda q: difference(np.array([q]))[0], *x[k : k + 2]) for k in crossed]
         panels = [np.union1d(panels[0], at)]
-    of_panels = []  # differences of the rules cancel between panels, so that each counts alone
+    of_panels = []  # summed by panel, as differences of rules may cancel between panels
     for points in COMPARED_RULES[len(panels)]:
         mesh, grids = gauss_grid(panels, points=points)
         shares = np.abs(difference(*mesh)) * reduce(np.multiply.outer, [w for _, w in grids])

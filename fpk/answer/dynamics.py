@@ -1,4 +1,4 @@
-"""Answers about motion in time: curves, relaxation rates and Rice's formula of stationary motion,
+"""Answers about motion in time: curves and relaxation rates of stationary motion, Rice's formula,
 densities in time and first passage from a start."""
 
 from collections.abc import Mapping
@@ -15,21 +15,21 @@ from fpk.numeric.errors import InvalidInput
 from fpk.numeric.quadrature import gauss_grid
 
 START_POINTS = 101
-"""Starts at which moments are given as a curve, from rest to the limit."""
+"""Number of start energies, from rest to the limit, at which passage moments are given."""
 BEYOND_RANGE = "the mean time to it is beyond the range of double precision; take a lower one"
-"""Why a limit is refused that is hardly ever reached."""
+"""Refusal of a limit that is hardly ever reached."""
 NO_NOISE_YET = "no noise has acted yet: there is no density"
-"""Why a time is refused before which a modulation is 0."""
+"""Refusal of a time before which the modulation is 0."""
 LARGEST_ERROR = 0.1
-"""Error of a probability above which it is not certified, some tenths tell no two scenes apart; and
-L1 error above which nothing is known of a density: its errors are then infinite."""
+"""Largest error of a certified probability; relative or L1 error above which a density counts as
+unknown: its stated errors are then infinite."""
 
 
 @dataclass(frozen=True)
 class Curve(WithoutNaN):
-    """Values at the points asked for, and the certificate of all of them.
+    """Values (points,) of a function of level, frequency or lag, with one certificate for all.
 
-    Each has an estimate of its numerical error, or one standard error of sampling. ::
+    ``errors`` (points,) are estimates of numerical errors, or standard errors of sampling. ::
 
         free = fpk.System([1.0], [1.0], [0.1], [0.05])
         spectrum = Linear().spectrum(free, parse_observable("q1", 1), np.linspace(0.0, 2.0, 21))
@@ -47,7 +47,7 @@ class Curve(WithoutNaN):
 class Rates:
     """Eigenvalues λ of −L, L the generator, in ascending order of their real parts.
 
-    Correlations fall as e^(−λt). Of a conjugate pair the one with Im λ > 0 stands for both. ::
+    Correlations decay as e^(−λt). A conjugate pair is represented by its λ with Im λ > 0. ::
 
         rates = NonIntegrable().relaxation(system, 3)
         rates.values, rates.errors
@@ -67,7 +67,11 @@ def certify_rates(
     residual: float | None = None,
     settings: Mapping[str, str | float | int] | None = None,
 ) -> Rates:
-    """Return rates with their certificate; ``tol`` is relative to each."""
+    """Return rates ``values`` (rates,) and absolute ``errors``, with their certificate.
+
+    ``tol`` is the largest relative error; ``residual`` is relative to the terms of the eigenvalue
+    equation, ``settings`` are for readers.
+    """
     relative = float(np.max(errors / np.abs(values)))
     certificate = certify(Measured(relative, None, None, residual, None), tol=tol)
     return Rates(np.asarray(values, dtype=complex), errors, certificate, settings or {})
@@ -85,11 +89,12 @@ def certify_curve(
     settings: Mapping[str, str | float | int] | None = None,
     positive: Array | None = None,
 ) -> Curve:
-    """Return a curve that rests on the stationary density ``of``, with its certificate.
+    """Return a curve that follows from the stationary density ``of``, with its certificate.
 
-    ``tol`` is the largest error in units of ``scale`` > 0. The density gives mass, tail and
-    failures, its missed tolerance apart; the larger residual counts. ``positive`` (None: the
-    values) must not be negative by more than the error.
+    ``values`` and ``errors`` are (points,); ``tol`` is the largest error in units of ``scale`` > 0.
+    The certificate takes over mass, tail and failures of the density, except a missed tolerance,
+    and the larger ``residual``. ``positive``, by default ``values``, must not be negative by more
+    than the largest error. ``settings`` are for readers.
     """
     relative, given = float(np.max(errors)) / scale, of.certificate
     least = float(np.min(values if positive is None else positive)) / scale
@@ -100,11 +105,12 @@ def certify_curve(
 
 
 def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array]:
-    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp of a joint density f at q = ``at``, and errors.
+    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp at q = ``at`` (points,), and their errors.
 
-    The error holds the integrated error of f, the distance of coarser rules and the tail beyond the
-    last momentum, if f falls as over the last panel: infinite where it does not and is not 0 within
-    its error. Of samples it is one standard error.
+    f is the density ``joint`` of q and p, m the ``mass``. For samples the error is one standard
+    error. Otherwise it is the sum of the integrated error of f, the distance to coarser rules and
+    the tail beyond the last momentum, where f is continued with the slope of its last panel. It is
+    infinite if f neither falls there nor is 0 within its error.
     """
     nodes = np.unique(np.maximum(joint.panels[1], 0.0))
     if isinstance(joint, SampledDensity):
@@ -121,14 +127,17 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
     (before, end), known = np.abs(density).T, error[:, 1]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         falls = (last[1] - last[0]) / np.log(before / end)
-    both = np.broadcast_arrays(falls, last[1])  # the lesser, if f is 0 within its error and falls
+    both = np.broadcast_arrays(falls, last[1])  # the smaller, if f falls and is 0 within its error
     length = np.where([before > end, end <= known], both, np.inf).min(axis=0)
     beyond = (end + known) * length * (last[1] + length)
     return value, own + SAFETY * missed + beyond / mass
 
 
 def require_times(times: Array, *, positive: bool = False) -> Array:
-    """Return ``times`` if finite, 0 (``positive``: not 0) or later, and ascending, else raise."""
+    """Return ``times``; raise ``InvalidInput`` unless finite, ascending and >= 0, or > 0.
+
+    ``positive``: the time 0 is refused.
+    """
     if not (np.all(np.isfinite(times)) and np.all(times >= 0.0) and np.all(np.diff(times) > 0.0)):
         raise InvalidInput("times", times, "must be finite, 0 or later, and ascend")
     if positive and times.size and times[0] == 0.0:
@@ -139,7 +148,7 @@ def require_times(times: Array, *, positive: bool = False) -> Array:
 
 @dataclass(frozen=True)
 class Transient(WithoutNaN):
-    """Densities at several times at the points asked for.
+    """Densities of one observable at given points at several ``times`` after a start.
 
     ``values`` and ``errors`` are (times, points); ``error_kind`` says whether an error is an
     estimate of the numerical error or one standard error of sampling. ::
@@ -160,7 +169,7 @@ class Transient(WithoutNaN):
 
 @dataclass(frozen=True)
 class StartCurve:
-    """Moments of the first-passage time over the energies of ``starts``, (starts,) each."""
+    """Moments of the first-passage time as functions of the start energy, all (starts,)."""
 
     starts: Array
     mean: Array
@@ -171,14 +180,14 @@ class StartCurve:
 
 @dataclass(frozen=True)
 class Passage:
-    """First passage of a limit: moments of its time T, the failure rate, the reliability.
+    """First passage of a limit at the time T: its moments, the failure rate, the reliability.
 
-    ``rate`` is −d ln P(T > t)/dt for t → ∞, the least eigenvalue with an absorbing limit, None
-    where the method does not give it. Where some never fail ``mean`` and ``variance`` are inf.
-    ``survival`` is P(T > t) at ``times``, with ``survival_error``, (times,) each; where the method
-    knows it better than 1 − ``survival``, ``failure`` is P(T <= t), with ``failure_error``.
-    ``starts`` has moments for all starts at once where the method gives them. ``error_kind`` as of
-    ``Transient``. ::
+    ``rate`` is −d ln P(T > t)/dt for t → ∞, the least eigenvalue with an absorbing limit; None if
+    the method does not compute it. ``mean`` and ``variance`` are inf if some motions never fail.
+    ``survival`` is P(T > t) at ``times``, with ``survival_error``, (times,) each. ``failure`` is
+    P(T <= t), with ``failure_error``, if the method computes it more accurately than
+    1 − ``survival``. ``starts``: the moments as functions of the start, if computed.
+    ``error_kind``: estimate of the numerical error, or one standard error of sampling. ::
 
         limit, times = parse_limit("H=1", 2), np.array([10.0, 100.0])
         first = NonIntegrable().passage(system, limit, REST, times)
@@ -199,7 +208,7 @@ class Passage:
     failure_error: Array | None = None
 
     def __post_init__(self) -> None:
-        """Certify no probability whose error is above ``LARGEST_ERROR``."""
+        """Add a failure to the certificate if an error exceeds ``LARGEST_ERROR``; raise nothing."""
         unknown = np.flatnonzero(~(self.survival_error <= LARGEST_ERROR))
         if unknown.size and self.certificate.certified:
             k = unknown[0]
@@ -219,9 +228,12 @@ def certify_passage(
     starts: StartCurve | None = None,
     settings: Mapping[str, str | float | int] | None = None,
 ) -> Passage:
-    """Return a numerical answer of mean, variance and failure rate, and P(T <= t) at ``times``.
+    """Return a first passage computed numerically, with its certificate.
 
-    ``tol`` judges relative errors of the finite numbers, absolute errors of the probabilities.
+    ``numbers`` are mean, variance and failure rate; ``failure`` is P(T <= t) at ``times``, with
+    ``failure_error``. ``tol`` bounds relative errors of the finite numbers and absolute errors of
+    the probabilities; ``mass_defect`` and ``residual`` are as in ``Measured``; ``settings`` are for
+    readers.
     """
     finite = [(x.value, x.error) for x in numbers if x and x.value != np.inf]
     value, error = np.array(finite).reshape(-1, 2).T

@@ -1,4 +1,4 @@
-"""Methods, their plans for a system and results, and the registry of all routes to densities."""
+"""Methods, their plans and results for a system, and the registry of all routes to densities."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +20,7 @@ Solves = Literal["full", "averaged"]
 
 @dataclass(frozen=True)
 class Identity:
-    """In any stationary state ``value`` is ``expected``, to ``error`` (sampled: one standard)."""
+    """Identity ``value`` = ``expected`` of stationary states; ``error``: one standard error."""
 
     name: str
     value: float
@@ -29,16 +29,17 @@ class Identity:
 
     @property
     def z(self) -> float:
-        """The difference in units of its error."""
+        """Difference in units of its error; inf if the error is 0."""
         return (self.value - self.expected) / self.error if self.error > 0 else float("inf")
 
 
 @dataclass(frozen=True)
 class Result:
-    """The answer of one method: a density per observable asked for, and its own statements.
+    """Answer of one method: a density for each observable asked for, and how it was obtained.
 
-    ``settings`` is for readers alone; ``neglected`` names effects that are left out; ``partial``:
-    the work was interrupted; ``report`` is of a simulation; ``beside`` are further densities.
+    ``seconds`` is wall time; ``settings`` are for readers only; ``neglected`` names effects that
+    the method leaves out; ``partial``: the work was interrupted; ``report`` is the report of a
+    simulation; ``beside`` are densities of further observables.
     """
 
     method: "Method"
@@ -62,9 +63,9 @@ class Result:
 class Plan:
     """A method prepared for one system.
 
-    ``refusal(observable)`` returns why the observable is not given, None where it is;
-    ``solve(observables, progress)`` returns the result; ``beside``: it takes more observables as
-    ``beside``, whose densities take little more work.
+    ``refusal(observable)`` returns the reason why the method does not give an observable, or None;
+    ``solve(observables, progress)`` returns the result. ``beside``: ``solve`` accepts further
+    observables as ``beside``, whose densities take little more work.
     """
 
     refusal: Callable[[Observable], str | None]
@@ -75,31 +76,31 @@ class Plan:
 class Method(ABC):
     """A route with its discretisation: a frozen dataclass, registered with ``register_route``.
 
-    Callers ask ``planned``, not ``prepare``, for its plan.
+    Callers get its plan from ``planned``, not ``prepare``.
     """
 
     @property
     @abstractmethod
     def route(self) -> "Route":
-        """The route that the method follows."""
+        """The registered route of the method."""
 
     @abstractmethod
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` with the reason why not."""
+        """Return the plan for ``system``, or raise ``NotApplicable`` with the reason."""
 
     @abstractmethod
     def refined(self) -> Self:
-        """Return the same method at its next finer level."""
+        """Return the method at its next finer level of discretisation."""
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
-        """Return the method as ``fpk run`` takes it; ``NotApplicable`` if nothing is gained.
+        """Return the method as ``fpk run`` uses it unasked, or raise ``NotApplicable``.
 
-        A slow method bounds its work by ``share`` of the usual bound, at which it is left out.
+        A slow method limits its work to ``share`` of the usual limit.
         """
         return self
 
     def refusal(self, system: System, observable: Observable) -> str | None:
-        """Return why the method does not give ``observable``, or None where it does."""
+        """Return the reason why the method does not give ``observable``, or None if it does."""
         try:
             self.planned(system, [observable])
         except NotApplicable as reason:
@@ -115,11 +116,11 @@ class Method(ABC):
         plan: Plan | None = None,
         progress: Progress = silent,
     ) -> Result:
-        """Return the densities of ``observables``, and ``beside`` where they take little more work.
+        """Return the densities of ``observables``, and of ``beside`` if they take little more work.
 
-        Densities know the settings, and if they are functions how to be solved for again. ``plan``
-        is the method's, where a caller has it. Raises ``NotApplicable`` where it refuses,
-        ``InvalidInput`` for a name not parsed. ::
+        The densities get the settings of the result and, if they are functions, a ``source`` that
+        solves for them again. ``plan`` is the plan of the method, if the caller has it already.
+        Raises ``NotApplicable`` if the method refuses, ``InvalidInput`` for names not parsed. ::
 
             answer = NonIntegrable().solve(system, [parse_observable("q2", system.n)])
             (p,) = answer.densities
@@ -140,7 +141,7 @@ class Method(ABC):
         return replace(result, densities=densities, beside=others_given, seconds=seconds)
 
     def planned(self, system: System, observables: Sequence[Observable]) -> Plan:
-        """Return the plan; ``NotApplicable`` where it refuses or the motion escapes."""
+        """Return the plan; raise ``NotApplicable`` if it refuses or the motion escapes."""
         require_held(system)
         plan = self.prepare(system)
         for observable in observables:
@@ -151,14 +152,14 @@ class Method(ABC):
 
 @dataclass(frozen=True)
 class Route:
-    """One METHOD with one SOLVER of the command line; the first registered of a method is drawn.
+    """One METHOD with one SOLVER of the command line; plots show the first route of each method.
 
-    ``words`` says for legends what is solved and how, ``equation`` the number of the paper's
-    equation. ``solves`` is "full" for Eq. (6) itself, "averaged" for a theory's equation;
-    ``sampled``: the errors are sampling errors; ``colour`` is the curve's (#rrggbb). ``make()``
-    returns the method with its default settings. ``quick``: an answer does not take seconds, so
-    that ``fpk export`` and the references of studies take the route unasked. ``named``: the route
-    is taken only where its solver is named.
+    ``words`` is the legend, equation solved and solver; ``equation`` is the number of the equation
+    in the paper. ``solves`` is "full" for Eq. (6) itself, "averaged" for the equation of a theory;
+    ``sampled``: the errors are sampling errors; ``colour`` is #rrggbb. ``make()`` returns the
+    method with its default settings. ``quick``: answers take less than a second, so that
+    ``fpk export`` and the references of studies use the route unasked. ``named``: the route is used
+    only if its solver is named.
     """
 
     method: str
@@ -174,12 +175,12 @@ class Route:
 
     @property
     def name(self) -> str:
-        """Name for readers: the theory's alone, that of a simulated theory in full."""
+        """Name for readers: ``words`` up to the comma, or in full if the route is sampled."""
         return self.words if self.sampled else self.words.partition(",")[0]
 
     @property
     def label(self) -> str:
-        """Name in tables: the method's own where it has one solver, else method/solver."""
+        """Name in tables: the method if it has one solver, else method/solver."""
         alone = len(solvers_of(self.method)) <= 1
         return self.method if alone else f"{self.method}/{self.solver}"
 
@@ -189,7 +190,7 @@ ROUTES: dict[tuple[str, str], Route] = {}
 
 
 def register_route(route: Route) -> Route:
-    """Add a route to the registry and return it; ``ValueError`` where its names are taken."""
+    """Add ``route`` to the registry and return it; raise ``ValueError`` if its names are taken."""
     key = route.method, route.solver
     if key in ROUTES:
         raise ValueError(f"route {route.method}/{route.solver} is registered already")
@@ -198,6 +199,6 @@ def register_route(route: Route) -> Route:
 
 
 def solvers_of(method: str) -> tuple[str, ...]:
-    """Return the solvers of a method, its default first and those that sample last."""
+    """Return the solvers of ``method``: the default first, sampling solvers last."""
     own = [route for route in ROUTES.values() if route.method == method]
     return tuple(route.solver for route in sorted(own, key=lambda route: route.sampled))

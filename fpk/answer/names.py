@@ -1,6 +1,6 @@
 """Names that users write: observables q1..qn, p1..pn, H, H1..Hn and pairs, limits and starts.
 
-This file imports no numerical library at its top: the command line reads it for its help.
+This file imports no numerical library at its top: the command line imports it for its help.
 """
 
 import re
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from fpk.system.system import System
 
 LEAST_LIMIT = 1e-100
-"""Least limit: of smaller ones the square of the mean time may leave double precision."""
+"""Smallest limit: for smaller limits the square of the mean time may underflow."""
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One observed quantity: displacement, momentum, energy (index None) or modal energy.
+    """One observed quantity: displacement, momentum, total energy (no index) or modal energy.
 
-    ``index`` counts from 0 inside; the name that users write and read counts from 1.
+    ``index`` counts from 0; in the name for users it counts from 1.
     """
 
     kind: Literal["q", "p", "H"]
@@ -31,7 +31,7 @@ class Coordinate:
 
     @property
     def row(self) -> int:
-        """The index of a coordinate that has one: all but the total energy H."""
+        """The ``index``, for coordinates other than the total energy H."""
         assert self.index is not None
         return self.index
 
@@ -44,13 +44,13 @@ Observable = tuple[Coordinate, ...]
 """One coordinate, or two for a joint density."""
 
 Level = tuple[Observable, float]
-"""A level of one coordinate."""
+"""An observable of one coordinate and a value of it."""
 
 
 def parse_observable(text: str, n: int) -> Observable:
-    """Return the observable that ``text`` names in a system of ``n`` masses.
+    """Return the observable named by ``text`` in a system of ``n`` masses.
 
-    Raises ``InvalidInput`` for an unknown name, an index beyond ``n``, or a coordinate named twice.
+    Raises ``InvalidInput`` for an unknown name, an index above ``n``, or a coordinate named twice.
     """
     remedy = f"is not an observable; use q1..q{n}, p1..p{n}, H, H1..H{n}, or two of them as a,b"
     coordinates = []
@@ -66,7 +66,7 @@ def parse_observable(text: str, n: int) -> Observable:
 
 
 def observable_name(observable: Observable) -> str:
-    """Return the name that a user writes, such as ``q2,p2``."""
+    """Return the name of ``observable`` as users write it, such as ``q2,p2``."""
     return ",".join(map(str, observable))
 
 
@@ -77,7 +77,10 @@ def require_one_array_an_axis(observable: Observable, points: Sequence[Any]) -> 
 
 
 def displacement_row(observable: Observable) -> int:
-    """Return the index from 0 of the mass whose displacement is observed, else ``InvalidInput``."""
+    """Return the number, from 0, of the mass whose displacement is observed.
+
+    Raises ``InvalidInput`` for any observable that is not one displacement.
+    """
     require_observables([observable])
     if len(observable) != 1 or observable[0].kind != "q":
         words = "is not a displacement; use q1, q2, ..."
@@ -86,7 +89,7 @@ def displacement_row(observable: Observable) -> int:
 
 
 def require_observables(observables: Sequence[Any]) -> None:
-    """Raise ``InvalidInput`` for what is no observable: a name has to be parsed first."""
+    """Raise ``InvalidInput`` unless all are observables: names have to be parsed first."""
     for observable in observables:
         parsed = isinstance(observable, tuple) and len(observable) in (1, 2)
         if not parsed or not all(isinstance(c, Coordinate) for c in observable):
@@ -95,17 +98,17 @@ def require_observables(observables: Sequence[Any]) -> None:
 
 
 def number_text(value: float) -> str:
-    """Return the shortest text that reads as ``value`` again, whole numbers without a point."""
+    """Return the shortest text that parses as ``value``, whole numbers without a decimal point."""
     return repr(float(value)).removesuffix(".0")
 
 
 def parse_numbers(
     key: str, text: str, kinds: Iterable[tuple[str, Sequence[str], int]], remedy: str
 ) -> tuple[str, dict[str, float]]:
-    """Return the kind and the numbers that ``text`` gives by name, as ``a=1,b=2``, each once.
+    """Return the kind and the named numbers of ``text``, such as ``a=1,b=2``, each given once.
 
-    The first of ``kinds``, (name, names of its numbers, how many it needs), with all names given is
-    the kind. Raises ``InvalidInput`` of ``key`` without such a kind or finite numbers.
+    ``kinds`` are tuples (kind, allowed names, smallest number of names); the first that fits is
+    returned. Raises ``InvalidInput(key, text, remedy)`` if none fits or a number is not finite.
     """
     values: dict[str, float] = {}
     for part in text.split(","):
@@ -125,44 +128,44 @@ def parse_numbers(
 
 @dataclass(frozen=True)
 class Named:
-    """Numbers by the names of what they are of, and the ``kind`` of these names."""
+    """Numbers by the names of their quantities, and the ``kind`` of these quantities."""
 
     kind: str
     values: Mapping[str, float]
 
     def __str__(self) -> str:
-        """Return the name that a user writes."""
+        """Return the text that users write, such as ``H1=0.4,H2=0.6``."""
         return ",".join(f"{k}={number_text(v)}" for k, v in self.values.items()) or "rest"
 
 
 class Limit(Named):
-    """The end of safe operation: the first time at which one of ``values`` is passed.
+    """Limits of safe operation: the system fails when a quantity first exceeds its value.
 
-    ``kind`` is "H" (the energy; of the modes alone, the sum of theirs), "modal" (energies H1..,
-    any of those named) or "q" (|q_i| of one displacement).
+    ``kind`` is "H" (the total energy; in modal averaging the sum of modal energies), "modal"
+    (modal energies H1.., whichever exceeds its limit first) or "q" (|q_i| of one displacement).
     """
 
     @property
     def value(self) -> float:
-        """The limit, where there is one."""
+        """The value, if only one quantity is limited."""
         (value,) = self.values.values()
         return value
 
     def observable(self, n: int) -> Observable:
-        """Return what has the limit, where there is one."""
+        """Return the limited quantity in a system of ``n`` masses, if there is only one."""
         (name,) = self.values
         return parse_observable(name, n)
 
 
 def parse_limit(text: str, n: int) -> Limit:
-    """Return the limit that ``text`` names in a system of ``n`` masses.
+    """Return the limit named by ``text`` in a system of ``n`` masses.
 
-    Of the energy, of modal energies (whichever is passed first), of a displacement::
+    The energy, modal energies (the first to exceed its limit) or a displacement may be limited::
 
         parse_limit("H=1.5", 2), parse_limit("H1=0.4,H2=0.6", 2), parse_limit("q2=1.2", 2)
 
-    Raises ``InvalidInput`` for an unknown name, several limits that are not modal energies, or one
-    that is not a finite number of at least ``LEAST_LIMIT``.
+    Raises ``InvalidInput`` for an unknown name, several limits of other quantities than modal
+    energies, or a value that is not finite or below ``LEAST_LIMIT``.
     """
     kinds = [("modal", [f"H{i + 1}" for i in range(n)], 1), ("H", ["H"], 1)]
     kinds += [("q", [f"q{i + 1}"], 1) for i in range(n)]
@@ -174,20 +177,20 @@ def parse_limit(text: str, n: int) -> Limit:
 
 
 class Start(Named):
-    """The state at time 0, where a motion begins.
+    """Initial state of a motion at time 0.
 
-    ``values`` are of ``kind`` "state" displacements q1.. and momenta p1.. (those left out are 0, so
-    that no name at all is rest), of "energy" H, of "modal" all modal energies H1.., of "noise" the
-    factor ``noise`` on D under which the state is stationary at 0.
+    ``values`` by ``kind``: "state" has displacements q1.. and momenta p1.. (0 unless given, none:
+    rest), "energy" has H, "modal" has all modal energies H1.., and "noise" has the factor ``noise``
+    on D whose stationary state is the initial state.
     """
 
     @property
     def rest(self) -> bool:
-        """Whether nothing moves or is stretched, as of what is stationary without noise."""
+        """Whether the state is rest, as the stationary state without noise also is."""
         return not any(self.values.values())
 
     def state(self, n: int) -> "tuple[Array, Array]":
-        """Return q and p (n,) each, of the kind "state"."""
+        """Return q and p, (``n``,) each, of a start of the kind "state"."""
         import numpy as np  # noqa: PLC0415  (see above)
 
         q, p = (np.array([self.values.get(f"{k}{i + 1}", 0.0) for i in range(n)]) for k in "qp")
@@ -198,16 +201,16 @@ REST = Start("state", {})
 
 
 def parse_start(text: str, system: "System") -> Start:
-    """Return the start that ``text`` names in ``system``.
+    """Return the start named by ``text`` in ``system``.
 
-    At rest, at an energy, stationary under half the noise, at a state::
+    At rest, at an energy, in the stationary state under half the noise, in a given state::
 
         parse_start("rest", system), parse_start("H=0.3", system), parse_start("noise=0.5", system)
         parse_start("q1=0.2,p1=0.1", system)
 
-    Raises ``InvalidInput`` for an unknown name, a mixture of kinds, a number that is not finite, an
-    energy or a factor below 0, modal energies that are not all there, or a stationary state where
-    the motion escapes.
+    Raises ``InvalidInput`` for an unknown name, a mixture of kinds, a number that is not finite, a
+    negative energy or factor, missing modal energies, or a stationary start of a system whose
+    motion escapes.
     """
     from fpk.system.escape import escape  # noqa: PLC0415  (see above)
 

@@ -1,4 +1,4 @@
-"""Moments, probabilities and quantiles of a density, with their errors, and its mesh for files."""
+"""Moments, probabilities and quantiles of a density with their errors, and its mesh for files."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -18,18 +18,19 @@ from fpk.numeric.errors import InvalidInput, Unavailable
 
 Function = Callable[..., Array]
 ErrorKind = Literal["numerical", "sampling"]
-"""Estimate of a numerical error, or one standard error of sampling."""
+"""Whether an error is an estimate of the numerical error or one standard error of sampling."""
 SUBDIVISION = 1e-5
-"""Largest error of the quadratic cells between their nodes, relative to the largest density."""
+"""Largest interpolation error of the quadratic cells of a field, over the largest density."""
 FIELD_CUT = 1e-6
-"""Share of its largest value down to which the first density lies in the box of the field."""
+"""The box of a field contains all points at which the first density exceeds this share of its
+maximum."""
 MOST_CELLS = 60_000
-"""Cells at which refinement ends; the error that is left is stated in any case."""
+"""Number of cells at which the refinement of a field ends; its error is stated in any case."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number and its error: an estimate of the numerical one, or one standard error.
+    """A number and its error: an estimate of the numerical error, or one standard error.
 
     An example::
 
@@ -42,11 +43,11 @@ class Number:
 
 
 class Quantities(ABC):
-    """Numbers of a coordinate X, or of a pair (X, Y), from its density.
+    """Quantities of a coordinate X, or of a pair (X, Y), that follow from its density.
 
-    ``panels`` are the ascending nodes of every axis; the first and last are the support.
-    All but ``expectation``, ``moment`` and ``plot`` raise ``InvalidInput`` for a joint density,
-    ``covariance`` and ``correlation`` for any other.
+    ``panels`` are the ascending nodes of every axis; the first and last bound the support.
+    ``covariance`` and ``correlation`` raise ``InvalidInput`` for one coordinate; all others but
+    ``expectation``, ``moment`` and ``plot`` raise it for a pair.
     """
 
     observable: Observable
@@ -55,33 +56,33 @@ class Quantities(ABC):
 
     @property
     def name(self) -> str:
-        """The observable's name, such as ``q2,p2``."""
+        """Name of the observable, such as ``q2,p2``."""
         return observable_name(self.observable)
 
     def described(self, error: str) -> str:
-        """Return what the density is of, its support, whether it is certified and its error."""
+        """Return one line: observable, support, whether certified, and the words ``error``."""
         support = " x ".join(f"[{x[0]:.3g}, {x[-1]:.3g}]" for x in self.panels)
         certified = "certified" if self.certificate.certified else "not certified"
         return f"{type(self).__name__}({self.name} on {support}; {certified}, {error})"
 
     @abstractmethod
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
-        """Return E f(X) of a ``function`` of arrays that is smooth but at its ``kinks``."""
+        """Return E f(X) of a ``function`` of arrays that is smooth except at its ``kinks``."""
 
     def probability(self, low: float, high: float) -> Number:
-        """Return P(low < X <= high); ``InvalidInput`` unless both are numbers, infinite or not."""
+        """Return P(``low`` < X <= ``high``); raise ``InvalidInput`` if one is no number (±∞ is)."""
         return self._probability(_real_number("low", low), _real_number("high", high))
 
     @abstractmethod
     def _probability(self, low: float, high: float) -> Number:
-        """Return P(low < X <= high) and its error."""
+        """Return P(``low`` < X <= ``high``) and its error."""
 
     def share(self, low: float, high: float) -> float:
-        """Return P(low < X <= high) without its error."""
+        """Return P(``low`` < X <= ``high``) without its error."""
         return self._probability(low, high).value
 
     def moment(self, *powers: int, about: float = 0.0) -> Number:
-        """Return E (X − about)^power, of two coordinates E (X − about)^power (Y − about)^other.
+        """Return E (X − ``about``)^k for ``powers`` (k,), for a pair E (X − about)^k (Y − about)^m.
 
         Raises ``InvalidInput`` unless each coordinate has a power, an integer >= 0.
         """
@@ -109,11 +110,11 @@ class Quantities(ABC):
         return self._of_moments(lambda m: m[1])
 
     def skewness(self) -> Number:
-        """Return E (X − E X)³ over the cube of the standard deviation, 0 of a symmetric density."""
+        """Return E (X − E X)³ over the cube of the standard deviation: 0 if p is symmetric."""
         return self._of_moments(lambda m: (m[2] - 3.0 * m[0] * m[1]) / m[1] ** 1.5)
 
     def kurtosis(self) -> Number:
-        """Return E (X − E X)⁴ over the square of the variance: 3 of a Gaussian."""
+        """Return E (X − E X)⁴ over the square of the variance; a Gaussian density has 3."""
         return self._of_moments(lambda m: (m[3] - 4.0 * m[0] * m[2]) / m[1] ** 2)
 
     def covariance(self) -> Number:
@@ -121,26 +122,26 @@ class Quantities(ABC):
         return self._of_moments(lambda m: m[3], pair=True)
 
     def correlation(self) -> Number:
-        """Return the covariance over both standard deviations, from −1 to 1 but for its error."""
+        """Return the covariance over both standard deviations, within its error from −1 to 1."""
         return self._of_moments(lambda m: m[3] / np.sqrt(m[2] * m[4]), pair=True)
 
     def cdf(self, x: float) -> Number:
-        """Return P(X <= x). Raises ``InvalidInput`` unless x is a number."""
+        """Return P(X <= ``x``); raise ``InvalidInput`` unless ``x`` is a number."""
         return self._probability(-inf, _real_number("x", x))
 
     def exceedance(self, x: float) -> Number:
-        """Return P(X > x), with relative digits where it is small; ``InvalidInput`` as ``cdf``."""
+        """Return P(X > ``x``), accurate to relative digits also if small; raise as ``cdf`` does."""
         return self._probability(_real_number("x", x), inf)
 
     def quantile(self, p: float) -> Number:
-        """Return the x with P(X <= x) = p, its error by x at p plus and minus the error of P.
+        """Return x with P(X <= x) = ``p``; its error follows from ``p`` ± the error of P(X <= x).
 
-        Raises ``InvalidInput`` unless 0 < p < 1.
+        Raises ``InvalidInput`` unless 0 < ``p`` < 1.
         """
         if not 0.0 < _real_number("p", p) < 1.0:
             raise InvalidInput("p", p, "must be a probability between 0 and 1")
         low, high = (float(x) for x in self._axis()[[0, -1]])
-        # The smaller of P(X <= x) and P(X > x) is inverted: its relative digits are kept.
+        # The smaller of P(X <= x) and P(X > x) is inverted, as it has relative accuracy.
         upper, rounding = p > 0.5, 1e-14 * (high - low)
 
         def inverse(wanted: float) -> float:
@@ -160,18 +161,18 @@ class Quantities(ABC):
         return Number(x, max(abs(inverse(wanted + s * error) - x) for s in (-1.0, 1.0)) + rounding)
 
     def plot(self, *, log: bool = False) -> Any:
-        """Return a figure of pyplot, as ``fpk.plot`` does; ``log``: on a logarithmic scale."""
+        """Return a figure of pyplot, as ``fpk.plot`` does; ``log``: logarithmic axis of p."""
         return import_module("fpk").plot(self, log=log)
 
     def to_meshio(self) -> Any:
-        """Return the density as a ``meshio.Mesh`` of quadratic cells that follow it.
+        """Return the density as a ``meshio.Mesh`` of adaptively refined quadratic cells.
 
         ``point_data`` has ``density``, ``log10 density`` and ``error of p``, the stated error.
         """
         return field_of({"p": self})[0]
 
     def to_pyvista(self) -> Any:
-        """Return ``to_meshio`` as an ``UnstructuredGrid``; ``Unavailable`` without pyvista."""
+        """Return ``to_meshio()`` as ``UnstructuredGrid``; raise ``Unavailable`` without pyvista."""
         try:
             pyvista = import_module("pyvista")
         except ImportError:
@@ -179,7 +180,7 @@ class Quantities(ABC):
         return pyvista.from_meshio(self.to_meshio())
 
     def _axis(self, points: Sequence[float] = ()) -> Array:
-        """The nodes of the one coordinate, and those of ``points`` that lie between them."""
+        """Nodes of the only coordinate with all ``points`` inside the support; raise for a pair."""
         if len(self.panels) != 1:
             raise InvalidInput("density", "joint", "of two coordinates: ask for that of one")
         return with_points(self.panels[0], np.asarray(points))
@@ -187,7 +188,10 @@ class Quantities(ABC):
     def _of_moments(
         self, function: Callable[[Complexes], Any], *, pair: bool = False, central: bool = True
     ) -> Number:
-        """A ``function`` of the first four moments, of a pair five, about the mean or about 0."""
+        """``function`` of the moments 1 to 4 (of a ``pair``: of orders 1 and 2), with its error.
+
+        The moments are about the mean if ``central``, else about 0.
+        """
         if not pair:
             self._axis()
         elif len(self.panels) != 2:
@@ -198,10 +202,10 @@ class Quantities(ABC):
         terms = [_monomial(k, about) for k in powers]
         moments = np.array([self.expectation(term).value for term in terms])
         squares = moments[[2, 4]] if pair else moments[[1]]
-        # An imaginary step, whose square is nothing beside 1, differentiates without a difference.
+        # An imaginary step, whose square is below round-off, differentiates without cancellation.
         steps = 1e-20 * np.prod(np.sqrt(squares) ** np.array(powers), axis=1)
         gradient = np.imag([function(m) for m in moments + 1j * np.diag(steps)]) / steps
-        # The error is that of the expectation of the gradient times the powers.
+        # The error is the error of E[gradient · powers], in which errors of moments may cancel.
         own = self.expectation(
             lambda *x: sum(g * term(*x) for g, term in zip(gradient, terms, strict=True))
         )
@@ -209,19 +213,19 @@ class Quantities(ABC):
 
 
 def _real_number(key: str, value: Any) -> float:
-    """Return ``value``, one real number; raise ``InvalidInput`` for anything else."""
+    """Return ``value``, one real number; raise ``InvalidInput`` of ``key`` for anything else."""
     if isinstance(value, bool) or not isinstance(value, Real) or isnan(value):
         raise InvalidInput(key, value, "must be one number; of several, ask for each")
     return float(value)
 
 
 def _monomial(powers: Sequence[int], about: Sequence[float]) -> Function:
-    """Return the product of the powers of the distances of each coordinate from ``about``."""
+    """Return the function Π (x_i − ``about``_i)^``powers``_i of one array per coordinate."""
     return lambda *x: prod((y - a) ** k for y, a, k in zip(x, about, powers, strict=True))
 
 
 def with_points(nodes: Array, points: Array) -> Array:
-    """Return the nodes and those of ``points`` that lie between the first and the last."""
+    """Return the sorted union of ``nodes`` and all ``points`` between the first and last node."""
     return np.union1d(nodes, points[(points > nodes[0]) & (points < nodes[-1])])
 
 
@@ -230,7 +234,8 @@ def largest_in_tails(
 ) -> float:
     """Return the largest |f| on the corners of a box twice as wide as support and ``kinks``.
 
-    It stands for f in the tails, where densities fall at least exponentially.
+    It bounds f in the tails, where densities fall at least exponentially. ``panels`` are the
+    ascending nodes of each axis.
     """
     reach = 2.0 * float(np.max(np.abs(kinks), initial=0.0))
     ends = (2.0 * x[[0, -1]] for x in panels)
@@ -239,20 +244,20 @@ def largest_in_tails(
 
 
 def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
-    """Return the densities by route as a mesh of meshio, and the error of its cells.
+    """Return ``densities``, named by routes, as a mesh of meshio, and its interpolation error.
 
-    The mesh is the smallest box with all points at which the first density is at least
-    ``FIELD_CUT`` of its largest value, refined where it bends. In ``point_data`` are ``density``,
-    the first, and ``log10 density``, NaN where it is not positive; of every route its density, the
-    error it states, and the difference of the first from it. The error of the cells is the largest
-    difference of interpolant and density at the probes, in units of the density.
+    The mesh covers the smallest box with all points at which the first density is at least
+    ``FIELD_CUT`` of its maximum, and is refined where this density bends. ``point_data`` has
+    ``density``, the first, and ``log10 density``, NaN where it is not positive; for every route its
+    density, its stated error, and the difference of the first density and its own. The
+    interpolation error is the largest difference found between cells, in units of the density.
     """
     import meshio  # noqa: PLC0415  (0.1 s)
 
     named = {route.replace("/", " "): density for route, density in densities.items()}
     (first, density), *_ = named.items()
     box = [panels[[0, -1]] for panels in density.panels]
-    for _ in range(2):  # in the support, and again in the box that it gives
+    for _ in range(2):  # on the support, and again on the smaller box
         grid = [np.linspace(a, b, 401 if len(box) == 1 else 101) for a, b in box]
         values = density(*np.ix_(*grid))
         inside = np.nonzero(values >= FIELD_CUT * values.max())
@@ -269,7 +274,7 @@ def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
         nodes = tuple(_with_middles(e) for e in ends)
         values = density(*np.ix_(*nodes))
         allowed, misses = SUBDIVISION * float(values.max()), []
-        for axis, x in enumerate(nodes):  # the largest miss of each cell along the axis
+        for axis, x in enumerate(nodes):  # the largest error of each cell along the axis
             between = [0.5 * (x[1:] + x[:-1]) if n is x else n for n in nodes]
             truth = np.moveaxis(density(*np.ix_(*between)), axis, 0)
             along = np.moveaxis(values, axis, 0)
@@ -301,6 +306,6 @@ def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
 
 
 def _with_middles(ends: Array, only: Flags | None = None) -> Array:
-    """The ends of cells with the middles of all of them, or of those in ``only``."""
+    """Sorted ``ends`` of cells with the middles of all cells, or of cells marked by ``only``."""
     middles = 0.5 * (ends[1:] + ends[:-1])
     return np.sort(np.concatenate([ends, middles if only is None else middles[only]]))

@@ -1,7 +1,7 @@
 """Questions about motion in time: one record for each, from which methods and commands follow.
 
-A ``Question`` has the name of the function by which a method answers it. A class answers it with a
-function of the method and of what is ``Asked``, in its body or afterwards::
+A ``Question`` has the name of the method's function that answers it. A class defines this function,
+of the method and an ``Asked``, in its body or afterwards::
 
     class Linear(Method):
         @answer
@@ -10,13 +10,13 @@ function of the method and of what is ``Asked``, in its body or afterwards::
     Linear.spectrum = answer(spectrum)
     Linear().spectrum(system, parse_observable("q1", 1), np.linspace(0.0, 2.0, 5), tol=1e-8)
 
-``tol`` is the largest error wanted: of curves in units of ``scale``, of rates relative to each.
+``tol`` is the largest allowed error: for curves in units of ``scale``, for rates relative to each.
 Spectra are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, ∫ S dω over all real
-ω is the variance; C(t) = E q(0) q(t) − (E q)², t >= 0. ``InvalidInput`` is raised for a tolerance
-that is not > 0, no displacement, a lag that is no time (all three here), a start at or beyond the
-limit, or times that do not ascend from 0 or later; ``NotApplicable`` where the method does not
-answer for this system, observable, limit or start. This file imports no numerical library: the
-command line reads it for its help.
+ω is the variance; C(t) = E q(0) q(t) − (E q)², t >= 0. ``InvalidInput`` is raised here for a
+tolerance that is not > 0, an observable that is no displacement, or a negative or infinite lag, and
+by methods for a start at or beyond the limit, or times that do not ascend from 0 or later.
+``NotApplicable`` is raised by a method that has no answer for the system, observable, limit or
+start. This file imports no numerical library: the command line imports it for its help.
 """
 
 from collections.abc import Callable
@@ -36,20 +36,21 @@ Answer = TypeVar("Answer")
 Progress = Callable[[int, int, str], None]
 """Called as ``progress(done, total, what)`` while a method works."""
 Powers = tuple[int, int, int]
-"""Powers of length, mass and time in a unit."""
+"""Exponents of length, mass and time in a unit."""
 
 
 def silent(done: int, total: int, what: str) -> None:
-    """Report no progress."""
+    """Ignore the progress of ``what``, ``done`` of ``total`` parts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """One question as a method receives it: fields that ``Question.takes`` does not name are unset.
+    """Arguments of one question as a method receives them; ``Question.takes`` names the fields set.
 
-    ``at`` are levels, angular frequencies or lags (points,), or of densities points, one array
+    ``at`` are levels, angular frequencies or lags (points,), or for densities the points, one array
     (points,) for each coordinate. ``start`` is a ``fpk.answer.names.Start``, ``limit`` a
-    ``fpk.answer.names.Limit``; ``times`` (times,) are after the start; ``count`` is how many rates.
+    ``fpk.answer.names.Limit``; ``times`` (times,) count from the start; ``count`` is the number of
+    relaxation rates.
     """
 
     system: "System"
@@ -64,19 +65,20 @@ class Asked:
 
     @property
     def row(self) -> int:
-        """The index of the mass whose displacement is observed, from 0."""
+        """Number, from 0, of the mass whose displacement is observed."""
         return displacement_row(self.observable)
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """A question: its method's function and its command have its ``name``.
+    """A question: the methods' function and the command that answer it have its ``name``.
 
     ``words`` name the answer, as in "exact gives no spectrum"; ``takes`` are the fields of
-    ``Asked`` in their order; ``key`` names the values in records. Of a displacement ``help`` is the
-    text of the command; ``axis`` says what ``at`` is, empty for levels; ``powers`` are the units of
-    ``at`` and of the values; ``scale(σ_q, σ_v)`` is a natural size of the values; ``check`` raises
-    ``InvalidInput`` for ``at`` that has no answer.
+    ``Asked`` in the order of arguments; ``key`` names the values in records. The other fields are
+    for curves of one displacement: ``help`` is the help of the command; ``axis`` names the quantity
+    ``at``, empty for levels; ``powers`` are the units of ``at`` and of the values;
+    ``scale(σ_q, σ_v)`` is a natural size of the values, σ standard deviations; ``check(at)`` raises
+    ``InvalidInput`` for points without an answer.
     """
 
     name: str
@@ -91,12 +93,12 @@ class Question:
 
     @property
     def of_displacement(self) -> bool:
-        """Whether it is about one displacement, stationary, at levels, frequencies or lags."""
+        """Whether the answer is a stationary curve of one displacement."""
         return self.takes == ("observable", "at")
 
 
 def require_lags(at: Any) -> None:
-    """Raise ``InvalidInput`` unless all lags are times, finite and >= 0."""
+    """Raise ``InvalidInput`` unless all lags ``at`` are finite and >= 0."""
     wrong = at[~((at >= 0.0) & (at < inf))]
     if wrong.size:
         raise InvalidInput("at", float(wrong[0]), "a lag is a time, finite and 0 or later")
@@ -107,7 +109,7 @@ QUESTIONS: dict[str, Question] = {}
 
 
 def register_question(question: Question) -> Question:
-    """Add a question to the registry and return it; ``ValueError`` where its name is taken."""
+    """Add ``question`` to the registry and return it; raise ``ValueError`` if its name is taken."""
     if question.name in QUESTIONS:
         raise ValueError(f"the question {question.name} is registered already")
     QUESTIONS[question.name] = question
@@ -115,7 +117,11 @@ def register_question(question: Question) -> Question:
 
 
 def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
-    """Return ``function(method, asked)`` as a method's function of what the question takes."""
+    """Return ``function(method, asked)`` as a method that takes the arguments of the question.
+
+    The question is the one with the name of ``function``. Tolerance, observable and points are
+    checked before the call, as the head of this file says.
+    """
     question, given = QUESTIONS[function.__name__], Parameter.POSITIONAL_OR_KEYWORD
     parameters = [Parameter(name, given) for name in ("self", "system", *question.takes)]
     for name, value in (("tol", None), ("progress", silent)):

@@ -1,4 +1,4 @@
-"""Densities sampled in bins: fits of ln p on boxes of bins, and what follows, with its error."""
+"""Densities from samples in bins, evaluated by fits of ln p on boxes of bins, with their errors."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,13 +17,13 @@ from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUND_OFF, SMALLEST, Array, Flag
 from fpk.numeric.quadrature import panel_rule
 
 Values = tuple[Array, Array]
-"""Values and one standard error each."""
+"""Values and their standard errors."""
 Fits = tuple[tuple[BinAxis, ...], tuple[Box, ...]]
-"""Axes with the references of the fits, and the fits that cover all bins."""
+"""Axes with the reference densities of the fits, and the fits on boxes that cover all bins."""
 
 
 def standard_error(batches: Array) -> Array:
-    """Return one standard error of the mean of independent ``batches`` (batches, ...)."""
+    """Return one standard error (...) of the mean of independent ``batches`` (batches, ...)."""
     return np.asarray(np.std(batches, axis=0, ddof=1) / np.sqrt(batches.shape[0]))
 
 
@@ -31,11 +31,11 @@ def standard_error(batches: Array) -> Array:
 class SampledDensity(Quantities):
     """Density of one or two coordinates from the contents of bins, with its sampling error.
 
-    ``bins`` has the bins of each axis, with what is known of the density along it; ``values`` is
-    the share of samples in each bin divided by its area, ``batch_values`` (batches, *bins) the same
-    of each independent batch. Samples outside are counted in ``certificate.tail_mass``. ``samples``
-    is how many were counted, 0 where unknown. ``l1_error`` is the expected ∫|p − p_exact| by chance
-    of the density as ``at`` returns it, NaN where it was not computed. ::
+    ``bins`` are the bins of each axis, with kinks and reference density. ``values`` (*bins) are the
+    shares of samples in each bin over its area, ``batch_values`` (batches, *bins) the same for each
+    independent batch. The share of samples outside is ``certificate.tail_mass``. ``samples`` is the
+    number of samples, 0 if unknown. ``l1_error`` is the expected ∫|p − p_exact| by sampling of the
+    density that ``at`` returns, NaN if it was not computed. ``made`` are fits, if already made. ::
 
         sampled = MonteCarlo(paths=4096, relaxations=20.0)
         p = fpk.solve(system, ["q2"], methods=[sampled])["q2"]
@@ -54,7 +54,7 @@ class SampledDensity(Quantities):
     made: Fits | None = None
 
     def __repr__(self) -> str:
-        """Return what the density is of, its bins and its batches in one line."""
+        """Return the observable and the numbers of bins and batches in one line."""
         return self.described(f"{self.values.size} bins, {self.batch_values.shape[0]} batches")
 
     def __call__(self, *points: ArrayLike) -> Array:
@@ -75,11 +75,14 @@ class SampledDensity(Quantities):
 
     @property
     def standard_error(self) -> Array:
-        """One standard error of each of ``values``."""
+        """Standard errors of ``values``."""
         return standard_error(self.batch_values)
 
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
-        """Return E f(X) and one standard error; within a bin samples lie as the fitted density."""
+        """Return E f(X) and one standard error; f is averaged over each bin by the fitted density.
+
+        ``function`` takes one array per axis and is smooth except at ``kinks``.
+        """
         x = [panel_rule(e, BIN_POINTS)[0].ravel() for e in self.edges]
         f = np.asarray(function(*np.meshgrid(*x, indexing="ij")))
         within = self.within
@@ -88,7 +91,7 @@ class SampledDensity(Quantities):
         shares = self.batch_values * self.areas
         total = np.tensordot(self.values * self.areas, f, f.ndim)
         chance = standard_error(np.tensordot(shares, f, f.ndim))
-        # One visit more, at what was seen; where only what was not seen counts, there.
+        # One visit more, at the largest |f| of bins with samples, if that is not 0.
         seen = float(np.max(np.abs(f), initial=0.0, where=self.values > 0.0))
         far = largest_in_tails(function, self.edges, kinks)
         visit = self.visit * (seen or float(np.max(np.abs(f))) or far)
@@ -96,7 +99,10 @@ class SampledDensity(Quantities):
         return Number(float(total), error)
 
     def _probability(self, low: float, high: float) -> Number:
-        """One standard error is at least one visit; a bin is cut by the fitted density."""
+        """Return P(``low`` < X <= ``high``); bins are divided by the fitted density.
+
+        The standard error is at least one visit.
+        """
         edges = self._axis()
         inside = np.clip(edges, *np.clip([low, high], *edges[[0, -1]]))
         share = np.diff(inside) / np.diff(edges)
@@ -111,7 +117,10 @@ class SampledDensity(Quantities):
         return Number(float(self.values @ held), float(np.hypot(chance, self.visit) + tail))
 
     def joined(self, most: int) -> "SampledDensity":
-        """Return the density with up to ``most`` bins between kinks joined along every axis."""
+        """Return the density with k bins joined to one along every axis.
+
+        k <= ``most`` is the largest number for which no joined bin contains a kink.
+        """
         cuts = [np.diff(axis.cuts) for axis in self.bins]
         factor = max(k for k in range(1, max(most, 1) + 1) if not np.any(np.concatenate(cuts) % k))
         every = np.concatenate([self.values[None], self.batch_values]) * self.areas
@@ -126,9 +135,10 @@ class SampledDensity(Quantities):
 
     @cached_property
     def visit(self) -> float:
-        """Share of the samples that come together in one excursion, 0 where it is not known.
+        """Share of all samples that one excursion contributes; 0 if ``samples`` is unknown.
 
-        Their number is variance over mean in a cell that not all batches visited, at least 1.
+        Their number, at least 1, is the variance over the mean of the counts of batches, in cells
+        that some but not all batches visited.
         """
         if not self.samples > 0.0:
             return 0.0
@@ -144,26 +154,26 @@ class SampledDensity(Quantities):
 
     @cached_property
     def fits(self) -> Fits:
-        """The fits of ln p on boxes of bins."""
+        """Fits of ln p on boxes of bins, made at first use."""
         return self.made or self._fitted()
 
     def _fitted(self, *, halve: bool = True) -> Fits:
-        """Fit ln p; ``halve`` as of ``fpk.answer.bins.boxes``."""
+        """Fit ln p on boxes of bins, halved if ``halve``."""
         axes = self.bins
         if len(axes) == 2:
-            # The reference is the product of plain fits of each coordinate: a box has few
-            # coefficients where there are few samples, and none where p is large depends on it.
+            # The reference is the product of fits of each coordinate on unhalved boxes. It matters
+            # only where samples are few, and with them the coefficients of a box.
             alone = [self.alone(k) for k in range(2)]
             plain = [replace(one, made=one._fitted(halve=False))._log_p for one in alone]
             pairs = zip(axes, plain, strict=True)
             axes = tuple(replace(axis, log_reference=log_r) for axis, log_r in pairs)
         shares, batches = self.values * self.areas, self.batch_values * self.areas
-        samples = 1.0 / (self.visit or EPS)  # where their number is not known there is no chance
+        samples = 1.0 / (self.visit or EPS)  # an unknown number: no sampling error
         with threadpool_limits(1, user_api="blas"):  # the matrices are small
             return axes, tuple(boxes(axes, shares, batches, samples, halve=halve))
 
     def alone(self, axis: int) -> "SampledDensity":
-        """Return the density of one coordinate of a pair."""
+        """Return the marginal density of the coordinate ``axis`` of a pair."""
         width = np.diff(self.edges[1 - axis])
         return replace(
             self,
@@ -178,10 +188,11 @@ class SampledDensity(Quantities):
     def at(self, *points: Array) -> tuple[Array, Array]:
         """Return the density and one standard error at ``points``, one array per axis.
 
-        The error is the spread of the batches; where fewer visits than batches are expected, it is
-        at least by Poisson's law. One visit is added, as of a few none may be seen. At a kink the
-        side with the smaller error counts. Outside the bins the density is 0, with the error at
-        their nearest point. Raises ``InvalidInput`` for another number of arrays.
+        The error follows from the spread of the batches. Where fewer visits than batches are
+        expected, it is at least the error of Poisson counts. One visit is added, as none of a few
+        expected visits may be observed. At a kink the side with the smaller error is used. Outside
+        the bins the density is 0, with the error at the nearest point inside. Raises ``InvalidInput``
+        for another number of arrays than axes.
         """
         require_one_array_an_axis(self.observable, points)
         batches = len(self.batch_values)
@@ -192,8 +203,8 @@ class SampledDensity(Quantities):
             rare = value * cell < batches * self.visit
             variance = np.where(rare, np.maximum(variance, poisson), variance)
             relative, visit = np.sqrt(variance), self.visit / cell
-            # ln p is normal: three errors of p reach as far up as three of ln p. The fit may leave
-            # p open by decades where nothing was seen; that nothing was does not.
+            # ln p is normal: three errors of p reach up as far as three of ln p. Without samples
+            # the fit leaves p open by decades, but one visit limits it.
             chance = value * np.expm1(np.minimum(3.0 * relative, LARGEST_LOG)) / 3.0
             error = np.hypot(np.minimum(chance, value * relative + visit), visit)
             for axis, b in zip(self.bins, bins, strict=True):
@@ -212,7 +223,7 @@ class SampledDensity(Quantities):
 
     @cached_property
     def within(self) -> Array:
-        """Share of each bin at its Gauss points, (bins, ``BIN_POINTS``) for each axis."""
+        """Shares of each bin's mass at its Gauss points, (bins, ``BIN_POINTS``) for each axis."""
         axes, every = self.fits
         spread = np.empty([k for axis in axes for k in (axis.edges.size - 1, BIN_POINTS)])
         for box in every:
@@ -229,11 +240,11 @@ class SampledDensity(Quantities):
 
     @property
     def unresolved(self) -> list[Box]:
-        """The fits that do not give back the contents of the bins."""
+        """Fits inconsistent with the contents of their bins, at the false-alarm rate ``ALARM``."""
         return [box for box in self.fits[1] if box.chance < ALARM]
 
     def are_unresolved(self, points: Array) -> Flags:
-        """Return which points (axes, points) lie where a fit is wrong."""
+        """Return which ``points`` (axes, points) lie in the box of an ``unresolved`` fit."""
         inside = np.zeros(points.shape[1], dtype=bool)
         for box in self.unresolved:
             ends = zip(points, self.edges, box.first, box.last, strict=True)
@@ -242,12 +253,15 @@ class SampledDensity(Quantities):
         return inside
 
     def _log_p(self, x: Array, bins: Integers) -> Array:
-        """Return ln p of one coordinate by the fits of the ``bins``, at kinks of their side."""
+        """Return ln p of one coordinate at ``x`` by the fits of ``bins``, one-sided at kinks."""
         value = self._evaluated(x.reshape(1, -1), bins.reshape(1, -1))[0]
         return np.log(np.maximum(value, SMALLEST)).reshape(x.shape)
 
     def flux(self, weight: Callable[[Array], Array], nodes: Array, at: Array) -> Values:
-        """Return ∫ weight(y) p(x, y) dy over panels of y at x = ``at`` (points,), and its error."""
+        """Return ∫ ``weight``(y) p(x, y) dy at x = ``at`` (points,), and its standard error.
+
+        ``nodes`` ascend and bound the panels of y.
+        """
         y, w = (a.ravel() for a in panel_rule(nodes, BIN_POINTS))
         weights, shape = weight(y), (at.size, y.size)
 
@@ -256,7 +270,7 @@ class SampledDensity(Quantities):
             shares = value.reshape(shape) * w * weights
             flow = shares.sum(axis=1)
             apart = np.einsum("xy,xyb->bx", shares, deviations.reshape(*shape, -1))
-            # One visit more counts by the mean of the weights, each weighted by itself.
+            # One visit more has the flux-weighted mean of the weight, ∫weight² p / ∫weight p.
             most = np.full(at.size, np.max(weights))
             more = np.divide(shares @ weights, flow, out=most, where=flow > 0.0)
             more = self.visit * more / cells[0].reshape(shape).min(axis=1)
@@ -265,7 +279,10 @@ class SampledDensity(Quantities):
         return self._better(np.stack([np.repeat(at, y.size), np.tile(y, at.size)]), on_side)
 
     def _better(self, points: Array, on_side: Callable[[Array, Integers], Values]) -> Values:
-        """Values and errors by bins, at kinks on the better side; beyond the bins values are 0."""
+        """Values and errors by ``on_side(points, bins)`` at ``points`` (axes, points).
+
+        At a kink the side with the smaller error is used; outside the bins values are 0.
+        """
         given, edges = points, self.edges
         points = np.array([np.clip(x, *e[[0, -1]]) for x, e in zip(given, edges, strict=True)])
         ends = zip(edges, points, strict=True)
@@ -284,9 +301,11 @@ class SampledDensity(Quantities):
         return np.where(away, 0.0, value), error
 
     def _evaluated(self, points: Array, bins: Integers) -> tuple[Array, Array, Array, Array]:
-        """p, deviations of ln p (points, batches), its Poisson variance, cells (axes, points).
+        """p at ``points`` by the fits of ``bins``, both (axes, points), and three measures.
 
-        A cell has as many bins as there are for a coefficient of its box.
+        They are the deviations of ln p of the batches (points, batches), the variance of ln p by
+        Poisson's law (points,), and the lengths of cells (axes, points) around the points: the
+        bins of a box over the number of its coefficients, along each axis.
         """
         (axes, every), count, many = self.fits, points.shape[1], len(self.batch_values)
         value, deviations, variance = np.zeros(count), np.zeros((count, many)), np.zeros(count)

@@ -1,1 +1,1 @@
-"""Arrays, functions by polynomials, quadrature, compiling, and what the machine offers."""
+"""Arrays, piecewise polynomials, quadrature, compiling, and the resources of the machine."""

@@ -1,4 +1,4 @@
-"""Types of arrays, whose shapes stand in the docstrings, and the precision of their numbers."""
+"""Types of arrays (docstrings give their shapes) and the precision of double arithmetic."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,15 +9,15 @@ Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 EPS = float(np.finfo(float).eps)
-"""Distance of 1 to the next number, 2.2e-16: twice the largest relative round-off."""
+"""Distance from 1 to the next double, 2.2e-16: twice the largest relative error of one rounding."""
 ROUND_OFF = 1e-12
-"""Share of its largest part below which a sum whose parts cancel, a rate of decay or an eigenvalue
-counts as round-off, of input written with twelve digits or more."""
+"""Relative round-off of input written with twelve digits: a sum of terms that cancel, a decay rate
+or an eigenvalue counts as zero below this share of its largest term."""
 SMALLEST = float(np.finfo(float).tiny)
-"""Smallest number (2e-308) with full relative accuracy: what is less is known to no better."""
+"""Smallest normal double, 2.2e-308: smaller numbers lose relative accuracy."""
 ROUNDINGS = 8.0
-"""Roundings that are stated of a sum, for each of its terms that cancel."""
+"""Stated round-off of a sum whose terms cancel, in units of ``EPS`` times each term."""
 BLOCK_SIZE = 4_000_000
-"""Numbers of intermediate results that are held at once: 32 MB."""
+"""Largest number of entries of an intermediate array: 32 MB of doubles."""
 DEPTH = 40.0
-"""Energies above the lowest, in kT, that Gibbs integrals reach: beyond lies about e^−40 = 4e-18."""
+"""Upper end of Gibbs integrals, in kT above the lowest energy: about e^−40 = 4e-18 lies beyond."""

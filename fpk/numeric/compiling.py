@@ -1,6 +1,6 @@
-"""Options and disk cache of compiled code; Ctrl-C does not wait for compiling.
+"""Options and disk cache of code compiled by numba; Ctrl-C interrupts the wait for the compiler.
 
-The cache holds checksums of its files and of the sources that they were made from.
+The cache stores checksums of its files and of the sources from which they were compiled.
 """
 
 import threading
@@ -24,32 +24,32 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 ROOT = Path(__file__).parents[2]
 FLAGS = {"contract", "nsz", "arcp", "afn"}
-"""Liberties of arithmetic that are taken: none that assumes there is no NaN, and no reassociation,
-which would undo exact differences."""
+"""Fast-math flags of LLVM: none that assumes the absence of NaN, and no reassociation, which would
+spoil differences of nearly equal numbers."""
 
 COMPILER = "fpk compiler"
-"""Name of the threads that compile."""
+"""Name of the threads in which functions are compiled."""
 
 _njit: Any = numba.njit
 _awaited: set[Future[Any]] = set()
 abandoned: set[Future[Any]] = set()
-"""Results of compiling that goes on although the caller was interrupted."""
+"""Futures of compilations that still run although their callers were interrupted."""
 
 
 class CheckedFiles(IndexDataCacheFile):
-    """Index and data files of one function's disk cache, each with a checksum at its end.
+    """Index and data files of one function's disk cache, each with its SHA-256 at the end.
 
-    numba unpickles and executes whatever they hold, but not where the SHA-256 at the end shows
-    damage. Data are stored with their key: two processes may have given one name to two of them.
+    numba unpickles and executes the content of these files, so a file whose checksum does not match
+    is not read. Data are stored with their key: two processes may use one file name for two keys.
     """
 
     def load(self, key: Any) -> Any:
-        """Return the data of ``key``; None where there are none or they are damaged."""
+        """Return the data stored under ``key``; None if there are none or they are damaged."""
         stored_key, data = super().load(key) or (None, None)
         return data if stored_key == key else None
 
     def save(self, key: Any, data: Any) -> None:
-        """Write the data of ``key``; where that fails the next process compiles anew."""
+        """Store ``data`` under ``key``; if the disk refuses, warn: the next process recompiles."""
         try:
             super().save(key, (key, data))
         except OSError as error:
@@ -60,7 +60,7 @@ class CheckedFiles(IndexDataCacheFile):
             return {}
         try:
             return super()._load_index()
-        except (ImportError, AttributeError):  # it names a type that another version had elsewhere
+        except (ImportError, AttributeError):  # written by a version with a type in another module
             return {}
 
     def _load_data(self, name: str) -> Any:
@@ -75,7 +75,7 @@ class CheckedFiles(IndexDataCacheFile):
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a cache file is as written or not there; a damaged one is removed, with a warning."""
+    """Whether the cache file ``path`` is intact or absent; remove a damaged one, with a warning."""
     try:
         content = path.read_bytes()
     except FileNotFoundError:
@@ -92,15 +92,15 @@ def _is_whole(path: Path) -> bool:
 
 
 def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return ``compile_for``, a function of a signature, run in a thread named ``COMPILER``.
+    """Return ``compile_for``, a function of a signature, wrapped to run in a thread of its own.
 
-    LLVM ignores signals for many seconds; a thread that waits for another receives them. Raises
-    ``KeyboardInterrupt`` where ``abandon`` is called meanwhile, and until the abandoned function is
-    compiled: numba compiles one function at a time.
+    LLVM ignores signals for many seconds, while a thread that waits for another receives them. The
+    returned function raises ``KeyboardInterrupt`` if ``abandon`` is called meanwhile, and as long
+    as an abandoned function is still being compiled: numba compiles one function at a time.
     """
 
     def compiled(signature: Any) -> Any:
-        if threading.current_thread().name == COMPILER:  # for a function that calls this one
+        if threading.current_thread().name == COMPILER:  # compiling a function that calls this
             return compile_for(signature)
         if abandoned:
             raise KeyboardInterrupt
@@ -129,20 +129,20 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
 def abandon() -> None:
     """Raise ``KeyboardInterrupt`` in all threads that wait for a function to be compiled.
 
-    Compiling itself cannot be ended: a process ends after it, or by ``os._exit``.
+    The compilation itself goes on: the process ends after it, or at once by ``os._exit``.
     """
     for result in tuple(_awaited):
         abandoned.add(result)
         try:
             result.set_exception(KeyboardInterrupt())
-        except InvalidStateError:  # it is there
+        except InvalidStateError:  # compiled in the meantime
             abandoned.discard(result)
 
 
 def cached_njit() -> Callable[[Function], Function]:
-    """Return the decorator of a compiled function with a disk cache.
+    """Return a decorator that compiles a function at its first call, with a disk cache.
 
-    Where no folder can be written it is compiled again in every process. Ctrl-C does not wait.
+    Without a writable folder the function is compiled again in every process.
     """
 
     def decorated(function: Function) -> Function:
@@ -157,7 +157,7 @@ def cached_njit() -> Callable[[Function], Function]:
         else:
             cache = compiled._cache
             files = cache._cache_file
-            # A name of its own: files of numba's own format are not damaged, only of no use here.
+            # Not numba's file name: its files have no checksum and would count as damaged.
             name = files._index_name.removesuffix(".nbi") + ".sha256"
             cache._cache_file = CheckedFiles(cache._cache_path, name, files._source_stamp)
         result: Function = compiled
@@ -167,15 +167,13 @@ def cached_njit() -> Callable[[Function], Function]:
 
 
 def njit_inline(function: Function) -> Function:
-    """Return the function compiled into each compiled function that calls it, not for Python."""
+    """Return ``function`` for use in compiled functions, inlined there; Python cannot call it."""
     options = {"fastmath": FLAGS, "error_model": "numpy", "forceinline": True}
     compiled: Function = _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
     return compiled
 
 
 def checksum(files: Sequence[Path]) -> int:
-    """Return a checksum of source files, for compiled functions to close over and return.
-
-    They are compiled again when one is edited: numba watches the file of the function only.
-    """
+    """Return the CRC-32 of the source ``files``; a compiled function that closes over it and
+    returns it is recompiled when any of them is edited: numba watches its own file only."""
     return crc32(b"".join(file.read_bytes() for file in files))

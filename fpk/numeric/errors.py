@@ -1,11 +1,11 @@
-"""Exceptions of the program, each with a message that a user can act on."""
+"""Exceptions of the program; each message says what was given and what to do."""
 
 from pathlib import PurePath
 from typing import Any
 
 
 class InvalidInput(ValueError):
-    """A value of the system or of a request that cannot be used, and what would do.
+    """A value of the system or of a request that cannot be used, with a remedy.
 
     An example::
 
@@ -16,13 +16,13 @@ class InvalidInput(ValueError):
     """
 
     def __init__(self, key: str, value: Any, remedy: str) -> None:
-        """Keep the key, the value and the remedy; the message is one line of the three."""
+        """Store the name ``key`` of the value, the ``value`` and the ``remedy``."""
         self.key, self.value, self.remedy = key, value, remedy
         super().__init__(f"{key} = {one_line_repr(value)}: {remedy}")
 
 
 class NotApplicable(ValueError):
-    """A theory or method whose conditions the system does not meet; the message is the reason.
+    """The system does not meet the conditions of a theory or method; the message is the reason.
 
     An example::
 
@@ -34,9 +34,9 @@ class NotApplicable(ValueError):
 
 
 class NotCertified(RuntimeError):
-    """No answer could be certified, so that there is none; the message says which check failed.
+    """No answer exists that could be certified; the message says which check failed.
 
-    An answer that misses its tolerance is returned, and its certificate says so. An example::
+    An answer that only misses its tolerance is returned, and its certificate says so. An example::
 
         try:
             p = fpk.solve(system, ["q2"], methods=["nonintegrable/fem"], tol=1e-10)["q2"]
@@ -48,17 +48,17 @@ class NotCertified(RuntimeError):
 
 
 class Unavailable(RuntimeError):
-    """Something outside that a request needs and cannot use: a file, a cluster; one line."""
+    """A request needs a file, package or cluster that cannot be used; the message is one line."""
 
 
 def require(fits: Any, key: str, value: Any, remedy: str) -> None:
-    """Raise ``InvalidInput`` of the three unless the value ``fits``."""
+    """Raise ``InvalidInput(key, value, remedy)`` unless ``fits``."""
     if not fits:
         raise InvalidInput(key, value, remedy)
 
 
 def one_line_repr(value: Any, *, width: int = 60) -> str:
-    """Return ``value`` on one line of at most ``width`` characters, as messages quote it."""
+    """Return the repr of ``value`` on one line, cut to ``width`` characters, for messages."""
     value = str(value) if isinstance(value, PurePath) else value
     text = repr(value.tolist() if hasattr(value, "tolist") else value).replace("\n", " ")
     return text if len(text) <= width else text[: width - 1] + "…"

@@ -17,13 +17,13 @@ _begun = _left_out = 0.0
 
 
 def usable_cores() -> int:
-    """Return the cores that this process may run on; all there are where the system can't say."""
+    """Return how many cores this process may use; on systems without affinity, all cores."""
     affinity = getattr(os, "sched_getaffinity", None)  # Linux only
     return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
 
 def working_time() -> float:
-    """Return seconds of wall time since some moment, without those in ``pause_working_time``."""
+    """Return wall time in seconds from an arbitrary zero, less times in ``pause_working_time``."""
     with _lock:
         now = perf_counter()
         return now - _left_out - (now - _begun if _within else 0.0)
@@ -31,7 +31,7 @@ def working_time() -> float:
 
 @contextmanager
 def pause_working_time() -> Iterator[None]:
-    """Do not count the time of what is within as work: compiling and loading of compiled code."""
+    """Stop the clock ``working_time`` in a context that compiles or loads compiled code."""
     global _within, _begun, _left_out  # one clock for all threads
     with _lock:
         _begun = _begun if _within else perf_counter()
@@ -46,11 +46,11 @@ def pause_working_time() -> Iterator[None]:
 
 @contextmanager
 def lock_file(path: Path, *, needed: bool = True) -> Iterator[None]:
-    """Hold the lock on the file ``path``, made where it is missing, in a context.
+    """Hold an exclusive lock on the file ``path`` in a context; create the file if it is missing.
 
-    The operating system lifts it when the process ends, killed or not; the empty file stays, as
-    another process could lock a file that is being removed. Raises ``Unavailable`` where another
-    process or thread holds the lock, or the file system has no locks and one is ``needed``.
+    The operating system releases the lock when the process ends, killed or not. The empty file
+    stays, as another process could lock a file that is being removed. Raises ``Unavailable`` if
+    another process or thread holds the lock, or if it is ``needed`` and the file system has none.
     """
     words = f"{path}: cannot be locked"
     try:

@@ -1,8 +1,8 @@
-"""Functions on an interval, and on a rectangle, by polynomials on panels.
+"""Piecewise polynomials on an interval and on a rectangle.
 
 The idea is chebfun's: a function known to round-off is an object that can be evaluated and
-integrated (T. A. Driscoll, N. Hale and L. N. Trefethen, Chebfun Guide, 2014).
-Here series are of Legendre polynomials, as Gauss points serve to fit and to integrate them alike.
+integrated (T. A. Driscoll, N. Hale and L. N. Trefethen, Chebfun Guide, 2014). The series are of
+Legendre polynomials, as the same Gauss points serve for interpolation and integration.
 """
 
 from collections.abc import Callable
@@ -17,11 +17,13 @@ from fpk.numeric.arrays import Array, Flags, Integers
 from fpk.numeric.quadrature import gauss_legendre
 
 PANEL_DEGREE = 15
-"""Degree of a fit: with 16 Gauss points a panel, e^(−x) is met to round-off over five e-folds."""
+"""Default degree of interpolants: with 16 Gauss points a panel resolves e^(−x) to round-off over
+five e-folds."""
 
 
 def panels_at(nodes: Array, x: Array) -> tuple[Integers, Array, Flags]:
-    """Return the panel of each point x, the place t in it from −1 to 1, and whether x is in one."""
+    """Return the panel of each point ``x``, its local coordinate from −1 to 1, and whether it lies
+    between the first and last of the ascending ``nodes``; points outside get the nearest end."""
     k = np.searchsorted(nodes[1:-1], x, side="right")
     left, right = nodes[k], nodes[k + 1]
     t = np.clip((2.0 * x - left - right) / (right - left), -1.0, 1.0)
@@ -30,9 +32,11 @@ def panels_at(nodes: Array, x: Array) -> tuple[Integers, Array, Flags]:
 
 @cache
 def clenshaw_kernel() -> Callable[..., Array]:
-    """Return Σ_j c_kj P_j(t) (points, values) of c (panels, degree + 1, values), k and t (points,).
+    """Return the compiled function of c, k, t that sums Legendre series by Clenshaw's recurrence.
 
-    By Clenshaw's recurrence, compiled: ten times as fast as by arrays. numba takes 0.4 s to load.
+    c (panels, degree + 1, values) are coefficients, k (points,) the panels and t (points,) the
+    local coordinates; the result is Σ_j c_kj P_j(t), (points, values). Ten times as fast as NumPy;
+    numba is imported at the first call, as that takes 0.4 s.
     """
     from fpk.numeric.compiling import cached_njit  # noqa: PLC0415
 
@@ -55,10 +59,10 @@ def clenshaw_kernel() -> Callable[..., Array]:
 class Piecewise:
     """``f(x) = exp(log_scale_k) Σ_j coefficients_kj P_j(t)``, t from −1 to 1 over panel k.
 
-    ``nodes`` (panels + 1,) ascend; ``coefficients`` (panels, degree + 1, ...) may have values of
-    any shape behind them; ``log_scale`` (panels,) lets a density span more than the range of double
-    precision. Beyond the nodes f is ``outside``. ``error`` (panels,) is the estimate of the largest
-    error on each panel that a fit made, before the scale.
+    ``nodes`` (panels + 1,) ascend; ``coefficients`` (panels, degree + 1, ...) have the shape of a
+    value behind the first two axes; ``log_scale`` (panels,) lets a density span more than the range
+    of double precision. Outside the nodes f is ``outside``. ``error`` (panels,), set by ``fit``, is
+    the estimated largest error of the series on each panel, without the scale.
     """
 
     nodes: Array
@@ -68,12 +72,12 @@ class Piecewise:
     error: Array | None = None
 
     def __call__(self, x: ArrayLike, *, log_factor: ArrayLike = 0.0) -> Array:
-        """Return f times exp(``log_factor``), an array of one factor a point, at any points."""
+        """Return f(x) exp(``log_factor``) at ``x`` of any shape; ``log_factor``: 0 or as ``x``."""
         at, shape = np.asarray(x, dtype=float), self.coefficients.shape
         k, t, inside = panels_at(self.nodes, at.ravel())
         series = np.ascontiguousarray(self.coefficients).reshape(*shape[:2], -1)
         value: Array = clenshaw_kernel()(series, k, t)
-        # One exponential: scale and factor may leave the range where their product does not.
+        # One exponential, as scale and factor may overflow although their product does not.
         exponent = 0.0 if self.log_scale is None else self.log_scale[k]
         if np.any(exponent := exponent + np.asarray(log_factor, dtype=float).ravel()):
             value *= np.exp(exponent)[:, None]
@@ -81,8 +85,8 @@ class Piecewise:
         return value.reshape((*at.shape, *shape[2:]))
 
     def antiderivative(self) -> "Piecewise":
-        """Return ∫f from the first node, continuous, of f without a ``log_scale``."""
-        assert self.log_scale is None, "no panel has a scale of its own"
+        """Return the continuous ∫f from the first node; f must have no ``log_scale``."""
+        assert self.log_scale is None, "panels with scales have no common antiderivative"
         within = np.asarray(legendre.legint(self.coefficients, axis=1, lbnd=-1), float)
         within *= 0.5 * np.diff(self.nodes).reshape(-1, *(1,) * (within.ndim - 1))
         within[1:, 0] += np.cumsum(within.sum(axis=1), axis=0)[:-1]
@@ -99,13 +103,13 @@ def fit(
     estimate: Callable[[Array, Array], Array] | None = None,
     rounds: int = 60,
 ) -> Piecewise:
-    """Return the interpolant of ``f`` on panels between ``nodes``, each split until it fits.
+    """Return the interpolant of ``f`` by polynomials of ``degree`` on panels between ``nodes``.
 
-    ``f`` maps points (points,) to values (points, ...), and is called with those of all new panels
-    at once. A panel is split at ``cut(left, right)``, half-way unless given, while its error
-    exceeds ``tol``, ``rounds`` times at the most (2^−60 of a length is below round-off): ``error``
-    says what was reached. It is ``estimate(lengths, coefficients)``, unless given ``degree`` times
-    the last two coefficients, the largest of all values.
+    ``f`` maps points (points,) to values (points, ...) and is called once for all new panels. A
+    panel whose error exceeds ``tol`` is split at ``cut(left, right)``, by default at its middle,
+    at most ``rounds`` times (2^−60 of a length is below round-off); ``Piecewise.error`` states the
+    error reached. The error is ``estimate(lengths, coefficients)``, by default ``degree`` times the
+    sum of the last two coefficients, of the largest component of a value.
     """
     middle = cut or (lambda left, right: 0.5 * (left + right))
 
@@ -136,7 +140,8 @@ def fit(
 def legendre_coefficients(
     f: Callable[[Array], Array], left: Array, right: Array, degree: int
 ) -> Array:
-    """Return Legendre coefficients (panels, degree + 1, ...) of f, exact for ``degree``."""
+    """Return Legendre coefficients (panels, degree + 1, ...) of the interpolants of ``f`` at the
+    Gauss points of the panels from ``left`` to ``right``, (panels,); exact up to ``degree``."""
     t, _ = gauss_legendre(degree + 1)
     x = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * t
     values = np.asarray(f(x.ravel()))
@@ -145,7 +150,7 @@ def legendre_coefficients(
 
 
 def projection(degree: int) -> Array:
-    """Matrix from values at ``degree`` + 1 Gauss points to Legendre coefficients."""
+    """Return the matrix from values at ``degree`` + 1 Gauss points to Legendre coefficients."""
     t, w = gauss_legendre(degree + 1)
     return np.asarray(
         (np.arange(degree + 1.0) + 0.5)[:, None] * (legendre.legvander(t, degree).T * w)
@@ -156,20 +161,21 @@ def projection(degree: int) -> Array:
 class PiecewiseTensor:
     """``f(x, y) = Σ_ij coefficients_klij P_i(s) P_j(t)`` on the rectangle of panels k and l.
 
-    ``nodes`` of both axes; ``coefficients`` (panels, panels, degree + 1, degree + 1); 0 outside.
+    ``nodes`` ascend along each axis; ``coefficients`` (panels, panels, degree + 1, degree + 1).
+    Outside the nodes f is 0.
     """
 
     nodes: tuple[Array, Array]
     coefficients: Array
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Return f at points that broadcast together; of a grid (m, 1), (n,) one axis at a time."""
+        """Return f at ``x``, ``y`` that broadcast; axes (m, 1), (n,) of a grid take less work."""
         a, b = np.asarray(x, float), np.asarray(y, float)
         if a.ndim == 2 and a.shape[1] == 1 and b.ndim <= 2 and b.shape[-1:] == (b.size,):
             return self.on_grid(a.ravel(), b.ravel())
         a, b = np.broadcast_arrays(a, b)
         (k, P), (m, Q) = (self._at(axis, z.ravel()) for axis, z in enumerate((a, b)))
-        # Sorted by panel, every panel is one small matrix product.
+        # With the points sorted by panel, each panel takes one small matrix product.
         panel = k * (self.nodes[1].size - 1) + m
         order = np.argsort(panel, kind="stable")
         used, first = np.unique(panel[order], return_index=True)
@@ -180,7 +186,7 @@ class PiecewiseTensor:
         return value.reshape(a.shape)
 
     def on_grid(self, x: Array, y: Array) -> Array:
-        """Return f on the grid (x.size, y.size)."""
+        """Return f (x.size, y.size) on the grid of ``x`` and ``y``, one axis each."""
         rows = []
         for axis, z in enumerate((x, y)):
             k, P = self._at(axis, z)
@@ -191,7 +197,7 @@ class PiecewiseTensor:
         return np.asarray(rows[0] @ matrix @ rows[1].T)
 
     def _at(self, axis: int, x: Array) -> tuple[Integers, Array]:
-        """Panels of the points x, and all P_j there (points, degree + 1), 0 beyond."""
+        """Panels of the points ``x`` along ``axis``, and P_j there (points, degree + 1), else 0."""
         k, t, inside = panels_at(self.nodes[axis], x)
         P = np.asarray(legendre.legvander(t, self.coefficients.shape[2 + axis] - 1), float)
         return k, P * inside[:, None]

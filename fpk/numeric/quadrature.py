@@ -8,13 +8,13 @@ import numpy as np
 from fpk.numeric.arrays import Array
 
 GAUSS_POINTS = {1: 20, 2: 12}
-"""Gauss points per panel and axis of integrals of a density, by the number of axes: exact for
-polynomials of degree 39 and 23 (a joint density has many panels)."""
+"""Gauss points per panel and axis in integrals of a density, by the number of its axes: exact for
+polynomials of degree 39 and 23. A joint density has many panels."""
 
 
 @lru_cache
 def gauss_legendre(points: int) -> tuple[Array, Array]:
-    """Return the nodes and weights on [−1, 1], exact for polynomials of degree 2 points − 1."""
+    """Return Gauss nodes and weights on [−1, 1], exact for the degree 2 ``points`` − 1."""
     x, w = np.polynomial.legendre.leggauss(points)
     x.setflags(write=False)
     w.setflags(write=False)
@@ -22,7 +22,7 @@ def gauss_legendre(points: int) -> tuple[Array, Array]:
 
 
 def panel_rule(nodes: Array, points: int) -> tuple[Array, Array]:
-    """Return nodes and weights (panels, points) on the panels between ascending ``nodes``."""
+    """Return Gauss points, weights (panels, ``points``) on panels between ascending ``nodes``."""
     x, w = gauss_legendre(points)
     half = 0.5 * np.diff(nodes)[:, None]
     middle = 0.5 * (nodes[1:] + nodes[:-1])[:, None]
@@ -34,8 +34,8 @@ def gauss_grid(
 ) -> tuple[Sequence[Array], list[tuple[Array, Array]]]:
     """Return the sparse mesh of the Gauss points of ``panels``, and each axis's points and weights.
 
-    ``panels`` are the ascending nodes of each axis. On every panel of an axis there are ``points``;
-    None: as many as in ``GAUSS_POINTS``.
+    ``panels`` are the ascending nodes of each axis; ``points`` is the number of Gauss points on a
+    panel of an axis, by default from ``GAUSS_POINTS``.
     """
     rules = [panel_rule(nodes, points or GAUSS_POINTS[len(panels)]) for nodes in panels]
     grids = [(x.ravel(), w.ravel()) for x, w in rules]
@@ -43,7 +43,7 @@ def gauss_grid(
 
 
 def integral(values: Array, grids: list[tuple[Array, Array]]) -> float:
-    """Return the integral of ``values`` on the mesh of ``gauss_grid``."""
+    """Return the integral of ``values`` on the mesh of the ``grids`` of ``gauss_grid``."""
     total = np.broadcast_to(values, tuple(w.size for _, w in grids))
     for _, w in reversed(grids):
         total = total @ w

@@ -1,7 +1,8 @@
-"""Recognition of stored results: by the whole record of settings that they were made from.
+"""Fingerprints of settings, by which stored results are recognised.
 
-A record that gains a field is compared by it, too. Fields that cannot matter are left out by name,
-``less``, as "MonteCarlo.threads"; each such list has the reasons beside the names.
+A fingerprint contains every field of a record, so that a new field is compared, too. Fields that
+cannot change a result are excluded by name, ``less``, as "MonteCarlo.threads"; each such list gives
+the reasons beside the names.
 """
 
 import json
@@ -18,7 +19,7 @@ import numpy as np
 from fpk.numeric.errors import InvalidInput
 
 REGISTRY = "registry"
-"""Key in the metadata of a field that names an entry of a registry: the entry is compared."""
+"""Metadata key of a field whose value names an entry of a registry: the entry is compared."""
 
 
 def fingerprint(value: Any, less: Container[str] = ()) -> str:
@@ -27,19 +28,19 @@ def fingerprint(value: Any, less: Container[str] = ()) -> str:
 
 
 def canonical(value: Any, less: Container[str] = ()) -> Any:
-    """Return ``value`` as JSON has it, with every digit and field that a result may depend on.
+    """Return ``value`` as JSON data with every digit and field that a result may depend on.
 
-    A dataclass has all fields that it was made from, but for those in ``less``, "Class.field", at
-    any depth. A function has its code, its defaults, what it closes over and the numbers, texts and
-    arrays among the global names in it; functions that it calls count by their names. Equal values
-    may differ: 1 is not 1.0. Raises ``InvalidInput`` for an object of any other kind.
+    A dataclass contributes its init fields, except the names "Class.field" in ``less``, at any
+    depth. A function contributes its code, defaults, closure, and the numbers, strings and arrays
+    among its globals, but only the names of the functions it calls. Equal values may give different
+    data: 1 is not 1.0. Raises ``InvalidInput`` for an object of any other kind.
     """
     return json.loads(json.dumps(value, default=partial(_json_value, less)))
 
 
 def _json_value(less: Container[str], value: Any) -> Any:
-    """Return a JSON value for one that JSON does not have; its parts may be such values again."""
-    value = getattr(value, "py_func", value)  # of a compiled function
+    """Return a JSON value for a ``value`` that JSON lacks; its parts may be such values again."""
+    value = getattr(value, "py_func", value)  # the Python source of a compiled function
     if is_dataclass(value) and not isinstance(value, type):
         kind, own = type(value), {}
         for f in fields(value):

@@ -1,1 +1,1 @@
-"""Systems: masses, springs, damping, noise, contacts, and the processes that follow from them."""
+"""Systems of masses, springs, damping, noise and contacts; the processes of their energies."""

@@ -17,10 +17,11 @@ from fpk.system.contact_law import LAWS
 
 @dataclass(eq=False, repr=False)
 class CompiledLaws(types.Type):
-    """One ``part`` of the laws ``names``, to be called by ``of_law`` in compiled code.
+    """Numba type for one ``part`` ("force", "energy" or "slope") of the laws ``names``.
 
-    The value is its own type and plain data, so that a kernel that closes over it is found again
-    in the disk cache with its laws. ``stamps`` tell laws of one name apart.
+    Compiled code evaluates it by ``of_law``. The value is its own type and plain data, so that a
+    kernel that closes over it is found again in the disk cache. ``stamps``, fingerprints of the
+    laws, distinguish different laws of one name.
     """
 
     names: tuple[str, ...]
@@ -28,24 +29,25 @@ class CompiledLaws(types.Type):
     stamps: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        """Take the name of the type from its parts."""
+        """Give the numba type a name made of all fields."""
         super().__init__(name=f"CompiledLaws{self.names, self.part, self.stamps}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return the same parts in every process: numba's own key is a number that it gave."""
+        """Return the fields: numba's own pickle has a number that differs between processes."""
         return CompiledLaws, (self.names, self.part, self.stamps)
 
 
 def compile_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
-    """Return "force", "energy" or "slope" of the laws, to be called by ``of_law``."""
+    """Return the ``part`` "force", "energy" or "slope" of the laws ``names``, for ``of_law``."""
     stamps = (fingerprint(getattr(LAWS[name], part)) for name in names)
     return CompiledLaws(names, part, tuple(stamps))
 
 
 def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
-    """Return the files that the compiled laws ``names`` are made of, below ``root``.
+    """Return the source files, below ``root``, on which code compiled with the laws depends.
 
-    A law that was typed into a session has no file, and nothing that it is compiled into a cache.
+    ``names`` are the laws. A law typed into an interactive session has no file, and code compiled
+    with it has no disk cache.
     """
     laws = (Path(getfile(LAWS[name].force)) for name in names)
     own = (root / f.relative_to(ROOT) if f.is_relative_to(ROOT) else f for f in laws)
@@ -54,13 +56,17 @@ def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
 
 
 def of_law(function: Any, law: int, overlap: float, exponent: float) -> float:
-    """Stand for a call of ``compile_laws`` in compiled code; ``law`` picks one of several."""
+    """Evaluate ``function``, made by ``compile_laws``, at ``overlap`` and ``exponent``.
+
+    ``law`` is the number of the law among its names. Raises ``NotImplementedError`` in Python: only
+    compiled code has an implementation.
+    """
     raise NotImplementedError
 
 
 @overload(of_law, jit_options={"fastmath": FLAGS, "error_model": "numpy", "forceinline": True})
 def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
-    """Return the call that the type of ``function`` asks for; None, for no law, gives 0."""
+    """Return the implementation for the type of ``function``; None, for no law, gives 0."""
     if isinstance(function, types.NoneType):
         return lambda function, law, overlap, exponent: 0.0
     compiled = numba.njit(error_model="numpy")  # no liberties: a law is what its file says
@@ -70,7 +76,7 @@ def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
         return lambda function, law, overlap, exponent: last(overlap, exponent)
 
     def chosen(first: Any, after: Any) -> Any:
-        """The law ``first`` where the number of the law is 0, one of those ``after`` it else."""
+        """The law ``first`` if the number of the law is 0, else the choice ``after`` it."""
         return compiled(lambda law, x, e: first(x, e) if law == 0 else after(law - 1, x, e))
 
     choice = compiled(lambda law, x, e: last(x, e))

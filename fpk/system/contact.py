@@ -13,8 +13,8 @@ from fpk.numeric.recognition import REGISTRY
 from fpk.system.contact_law import LAWS
 
 MAX_EXPONENT = 100.0
-"""Largest exponent of a contact law: at overlaps of 1e-3 or 1e3 in their unit the force already has
-a factor of 1e-300 or 1e300, and at larger ones none that double precision can hold."""
+"""Largest exponent of a contact law: the force at an overlap of 1e3 (1e-3) units is then 1e300
+(1e-300) times its value at one unit, near the limits of double precision."""
 
 Side = Literal["left", "right", "both"]
 
@@ -23,9 +23,9 @@ Side = Literal["left", "right", "both"]
 class Contact:
     """Stop beside one mass, Eq. (2): ``stiffness · law(overlap)``, ``overlap = ±q − clearance``.
 
-    ``mass`` counts from 1; ``side`` is where the stop stands seen from the mass; ``stiffness`` is
-    B of Eq. (2), in force / length**exponent; ``clearance`` δ >= 0 in length. ``exponent`` is
-    needed by the law "power" and refused where the law has its own.
+    ``mass`` counts from 1; ``side`` is the side of the mass on which the stop stands; ``stiffness``
+    is B of Eq. (2), in force / length**exponent; ``clearance`` δ >= 0 is the distance from rest to
+    the stop. The law "power" needs an ``exponent``; a law with its own refuses any other.
 
     A Hertzian stop, and one whose force grows with the square of the overlap::
 
@@ -33,7 +33,7 @@ class Contact:
         stop.force(0.1), stop.energy(0.1), stop.slope(0.1), stop.one_sided()
         fpk.Contact(1, "left", 10.0, 0.5, law="power", exponent=2.0)
 
-    Raises ``InvalidInput`` naming the field that cannot be used.
+    Raises ``InvalidInput`` with the name of the field that cannot be used.
     """
 
     mass: int
@@ -72,40 +72,40 @@ class Contact:
 
     @property
     def index(self) -> int:
-        """The mass counted from 0."""
+        """Number of the mass, counted from 0."""
         return self.mass - 1
 
     @property
     def sign(self) -> float:
-        """Sign of the displacements at a one-sided stop: +1 on the right, −1 on the left."""
+        """Sign of a displacement towards a one-sided stop: +1 on the right, −1 on the left."""
         return 1.0 if self.side == "right" else -1.0
 
     def one_sided(self) -> tuple["Contact", ...]:
-        """Return the stops of this contact: one, or left and right for "both"."""
+        """Return the contact as one-sided stops: itself, or left and right for "both"."""
         if self.side != "both":
             return (self,)
         return (replace(self, side="left"), replace(self, side="right"))
 
     @property
     def power(self) -> float:
-        """The exponent in force, never None."""
+        """The exponent of the law, never None."""
         assert self.exponent is not None
         return self.exponent
 
     def force(self, overlap: Any) -> Any:
-        """Contact force at the given overlap >= 0, Eq. (2)."""
+        """Contact force at an ``overlap`` >= 0 of any shape, Eq. (2)."""
         return self.stiffness * LAWS[self.law].force(overlap, self.power)
 
     def energy(self, overlap: Any) -> Any:
-        """Contact energy U at the given overlap >= 0, Eq. (5)."""
+        """Contact energy U at an ``overlap`` >= 0 of any shape, Eq. (5)."""
         return self.stiffness * LAWS[self.law].energy(overlap, self.power)
 
     def slope(self, overlap: Any) -> Any:
-        """Tangent contact stiffness dg/dx at the given overlap >= 0."""
+        """Tangent contact stiffness dg/dx at an ``overlap`` >= 0 of any shape."""
         return self.stiffness * LAWS[self.law].slope(overlap, self.power)
 
     def overlap_at(self, energy: float) -> float:
-        """Return the overlap at a contact energy > 0, to about 1e-5 unless a power law."""
+        """Return the overlap at a contact ``energy`` > 0; relative error 1e-5, a power law's 0."""
         high = 1.0
         while self.energy(high) < energy:
             high *= 2.0

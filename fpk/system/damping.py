@@ -1,4 +1,4 @@
-"""Damping that depends on the state: monomials beside the matrix of Eq. (1), and their means."""
+"""State-dependent damping: monomials added to the matrix of Eq. (1), and Gaussian moments."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -14,17 +14,18 @@ from fpk.numeric.errors import require
 Powers = tuple[tuple[int, int], ...]
 
 MOST_POWERS = 8
-"""Degree of a term, an energy counting twice: beyond, averages lose digits and steps stability."""
+"""Highest degree of a term, an energy counting twice: averages of higher ones lose digits, and
+explicit steps their stability."""
 
 
 @dataclass(frozen=True)
 class DampingTerm:
-    """One monomial that an entry of the damping matrix of Eq. (1) gains.
+    """One monomial added to an entry of the damping matrix of Eq. (1).
 
-    ``c_ij += coefficient · Π q_a^m · Π v_a^n · H^energy``: on mass i it adds the force
-    ``−coefficient · … · v_j``, and nothing on mass j (give a second term where it should). ``i``,
-    ``j`` and the masses in ``q`` and ``v``, pairs (mass, power), count from 1; powers are whole and
-    at least 1; ``energy`` >= 0. A negative coefficient feeds energy in, as van der Pol's does.
+    ``c_ij += coefficient · Π q_a^m · Π v_a^n · H^energy`` adds the force ``−coefficient · … · v_j``
+    on mass i and none on mass j, which takes a second term. ``i``, ``j`` and the masses in the
+    pairs (mass, power) of ``q`` and ``v`` count from 1; powers are integers >= 1; ``energy`` >= 0.
+    A negative coefficient feeds energy in, as in van der Pol's oscillator.
 
     Van der Pol's oscillator, c = −0.1 + 0.4 q²::
 
@@ -32,7 +33,7 @@ class DampingTerm:
         fpk.System([1.0], [1.0], [-0.1], [0.005], damping_terms=(term,))
         term.value(q=[0.5], v=[0.0], energy=0.125)
 
-    Raises ``InvalidInput`` naming the field that cannot be used.
+    Raises ``InvalidInput`` with the name of the field that cannot be used.
     """
 
     i: int
@@ -44,7 +45,7 @@ class DampingTerm:
     degree: int = field(init=False)
 
     def __post_init__(self) -> None:
-        """Check the fields, and sort the powers so that equal terms are equal."""
+        """Check the fields, and sort the powers so that equal terms compare equal."""
         finite = isfinite(self.coefficient)
         require(finite, "coefficient", self.coefficient, "must be a finite number")
         for key in ("q", "v"):
@@ -60,37 +61,38 @@ class DampingTerm:
 
     @property
     def row(self) -> int:
-        """The mass i counted from 0, for arrays."""
+        """Number of the mass i, counted from 0."""
         return self.i - 1
 
     @property
     def column(self) -> int:
-        """The mass j counted from 0, for arrays."""
+        """Number of the mass j, counted from 0."""
         return self.j - 1
 
     @property
     def masses(self) -> dict[str, int]:
-        """Every mass that the term mentions, by where it does: i, j, q.1, v.2 and so on."""
+        """Every mass of the term, counted from 1, by its place: i, j, q.1, v.2 and so on."""
         powers = {f"{key}.{m}": m for key in ("q", "v") for m, _ in getattr(self, key)}
         return {"i": self.i, "j": self.j, **powers}
 
     def powers(self, key: str, n: int) -> tuple[int, ...]:
-        """Return the powers of all n masses' q or v, 0 where one does not occur."""
+        """Return the powers of the ``n`` displacements or velocities, ``key`` "q" or "v"."""
         power_of: dict[int, int] = dict(getattr(self, key))
         return tuple(power_of.get(mass, 0) for mass in range(1, n + 1))
 
     @property
     def factors(self) -> int:
-        """How many displacements and velocities are multiplied in the power c_ij v_i v_j."""
+        """Number of displacements and velocities in the power c_ij v_i v_j, without H."""
         return self.degree - 2 * self.energy + 2
 
     def velocities(self, n: int) -> tuple[int, ...]:
-        """Return the powers of all n velocities in the power c_ij v_i v_j."""
+        """Return the exponents of all ``n`` velocities in the dissipated power c_ij v_i v_j."""
         own = (self.row, self.column)
         return tuple(power + own.count(k) for k, power in enumerate(self.powers("v", n)))
 
     def value(self, q: ArrayLike, v: ArrayLike, energy: ArrayLike) -> Array:
-        """Return what c_ij gains at displacements and velocities (..., n) and energies (...)."""
+        """Return the term of c_ij at displacements ``q``, velocities ``v`` (..., n) and ``energy``
+        H (...)."""
         q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
         value = np.asarray(self.coefficient * np.asarray(energy, dtype=float) ** self.energy)
         for x, powers in ((q, self.q), (v, self.v)):
@@ -100,16 +102,17 @@ class DampingTerm:
 
 
 def gaussian_moment(covariance: Array, powers: tuple[int, ...]) -> Any:
-    """Return E Π x_a^powers[a] of x ~ N(0, covariance), shape (n, n), by Isserlis' theorem.
+    """Return E Π x_a^powers[a] of x ~ N(0, ``covariance``), shape (n, n), by Isserlis' theorem.
 
     Integration by parts, ``E x_a f = Σ_b cov_ab E ∂f/∂x_b``, leads to monomials two degrees lower.
-    Where covariances (n, n, m) are sums over m parts the moment (m, m, ..) is one over its axes, an
-    axis for each pair of factors, the first for the pair of x_a of the least a. 0.0 if odd.
+    A ``covariance`` (n, n, m) is a sum of m parts: the result (m, m, ..) is then to be summed over
+    all axes, one for each pair of factors, the first for the pair of the x_a with the smallest a.
+    For odd degrees the result is 0.0.
     """
 
     @cache
     def moment(at: tuple[int, ...]) -> Any:
-        """E of the product of the x_a, a in ``at``, ascending."""
+        """E Π x_a over the ascending indices a in ``at``."""
         if not at:
             return 1.0
         a, total = at[0], 0.0

@@ -1,4 +1,4 @@
-"""Ends of the energies of a process: Feller classes, and whether anything brings it back."""
+"""Boundaries H = 0 and H = ∞ of a process: Feller's classes, and whether the drift confines it."""
 
 from dataclasses import dataclass
 
@@ -9,29 +9,29 @@ from fpk.numeric.errors import NotCertified
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 NEAR, FAR, BESIDE = 1e-6, 1e4, 1.05
-"""Energies, in units of the scale, at which the limits at both ends are read off, and the ratio of
-a second energy far out to ``FAR``: both give the order of the drift. It is so near to 1 that many
-contact masses are mostly integrated along one line for both."""
+"""Energies, in units of ``Process.energy_scales``, at which the limits H → 0 and H → ∞ are
+evaluated. The order of the drift follows from FAR and BESIDE · FAR, so close that shell integrals
+with many contact masses mostly serve both."""
 LINEAR = 1e-2
-"""Orders up to 1 + ``LINEAR`` of the drift, and within it of σ² at rest, count as linear: damping
-by q² between stops of a power law of exponent e has the order 1 + 2/(1 + e)."""
+"""Tolerance within which the exponents of drift and σ² as powers of H count as 1. The least other
+one, of damping by q² between stops of exponent e <= 100, is 1 + 2/(1 + e) = 1.02."""
 FAR_OUT = np.logspace(4.0, 16.0, 13)
-"""Energies, in units of the scale, at which a process has to come back. A term of the damping that
-outweighs one of a lower degree only beyond 1e16 is less than its round-off (2e-16) at the scale."""
+"""Energies, in units of the scale, at which the drift must point inwards. A damping term that
+exceeds another of lower degree only beyond 1e16 is less than its round-off (2e-16) at the scale."""
 MAX_ENERGY = 1e154
-"""Largest energy whose square is a number in double precision."""
+"""Largest energy whose square does not overflow."""
 OUT_OF_RANGE = "the coefficients leave the range of double precision: choose other units"
-"""Message where the equation cannot be evaluated as far out as its density has to fall off."""
+"""Message if coefficients overflow at energies that the density has not yet left."""
 LOG_RATIOS = np.log(10.0) * np.concatenate(
     [np.arange(-48.0, -3.0, 0.5), np.linspace(-3.0, 3.0, 49), np.arange(3.5, 48.5, 0.5)]
 )
-"""ln of the ratios of two energies far out: one that the other, 1e16 times its scale, damps is
-held by noise at 1e-16 of its own scale."""
+"""ln(H1/H2) at which two energies far out are tested, in units of their scales. An energy damped by
+another at 1e16 of its scale is kept by noise near 1e-16 of its own, a ratio of 1e32."""
 
 
 @dataclass(frozen=True)
 class BoundaryClass:
-    """Kind of one end in Feller's sense, in the words of stochastic averaging, and why."""
+    """Feller class ``kind`` of one ``end`` of an energy, with the ``reason`` in words."""
 
     end: str
     kind: str
@@ -39,12 +39,13 @@ class BoundaryClass:
 
 
 def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryClass]:
-    """Return the classes of H_i = 0 and H_i = ∞ of energy ``axis``; none takes a condition.
+    """Return the Feller classes of H_i = 0 and H_i = ∞ of the energy i = ``axis``, from 0.
 
-    At H = 0 with b ~ β H the scale density is ~ H^(−κ) and the speed density ~ H^(κ−1),
-    κ = 2 s(0)/β. At infinity the scale diverges where the drift points inwards, and the process
-    comes back in finite time when ∫dH/|s| converges. The other energies are at 0, 1 or 10 times
-    their scales, all or one alone, and the least favourable decides.
+    No class takes a boundary condition. At H = 0 with b ~ β H the scale density is ~ H^(−κ) and the
+    speed density ~ H^(κ−1), κ = 2 s(0)/β. At infinity the scale function diverges if the drift
+    points inwards, and the process returns in finite time if ∫dH/|s| converges. With several
+    energies, the others are put at 0, 1 or 10 times their scales, together or one by one, and the
+    least favourable case decides.
     """
     rest = process.dimension - 1
     name = f"H{axis + 1}" if rest else "H"
@@ -52,7 +53,7 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     levels += [level * row for level in (1.0, 10.0) if rest > 1 for row in np.eye(rest)]
 
     def along(share: float) -> tuple[Array, Array, Array, Coefficients]:
-        """H_i = ``share`` of its scale, s_i and b_ii there at all levels of the others."""
+        """H_i = ``share`` times its scale, with s_i and b_ii there for all ``levels``."""
         energy = np.insert(np.array(levels), axis, share, axis=1) * np.array(process.energy_scales)
         c = process.at(energy)
         return energy[:, axis], c.drift[:, axis], c.diffusion[:, axis, axis], c
@@ -60,7 +61,7 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     energy, drift, diffusion, _ = along(NEAR)
     order = np.log2(along(2.0 * NEAR)[2] / diffusion)
     worst = float(order[np.argmax(np.abs(order - 1.0))])
-    # The extrapolated κ is that of H = NEAR, whose distance from the limit is of order NEAR.
+    # κ is evaluated at H = NEAR: it differs from the limit by the order of NEAR.
     kappa = float(np.min(2.0 * drift * energy / diffusion))
     if abs(worst - 1.0) > LINEAR:
         lower = BoundaryClass(f"{name} = 0", "not classified", f"σ² ~ H^{worst:.3g}, not ~ H")
@@ -80,7 +81,7 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     power = float(np.min(np.log(farther / drift))) / np.log(BESIDE) if inwards.all() else 0.0
     reason = "the drift points inwards, about as −" + name
     reason += "" if f"{power:.2g}" == "1" else f"^{power:.2g}"
-    # An error of either drift; 0 where the process gives none.
+    # Error of the exponent by the errors of both drifts; 0 if the process gives none.
     slack = 2.0 * float(np.max(np.nan_to_num(near.relative_error))) / np.log(BESIDE)
     kind, words = "natural", ": neither reached nor left in finite time"
     if power > 1.0 + LINEAR + slack:
@@ -89,10 +90,11 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
 
 
 def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
-    """Raise ``NotCertified`` where p H of one energy rises at the last, highest ``energy``.
+    """Raise ``NotCertified`` if p H of one energy rises at the highest ``energy``.
 
-    ``slope`` is d ln p/dH. p has a finite integral where the rate d ln(p H)/d ln H = 1 + H slope is
-    negative there, beyond its error. A rise in between shows in the mass beyond the mesh.
+    ``energy`` (points,) ascend, with coefficients ``c`` and ``slope`` d ln p/dH there. p has a
+    finite integral if the rate d ln(p H)/d ln H = 1 + H slope is negative at the end by more than
+    its error. A rise before the end would show in the mass beyond the mesh.
     """
     if energy[-1] * slope[-1] < -1.0:
         return
@@ -110,11 +112,12 @@ def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
 
 
 def require_confined(process: Process) -> None:
-    """Raise ``NotCertified`` where two energies leave for infinity together.
+    """Raise ``NotCertified`` if two energies grow to infinity together.
 
-    Far out dH_i = s_i dt. The ratio of the two quickly approaches a value at which
-    s_1/H_1 − s_2/H_2 falls through zero as it grows, while both change by the larger one's s/H:
-    where that is positive at the highest of ``FAR_OUT`` no density that falls off is stationary.
+    Far out dH_i = s_i dt. The ratio H_1/H_2 quickly approaches an attracting value, at which
+    s_1/H_1 − s_2/H_2 changes from positive to negative as the ratio grows. Both energies then grow
+    at the relative rate s/H of the larger: if that is positive at the highest of ``FAR_OUT``, no
+    stationary density exists.
     """
     scales = np.array(process.energy_scales)
     shares = np.exp(np.stack([np.minimum(LOG_RATIOS, 0.0), -np.maximum(LOG_RATIOS, 0.0)], axis=1))
@@ -124,7 +127,7 @@ def require_confined(process: Process) -> None:
     signed = np.flatnonzero(turning)
     attracts = (turning[signed[:-1]] > 0.0) & (turning[signed[1:]] < 0.0)
     k, m = signed[:-1][attracts], signed[1:][attracts]
-    # Linear between two ratios; where the difference is below round-off over more, the middle.
+    # Zero by linear interpolation between two ratios; in the middle of a range of exact zeros.
     share = np.where(m == k + 1, turning[k] / (turning[k] - turning[m]), 0.5)
     leaving = np.flatnonzero(growth[k] + share * (growth[m] - growth[k]) > 0.0)
     if leaving.size:

@@ -1,6 +1,6 @@
-"""The power of damping terms given the contact displacements, and its balance with the noise.
+"""Mean power of damping terms given the contact displacements, and its balance with the noise.
 
-The balance is a scale for meshes, ranges and steps: no answer rests on it.
+The balance gives energy scales for meshes, ranges and time steps; no answer depends on its error.
 """
 
 from collections import defaultdict
@@ -20,24 +20,26 @@ from fpk.system.linear import displacements_given
 from fpk.system.system import System
 
 SEARCHED = 2.0 ** np.arange(-2.0, 54.0)
-"""Temperatures searched, in units of one at which the sizes of all damping powers balance the
-noise: up to 1e16 of it, as energies in ``fpk.system.ends.FAR_OUT``."""
+"""Temperatures at which the balance is sought, in units of ``_temperature_of_sizes``: up to 1e16
+of it, as the energies ``fpk.system.ends.FAR_OUT``."""
 MAX_GRID_POINTS = 2**16
-"""Most Gauss points of all contact masses together, 16 to 64 of each: three digits."""
+"""Largest number of points of the tensor grid over the contact masses, 16 to 64 along each of up
+to four: moments to three digits."""
 RESAMPLED_POINTS = 2**11
-"""Points drawn for more contact masses, from five on: moments to 2 % of up to thirty masses."""
+"""Points drawn with five or more contact masses: moments to 2 % for up to thirty masses."""
 QUADRATURE = 1e-9
-"""A power below this share of the terms that cancel in it counts as zero: what quadrature leaves
-where terms of one contact mass cancel exactly is 1e-12."""
+"""A mean power below this share of its cancelling terms counts as zero; where terms of one contact
+mass cancel exactly, quadrature leaves 1e-12."""
 GROWS = "the damping does not balance the noise, so the energy grows for ever"
-"""Message where no state balances."""
+"""Message if damping and noise balance at no temperature."""
 
 
 class Balance(NamedTuple):
-    """The last state at which damping and noise balance; with stops to some per cent.
+    """Highest temperature and energy at which damping dissipates the power of the noise.
 
-    In the Gibbs state of ``temperature`` θ the power of the damping has the ``slope`` dP/dθ;
-    ``energy`` is that of a shell in balance. 0 where there is none.
+    The mean dissipated power P in the Gibbs state exp(−H/``temperature``) has the ``slope`` dP/dθ
+    there; the microcanonical mean balances at ``energy``. Each is 0 if there is no balance. With
+    stops the relative error is a few per cent.
     """
 
     temperature: float
@@ -48,10 +50,10 @@ class Balance(NamedTuple):
 def equivalent_temperature(system: System) -> float:
     """Return the θ at which E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i in the Gibbs state exp(−H/θ).
 
-    Of several roots it is the largest, where the damping takes over for good. With constant damping
-    it is Σ D_ii/m_i / Σ c_ii/m_i.
+    It is the largest of several roots, beyond which the damping dominates. With constant damping it
+    is Σ D_ii/m_i / Σ c_ii/m_i.
 
-    Raises ``NotApplicable`` where no noise reaches a mass, or the damping never balances it.
+    Raises ``NotApplicable`` if no noise reaches a mass, or the damping never balances it.
     """
     if not np.any(np.diag(system.noise_matrix) > 0.0):
         raise NotApplicable("no noise reaches a mass, so the energy has no stationary density")
@@ -64,10 +66,10 @@ def equivalent_temperature(system: System) -> float:
 def power_given(system: System, terms: Sequence[DampingTerm]) -> tuple[Integers, Array]:
     """Return E Σ c_ij v_i v_j of ``terms`` given the c contact displacements, as a polynomial.
 
-    A row of the first array (parts, 2 + c) is (degree, order, powers): with momenta and the other
-    displacements Gaussian at the temperature θ the part is H^energy · C · θ^j · Π q_c^powers,
-    order = Σ powers + 2 j, degree = order − 2 + 2 energy. The second (parts, 2) holds C, and the
-    sum of the absolute values that C is a sum of.
+    Momenta and the other displacements are Gaussian at the temperature θ. The power is the sum of
+    parts H^energy · C · θ^j · Π q_c^powers. A row of the first array (parts, 2 + c) is (degree,
+    order, powers) with order = Σ powers + 2 j and degree = order − 2 + 2 energy; a row of the
+    second (parts, 2) is C and the sum of the sizes of the terms of C.
     """
     n, masses = system.n, system.contact_masses
     weights, covariance = displacements_given(system, masses)
@@ -87,13 +89,13 @@ def power_given(system: System, terms: Sequence[DampingTerm]) -> tuple[Integers,
 
 
 def damping_balance(system: System) -> Balance:
-    """Return the last balance of Σ c_ij v_i v_j and the noise as the energy grows.
+    """Return the balance of Σ c_ij v_i v_j and the noise at the highest temperature and energy.
 
-    Without stops, or with constant damping, it is a polynomial in θ, and a term of the power θ^k in
-    the Gibbs state has H^k Γ(n)/Γ(n + k) on the shell of energy H. With stops, where Z E X ~ θ^a,
-    Z the partition function, E H^e X is θ^e E X Γ(a + e)/Γ(a); where Z ~ θ^ν and E X ~ θ^k, X is
-    E X ν^k Γ(ν)/Γ(ν + k) on the shell of energy ν θ. Both are exact far out, where all are powers.
-    Raises ``NotApplicable`` where the damping does not outweigh the noise there.
+    Without stops, or with constant damping, the mean power is a polynomial in θ, and a term θ^k of
+    the Gibbs state is H^k Γ(n)/Γ(n + k) on the energy shell H. With stops local power laws are
+    used, which are exact far out: with Z E X ~ θ^a, Z the partition function, E H^e X is
+    θ^e E X Γ(a + e)/Γ(a); with Z ~ θ^ν and E X ~ θ^k, X is E X ν^k Γ(ν)/Γ(ν + k) on the shell
+    of energy ν θ. Raises ``NotApplicable`` if the damping does not exceed the noise far out.
     """
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
     constant = float(np.sum(np.diag(system.damping) / system.mass))
@@ -111,7 +113,7 @@ def damping_balance(system: System) -> Balance:
     for (_, _, energy), terms in alike.items():
         keys, values = power_given(system, terms)
         half = 0.5 * (keys[:, 1] - keys[:, 2:].sum(axis=1))
-        means = np.zeros((theta.size, 2))  # of the power without H^energy, and of its size
+        means = np.zeros((theta.size, 2))  # means of the power without H^energy, and of its size
         for row, t, (q, weights) in zip(means, theta.tolist(), states, strict=True):
             for powers, scaled in zip(keys[:, 2:], values * t ** half[:, None], strict=True):
                 part = prod(q[k] ** powers[k] for k in np.flatnonzero(powers)) * weights
@@ -135,7 +137,7 @@ def damping_balance(system: System) -> Balance:
 
 
 def _last_root(x: Array, share: Array) -> float:
-    """The last x at which ``share``, a power law between two of them, rises through one."""
+    """Largest ``x`` at which ``share`` (points,), a power law between points, rises through 1."""
     below = np.flatnonzero(share <= 1.0)
     if not below.size or below[-1] == x.size - 1:
         return float(x[0] if not below.size else x[-1])
@@ -145,7 +147,10 @@ def _last_root(x: Array, share: Array) -> float:
 
 
 def _polynomial_balance(system: System, constant: float, noise: float) -> Balance:
-    """``damping_balance`` without stops: of the coefficients of ascending powers of θ."""
+    """``damping_balance`` without stops; ``constant`` = Σ c_ii/m_i, ``noise`` = Σ (f D fᵀ)_ii/m_i.
+
+    ``power`` holds the coefficients of ascending powers of θ.
+    """
     n, power = system.n, np.zeros(2 + max((t.degree // 2 for t in system.damping_terms), default=0))
     power[1] = constant
     size = np.abs(power)
@@ -164,7 +169,7 @@ def _polynomial_balance(system: System, constant: float, noise: float) -> Balanc
     power = np.trim_zeros(power, "b") if np.any(power) else power[:2]
 
     def largest_root(coefficients: Sequence[float] | Array) -> float:
-        """The largest real root of Σ_k coefficients_k x^k = noise, 0 where there is none."""
+        """Largest real root of Σ_k ``coefficients``_k x^k = noise, 0 if there is none."""
         roots = np.roots([*coefficients[:0:-1], -noise])
         return float(max((z.real for z in roots if abs(z.imag) < 1e-9 * abs(z)), default=0.0))
 
@@ -175,7 +180,10 @@ def _polynomial_balance(system: System, constant: float, noise: float) -> Balanc
 
 
 def _temperature_of_sizes(system: System, constant: float, noise: float) -> float:
-    """The θ at which constant θ + Σ √E X² is the noise, X the powers of the chain without stops."""
+    """The θ at which ``constant`` θ + Σ √E X² = ``noise``, X the power of each damping term.
+
+    The means are over the Gibbs state of the chain without stops.
+    """
     sizes, powers = [constant], [1.0]
     for term in system.damping_terms:
         q, v = term.powers("q", system.n), term.velocities(system.n)
@@ -184,7 +192,7 @@ def _temperature_of_sizes(system: System, constant: float, noise: float) -> floa
         sizes.append(abs(term.coefficient) * sqrt(square))
         powers.append(1.0 + 0.5 * term.degree)
     size, power = np.array(sizes)[np.array(sizes) > 0.0], np.array(powers)[np.array(sizes) > 0.0]
-    # Of the sum of m terms none is more than the noise, and the largest not less than a share 1/m.
+    # At the root no term exceeds the noise, and the largest of m terms is at least 1/m of it.
     high = np.min((log(noise) - np.log(size)) / power)
     low = np.min((log(noise / size.size) - np.log(size)) / power)
 
@@ -195,11 +203,12 @@ def _temperature_of_sizes(system: System, constant: float, noise: float) -> floa
 
 
 def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
-    """Displacements (masses, points) of the contact masses, and weights (points,), at θ.
+    """Displacements (masses, points) of the contact masses and weights (points,) of a Gibbs mean.
 
-    A mass departs from the one before it by the flexibility in between, as far as its stops let it
-    go. Of many masses ``RESAMPLED_POINTS`` points are drawn again after each: weights leave few
-    points else.
+    ``theta`` is the temperature. Along the chain each contact mass is Gaussian about the one
+    before, with the variance θ times the flexibility in between, and is cut off at its stops. With
+    five or more contact masses ``RESAMPLED_POINTS`` are drawn by their weights after each mass, as
+    otherwise few points carry all of the weight.
     """
     masses, reach = system.contact_masses, sqrt(2.0 * DEPTH)
     on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= MAX_GRID_POINTS]
@@ -222,7 +231,7 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
         weights = (weights[:, None] * half[:, None] * w * density).ravel()
         q = np.vstack([np.repeat(q, x.size, axis=1), own.reshape(1, -1)])
         if not on_grid:
-            # Fractions of the golden ratio: evenly spread beside the order of the mass before.
+            # Shifts by the golden ratio: low discrepancy together with the order of this mass.
             k, total = np.arange(RESAMPLED_POINTS), np.cumsum(weights)
             share = (k + k * 0.5 * (sqrt(5.0) - 1.0) % 1.0) / RESAMPLED_POINTS
             kept = np.searchsorted(total, share * total[-1])

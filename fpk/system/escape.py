@@ -1,4 +1,4 @@
-"""Where damping terms feed energy in without bound, and the motion without noise escapes."""
+"""Escape: damping terms that feed energy in without bound, so that no density is stationary."""
 
 from collections.abc import Callable
 
@@ -13,42 +13,45 @@ from fpk.system.linear import natural_modes
 from fpk.system.system import System
 
 LEVEL = 1e8
-"""Energy of the starts, in units of the last one at which two rates of damping and vibration are of
-one size: powers of unlike degree differ by a factor of 1e4 for each degree there."""
+"""Energy of the starts, in units of the highest energy at which any two rates of damping and
+vibration are equal: there rates differ by a factor of 1e4 for each degree between them."""
 DRAWN, FOLLOWED = 4096, 64
-"""States drawn at that energy, enough for some in a cone of one part in a thousand, and motions
-followed at the most, with 128 coordinates in all: each step takes the eigenvalues of a matrix."""
+"""Random states at the energy of the starts, of which a cone of a thousandth of the shell gets
+some, and the most motions that are integrated; these have 128 displacements in all, or eight
+motions, as each step takes the eigenvalues of a matrix."""
 STEPS = 3000
-"""Steps at the most: of ``MOVED`` each, 260 powers of ten or 95 periods of a vibration."""
+"""Largest number of time steps: with a change ``MOVED`` in each, growth by 260 powers of ten or
+95 periods of a vibration."""
 CHANGE, MOVED = 0.1, 0.2
-"""Largest relative changes in a step: of a coordinate by what is not linear, and of the whole state
-or of what grows by itself in the linearised motion."""
+"""Largest relative changes in a step: of a coordinate by the nonlinear correction, and of the whole
+state or of a growing mode of the linearised motion."""
 SLOW = 0.05
-"""Growth of a vibration, relative to its frequency, below which steps may damp it: whether it gains
-over whole cycles is for ``fpk.system.equivalent`` to judge."""
+"""Growth rate over frequency below which implicit Euler steps may damp a vibration: whether it
+gains energy over whole cycles is left to ``fpk.system.equivalent``."""
 ESCAPED = 100.0
-"""Energy, in units of the starts, above which a motion may have escaped."""
+"""Energy, in units of the start, above which a motion counts as escaped unless it returns."""
 
 
 def require_held(system: System) -> None:
-    """Raise ``NotApplicable`` where no density is stationary, as the motion escapes."""
+    """Raise ``NotApplicable`` if the motion escapes, so that no density is stationary."""
     if reason := system.fact(escape):
         raise NotApplicable(reason)
 
 
 def escape(system: System) -> str | None:
-    """Return which damping term lets the motion escape and where, or None where it comes back.
+    """Return in words which damping term lets the motion escape, and where; None if it returns.
 
-    The motion without noise, ``M dv = −(c v + K q + g(q)) dt``, decides it, from states far out in
-    which terms feed energy in; the power Σ c_ij v_i v_j alone does not, as van der Pol's oscillator
-    crosses |q| < 1 at any speed. Noise reaches these states, so that no density is stationary.
+    The motion without noise, ``M dv = −(c v + K q + g(q)) dt``, is integrated from states far out
+    in which damping terms feed energy in. The sign of the power Σ c_ij v_i v_j alone decides
+    nothing: van der Pol's oscillator crosses |q| < 1 at any speed. Noise reaches all these states,
+    so that no density is stationary if one motion escapes.
     """
     if not system.damping_terms:
         return None
     # The unit (2n,) of each of (q, v) in which its energy is about x²/2.
     n, unit = system.n, np.sqrt([*np.diag(system.compliance), *(1.0 / system.mass)])
-    # The last energies, without and with stops, at which two rates of motion are alike: c_ij over
-    # √(m_i m_j) of the damping and each term, natural frequencies, √(2E/m)/q of a rebound at q.
+    # The highest energies, without and with stops, at which two rates are equal: c_ij/√(m_i m_j) of
+    # the constant damping and of each term, natural frequencies, √(2E/m)/q of a rebound at q.
     root, flexibility = np.sqrt(np.outer(system.mass, system.mass)), np.diag(system.compliance)
     rates = [(0, max(np.max(np.abs(system.damping) / root), natural_modes(system)[1][-1]))]
     for t in system.damping_terms:
@@ -72,16 +75,16 @@ def escape(system: System) -> str | None:
 
 
 def _escaping_state(system: System, unit: Array, energy: float, span: float) -> Array | None:
-    """Return a state (2n,) on a motion that escapes from ``energy``; None where all come back.
+    """Return a state (q, v), (2n,), of a motion that escapes from ``energy``; None if all return.
 
-    Implicit Euler steps with one correction damp what vibrates and does not grow; where the
-    linearised motion grows they are short. A motion is back that has lost half of its energy, and
-    has escaped where it leaves the range of double precision, or still rises at the end.
-    ``energy/span`` is the least energy at which rates are alike.
+    Implicit Euler steps with one correction damp vibrations that do not grow; steps are short where
+    the linearised motion grows. A motion has returned when it has lost half of its energy, and has
+    escaped when it leaves the range of double precision or still rises at the end. ``unit`` (2n,)
+    scales (q, v); ``energy/span`` is the lowest energy at which two rates are equal.
     """
     n, rates, rng = system.n, _motion(system, unit), np.random.default_rng(0)
-    # Two thirds have half of the coordinates small, evenly so in their logarithms, down to a tenth
-    # of their size at ``energy/span``: others lead there.
+    # In two thirds of the states about half of the coordinates are small, log-uniformly down to a
+    # tenth of their size at ``energy/span``.
     small = rng.random((DRAWN, 2 * n)) < 0.5
     small[::3] = False
     share = np.where(small, (10.0 * np.sqrt(span)) ** -rng.random((DRAWN, 2 * n)), 1.0)
@@ -90,7 +93,7 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
     q, momentum = z[:, :n], z[:, n:] * system.mass
     with np.errstate(over="ignore"):
         while (above := system.hamiltonian(q, momentum) > 2.0 * energy).any():
-            q[above] *= 0.9  # as far as springs and stops let it
+            q[above] *= 0.9  # springs and stops take no more energy than that
     power = _term_powers(system, z)
     feeding = np.sum(power, axis=0) < -ROUND_OFF * np.sum(np.abs(power), axis=0)
     x = far = (z / unit)[feeding][: max(8, min(FOLLOWED, 128 // n))]
@@ -122,7 +125,7 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
             inverse = np.linalg.inv(np.eye(2 * n) - dt[:, None, None] * J)
             first = np.einsum("sij,sj->si", inverse, dt[:, None] * f)
             second = np.einsum("sij,sj->si", inverse, dt[:, None] * rates(x + first)[0] - first)
-            # Displacements or velocities below 1e-3 of all of them may change by more.
+            # A displacement (velocity) below 1e-3 of the norm of all of them may change by more.
             scale = np.abs(x) + np.abs(x + first) + 1e-3 * np.sqrt(x**2 @ alike)
             moved = np.linalg.norm(first, axis=1) / np.linalg.norm(x, axis=1)
             change = np.maximum(np.max(np.abs(second) / scale, axis=1), CHANGE / MOVED * moved)
@@ -136,7 +139,7 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
 
 
 def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array, Array]]:
-    """The function of states x = (q, v)/``unit``, (states, 2n), to dx/dt, ∂(dx/dt)/∂x and H."""
+    """Function of states x = (q, v)/``unit``, (states, 2n), that returns dx/dt, ∂(dx/dt)/∂x, H."""
     n, terms, K = system.n, system.damping_terms, system.stiffness_matrix
     powers = np.array([[*t.powers("q", n), *t.powers("v", n)] for t in terms])
     powers[range(len(terms)), [n + t.column for t in terms]] += 1
@@ -172,14 +175,14 @@ def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array
 
 
 def _term_powers(system: System, z: Array) -> Array:
-    """The power c_ij v_i v_j (terms, states) of each damping term at z = (q, v) (states, 2n)."""
+    """Power c_ij v_i v_j (terms, states) of each damping term at ``z`` = (q, v), (states, 2n)."""
     q, v = z[:, : system.n], z[:, system.n :]
     H, terms = system.hamiltonian(q, v * system.mass), system.damping_terms
     return np.array([t.value(q, v, H) * v[:, t.row] * v[:, t.column] for t in terms])
 
 
 def _escape_reason(system: System, state: Array) -> str:
-    """The reason: the term that feeds most in at ``state``, and where it does so."""
+    """Message with the term that feeds in most at ``state`` = (q, v), (2n,), and its region."""
     term = system.damping_terms[int(np.argmin(_term_powers(system, state[None])[:, 0]))]
     names = [f"{key}{i + 1}" for key in "qv" for i in range(system.n)]
     powers = [*term.powers("q", system.n), *term.powers("v", system.n)]
@@ -187,7 +190,7 @@ def _escape_reason(system: System, state: Array) -> str:
     factors += [f"H^{term.energy}" if term.energy > 1 else "H"] if term.energy else []
     start = ", ".join(f"{x} = {value:.3g}" for x, value in zip(names, state, strict=True))
     side = ["<" if x < 0.0 else ">" for x in state]
-    # One factor in c_ii feeds in from where it outweighs the constant damping.
+    # A term of one factor in c_ii feeds energy in where it exceeds the constant damping.
     if term.i == term.j and term.energy == 0 and len(term.q + term.v) == 1:
         k, constant = int(np.argmax(powers)), max(float(system.damping[term.row, term.row]), 0.0)
         bound = (constant / abs(term.coefficient)) ** (1.0 / powers[k])

@@ -1,4 +1,4 @@
-"""The linear part of a system: springs, its natural modes (13), constant damping and noise."""
+"""Linear part of a system: springs, natural modes (13), constant damping and noise."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,26 +14,25 @@ from fpk.system.system import System
 
 
 def drift_matrix(system: System) -> Array:
-    """Return A of ``dx = A x dt + …`` with x = (q, p), shape (2n, 2n)."""
+    """Return A, (2n, 2n), of ``dx = A x dt + …`` without contacts, x = (q, p)."""
     velocity, nothing = np.diag(1.0 / system.mass), np.zeros((system.n, system.n))
     damping = system.damping * (1.0 / system.mass)
     return np.block([[nothing, velocity], [-system.stiffness_matrix, -damping]])
 
 
 def diffusion_matrix(system: System) -> Array:
-    """Return the constant b = 2 f D fᵀ of the momenta in x = (q, p), shape (2n, 2n)."""
+    """Return the diffusion matrix (2n, 2n) of x = (q, p): 2 f D fᵀ for the momenta, else 0."""
     return np.asarray(block_diag(np.zeros((system.n, system.n)), 2.0 * system.noise_matrix))
 
 
 def natural_modes(system: System) -> tuple[Array, Array]:
     """Return the shapes T (n, n), one mode a column, and ω (n,) of K T = M T ω², ω ascending.
 
-    Shapes are normalised to Tᵀ M T = 1, of arbitrary signs, and ω is in radians per time: with
-    ``q = T Q`` and ``P = Tᵀ p`` a mode has the energy ``H_m = ½ (P_m² + ω_m² Q_m²)``, and
-    ``Q = Tᵀ M q``.
+    Shapes are normalised to Tᵀ M T = 1, with arbitrary signs, and ω is in radians per time. A mode
+    has the energy ``H_m = ½ (P_m² + ω_m² Q_m²)`` with ``Q = Tᵀ M q``, ``q = T Q``, ``P = Tᵀ p``.
 
-    With K = Gᵀ G, row i of G being √k_i (q_i − q_{i−1}), ω are the singular values of G M^(−1/2):
-    none is lost where an eigenvalue of K would be, in the round-off of the largest one.
+    With K = Gᵀ G, row i of G being √k_i (q_i − q_{i−1}), ω are the singular values of G M^(−1/2).
+    Small ω keep digits that eigenvalues of K would lose to the round-off of the largest.
     """
     roots, springs = np.sqrt(system.mass), np.sqrt(system.stiffness)
     G = np.diag(springs) - np.diag(springs[1:], -1)
@@ -42,12 +41,13 @@ def natural_modes(system: System) -> tuple[Array, Array]:
 
 
 def displacements_given(system: System, masses: Sequence[int]) -> tuple[Array, Array]:
-    """Return w (n, c) and Σ (n, n) of q = w q_c + ξ, ξ ~ N(0, θ Σ): the law given those of masses.
+    """Return w (n, c) and Σ (n, n) of q = w q_c + ξ, ξ ~ N(0, θ Σ), q_c the given displacements.
 
-    Without contacts, at the temperature θ. ``masses`` ascend from 0. Between two of them the chain
-    is a bridge: with the flexibilities a from the lower one up to the nearer of two masses, b from
-    the farther one on and s in all the covariance is a b/s, and a where none is above. Nothing
-    cancels at any ratio of the springs.
+    It is the Gibbs state of temperature θ without contacts, conditioned on the displacements of
+    ``masses``, c ascending numbers from 0. Between two of them the chain is a Brownian bridge: the
+    covariance of two masses is a b/s, with the flexibilities a from the lower given mass to the
+    nearer of the two, b from the farther of the two to the upper given mass, and s between both
+    given masses. Beyond the last given mass it is a. Nothing cancels, for any ratio of springs.
     """
     n, flexibility = system.n, 1.0 / system.stiffness
     weights, covariance = np.zeros((n, len(masses))), np.zeros((n, n))
@@ -67,14 +67,14 @@ def displacements_given(system: System, masses: Sequence[int]) -> tuple[Array, A
 
 
 def modal_energies(system: System, q: Array, p: Array) -> Array:
-    """Return the energies H_m (..., n) of the modes at q, p (..., n), none of it in contacts."""
+    """Return the energies H_m (..., n) of the modes at ``q``, ``p`` (..., n), without contacts."""
     shapes, omega = natural_modes(system)
     energies: Array = 0.5 * ((p @ shapes) ** 2 + (omega * ((q * system.mass) @ shapes)) ** 2)
     return energies
 
 
 def decay_time(system: System) -> float:
-    """Return 1/rate of the slowest decay of the linear part; inf where some motion never decays."""
+    """Return 1/rate of the slowest decay of the linear part; inf if some motion never decays."""
     eigenvalues = np.linalg.eigvals(drift_matrix(system))
     rate = float(-np.max(eigenvalues.real))
     return 1.0 / rate if rate > ROUND_OFF * float(np.max(np.abs(eigenvalues))) else inf
@@ -82,12 +82,13 @@ def decay_time(system: System) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LinearCovariance:
-    """Covariance of x = (ω Q, P) of the modes without contacts, and how well it is known.
+    """Covariance of x = (ω Q, P) of the modes without contacts, and its errors.
 
-    ``shapes`` T (n, n) and ``omega`` (n,) as of ``natural_modes``; ``drift`` A (2n, 2n) of
-    dx = A x dt + …; ``covariance`` (2n, 2n) is V diag(``variance``) Vᵀ with ``axes`` V, ascending.
-    ``variance_error`` (2n,) is the error of each variance, ``relative_error`` of the quadratic
-    form; ``residual`` the largest of the Lyapunov equation relative to the terms that cancel.
+    ``shapes`` T (n, n) and ``omega`` (n,) are from ``natural_modes``; ``drift`` is A (2n, 2n) of
+    dx = A x dt + …. ``covariance`` (2n, 2n) is V diag(``variance``) Vᵀ with ``axes`` V, variances
+    ascending; ``variance_error`` (2n,) are their errors and ``relative_error`` is the largest
+    relative error of the quadratic form. ``residual`` is the largest of the Lyapunov equation,
+    relative to its terms.
     """
 
     shapes: Array
@@ -105,10 +106,10 @@ def linear_covariance(system: System) -> LinearCovariance:
     """Return the covariance of the modes of the system without contacts, from A Σ + Σ Aᵀ + b = 0.
 
     In (ω Q, P) every entry of A is a rate of its own mode, and none is lost beside a faster one.
-    The error is estimated by the last of two corrections, by the effect of a residual of the size
-    of its own round-off, and by that of the round-off of ω, of alternate signs.
+    The error estimate is the sum of the last of two corrections, of the effect of a residual of the
+    size of its round-off, and of the effect of a round-off of ω with alternating signs.
 
-    Raises ``NotApplicable`` where a mode is not damped or the damping depends on the state.
+    Raises ``NotApplicable`` if a mode is not damped or the damping depends on the state.
     """
     if system.damping_terms:
         raise NotApplicable("the damping depends on the state, so the system is not linear")
@@ -120,13 +121,13 @@ def linear_covariance(system: System) -> LinearCovariance:
     A = np.block([[nothing, np.diag(omega)], [-np.diag(omega), -T.T @ system.damping @ T]])
     b = block_diag(nothing, 2.0 * T.T @ system.noise_matrix @ T)
     covariance = correction = np.zeros((2 * n, 2 * n))
-    # A first correction leaves the square of the solver's relative error, which is below 1e-6 where
-    # a mode decays by more than 1e-10 of a radian; a second one shows what is left.
+    # The first correction leaves the square of the solver's relative error, which is below 1e-6 if
+    # every mode decays by more than 1e-10 in a radian; the second estimates what remains.
     for _ in range(3):
         correction = solve_continuous_lyapunov(A, -(A @ covariance + covariance @ A.T + b))
         covariance = covariance + 0.5 * (correction + correction.T)
     left = A @ covariance + covariance @ A.T + b
-    # The sizes of what is added up in A and b, which cancels where a mode is nearly undamped.
+    # Sizes of the terms of A and b, which cancel if a mode is nearly undamped.
     damping, noise = (
         np.abs(T.T) @ np.abs(x) @ np.abs(T) for x in (system.damping, 2.0 * system.noise_matrix)
     )
@@ -139,16 +140,15 @@ def linear_covariance(system: System) -> LinearCovariance:
     effects = [solve_continuous_lyapunov(A, -x) for x in (rounding * terms, turned + turned.T)]
     variance, V = np.linalg.eigh(covariance)
     errors = [V.T @ effect @ V for effect in (correction, *effects)]
-    # Eigenvalues have the round-off of the largest one, and the springs of a soft mode that of the
-    # stiffest one.
+    # Eigenvalues have the round-off of the largest eigenvalue, soft modes that of the stiffest.
     variance_error = sum(np.abs(np.diag(e)) for e in errors) + rounding * variance[-1]
     variance_error += 2.0 * rounding * omega[-1] / omega[0] * variance
     size = np.sqrt(np.maximum(variance, variance_error))
-    size[size == 0.0] = 1.0  # at rest: no noise moves it, and nothing has an error
+    size[size == 0.0] = 1.0  # a mode at rest without noise has no error
     relative = sum(np.linalg.norm(e / np.outer(size, size), 2) for e in errors)
     relative += np.max(variance_error / size**2)
-    # What is not correlated leaves no terms to compare with: those of both on their own are, in
-    # displacements those of the rotation.
+    # An entry between uncorrelated modes has no terms: its scale is that of both diagonal entries,
+    # for displacements of the terms ω Σ.
     terms[range(n), range(n)] += omega * np.abs(np.diag(covariance)[:n])
     alone = np.sqrt(np.diag(terms))
     terms = np.maximum(terms, np.outer(alone, alone))
@@ -161,7 +161,7 @@ def linear_covariance(system: System) -> LinearCovariance:
 def stationary_covariance(system: System) -> Array:
     """Return the covariance (2n, 2n) of (q, p) without contacts, for any damping and noise.
 
-    Raises ``NotApplicable`` as ``linear_covariance``.
+    Raises ``NotApplicable`` as ``linear_covariance`` does.
     """
     modal = system.fact(linear_covariance)
     back = block_diag(modal.shapes / modal.omega, system.mass[:, None] * modal.shapes)

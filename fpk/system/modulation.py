@@ -1,4 +1,4 @@
-"""Noise whose strength varies with time: e(t)² D."""
+"""Noise of intensity e(t)² D that varies with time."""
 
 from dataclasses import dataclass
 from math import inf
@@ -10,15 +10,15 @@ from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable, require
 
 FADED_ERROR = 1e-13
-"""Relative error of ``Modulation.faded``: 1F1 of SciPy has 2e-15, a decay by up to e^−700 8e-14."""
+"""Relative error of ``Modulation.faded``: 2e-15 by SciPy's 1F1, 8e-14 by exponents up to 700."""
 
 
 @dataclass(frozen=True, eq=False)
 class Modulation:
-    """The factor e(t) on the noise: linear between ``times`` and constant after the last.
+    """Factor e(t) on the noise, linear between ``times`` and constant after the last.
 
-    ``times`` ascend from 0; a ``factor`` is 0 or from 1e-150 to 1e150, so that its square is a
-    number. The stationary state is that of the ``noise_intensity`` itself, e = 1 at all times.
+    ``times`` ascend from 0; each ``factor`` is 0 or between 1e-150 and 1e150, so that its square
+    does not under- or overflow. Stationary states are for e = 1 at all times.
 
     Raises ``InvalidInput`` for anything else.
     """
@@ -27,7 +27,7 @@ class Modulation:
     factor: Array
 
     def __post_init__(self) -> None:
-        """Check both lists and keep them read-only."""
+        """Check both lists and store them as read-only arrays."""
         least, most = 1e-150, 1e150
         for key in ("times", "factor"):
             try:
@@ -47,39 +47,39 @@ class Modulation:
         require(np.all((e == 0.0) | (e >= least) & (e <= most)), "factor", e, words)
 
     def __call__(self, time: Array) -> Array:
-        """Return e at ``time`` >= 0 of any shape."""
+        """Return e at ``time`` >= 0, of any shape."""
         return np.asarray(np.interp(time, self.times, self.factor))
 
     @property
     def largest(self) -> float:
-        """The largest e²."""
+        """Largest e² at any time."""
         return float(self.factor.max()) ** 2
 
     @property
     def last(self) -> float:
-        """e² of the end, after the last time."""
+        """e² after the last time."""
         return float(self.factor[-1]) ** 2
 
     @property
     def quiet(self) -> float:
-        """The time until which there is no noise; inf where there never is."""
+        """Time of the first noise; inf if e is 0 at all times."""
         loud = np.flatnonzero(self.factor > 0.0)
         return float(self.times[max(loud[0] - 1, 0)]) if loud.size else inf
 
     def after(self, time: float) -> "Modulation":
-        """Return the modulation of what begins at ``time``."""
+        """Return the modulation e(``time`` + t) for t >= 0."""
         later = self.times[self.times > time]
         return Modulation(np.append(0.0, later - time), self(np.append(time, later)))
 
     def energy(self, time: Array) -> Array:
-        """Return ∫e² dt from 0 to ``time`` of any shape."""
+        """Return ∫e² dt from 0 to ``time``, of any shape."""
         e, t = self.factor, self.times
         k = np.searchsorted(t, time, side="right") - 1
         whole = np.append(0.0, np.cumsum(np.diff(t) * _square(e[:-1], e[1:])))
         return np.asarray(whole[k] + (time - t[k]) * _square(e[k], self(time)))
 
     def mean_square(self, begin: Array, step: float) -> Array:
-        """Return the mean of e² over steps that begin at the times ``begin``, of any shape."""
+        """Return the mean of e² over steps of length ``step`` from times ``begin``, any shape."""
         first, last = np.asarray(begin)[..., None], np.asarray(begin)[..., None] + step
         inner = self.times[(self.times > np.min(first)) & (self.times < np.max(last))]
         nodes = np.concatenate([first, np.clip(inner, first, last), last], axis=-1)
@@ -87,27 +87,27 @@ class Modulation:
         return np.asarray(np.sum(np.diff(nodes) * _square(e[..., :-1], e[..., 1:]), axis=-1) / step)
 
     def faded(self, begin: float, end: float, rate: Array) -> Array:
-        """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, of the shape of rate.
+        """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, (…) as ``rate``.
 
-        A negative rate is of growth.
+        A negative ``rate`` means growth. The relative error is below ``FADED_ERROR``.
         """
         inner = self.times[(self.times > begin) & (self.times < end)]
         nodes = np.concatenate([[begin], inner, [end]])
         e, h = self(nodes), np.diff(nodes)
         rate = np.asarray(rate, dtype=float)[..., None]
-        # e = e_0 y + e_1 (1 − y), y the share of a segment before its end: ∫_0^1 e² e^(−uy) dy is
-        # a sum of Beta integrals, none of them negative.
+        # e = e_0 y + e_1 (1 − y) on a segment, y = 1 at its begin: ∫_0^1 e² e^(−uy) dy is a sum of
+        # Beta integrals without negative terms.
         F = [hyp1f1(j, 4, -rate * h) for j in (1, 2, 3)]
         each = h / 3.0 * (e[1:] ** 2 * F[0] + e[:-1] * e[1:] * F[1] + e[:-1] ** 2 * F[2])
         return np.asarray(np.sum(each * np.exp(-rate * (end - nodes[1:])), axis=-1))
 
 
 def _square(first: Array, last: Array) -> Array:
-    """The mean square of a function that is linear from ``first`` to ``last``."""
+    """Mean square of a function that changes linearly from ``first`` to ``last``."""
     return np.asarray((last**2 + last * first + first**2) / 3.0)
 
 
 def require_constant_noise(modulation: Modulation | None) -> None:
-    """Raise ``NotApplicable`` where there is a modulation."""
+    """Raise ``NotApplicable`` if the system has a ``modulation``."""
     if modulation is not None:
         raise NotApplicable("the noise is modulated, which this route does not take into account")

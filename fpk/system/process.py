@@ -1,4 +1,4 @@
-"""Diffusion processes of one or several energies: what the FPK solvers and samplers are given."""
+"""Diffusion processes of one or several energies: the input of FPK solvers and samplers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,21 +9,22 @@ import numpy as np
 from fpk.numeric.arrays import SMALLEST, Array, Flags
 
 ZERO_ENERGY = 1e-250
-"""Energy, over the last of a mesh, that stands for H = 0: integrals underflow below 1e-300."""
+"""Energy at which coefficients for H = 0 are evaluated, in units of the last energy of a mesh:
+shell integrals underflow below 1e-300."""
 UNKNOWN: Array = np.array(np.nan)
-"""A coefficient that a process does not give: whatever is computed from it is not a number."""
+"""Default of a coefficient that a process does not give: NaN, as is all that follows from it."""
 
 
 class Coefficients(NamedTuple):
-    """Coefficients of ``dH_i = s_i dt + σ_ij dB_j`` at some energies.
+    """Coefficients of the Ito equation ``dH_i = s_i dt + σ_ij dB_j`` at given energies.
 
-    Of one energy every array has the energies' shape; of d energies (points, d) the ``drift`` s and
-    the ``divergence`` Σ_j ∂b_ij/∂H_j are (points, d) and the ``diffusion`` b = σσᵀ, the full
-    symmetric matrix, is (points, d, d). The ½ stays in the FPK equation.
-    ``dissipation`` is the part of the drift that damping causes and ``log_density_of_states``
-    is ln T up to a constant, so that ``s = dissipation + ½ (b T)'/T``. ``relative_error``
-    estimates the error of the quadratures behind all but b', relative to each; that of the drift is
-    relative to the sum of the sizes of its two parts, which may cancel.
+    For one energy every array has the shape of the energies. For d energies (points, d) the
+    ``drift`` s and the ``divergence`` Σ_j ∂b_ij/∂H_j are (points, d), and the ``diffusion``
+    b = σσᵀ, the full symmetric matrix, is (points, d, d). The ½ stays in the FPK equation.
+    ``dissipation`` is the part of the drift due to damping and ``log_density_of_states`` is ln T up
+    to a constant: ``s = dissipation + ½ (b T)'/T``. ``relative_error`` estimates the quadrature
+    errors of all but b'. It is relative to each coefficient, but for the drift to the sum of the
+    sizes of its two parts, which may cancel.
     """
 
     drift: Array
@@ -36,15 +37,15 @@ class Coefficients(NamedTuple):
 
 @dataclass(frozen=True)
 class Process:
-    """Diffusion process of d energies H_i in (0, ∞), Ito, Eqs. (9), (17), (19), (24).
+    """Ito diffusion process of d energies H_i in (0, ∞), Eqs. (9), (17), (19), (24).
 
-    ``coefficients`` evaluates it at energies > 0, an array of any shape for one energy and
-    (points, d) for more. ``energy_scales`` (d,) are energies of the order of each mean, from which
-    meshes start; ``nonsmooth`` holds the energies, ascending, where the coefficients of one energy
-    lose smoothness (where contact begins); ``degrees_of_freedom`` is n in T ~ H^(n−1) at H → 0.
-    ``state_damping`` says that 2 dissipation/diffusion varies with H: the errors of the
-    coefficients then add up in ln p, and p may have its maximum anywhere. Row i of b vanishes at
-    H_i = 0, which takes no boundary condition.
+    ``coefficients`` takes energies > 0, an array of any shape for one energy and (points, d) for
+    more. ``energy_scales`` (d,) are of the order of the mean energies; meshes start from them.
+    ``nonsmooth`` are the ascending energies at which the coefficients of one energy lose smoothness
+    because contact begins; ``degrees_of_freedom`` is n in T ~ H^(n−1) for H → 0.
+    ``state_damping``: 2 dissipation/diffusion varies with H, so that the errors of the coefficients
+    add up in ln p, and p may have its maximum anywhere. Row i of b vanishes at H_i = 0, which takes
+    no boundary condition.
     """
 
     coefficients: Callable[[Array], Coefficients]
@@ -54,7 +55,7 @@ class Process:
     state_damping: bool = False
 
     def at(self, energies: Array) -> Coefficients:
-        """Return s, b, Σ_j ∂b_ij/∂H_j and their error at (points, d), of one energy, too."""
+        """Return s, b, Σ_j ∂b_ij/∂H_j and their error at ``energies`` (points, d), d >= 1."""
         if self.dimension > 1:
             return self.coefficients(energies)
         c = self.coefficients(energies[:, 0])
@@ -62,9 +63,9 @@ class Process:
         return Coefficients(s, b, divergence, relative_error=c.relative_error)
 
     def on_mesh(self, energy: Array, last: float) -> tuple[Array, Flags]:
-        """Return ``energy`` clipped between a hair above 0 and ``last``, and where p is not 0.
+        """Return ``energy``, of any shape, clipped to (0, ``last``], and where p is not 0.
 
-        p is 0 outside, and at H = 0 of several degrees of freedom.
+        p is 0 outside [0, ``last``], and at H = 0 for more than one degree of freedom.
         """
         least = max(ZERO_ENERGY * last, SMALLEST)
         above = energy >= 0.0 if self.degrees_of_freedom == 1 else energy > 0.0
@@ -77,17 +78,17 @@ class Process:
 
     @property
     def energy_scale(self) -> float:
-        """The scale of one energy."""
+        """Scale of the only energy."""
         (scale,) = self.energy_scales
         return scale
 
 
 def log_density_slope_error(c: Coefficients) -> Array:
-    """Return a bound of the error of 2s/b from those of s and b, relative to the parts of s."""
+    """Return a bound of the error of 2s/b by the relative errors of s and b in ``c``."""
     parts = np.abs(c.dissipation) + np.abs(c.drift - c.dissipation)
     return np.asarray(2.0 * c.relative_error * parts / c.diffusion)
 
 
 def log_density_slope(c: Coefficients) -> Array:
-    """Return d ln p/dH = (2 s − b')/b, the slope that zero flux demands, from (11)."""
+    """Return d ln p/dH = (2 s − b')/b, the slope of the density of zero flux, from (11)."""
     return np.asarray((2.0 * c.drift - c.divergence) / c.diffusion)

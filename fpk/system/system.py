@@ -1,4 +1,4 @@
-"""The chain of masses, springs, dampers, noises and contacts of Eq. (1), and its effects."""
+"""The chain of masses, springs, dampers, noises and contacts of Eq. (1), and which act in it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -29,11 +29,11 @@ class System:
     ``damping_terms`` make c depend on the state: then it may feed energy in where they take it out.
     ``noise_intensity`` D: (l,) for a diagonal or (l, l), symmetric, positive semidefinite.
     ``noise_gain`` f: (n, l), the identity when left out. ``contacts``: any number on any masses.
-    ``damping_terms``: what entries of c gain with the state; one without any power joins the
-    constant matrix, one with the coefficient 0 is dropped.
-    ``modulation`` e(t) multiplies the noise intensity by e² in what begins at a time 0: the
-    stationary state, and every method that solves for it, is without it.
-    All arrays are kept read-only, in float64 and full matrix form.
+    ``damping_terms``: monomials of the state added to entries of c; a term without powers is added
+    to the constant matrix, a term with the coefficient 0 is dropped.
+    ``modulation`` e(t) multiplies the noise intensity by e² in motions that begin at time 0;
+    stationary states and the methods that solve for them ignore it.
+    All arrays are read-only, in float64 and full matrix form.
 
     Two masses, the second between stops (Fig. 6(a))::
 
@@ -43,7 +43,7 @@ class System:
         system.potential(np.array([0.2, 0.6])), system.contact_energy(1, 0.6)
         system.hamiltonian(np.array([0.2, 0.6]), np.array([0.0, 0.1]))
 
-    Raises ``InvalidInput`` naming the field that cannot be used.
+    Raises ``InvalidInput`` with the name of the field that cannot be used.
     """
 
     mass: Array
@@ -75,7 +75,7 @@ class System:
         damping, words = _matrix("damping", self.damping), f"must have {n} entries or be {n} x {n}"
         require(damping.shape[0] == n, "damping", self.damping, words)
         masses = {f"contact[{k}].mass": c.mass for k, c in enumerate(self.contacts, start=1)}
-        terms = []  # those that depend on the state
+        terms = []  # the terms that depend on the state
         for k, term in enumerate(self.damping_terms, start=1):
             masses |= {f"damping_term[{k}].{place}": at for place, at in term.masses.items()}
         for key, at in masses.items():
@@ -117,7 +117,7 @@ class System:
 
     @property
     def n(self) -> int:
-        """Number of masses, the degrees of freedom."""
+        """Number of masses (degrees of freedom)."""
         return self.mass.size
 
     @cached_property
@@ -127,14 +127,14 @@ class System:
 
     @cached_property
     def contact_masses(self) -> tuple[int, ...]:
-        """The masses that can touch something, counted from 0, ascending."""
+        """Ascending numbers, counted from 0, of the masses with a contact."""
         return tuple(sorted({contact.index for contact in self.contacts}))
 
     @cached_property
     def compliance(self) -> Array:
         """Inverse (n, n) of the stiffness matrix of the chain: Σ 1/k_l over l <= min(i, j).
 
-        Nothing cancels: every entry has full relative accuracy for any ratio of the springs.
+        Nothing cancels: every entry has full relative accuracy for any ratio of stiffnesses.
         """
         reach = np.cumsum(1.0 / self.stiffness)
         matrix: Array = np.minimum.outer(reach, reach)
@@ -142,7 +142,7 @@ class System:
         return matrix
 
     def __repr__(self) -> str:
-        """Return the number of masses and what acts on them in one line."""
+        """Return the number of masses, the stops and the number of damping terms in one line."""
         stops = ", ".join(f"{stop.side} of mass {stop.mass}" for stop in self.stops)
         return (
             f"System({self.n} {'mass' if self.n == 1 else 'masses'}; stops: {stops or 'none'}; "
@@ -150,20 +150,20 @@ class System:
         )
 
     def fact(self, compute: Callable[["System"], Fact]) -> Fact:
-        """Return ``compute(self)``, computed when first asked for, then held by the system.
+        """Return ``compute(self)``, stored in the system after the first call.
 
-        ``compute``, a function of a module, serves as the key. An exception is not held.
+        ``compute``, a function of a module, is the key. An exception is not stored.
         """
         if compute not in self._facts:
             self._facts[compute] = compute(self)
         return cast("Fact", self._facts[compute])
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state to pickle, without the facts: they are computed again."""
+        """Return the state to pickle, without the stored facts: they are computed again."""
         return {**self.__dict__, "_facts": {}}
 
     def contact_energy(self, mass: int, q: ArrayLike) -> Array:
-        """Contact energy U_i(q) of one mass (counted from 0), Eq. (5)."""
+        """Contact energy U_i of ``mass``, counted from 0, at displacements ``q``, Eq. (5)."""
         q = np.asarray(q, dtype=float)
         energy = np.zeros_like(q)
         for stop in self.stops:
@@ -214,11 +214,12 @@ def _refuse_negative(key: str, matrix: Array, words: str) -> None:
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects of one system; hashable, and the key by which the stepper is compiled.
+    """Effects that act in a system: a hashable key, for which a stepper is compiled.
 
-    ``laws`` are sorted; ``contact_masses`` count from 0; ``stops`` is the number of one-sided
-    contacts, ``noise_rank`` of independent noises that reach a mass; with ``state_damping`` the
-    damping depends on the state, ``energy_damping`` on H; ``mirror``: q → −q changes nothing.
+    ``laws`` are sorted names; ``contact_masses`` count from 0; ``stops`` is the number of one-sided
+    contacts and ``noise_rank`` the number of independent noises that reach a mass.
+    ``state_damping``: the damping depends on the state; ``energy_damping``: it depends on H;
+    ``mirror``: the system is invariant under q → −q.
     """
 
     masses: int
@@ -234,7 +235,7 @@ class Effects:
 
 
 def effects_of(system: System) -> Effects:
-    """Return the effects that act in ``system``."""
+    """Return which effects act in ``system``."""
     noise = system.noise_matrix
     return Effects(
         masses=system.n,
@@ -251,7 +252,7 @@ def effects_of(system: System) -> Effects:
 
 
 def looks_the_same_mirrored(system: System) -> bool:
-    """Whether the system is the same under q → −q."""
+    """Whether the system is invariant under q → −q."""
     stops = [(s.index, s.stiffness, s.clearance, s.law, s.power, s.side) for s in system.stops]
     right, left = (sorted(s[:-1] for s in stops if s[-1] == side) for side in ("right", "left"))
     return right == left and all(term.degree % 2 == 0 for term in system.damping_terms)

@@ -1,1 +1,1 @@
-"""Stationary FPK equation of one energy: hp elements, certified; the kinds of its boundaries."""
+"""FPK equation of one energy: certified hp finite elements for the stationary state and in time."""

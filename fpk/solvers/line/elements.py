@@ -2,16 +2,17 @@
 
 Zero flux makes the one-dimensional stationary problem local. The Galerkin equations
 ``∫ J(u) v' dH = 0`` for all continuous piecewise polynomials v of degree p say that the flux J is
-orthogonal, element by element, to all polynomials of degree p − 1: the derivatives v' are just
-those. So static condensation is exact, every element has a one-dimensional null space of its
-own, and the solution of the global system is these, scaled to match at the vertices. As there is
-nothing else to match, the basis is that of Legendre polynomials.
+orthogonal, element by element, to all polynomials of degree p − 1, which are the derivatives v'. So
+static condensation is exact: every element has a one-dimensional null space of its own, and the
+global solution consists of these null vectors, scaled to match at the vertices. As nothing else has
+to match, Legendre polynomials serve as basis.
 
 u = p/T is the phase-space density, and J = T (F u − ½ b u') with F the part of the drift due to
 damping; the noise part of the drift, ½ (bT)'/T, has cancelled, so that no derivative of b is
-needed, and u is smooth where T is not. The exact solution has J = 0 at every point, so that any
-points serve the Galerkin equations. Integrals of p are another matter: above an energy where
-contact begins T has half-integer powers, and the element that begins there has points of its own.
+needed, and u is smooth where T is not. The exact solution has J = 0 at every point, so that the
+Galerkin equations may use any quadrature points. Integrals of p need special points: above an
+energy where contact begins T has half-integer powers, and the element that begins there has points
+of its own.
 """
 
 from collections.abc import Callable
@@ -26,29 +27,31 @@ from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 ENRICHMENT = 2
-"""Degrees by which the enriched solution, of the error estimate, exceeds the answer."""
+"""Degree of the enriched solution, whose distance estimates the error, above that of the answer."""
 ELEMENT_POINTS = 4
-"""Points of an element beyond its degree. Twice as many where T ~ H^(n−1) is steep, n > 2: with
-fewer the answer and the enriched solution share an error (n from 7 to 40: up to four times their
-distance). With more where it is not, their distance no longer shows what a root of H in T costs:
-an error of 8 times the stated one for a stop that touches from rest."""
+"""Gauss points of an element above its degree; twice as many if T ~ H^(n−1) is steep, n > 2. Fewer
+there give answer and enriched solution a common error (n from 7 to 40: up to four times their
+distance). More elsewhere hide the error by a root of H in T from their distance: for a stop that
+touches at rest the error was 8 times the stated error."""
 CONTACT_POINTS = 10
-"""Points beyond the degree of an element that begins where contact does."""
+"""Gauss points above the degree, for an element that begins at a contact energy."""
 NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
-"""Solver on nodes, of a degree, by a number of Gauss points: Legendre series of u, residual."""
+"""Solver of (process, nodes, degree, Gauss points) for Legendre series of u and a residual."""
 
 
 class Rule(NamedTuple):
-    """Points of an element in [0, 1], and the Legendre polynomials P_j there.
+    """Quadrature points of an element in [0, 1], and the Legendre polynomials P_j there.
 
-    ``P`` (degree + 3, points) are values at the Gauss points ``share`` of ``weight``, ``tested``
-    (2 · points, tests · (degree + 3)) values and derivatives times the degree + 2 test functions.
-    ``enriched_weight`` interpolates at all points but one: its distance exceeds the Gauss error.
+    ``P`` (degree + 3, points) are values at the Gauss points ``share`` with ``weight``, ``tested``
+    (2 · points, tests · (degree + 3)) are values and derivatives times the degree + 2 test
+    functions. ``enriched_weight`` is the interpolatory rule without the middle point: its distance
+    from the Gauss rule exceeds the error of the latter.
 
-    ``contact_…`` are Gauss points in (H − H_c)^⅓ where contact begins, of the answer's mass first.
-    In √(H − H_c) T is smooth, but stiff contact leaves a layer just above H_c; with little or no
-    clearance T has other roots and both rules converge algebraically: twice as many points keep
-    less than half of the error for any power of H − H_c from ½ on.
+    ``contact_…`` are Gauss points in (H − H_c)^⅓ of an element that begins at a contact energy H_c:
+    first the rule for the mass of the answer, then a rule of twice as many points for the enriched
+    solution. T is smooth in √(H − H_c), but stiff contact leaves a layer just above H_c, and with
+    little or no clearance T has other roots and both rules converge algebraically: the finer rule
+    then has less than half of the error, for any power of H − H_c from ½ on.
     """
 
     share: Array
@@ -63,14 +66,14 @@ class Rule(NamedTuple):
 
 @lru_cache
 def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
-    """Return the points of elements of ``degree`` where T ~ H^(n−1), n = ``degrees_of_freedom``."""
+    """Return the points of elements of ``degree`` for T ~ H^(n−1), n = ``degrees_of_freedom``."""
     points = degree + (2 if degrees_of_freedom > 2 else 1) * ELEMENT_POINTS
     count, highest = degree + CONTACT_POINTS, degree + ENRICHMENT
     x, w = gauss_legendre(points)
     rules = gauss_legendre(count), gauss_legendre(2 * count - 2)
     t, contact_w = (0.5 * np.concatenate(both) for both in zip(*rules, strict=True))
     t += 0.5
-    # All points but the middle one, exact for as many degrees as are left.
+    # Interpolation at all points but the middle one.
     interpolation, used = np.zeros(points), np.arange(points) != points // 2
     every = legvander(x[used], points - 2)
     interpolation[used] = np.linalg.solve(every.T, np.eye(points - 1)[0])
@@ -90,13 +93,14 @@ def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
 
 
 class Elements(NamedTuple):
-    """Solutions of single elements, each of mass 1; every array (elements, …).
+    """Solutions on single elements, each scaled to mass 1; every array is (elements, …).
 
     ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
     p e^(−log_factor)/T; ``values`` and ``enriched_values`` are p at the points ``x`` with
-    ``weights``. ``residual`` is relative to its terms, ``one_way`` are those of the mean
-    ``net_flux`` of J. ``coefficient_error`` is the largest relative error of the coefficients,
-    ``slope_error`` the error that it leaves in ln p from one end to the other.
+    ``weights``. ``residual`` of the equations is relative to their terms; ``net_flux`` is the mean
+    of J and ``one_way`` the sum of the sizes of its terms. ``coefficient_error`` is the largest
+    relative error of the coefficients, ``slope_error`` the resulting error of ln p from one end of
+    the element to the other.
     """
 
     coefficient_error: Array
@@ -116,10 +120,9 @@ class Elements(NamedTuple):
 def solve_elements(
     process: Process, nodes: Array, degree: int, null_vectors: NullVectors | None = None
 ) -> Elements:
-    """Solve the elements between ``nodes`` in ``degree`` and in the enriched one.
+    """Solve on each element between ``nodes``, in ``degree`` and in ``degree`` + ``ENRICHMENT``.
 
-    ``null_vectors(process, nodes, degree, points)`` gives u of all elements and the residual by
-    another solver of the same equations.
+    ``null_vectors``, if given, is used in place of elimination in each element.
     """
     rule, left, h = element_rule(degree, process.degrees_of_freedom), nodes[:-1], np.diff(nodes)
     contact, h = np.flatnonzero([H in process.nonsmooth for H in left.tolist()]), h[:, None]
@@ -151,7 +154,7 @@ def solve_elements(
         own_values, finer = (
             inner_T * (f[contact] @ rule.contact_P[: f.shape[1]]) for f in (u, enriched)
         )
-        # Elements without contact have fewer points: the last stands for the rest, of no weight.
+        # Elements without contact have fewer points: the last is repeated with weight 0.
         count = degree + CONTACT_POINTS
         places = np.minimum(np.arange(count), points - 1)
         x, values, better = (f[:, places] for f in (x, values, better))
@@ -160,12 +163,12 @@ def solve_elements(
         values[contact], better[contact] = own_values[:, :count], finer[:, :count]
         better_mass[contact] = finer[:, count:] @ rule.contact_weight[count:]
     mass = (weights * values).sum(axis=1)
-    # The first equation, of the test function 1, is the mean of J. h² may be less than any number.
+    # The first equation, of the test function 1, is the mean of J. h² may underflow.
     scale = np.abs(largest[:, 0, 0] / h[:, 0] / mass / h[:, 0])
     mass, better_mass = h * mass[:, None], h * better_mass[:, None]
     slope_error = np.zeros(left.size)
     if null_vectors is not None:
-        # Solved for together, elements keep a net flux by round-off, which tilts u by 2 J/A_01.
+        # A global solver leaves a net flux by round-off, which tilts u by 2 J/A_01.
         slope_error = 2.0 * net_flux / np.maximum(np.abs(A[:, 0, 1]), SMALLEST)
     if process.state_damping:
         slope_error += (h * rule.weight * log_density_slope_error(c)).sum(axis=1)
@@ -186,19 +189,22 @@ def solve_elements(
 
 
 def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
-    """Residual of A u = 0 relative to its terms; residual and terms of the first equation."""
-    # All terms are zero where an element is so short that the damping in it underflows.
+    """Relative residual of ``A`` ``u`` = 0; residual and size of terms of its first equation.
+
+    ``A`` is (elements, equations, terms) and ``u`` (elements, terms).
+    """
+    # All terms are zero if an element is so short that the damping in it underflows.
     terms = A[:, : u.shape[1] - 1, : u.shape[1]] * u[:, None]
     residual, size = np.abs(terms.sum(axis=2)), np.abs(terms).sum(axis=2)
     return residual.max(axis=1) / np.maximum(size.max(axis=1), SMALLEST), residual[:, 0], size[:, 0]
 
 
 def _element_null_vectors(A: Array, degree: int) -> Array:
-    """Return u (elements, ``degree`` + 1), u_0 = 1, that the first rows of A map to zero.
+    """Return u (elements, ``degree`` + 1), u_0 = 1, with ``A`` u = 0 in the first ``degree`` rows.
 
-    u_0 is the mean of u over the element, which is not zero as u does not change sign. Where T
-    spans hundreds of decades in one element some directions of u have no weight in any equation,
-    and elimination comes upon a zero: the least u is taken.
+    u_0 is the mean of u over the element, which is not 0 as u does not change sign. If T spans
+    hundreds of decades in one element, some directions of u have no weight in any equation, and
+    elimination meets a zero pivot: then the u of least norm is returned.
     """
     B, right = A[:, :degree, 1 : degree + 1], -A[:, :degree, :1]
     try:

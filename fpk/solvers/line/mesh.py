@@ -1,8 +1,8 @@
-"""Where the density of one energy lies, and meshes that follow the coefficients from there.
+"""Probe of a process of one energy, which finds where its density lies, and meshes based on it.
 
-A process is probed before there is any mesh, from far below to far above its energy scale. Elements
-then are as long as the density falls by some nats; layers lie where smoothness is lost, and short
-elements where a motion starts or ends.
+A process is probed before there is any mesh, from far below to far above its energy scale. Over an
+element of the mesh ln(p/T) then falls by a few units (nats); geometric layers lie where smoothness
+is lost, and short elements where a motion starts or ends.
 """
 
 import math
@@ -20,42 +20,43 @@ from fpk.system.process import Coefficients, Process, log_density_slope
 PROBE_ENERGIES = np.concatenate(
     [np.logspace(-3.0, 0.0, 10), np.logspace(0.1, 2.0, 20), np.logspace(2.25, 4.0, 8), FAR_OUT[1:]]
 )
-"""Energies of a probe, in units of the process's scale."""
+"""Energies of a probe, in units of ``Process.energy_scale``."""
 SAGITTA = 1.0
-"""Largest (d²ln(p H)/d(ln H)²)·(Δ ln H)² between two points of a probe: eight times what ln p H
-may rise above its chord. Asked for where p is within exp(−``PROBE_DEPTH``) of its maximum."""
+"""Largest (d²ln(p H)/d(ln H)²)·(Δ ln H)² between two points of a probe with p H > e^−PROBE_DEPTH of
+its maximum: ln(p H) rises above its chord by at most an eighth of it."""
 PROBE_DEPTH = 100.0
-"""Nats below the largest p H down to which a probe resolves it: 1e-43 of the mass."""
+"""Depth in ln(p H) below its maximum down to which a probe resolves p: 4e-44 of the mass."""
 ELEMENT_FALL = 3.0
-"""Fall of ln(p/T) over one element: exp(−3 t) is met by degree 10 to 1e-11."""
+"""Fall of ln(p/T) over one element: degree 10 approximates exp(−3 t) to 1e-11."""
 SMOOTH_FALL = 4.0
-"""Fall of ln(p/T) over one element where ln(p/T) is linear in H: over n nats a polynomial of degree
-p misses e^(−x) by n^(p+1)/((p+1)! 2^(2p+1)) of its largest value (Chebyshev), with the degree of a
-tolerance (four more than its digits) 1e-1 to 1e-2 of the tolerance."""
+"""Fall n of ln(p/T) over one element if ln(p/T) is linear in H. A polynomial of degree p has the
+error n^(p+1)/((p+1)! 2^(2p+1)) of the maximum of e^(−x) (Chebyshev), 1e-1 to 1e-2 of a tolerance
+whose number of digits is p − 4."""
 CONTACT_GROWTH = 20.0
-"""Largest ratio of the ends of an element that begins where contact does."""
+"""Largest ratio of both ends of an element that begins at a contact energy."""
 GRADING = 0.15
-"""Ratio of neighbouring lengths towards a point where smoothness is lost."""
+"""Ratio of the lengths of neighbouring elements towards an energy where smoothness is lost."""
 GRADED_LAYERS = 5
+"""Default number of layers above such an energy: down to 8e-5 of the next element."""
 DEEP_LAYERS = 14
 """Layers down to 3e-12 of the next element: T has such layers at stiff stops and small gaps."""
 MAX_ELEMENT_DEGREE = 16
-"""Highest degree of elements."""
+"""Highest degree of elements in time."""
 LENGTH_RATIO = 1.6
-"""Ratio of neighbouring lengths away from where f changes fast: f is as smooth on each of them."""
+"""Ratio of the lengths of neighbouring elements away from a start or a limit."""
 NODE_DISTANCE = 1e-3
-"""Distance of two nodes, relative to the elements beside it, below which one is left out."""
+"""Length of an element, relative to its neighbours, below which one of its nodes is dropped."""
 LAYER = 0.5
-"""Length of the elements at a start or a limit, in widths of the density at the first time."""
+"""Length of the elements at a start or a limit, in units of √(b t) at the first time t."""
 FAST = 20.0
-"""Largest |z| t of the Laplace variables z of a contour that contribute at the time t."""
+"""Largest |z| t of Laplace variables z that contribute to a density at the time t."""
 LARGEST_VALUE = 100.0
-"""Largest value at H = 0, in norms in π ~ H^(n−1), of a polynomial: it multiplies round-off."""
+"""Largest value at H = 0 of polynomials of norm 1 in the weight H^(n−1): it amplifies round-off."""
 
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """The ``slope`` d ln p/dH and ``roughness`` |d ln(p/T)/dH| at ``energy``, all (points,)."""
+    """``slope`` d ln p/dH and ``roughness`` |d ln(p/T)/dH| at ascending ``energy``, (points,)."""
 
     energy: Array
     slope: Array
@@ -63,17 +64,20 @@ class Probe:
 
     @cached_property
     def rate(self) -> Array:
-        """d ln(p H)/d ln H, linear in ln H in between."""
+        """d ln(p H)/d ln H (points,), taken as linear in ln H between the points."""
         return 1.0 + self.energy * self.slope
 
     @cached_property
     def log_mass(self) -> Array:
-        """ln(p H) up to a constant."""
+        """ln(p H) (points,) up to a constant."""
         steps = 0.5 * (self.rate[1:] + self.rate[:-1]) * np.diff(np.log(self.energy))
         return np.append(0.0, steps.cumsum())
 
     def extent(self, tail: float) -> float:
-        """Return an energy with the share ``tail`` of mass beyond, or raise ``NotCertified``."""
+        """Return the energy beyond the maximum at which p H has fallen to ``tail`` of its maximum.
+
+        Raises ``NotCertified`` if p H does not fall so far, or coefficients overflow.
+        """
         if not np.isfinite(self.log_mass).all():
             raise NotCertified(OUT_OF_RANGE)
         energy, rate = self.energy, self.rate
@@ -90,9 +94,9 @@ class Probe:
         return float(energy[i - 1] * math.exp(min(2.0 * fall / (root - rate[i - 1]), length)))
 
     def tail_bound(self, end: float, density_at_end: float) -> float:
-        """Return a bound of the mass above ``end`` from p there; infinite where p does not fall.
+        """Return a bound of the mass above ``end``, where p = ``density_at_end``; inf if p rises.
 
-        Between two energies of the probe p falls at the lesser of the rates there.
+        Between two energies of the probe p falls at the smaller of both rates.
         """
         first = int(np.searchsorted(self.energy, end, side="right"))
         rate = -np.append(np.interp(end, self.energy, self.slope), self.slope[first:])
@@ -101,27 +105,27 @@ class Probe:
             fall = least * np.diff(self.energy[first:], prepend=end)
             share = np.exp(-np.append(0.0, fall.cumsum()))
             length = float(np.sum(-np.diff(share) / least) + share[-1] / rate[-1])
-        # Not where p rises beyond all bounds, or at the end; and not 0 · ∞.
+        # Infinite if p rises at the end of the probe or overflows; never 0 · ∞.
         falls = rate[-1] > 0.0 and math.isfinite(length)
         return density_at_end * length if falls else math.inf
 
     def e_fold(self, end: float) -> float:
-        """Return the mean energy over which p/T changes by the factor e, below ``end``."""
+        """Return the mean energy difference, below ``end``, over which p/T changes by e."""
         energy = np.concatenate([[0.0], self.energy[self.energy < end], [end]])
         return end / float(np.trapezoid(np.interp(energy, self.energy, self.roughness), energy))
 
 
 def probe_process(process: Process) -> Probe:
-    """Return the probe of a process, with points between which no maximum of p can hide.
+    """Return a probe so fine that no maximum of p lies hidden between two of its energies.
 
-    Raises ``NotCertified`` where the density does not fall off at the highest energies.
+    Raises ``NotCertified`` if the density does not fall off at the highest energies.
     """
     energy = process.energy_scale * PROBE_ENERGIES
 
     def sampled(energy: Array, c: Coefficients) -> tuple[Array, Array, Array]:
         return energy, log_density_slope(c), np.abs(2.0 * c.dissipation / c.diffusion)
 
-    # Of energies farther out than that, those whose coefficients overflow are not judged.
+    # Energies beyond FAR_OUT[0] at which coefficients overflow are left out.
     with np.errstate(over="ignore", invalid="ignore"):
         c = process.coefficients(energy)
         finite = np.isfinite(log_density_slope(c) * energy) | (FAR_OUT[0] >= PROBE_ENERGIES)
@@ -153,19 +157,20 @@ def initial_nodes(
     nats: Array | float = ELEMENT_FALL,
     layers: int = GRADED_LAYERS,
 ) -> Array:
-    """Return nodes from 0 to ``end``: on the nonsmooth energies, dense where p/T varies fast.
+    """Return nodes from 0 to ``end``, with a node at each of the ``nonsmooth`` energies.
 
-    ``nats`` is the fall of ln(p/T) over one element. Geometric ``layers`` lie above every nonsmooth
-    energy H_c. Where that is tiny beside its element, T still changes with H/H_c: elements grow.
+    ``nats`` is the fall of ln(p/T) over one element, one number or one for each energy of the
+    ``probe``. Above every nonsmooth energy H_c lie geometric ``layers``; if H_c is tiny compared
+    with its element, elements grow from it by ``CONTACT_GROWTH``, as T changes with H/H_c.
     """
-    # As many nodes between two ends as ∫rate asks for, in equal shares of it.
+    # Between two ends the nodes divide ∫rate into equal shares, as few as ∫rate allows.
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
     grid = end / 64.0 * np.arange(65.0)
     rate = np.interp(grid, probe.energy, probe.roughness / nats)
     total = np.append(0.0, (0.5 * grid[1] * (rate[1:] + rate[:-1])).cumsum())
     amount = np.interp(ends, grid, total)
     number = np.append(0.0, np.maximum(np.ceil(np.diff(amount)), 1.0).cumsum())
-    # The number of a node is linear in the amount between two ends.
+    # Between two ends the number of a node is linear in ∫rate.
     nodes: Array = np.interp(np.interp(np.arange(number[-1] + 1.0), number, amount), total, grid)
     nodes[number.astype(int)] = ends
     for H in ends[1:-1]:
@@ -176,10 +181,10 @@ def initial_nodes(
 
 
 def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRADED_LAYERS) -> Array:
-    """Return the nodes and geometric layers above those that are nonsmooth energies.
+    """Return ``nodes`` with geometric layers above each node that is a ``nonsmooth`` energy H.
 
-    They go from the last node down to ``count`` layers below the node next to H: wherever that is,
-    the distance of the ends of an element from H is in the ratio ``GRADING`` or nearer to 1.
+    The layers go from the last node down to ``count`` layers below the node next to H, so that the
+    ratio of the distances of both ends of any element from H is at least ``GRADING``.
     """
     for H in nonsmooth:
         if count and nodes[0] <= H < nodes[-1]:
@@ -191,15 +196,17 @@ def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRAD
 
 
 def split_points(left: Array, right: Array, nonsmooth: tuple[float, ...]) -> Array:
-    """Return where to cut elements in two: half-way, towards 0 and nonsmooth left ends."""
+    """Return where to cut elements from ``left`` to ``right`` (elements,): at the middle, or at
+    ``GRADING`` of the length if the left end is 0 or ``nonsmooth``."""
     begins = (left[:, None] == np.array([0.0, *nonsmooth])).any(axis=1)
     return np.asarray(left + np.where(begins, GRADING, 0.5) * (right - left))
 
 
 def first_degree(degree: int, n: int) -> int:
-    """Return the degree of the element at H = 0, where T ~ H^(n−1): at the most ``degree``.
+    """Return the degree of the element at H = 0, where T ~ H^(n−1), at most ``degree``.
 
-    The polynomial that is orthogonal in H^(n−1) to all of a lower degree k is (n+k−1 over k) at 0.
+    The orthogonal polynomial of degree k in the weight H^(n−1) has the value (n+k−1 over k) at 0,
+    which must not exceed ``LARGEST_VALUE``.
     """
     return max(
         k for k in range(1, degree + 1) if k == 1 or math.comb(k + n - 1, k) <= LARGEST_VALUE
@@ -207,7 +214,7 @@ def first_degree(degree: int, n: int) -> int:
 
 
 def layer_at(process: Process, limit: float, time: float) -> tuple[float, float]:
-    """Return ``limit`` and the length of elements there, ~ √(b t), that still tells them apart."""
+    """Return ``limit`` and the length of elements there, ~ √(b ``time``) but above round-off."""
     b = float(process.coefficients(np.array([limit])).diffusion[0])
     return limit, max(LAYER * math.sqrt(b * time), 1e4 * EPS * limit)
 
@@ -220,16 +227,17 @@ def time_nodes(
     fine: Sequence[tuple[float, float]] = (),
     more: Array | Sequence[float] = (),
 ) -> Array:
-    """Return nodes from 0 to ``end`` for questions of time: fine where a motion starts or ends.
+    """Return nodes from 0 to ``end`` for elements of ``degree`` in time.
 
-    To those of the density come energies of ``fine``, with the lengths of the elements beside them,
-    which grow from there, and ``more`` nodes, but for those that nearly are others.
+    They are the nodes for the stationary density; nodes around the energies in ``fine``, pairs
+    (energy, length of the elements beside it), with lengths that grow by ``LENGTH_RATIO``; and the
+    nodes ``more``. Of nodes that nearly coincide one is dropped.
     """
     n = process.degrees_of_freedom
     nodes = initial_nodes(probe_process(process), end, process.nonsmooth, nats=SMOOTH_FALL)
     added = [nodes, more, end * np.array([0.25, 0.5, 0.75])]  # four elements at least
     if n > 2:
-        # Of degree k the first element gives k + 2 times as many digits as its share of the scale.
+        # An error ~ (length/scale)^(k + 2) of the first element, of degree k, is round-off.
         beside_zero = [n * length / FAST for energy, length in fine if energy == 0.0]
         scale = min([process.energy_scale, end, *beside_zero])
         first = 10.0 ** (-16.0 / (first_degree(degree - 1, n) + 2)) * scale
@@ -254,6 +262,6 @@ def time_nodes(
     kept = np.isin(nodes, [0.0, end, *process.nonsmooth, *(energy for energy, _ in fine)])
     gaps = np.diff(nodes)
     close = gaps < NODE_DISTANCE * np.maximum(np.append(gaps[1:], 0.0), np.append(0.0, gaps[:-1]))
-    # Of two nodes that are nearly the same the right one is left out, or else the left one.
+    # Of two nodes that nearly coincide the right one is dropped, or else the left one.
     right, left = close & ~kept[1:], close & kept[1:] & ~kept[:-1]
     return np.asarray(nodes[~(np.append(False, right) | np.append(left, False))])

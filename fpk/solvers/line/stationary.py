@@ -1,8 +1,8 @@
 """Certified finite element solution of the stationary FPK equation of one energy.
 
-A tolerance is given, not a mesh: degree and mesh adapt until the estimate of the L1 error is met.
-No boundary condition is imposed at H = 0 (an entrance boundary) nor at the far end: zero flux is
-natural. The equation is solved from its coefficients alone, never from the known solution.
+Given a tolerance, degree and mesh adapt until the estimated L1 error is below it. No boundary
+condition is imposed at H = 0 (an entrance boundary) nor at the far end: zero flux is natural. The
+equation is solved from its coefficients alone; the known solution by quadrature is not used.
 """
 
 import math
@@ -30,26 +30,26 @@ from fpk.solvers.line.mesh import (
 from fpk.system.process import Process
 
 SAFETY = 2.0
-"""Factor on the distance to the enriched solution: at an algebraic singularity of order r of u it
-keeps the share (p/(p+2))^(2r+2) of the error, at most a half for p >= 4; integrals beside a contact
-energy have twice as many points there (``fpk.solvers.line.elements``)."""
+"""Stated L1 error over the distance to the enriched solution. At an algebraic singularity of order
+r of u the enriched solution has the share (p/(p+2))^(2r+2) of the error, at most a half for degree
+p >= 4; integrals above a contact energy have twice as many points in the enriched solution."""
 POINTWISE_SAFETY = 4.0
-"""Factor on that distance for the error of p at a point. Where the density of states rises by
-decades over an element 2 is too little: of 779 chains of 1 to 100 masses at tolerances from 2e-2 to
-2e-10 the error at a point was above twice the distance in 8, up to three times it."""
+"""Stated error of p at a point over the distance to the enriched solution nearby. In 8 of 779
+chains of 1 to 100 masses at tolerances from 2e-2 to 2e-10 the true error was two to three times
+this distance, as the density of states rises by decades over an element."""
 MOST_ELEMENTS = 20_000
-"""Elements beyond which none is cut any more: a solution of so many takes seconds."""
+"""Number of elements above which none is cut: one solution then takes seconds."""
 HALF_WAVE = 4
-"""Points at which the distance to the enriched solution is sampled, for each of its half-waves."""
+"""Samples of the distance to the enriched solution in each of its half-waves."""
 
 
 @dataclass(frozen=True, eq=False)
 class StationarySolution:
     """Finite element density p(H) with its error estimate and certificate.
 
-    ``answer`` is u = p/T, ``enriched`` that of a higher degree. ``common_error`` is the relative
-    error that shifts all of p alike, of the coefficients and of the mass. ``measured`` is what
-    ``certificate``, and that of any density made of the solution, follows from.
+    ``answer`` is u = p/T, ``enriched`` the solution of a higher degree. ``common_error`` is a
+    relative error of p at all energies, by the coefficients and the mass. ``measured`` are the
+    numbers behind ``certificate`` and the certificate of any density derived from the solution.
     """
 
     process: Process
@@ -72,7 +72,7 @@ class StationarySolution:
 
     @property
     def panels(self) -> Array:
-        """The nodes, with layers where p is not smooth: between them, quadrature of p is exact."""
+        """Nodes with layers where p is not smooth: Gauss rules between them have round-off only."""
         return with_layers(self.nodes, self.process.nonsmooth)
 
     @property
@@ -81,23 +81,23 @@ class StationarySolution:
         return self.degree * (self.nodes.size - 1) + 1
 
     def density(self, energy: Array) -> Array:
-        """p_h at energies of any shape; 0 outside the mesh."""
+        """Return p_h at ``energy`` of any shape; 0 outside the mesh."""
         return self.answer(energy, log_factor=self._log_states(energy))
 
     def phase_space_density(self, energy: Array) -> Array:
-        """p_h/T (up to the constant left out of ln T) at energies of any shape; 0 outside."""
+        """Return p_h/T, with ln T as in ``Coefficients``, at ``energy`` of any shape; 0 outside."""
         return self.answer(energy)
 
     def pointwise_error(self, energy: Array) -> Array:
-        """Estimate of |p_h − p| at energies of any shape."""
+        """Return the estimate of |p_h − p| at ``energy`` of any shape."""
         return self._error(energy, self._log_states(energy))
 
     def phase_space_error(self, energy: Array) -> Array:
-        """Estimate of |p_h − p|/T at energies of any shape."""
+        """Return the estimate of |p_h − p|/T at ``energy`` of any shape."""
         return self._error(energy, np.zeros(np.shape(energy)))
 
     def _error(self, energy: Array, factor: Array) -> Array:
-        """Error of u e^``factor``: its own, and what shifts all of p alike."""
+        """Estimated error of u e^``factor`` at ``energy``, local and common errors included."""
         log_error, relative = self._of_elements
         x = np.asarray(energy, dtype=float)
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
@@ -110,7 +110,7 @@ class StationarySolution:
         return np.asarray(own + floor * np.abs(self.answer(x, log_factor=factor)))
 
     def _log_states(self, energy: Array) -> Array:
-        """ln T at energies of any shape; beyond the last node, ln T of that node."""
+        """ln T at ``energy`` of any shape; beyond the last node, ln T at this node."""
         end = float(self.nodes[-1])
         x, positive = self.process.on_mesh(np.asarray(energy, dtype=float), end)
         log_T = self.process.coefficients(x.ravel()).log_density_of_states.reshape(x.shape)
@@ -118,12 +118,13 @@ class StationarySolution:
 
     @cached_property
     def _of_elements(self) -> tuple[Array, Array]:
-        """ln of the error of u around points of each element, and its relative round-off in each.
+        """ln of the error of u (elements, points), and relative round-off of p (elements,).
 
-        At equal angles θ, H ~ 1 − cos θ, the distance to the enriched solution has half-waves of
-        one length; the largest of √T u within two is taken. Elimination of m unknowns leaves up to
-        m^(3/2) roundings (measured) of the largest p everywhere in the element, and at a node where
-        p is much less it spoils the scale of all elements on the side of less mass.
+        The points are equidistant in the angle θ, H ~ 1 − cos θ, in which the distance to the
+        enriched solution has half-waves of equal length; the largest distance of √T u within two
+        half-waves is taken. Elimination of m unknowns leaves a round-off of up to m^(3/2) EPS
+        (measured) of the largest p, everywhere in the element. At a node where p is much smaller
+        this changes the scale of all elements on the side with less mass.
         """
         count = HALF_WAVE * (self.enriched.coefficients.shape[1] - 1)
         t = -np.cos(np.pi * np.arange(count + 1) / count)
@@ -136,14 +137,14 @@ class StationarySolution:
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * 0.5 * (1.0 + t)
         share = element_rule(self.degree, self.process.degrees_of_freedom).share[0]
         log_T = self._log_states(np.maximum(x, self.nodes[1] * share))
-        # A filter of maxima drops what is no number: that is as far as can be.
+        # The maximum filter would drop NaN: it is replaced by the largest number.
         distance = np.nan_to_num(distance, nan=1.0 / SMALLEST, posinf=1.0 / SMALLEST)
         weighted = np.log(np.maximum(distance, SMALLEST)) + 0.5 * log_T
         around = maximum_filter1d(weighted, 4 * HALF_WAVE + 1, axis=1, mode="nearest")
         p = np.abs(u) * np.exp(log_T + scale)
         most = self.degree**1.5 * p.max(axis=1)
         steps, top = (most[:-1] + most[1:]) / np.maximum(p[:-1, -1], SMALLEST), int(most.argmax())
-        # Added up from the most massive element outwards: farther out they grow without bound.
+        # Accumulated from the element with most mass outwards, so that its own share is least.
         below, above = np.cumsum(steps[:top][::-1])[::-1], np.cumsum(steps[top:])
         relative = self.nodes.size + np.concatenate([below, [0.0], above])
         own = math.log(POINTWISE_SAFETY) + around - 0.5 * log_T + scale
@@ -154,11 +155,12 @@ class StationarySolution:
 def solve_stationary(
     process: Process, *, tol: float = 1e-10, degree: int | None = None
 ) -> StationarySolution:
-    """Return the stationary density to the L1 tolerance ``tol``, or what failed in its certificate.
+    """Return the stationary density to the L1 tolerance ``tol``.
 
-    Raises ``NotCertified`` where no stationary density exists.
+    ``degree`` of the elements follows from ``tol`` unless given. The certificate says if the
+    tolerance was not reached. Raises ``NotCertified`` if no stationary density exists.
     """
-    # u is smooth where T is not, as long as 2 F/b does not depend on H.
+    # If 2 F/b does not depend on H, u is smooth although T is not.
     smooth = not process.state_damping
     if degree is None:
         digits = round(-math.log10(tol))
@@ -166,8 +168,8 @@ def solve_stationary(
     probe = probe_process(process)
     nats: Array | float = ELEMENT_FALL
     if smooth:
-        # The error of an element counts by its mass, and rises with the nats to this power; over 7
-        # nats p still exceeds its error at the far end, so that it stays positive.
+        # The error of an element is weighted by its mass, and rises as nats^(degree + 1). Up to 7
+        # nats p at the far end exceeds the error of its element, so that p stays positive.
         fall = probe.log_mass.max() - probe.log_mass
         nats = SMOOTH_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
     end, layers = probe.extent(1e-2 * tol), 0 if smooth else GRADED_LAYERS
@@ -192,7 +194,10 @@ def solve_on_mesh(
     tol: float = np.inf,
     null_vectors: NullVectors | None = None,
 ) -> StationarySolution:
-    """Return the finite element solution on a given mesh; ``null_vectors`` as in elements."""
+    """Return the solution by elements of ``degree`` between ``nodes``, judged by ``tol``.
+
+    ``null_vectors`` is as in ``solve_elements``.
+    """
     elements = solve_elements(process, nodes, degree, null_vectors)
     return _join_and_judge(process, probe_process(process), nodes, elements, degree, tol)[0]
 
@@ -200,29 +205,31 @@ def solve_on_mesh(
 def _join_and_judge(
     process: Process, probe: Probe, nodes: Array, e: Elements, degree: int, tol: float
 ) -> tuple[StationarySolution, Flags]:
-    """Return the elements scaled to one density, judged, and which of them to cut in two."""
+    """Return the density of the elements ``e``, scaled to match, and which elements to cut in two.
+
+    ``nodes``, ``degree`` and ``tol`` are as in ``solve_on_mesh``; ``probe`` bounds the tail.
+    """
     series = e.u, e.enriched
     signed, log_scale, share = zip(*(_match_at_nodes(u, e.log_factor) for u in series), strict=True)
     p, better = share[0][:, None] * e.values, share[1][:, None] * e.enriched_values
     distance = float((e.weights * np.abs(p - better)).sum())
-    # The enriched solution has the mass 1 by a rule with more, or half, of the error of this one:
-    # both differ by their masses everywhere, so that their distance may vanish where p is wrong.
+    # The mass of the enriched solution has a different quadrature error, so that both solutions
+    # differ by a factor. Their distance may then vanish where p is wrong: the factor is an error.
     enriched_mass = float((e.weights * better).sum())
     size = np.abs(share[0])
     least, most, residual = float(p.min()), float(p.max()), float(e.residual.max())
     net_flux = float((size * e.net_flux).max() / (size * e.one_way).max())
     tail = probe.tail_bound(float(e.x[-1, -1]), abs(float(p[-1, -1])))
-    # Errors of s and b shift d ln p/dH by as much. Their effect on ln p is bounded by the error
-    # times the fall of ln p over the bulk of the mass, about one per energy scale; the worst
-    # point of each element counts by its share of the mass.
+    # Relative errors of s and b are relative errors of d ln p/dH. Over the bulk of the mass ln p
+    # falls by about 1, so that they are errors of ln p, too; each element is weighted by its mass.
     coefficient_error = 2.0 * float(size @ e.coefficient_error)
-    # They add up where they do not cancel: over one element an error of ln p moves mass from one
-    # side of it to the other, at most twice the smaller of the two with the element on both sides.
+    # An error of ln p over one element moves mass from one side to the other, at most twice the
+    # mass of the smaller side, the element included in both.
     below = np.cumsum(size)
     sides = np.minimum(below, np.maximum(1.0 - below, 0.0) + size)
     estimate = SAFETY * distance + 2.0 * tail + coefficient_error
     estimate += 2.0 * float(e.slope_error @ sides)
-    estimate += 2.0 * EPS * (size.size + degree**2)  # a sum over elements and functions
+    estimate += 2.0 * EPS * (size.size + degree**2)  # round-off of sums over elements and functions
     measured = Measured(
         l1_error=estimate,
         mass_defect=abs(float((e.weights * p).sum()) - 1.0),
@@ -231,7 +238,7 @@ def _join_and_judge(
         tail_mass=tail,
         net_flux=net_flux,
     )
-    if not residual < 0.1 * ROUND_OFF:  # elimination in one element leaves some hundred roundings
+    if not residual < 0.1 * ROUND_OFF:  # elimination in an element leaves a few hundred EPS
         measured = measured.with_failures(f"the algebraic residual is {residual:.2g}")
     log_enriched_mass = math.log(max(abs(enriched_mass), SMALLEST))
     solution = StationarySolution(
@@ -243,10 +250,11 @@ def _join_and_judge(
         measured=measured,
         certificate=certify(measured, tol=tol),
     )
-    # Half of the tolerance is left to the tail, the coefficients and round-off.
+    # The other half of the tolerance is for the tail, the coefficients and round-off.
     if SAFETY * distance <= 0.5 * tol and least >= NEGATIVE * most:
         return solution, np.zeros(size.size, dtype=bool)
-    # Its own making: its shape, and steps to neighbours, which move the lesser mass beside them.
+    # The error that an element causes: by its shape, and by its scale relative to its neighbours,
+    # which changes the mass on the smaller side.
     step = np.minimum(below, 1.0 - below)[:-1] * np.abs(np.diff(log_scale[0] - log_scale[1]))
     own = size * np.sum(e.weights * np.abs(e.values - e.enriched_values), axis=1)
     own += np.append(step, 0.0) + np.append(0.0, step)
@@ -254,10 +262,10 @@ def _join_and_judge(
 
 
 def _match_at_nodes(u: Array, log_factor: Array) -> tuple[Array, Array, Array]:
-    """Scale elements so that they match at the nodes and make a density of mass 1.
+    """Scale elements so that they match at the nodes and their total mass is 1.
 
-    ``u`` (elements, terms) are Legendre series of the mass 1 times e^``log_factor`` each. Returned
-    are these with signs, positive where mass is most, ln of their scales, and masses with signs.
+    ``u`` (elements, terms) are Legendre series; ∫T u is e^``log_factor`` for each. Returned are u
+    with signs, positive in the element with most mass, ln of the scales, and the signed masses.
     """
     # P_j is (−1)^j at the left end and 1 at the right one.
     ends = np.stack([u @ (-1.0) ** np.arange(u.shape[1]), u.sum(axis=1)])

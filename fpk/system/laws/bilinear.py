@@ -2,7 +2,7 @@
 
 from fpk.system.contact_law import ContactLaw, register_law
 
-BILINEAR = register_law(
+register_law(
     ContactLaw(
         name="bilinear",
         exponent=1.0,

@@ -4,7 +4,7 @@ import numpy as np
 
 from fpk.system.contact_law import ContactLaw, register_law
 
-HERTZ = register_law(
+register_law(
     ContactLaw(
         name="hertz",
         exponent=1.5,

@@ -1,8 +1,8 @@
-"""General power law: force ~ overlap**e with the exponent e >= 1 that the contact states."""
+"""General power law: force ~ overlap**e with the exponent e >= 1 given by the contact."""
 
 from fpk.system.contact_law import ContactLaw, register_law
 
-POWER = register_law(
+register_law(
     ContactLaw(
         name="power",
         exponent=None,

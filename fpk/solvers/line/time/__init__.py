@@ -1,1 +1,1 @@
-"""One energy in time: elements in their own modes, transients, rates and first passage."""
+"""One energy in time: elements with diagonal bubbles, transients, rates and first passage."""

@@ -1,12 +1,12 @@
-"""Finite elements of one energy that hang together at their ends alone, for questions of time.
+"""Finite elements of one energy in time, coupled at their ends only.
 
 With the stationary density π and m = ½ b π the generator is L f = (m f')'/π, and its weak form
-−∫ m f' v' is symmetric. From the hierarchical functions of an element two kinds are made (Craig
-and Bampton, AIAA J. 6 (1968) 1313): h_0 and h_1 = 1 − h_0, one at its left and right end, and v_j,
-zero at both, orthogonal to these in m and to each other in m and in π. The elements are then
-conductances 1/∫dx/m in a chain, and every sum along it has positive terms only: a probability of
-1e-200 keeps its relative digits.
-They come in pairs: the elements of the answer, and those of the enriched solution that judges it.
+−∫ m f' v' is symmetric. Each element has two kinds of functions (Craig and Bampton, AIAA J. 6
+(1968) 1313): h_0 and h_1 = 1 − h_0, equal to 1 at its left and right end, and v_j, zero at both
+ends, orthogonal to h_0 and h_1 in m and to each other in m and in π. The elements then form a chain
+of conductances 1/∫dx/m, and every sum along it has positive terms only: a probability of 1e-200 has
+relative accuracy. Elements come in pairs, for the answer and for the enriched solution, of a higher
+degree, whose distance estimates the error.
 """
 
 import math
@@ -30,26 +30,28 @@ from fpk.system.process import Coefficients, Process, log_density_slope_error
 SAFETY = 3.0
 """Factor on the distance to the enriched solution, of densities, first passage and rates."""
 MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
-"""Most rounds of cutting elements in two, and elements beyond which none is cut."""
+"""Largest number of rounds in which elements are cut in two, and number of elements above which
+none is cut."""
 TAIL_SHARES = (1e-3, 1e-8)
-"""Share of the tolerance that may lie beyond the mesh: of the answer, and of the enriched one."""
+"""Mass beyond the mesh of the answer and of the enriched solution, over the tolerance."""
 Settings = dict[str, str | float | int]
 
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """Elements of one degree of a ``process``; every array has one entry for each, from H = 0 up.
+    """Elements of one degree of a ``process``; the first axis of every array is the element.
 
-    π is e^``log_scale`` times the local density in which the integrals are given. ``shapes`` (…,
-    degree + 1, functions) has in its columns the coefficients of h_0, h_1 and the v_j in the
-    ``shape_functions``: of these f_i are ``mass`` ∫π f_i f_j, ``load`` ∫π f_i and ``drift``
-    ∫π F f_i' f_j, F the part of the drift due to damping. ``conductance`` is 1/∫dx/m, ∫m v_j'² = 1,
-    ``relaxation`` ∫π v_j². At H = 0 no flux is natural: in the first element h_0 = 0, h_1 = 1 and
-    v_j(0) is free; it may have fewer v_j, and the others are 0. ``x`` and ``weight`` (…, points)
-    integrate π times a polynomial. ``log_rise`` (…, terms) is a Legendre series of ln π/T, less its
-    value at the left end, in ∛t in an element that begins at ``contact`` and in t elsewhere, t from
-    0 to 1. ``relative_error`` is that of π and m by the coefficients, ``slope_error`` what it
-    leaves in ln π from one end to the other.
+    Elements go from ``left`` to ``right``, from H = 0 on. In each, π is e^``log_scale`` times a
+    local density, in which the integrals are given. The columns of ``shapes`` (…, degree + 1,
+    functions) are the coefficients of f = (h_0, h_1, v_j) in the ``shape_functions``; ``mass`` is
+    ∫π f_i f_j, ``load`` ∫π f_i and ``drift`` ∫π F f_i' f_j, F the part of the drift due to damping.
+    ``conductance`` is 1/∫dx/m, ∫m v_j'² = 1 and ``relaxation`` is ∫π v_j². Zero flux at H = 0 is
+    natural: in the first element h_0 = 0, h_1 = 1 and v_j(0) is free; it may have fewer v_j, and
+    the others are 0. ``x`` and ``weight`` (…, points) integrate π times a polynomial.
+    ``log_rise`` (…, terms) is a Legendre series of ln π/T, less its value at the left end, in ∛t in
+    an element that begins at ``contact`` and in t elsewhere, t from 0 to 1; ``log_local`` is
+    ln of the largest π, relative to π/T at the left end. ``relative_error`` is the error of π and m
+    by the coefficients, ``slope_error`` the resulting error of ln π from one end to the other.
     """
 
     process: Process
@@ -91,7 +93,7 @@ class Elements:
 
     @cached_property
     def log_scale(self) -> Array:
-        """ln of the unit of π in each element."""
+        """ln of the unit in which π is given in each element."""
         return self.log_u[:-1] + self.log_local
 
     @cached_property
@@ -110,10 +112,11 @@ class Elements:
         return float(np.ptp(self.log_scale))
 
     def coefficient_error(self, upto: float = 0.0) -> float:
-        """Relative error that the coefficients leave in densities and rates.
+        """Return the relative error of densities and rates by the errors of the coefficients.
 
-        An element counts by its share of the mass and of the way, in units of √b, up to ``upto`` or
-        through all but 1e-6 of the mass: near a contact energy errors are large on short elements.
+        Each element is weighted by its share of the mass, and of the distance ∫dH/√b up to the
+        energy ``upto`` or through all but 1e-6 of the mass: short elements near a contact energy
+        have large errors.
         """
         mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
         bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
@@ -122,19 +125,19 @@ class Elements:
         return float(weights @ self.relative_error + self.slope_error.sum())
 
     def within(self, x: Array) -> tuple[Integers, Array]:
-        """Return the elements that hold the points x, and the shares of these that lie below."""
+        """Return the element of each point ``x`` (points,), and its local coordinate, 0 to 1."""
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.count - 1)
         return k, np.clip((x - self.left[k]) / (self.right[k] - self.left[k]), 0.0, 1.0)
 
     def functions(self, x: Array) -> tuple[Integers, Array]:
-        """Return the elements of the points x and their f_i there, (points, functions)."""
+        """Return the element of each point ``x``, and its f_i there, (points, functions)."""
         k, t = self.within(x)
         return k, np.einsum("px,xpi->xi", shape_functions(self.degree, t)[0], self.shapes[k])
 
     def at(self, x: Array, f: Array, size: Array | None = None) -> tuple[Array, Array]:
-        """Return Σ f_i at the points x (…, points), and the size of what cancels in it.
+        """Return the function of coefficients ``f`` (…, elements, functions) at ``x``, (…, points).
 
-        ``f`` (…, elements, functions) are the coefficients and ``size`` the sizes of theirs.
+        Then the sum of the sizes of its terms, with ``size`` in place of |``f``| if given.
         """
         k, values = self.functions(x)
         p, sizes = (
@@ -145,7 +148,7 @@ class Elements:
         return p.reshape(shape), sizes.reshape(shape)
 
     def log_density(self, x: Array, *, of_states: bool = False) -> Array:
-        """Return ln π at points x > 0, in the unit of ``log_scale``; or ln π/T, ``of_states``."""
+        """Return ln π, or ln π/T if ``of_states``, at ``x`` > 0, in the unit of ``log_scale``."""
         k, t = self.within(x)
         s = np.where(self.contact[k], np.cbrt(t), t)
         series = legvander(2.0 * s - 1.0, self.log_rise.shape[1] - 1)
@@ -160,10 +163,11 @@ Pair = tuple[Elements, Elements]
 
 
 class ChainDensity(NamedTuple):
-    """A density of ``chain_elements`` at several times: the coefficients ``values`` of p/π.
+    """Coefficients of p/π, or of a backward solution, on ``elements`` at several times.
 
-    They are in the units 1/e^``log_scale`` of the elements, but for what is no density, ``size``
-    those of the terms that cancel in them, (times, elements, functions). ``residual`` is relative.
+    ``values`` (times, elements, functions) are in the units 1/e^``log_scale`` of the elements for a
+    density p, else in one unit; ``size`` are the sums of the sizes of their terms. ``residual`` is
+    the largest relative residual.
     """
 
     elements: Elements
@@ -172,9 +176,9 @@ class ChainDensity(NamedTuple):
     residual: float
 
     def density(self, x: Array, *, of_states: bool = False) -> tuple[Array, Array]:
-        """Return p (times, points) at energies x > 0 in the elements, and the size of its terms.
+        """Return p, or u = p/T if ``of_states``, at ``x`` > 0, (times, points), and size of terms.
 
-        Or u = p/T ``of_states``, by its own: T vanishes at H = 0.
+        u has a form of its own, as T vanishes at H = 0.
         """
         e = self.elements
         p, size = e.at(x, self.values, self.size)
@@ -184,12 +188,13 @@ class ChainDensity(NamedTuple):
 
 @lru_cache
 def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
-    """Return points t on [0, 1] of an element, which may begin at ``contact``, and their weights.
+    """Return the quadrature of an element of ``degree`` on [0, 1], which may begin at ``contact``.
 
-    They are Gauss points of s, s = ∛t at contact, above which π is smooth in ∛(H − H_c), and t
-    elsewhere. Then Legendre polynomials of s there (points, terms), coefficients (terms, points) of
-    such a series of ∫_0^t, ``shape_functions`` and their slopes (points, degree + 1). Where
-    π ~ t^``steepness`` with more than a few powers the points are Gauss and Jacobi's.
+    Returned are points t and weights; Legendre polynomials of s at the points (points, terms); the
+    matrix (terms, points) from values to the Legendre series of their integral from 0 to t; the
+    ``shape_functions`` and their slopes (points, degree + 1). The points are Gauss points of s,
+    with s = ∛t at contact, as π is smooth in ∛(H − H_c), and s = t elsewhere. For π ~ t^k,
+    k = ``steepness`` > 7, they are Gauss-Jacobi points.
     """
     count = 3 * degree + 8 if contact else degree + 6
     steep = steepness > 7 and not contact
@@ -210,9 +215,9 @@ def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
 def chain_elements(
     process: Process, left: Array, right: Array, degree: int, *, enriched: bool = False
 ) -> Elements:
-    """Return the elements between ``left`` and ``right`` (elements,), sorted.
+    """Return the elements of ``degree`` from ``left`` to ``right``, ascending (elements,).
 
-    The element at H = 0 may be of a lower degree; ``enriched`` has it one higher.
+    The element at H = 0 may have a lower degree, which is one higher if ``enriched``.
     """
     kind = np.isin(left, process.nonsmooth) + 2 * (left == 0.0)
     alike = [np.flatnonzero(kind == k) for k in np.unique(kind)]
@@ -231,7 +236,7 @@ def chain_elements(
 def _elements_of_kind(
     process: Process, left: Array, right: Array, degree: int, *, enriched: bool
 ) -> Elements:
-    """Elements that all begin at H = 0, or at contact, or all do not."""
+    """Elements as ``chain_elements``; all begin at H = 0, or all at a contact, or none does."""
     n, first = process.degrees_of_freedom, left[0] == 0.0
     contact = bool(left[0] in process.nonsmooth)
     t, w, series, integral, values, derivatives = rule(degree, contact, n - 1 if first else 0)
@@ -246,7 +251,7 @@ def _elements_of_kind(
     log_density = c.log_density_of_states + log_rise @ series.T
     log_local = log_density.max(axis=1)
     weight = h * w * np.exp(log_density - log_local[:, None])
-    # The functions that vanish at both ends, and behind them the one of the right end.
+    # The functions that vanish at both ends, then the function of the right end.
     own = min(first_degree(degree - 1, n) + enriched, degree - 1) if first else degree - 1
     inner = [0, *range(2, own + 1)] if first else [*range(2, degree + 1)]
     slopes = derivatives[:, [*inner, 1]] / h[:, :, None]
@@ -267,7 +272,7 @@ def _elements_of_kind(
     steps = np.zeros(left.size)
     if process.state_damping:
         steps = (h * log_density_slope_error(c)) @ integral.sum(axis=0)
-    # All kinds of elements have as many points and terms as the kind that has the most.
+    # All kinds of elements get as many points and terms as the kind with most.
     more = rule(degree, bool(process.nonsmooth), 0)[0].size - t.size
     behind = np.zeros((left.size, more))
     mass = np.swapaxes(f, 1, 2) @ (weight[:, :, None] * f)
@@ -292,12 +297,15 @@ def _elements_of_kind(
 
 
 def degree_for(tol: float) -> int:
-    """Return the degree of elements for the tolerance ``tol``: four more than its digits."""
+    """Return the degree of elements for the tolerance ``tol``: its number of digits plus 4."""
     return int(np.clip(round(-math.log10(tol)), 4, MAX_ELEMENT_DEGREE - 4)) + 4
 
 
 def element_pair(process: Process, nodes: Array, degree: int, *, beyond: ArrayLike = ()) -> Pair:
-    """Return elements between ``nodes``; those of the enriched solution end at ``beyond``, too."""
+    """Return elements of ``degree`` between ``nodes``, and the elements of the enriched solution.
+
+    The enriched solution has ``degree`` + ``ENRICHMENT`` and the further nodes ``beyond`` the last.
+    """
     every = np.append(nodes, beyond)
     return (
         chain_elements(process, nodes[:-1], nodes[1:], degree),
@@ -306,7 +314,10 @@ def element_pair(process: Process, nodes: Array, degree: int, *, beyond: ArrayLi
 
 
 def solve_with_refinement(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
-    """Return the answer of ``solve`` on a pair whose elements are cut until it marks none."""
+    """Return the answer of ``solve(pair)`` on the first mesh of which it marks no element.
+
+    ``solve`` returns an answer and which elements to cut in two for the next pair.
+    """
     for _ in range(MOST_ROUNDS):
         answer, marked = solve(pair)
         if not marked.any() or marked.size > MOST_ELEMENTS:

@@ -1,8 +1,8 @@
 """Densities of one energy in time under modulated noise, by implicit Runge-Kutta steps.
 
-With noise e² times that of a reference and π that of the reference, p = π g has the flux
-J = π ((1 − e²) F g − e² ½ b g'), F the part of the drift due to damping, so that
-M ∂g/∂t = (−e² K + (1 − e²) C) g.
+Let π be the stationary density of a reference noise, and e² the noise intensity over that of the
+reference. Then p = π g has the flux J = π ((1 − e²) F g − e² ½ b g'), F the part of the drift due
+to damping, so that M ∂g/∂t = (−e² K + (1 − e²) C) g.
 """
 
 import math
@@ -36,23 +36,23 @@ from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
 STAGES = 5
-"""Stages of a step of Radau IIA: of the order 2 · 5 − 1."""
+"""Stages of a step of Radau IIA; its order is 2 · 5 − 1."""
 FIRST_STEP = 1e-3
-"""The first step, in units of the first time or kink of e: what it errs by is forgotten."""
+"""First step, in units of the first time or kink of e: the diffusion forgets its error."""
 STEP_RATIO = 3.0
-"""Ratio of the ends of a step at the level 0, as long as steps grow with the time."""
+"""Ratio of both ends of a step at level 0, in the range where steps grow with time."""
 STEP_HALVINGS = (1, 4)
-"""Halvings of all steps: those with which the mesh is adapted, and the most."""
+"""Halvings of all steps: while the mesh is adapted, and at most."""
 Processes = Callable[[float], Process]
-"""The process of an energy under F times the noise intensity, by F."""
+"""Function of a factor on the noise intensity that returns the process of the energy."""
 Carried = tuple[ChainDensity, Array, Array]
-"""A density at the times asked for, numbers that follow from it, and errors of those."""
+"""A density at the times asked for, numbers that follow from it, and errors of some of them."""
 
 
 def quiet_until(modulation: Modulation, source: Source) -> float:
-    """Return the time at which the density that begins with ``source`` begins to change.
+    """Return the time until which the density that starts from ``source`` is constant.
 
-    Raises ``InvalidInput`` for an energy > 0 that decays before there is any noise.
+    Raises ``InvalidInput`` if the source is an energy > 0, which decays before the first noise.
     """
     if source.process is not None:
         return 0.0
@@ -74,11 +74,12 @@ def radau_steps(
     level: int,
     absorbing: bool = False,
 ) -> tuple[ChainDensity, Array, Array, Array]:
-    """Return the density at ``times`` > 0 of what begins with ``load``, e² in units of ``unit``.
+    """Return the density at ``times`` > 0 that starts with ``load``, (elements, functions).
 
-    Then times of the stages, weights that integrate over time, and the mass, (steps · stages,).
-    Steps of Radau IIA grow like the time, end at the times and at the kinks of e, and there are
-    2^``level`` of them in each of the level 0.
+    ``unit`` is the e² of the reference noise of ``e``. Also returned are the times of all stages,
+    weights that integrate over time, and the mass, (steps · stages,) each. The steps of Radau IIA
+    grow in proportion to time and end at the times and at the kinks of e; ``level`` is the number
+    of times that all steps are halved. ``absorbing``: p = 0 at the last end, else zero flux.
     """
     # The points c_i, the last of which is 1, and the coefficients a_ij.
     x = np.append(roots_jacobi(STAGES - 1, 1, 0)[0], 1.0)
@@ -107,7 +108,7 @@ def radau_steps(
         stages = splu(system).solve(right)
         size = float(np.max(abs(system) @ np.abs(stages)))
         missed = float(np.max(np.abs(system @ stages - right)))
-        residuals.append(missed / size if size > 0.0 else missed)  # all is 0: nothing is left
+        residuals.append(missed / size if size > 0.0 else missed)  # size 0: the density is 0
         reached.append(stages.reshape(-1, STAGES).T)
         begun = M @ reached[-1][-1]
     at_stages, lengths = np.array(reached), np.diff(ends)[:, None]
@@ -128,11 +129,12 @@ def halve_steps(
     size: Callable[[Array, Array], float],
     wanted: float,
 ) -> tuple[Transition, list[Carried]]:
-    """Halve all steps until the numbers of ``carried(elements, level)`` change by ``wanted``.
+    """Halve all steps until the numbers of ``carried(elements, level)`` change by <= ``wanted``.
 
-    ``size(changes, numbers)`` is what counts of them. Returned are the density on elements that
-    adapt, with the order that the changes show among its settings, and what was carried: the
-    answer, by steps twice as long, and by these on the elements of a higher degree.
+    ``size(changes, numbers)`` is the size of their changes. Returned are the density on adapted
+    elements, started from ``pair``, with the observed order of the steps among its settings, and
+    three results of ``carried``: the answer, with steps twice as long, and with steps twice as long
+    on the elements of a higher degree.
     """
     carried = lru_cache(maxsize=4)(carried)
     solved = solve_adaptively(question, pair, lambda e, **_: carried(e, STEP_HALVINGS[0])[0])
@@ -157,11 +159,12 @@ def halve_steps(
 def transition_with_modulation(
     under: Processes, modulation: Modulation, source: Source, times: Array, *, tol: float
 ) -> Transition:
-    """Return the density at ``times`` > 0 of an energy that begins with ``source``.
+    """Return the density at ``times`` > 0 of an energy that starts from ``source``.
 
-    The error is the distance to elements of a higher degree and to steps twice as long. Without
-    noise it is the equation of the decay alone, of first order. Raises ``InvalidInput`` for times
-    at which the density is still one energy, and as ``quiet_until`` and ``pose_question`` do.
+    ``under(factor)`` is the process under that multiple of the noise; ``tol`` is the L1 tolerance.
+    The error is the distance to elements of a higher degree and to steps twice as long. While there
+    is no noise the equation is the first-order equation of the decay. Raises ``InvalidInput`` for
+    times at which no noise has acted yet, and as ``quiet_until`` and ``pose_question`` do.
     """
     quiet = quiet_until(modulation, source)
     if times[0] <= quiet:
@@ -182,13 +185,13 @@ def transition_with_modulation(
     e, (own, _, enriched) = solved.elements, (each[0] for each in found)
 
     def apart(x: Array) -> Array:
-        """Sum of the changes of p by doubled steps and by a higher degree: they may cancel."""
+        """Changes of p at ``x`` by doubled steps and by a higher degree, which could cancel."""
         p, in_longer, in_both = (each[0].density(x)[0] for each in found)
         return np.asarray(np.abs(p - in_longer) + np.abs(in_longer - in_both))
 
     distance = apart(e.x.ravel()).reshape(-1, *e.x.shape)
     answer, _, _ = estimate_error(question, own, enriched, distance=distance)
-    # At the ends of elements, where no point is, distances are largest while there is no noise.
+    # Without noise distances are largest at the ends of elements, which are no quadrature points.
     at_ends = apart(e.right)
     beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
     distance = np.maximum(distance, beside[..., None])
@@ -198,12 +201,12 @@ def transition_with_modulation(
 def transient_with_modulation(
     under: Processes, modulation: Modulation, source: Source, times: Array, at: Array, *, tol: float
 ) -> Transient:
-    """Return the densities at energies ``at``; all else as of ``transition_with_modulation``.
+    """Return the densities of ``transition_with_modulation`` at ``times`` and energies ``at``.
 
-    Where the modulation ends with 0, dH/dt = F(H) leads from H_0 at its end to H at a later time,
-    so that p(H, t) dH = p(H_0, 0) dH_0, where dH_0/dH = F(H_0)/F(H). Where the estimated error
-    exceeds ``LARGEST_ERROR`` errors are infinite. Raises ``NotApplicable`` where damping feeds
-    energy in after the end of the noise.
+    ``tol`` is the L1 tolerance. If the modulation ends with 0, the motion dH/dt = F(H) leads from
+    H_0 at its end to H at a later time, so that p(H, t) = p(H_0) F(H_0)/F(H). If the estimated
+    error exceeds ``LARGEST_ERROR``, stated errors are infinite. Raises ``NotApplicable`` if damping
+    feeds energy in after the end of the noise.
     """
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
     later = times > end
@@ -216,7 +219,7 @@ def transient_with_modulation(
     H, positive = process.on_mesh(at, float(np.max(at, initial=last)))
 
     def rate(_: float, z: Array) -> Array:
-        # Of z = ln H; beyond the last element there is nothing.
+        # −dz/dt of z = ln H, constant beyond the last element, where p is 0.
         energy = np.exp(np.minimum(z, np.log(last)))
         return np.asarray(-process.coefficients(energy).dissipation / energy)
 
@@ -224,7 +227,7 @@ def transient_with_modulation(
         raise NotApplicable("damping feeds energy in: after the end of the noise fem has no answer")
     for k in np.flatnonzero(later):
         time, z = float(times[k] - end), np.log(H)
-        # The answer, and another one whose distance is its error.
+        # The answer, and a solution of lower accuracy whose distance is its error.
         ends = [
             solve_ivp(rate, (0.0, time), z, method="DOP853", rtol=rtol, atol=rtol).y[:, -1]
             for rtol in (1e-12, 1e-10)
@@ -243,7 +246,7 @@ def transient_with_modulation(
         lost = jacobian * (error * inside / began + SAFETY * changed)
         values[k] = np.where(positive, jacobian * p, 0.0)
         errors[k] = np.where(at >= 0.0, lost + SMALLEST, 0.0)
-        # The variation of the density of ln H, of one or two maxima.
+        # A shift of ln H by ``moved`` changes p by at most its total variation, of two maxima.
         height = float(np.max(np.abs(solved.solution.density(inner)[0][-1]) * inner))
         own = solved.measured.l1_error + 4.0 * SAFETY * moved * height + 2.0 * relative
         l1_error = float(np.max([l1_error, own]))

@@ -1,7 +1,7 @@
 """First passage of one energy through a limit: moments, failure rate and probability of failure.
 
-Under constant noise by the backward equation, for all starts at once; under modulated noise by the
-forward equation, whose mass is P(T > t).
+Under constant noise the backward equation is solved, for all starts at once; under modulated noise
+the forward equation, whose mass is P(T > t).
 """
 
 import math
@@ -38,23 +38,28 @@ from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
 MAX_BARRIER = 900.0
-"""Fall of ln(π H) from its maximum to the limit beyond which none is solved for: e^900 times."""
+"""Fall of ln(π H) from its maximum to the limit above which the limit is refused: the mean time is
+about e^900 relaxation times."""
 MAX_POWER_STEPS = 2_000
-"""Most iterations for the failure rate; a hundred do for a hundred masses."""
+"""Largest number of power iterations for the failure rate; a hundred masses take a hundred."""
 MODULATED_SHARE = 0.1
-"""Share of the tolerance for mesh and steps of modulated noise: variances have larger errors."""
+"""Tolerance of mesh and steps under modulated noise, over the tolerance of the answer: variances
+have larger errors than densities."""
 
 
 @dataclass(frozen=True, eq=False)
 class FirstPassage:
-    """First passage of an energy through the ``limit``, the right end of both last elements."""
+    """First passage of an energy through ``limit``, solved on a pair of chains that end there.
+
+    Times are given for starts x below the limit. ``longest`` is the unit of moments.
+    """
 
     limit: float
     pair: Pair
 
     @cached_property
     def means(self) -> list[Array]:
-        """T: mean time over the start, L T = −1, by both elements, (elements, functions) each."""
+        """Mean times T of the start, L T = −1: coefficients (elements, functions) on each chain."""
         return [chain_potential(e, e.load) for e in self.pair]
 
     @cached_property
@@ -70,9 +75,10 @@ class FirstPassage:
 
     @cached_property
     def _coefficients(self) -> Array:
-        """Error of T, by those of the coefficients, at the left ends of the elements.
+        """Error of T at the left ends of the elements by the errors of the coefficients.
 
-        T = ∫dx/m ∫π: an element counts by what T falls over it, and by its mass in all below.
+        T = ∫dx/m ∫π: the error of 1/m in an element is weighted by the fall of T over it, the error
+        of π by its mass.
         """
         e, T = self.pair[0], self.means[0]
         mass = np.exp(e.log_mass - e.log_mass.max())
@@ -83,11 +89,14 @@ class FirstPassage:
 
     @property
     def relative(self) -> float:
-        """Relative error of the mean time from H = 0 by coefficients and round-off."""
+        """Relative error of the mean time from H = 0 by the coefficients and round-off."""
         return float(self._coefficients[0]) / self.longest + self.round_off
 
     def moments(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Return mean and variance from starts x, and errors, by ``longest`` and its square."""
+        """Return mean, its error, variance, its error for starts ``x``, (points,) each.
+
+        The mean is in units of ``longest``, the variance of its square.
+        """
         values = []
         for e, mean in zip(self.pair, self.means, strict=True):
             f = mean / self.longest
@@ -95,26 +104,26 @@ class FirstPassage:
             half = chain_potential(e, np.einsum("eij,ej->ei", e.mass, f)) / self.longest
             values += [*e.at(x, f), *e.at(x, half)]
         T, of_T, U, of_U, better, _, half, _ = values
-        # T is about linear in H_f − x, and has the round-off of energies.
+        # T is nearly linear in limit − x, which has the round-off of energies.
         rounding = ROUNDINGS * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
         error = SAFETY * np.abs(T - better) + rounding * T + self.round_off * of_T
         error += self._coefficients[self.pair[0].within(x)[0]] / self.longest
         V = 2.0 * U - T**2
         distance = np.abs(V - 2.0 * half + better**2)
-        # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no term of it cancels.
+        # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no terms cancel.
         V_error = SAFETY * distance + (3.0 * self.relative + rounding) * V
         return T, error, V, V_error + self.round_off * 2.0 * (V + of_U + T * of_T)
 
     def rate(self) -> tuple[float, float]:
-        """Return the failure rate, the least eigenvalue λ of −L, and its error.
+        """Return the failure rate, the smallest eigenvalue λ of −L, and its error.
 
-        By powers of (−L)⁻¹, which is positive: f/(−L)⁻¹f, at its largest and least, are bounds of
-        λ (Barta), whatever its size; the error of the Rayleigh quotient is the square of their
-        relative distance, which is round-off where that is 1e-9.
+        Power iteration with (−L)⁻¹, a positive operator: the largest and smallest value of
+        f/(−L)⁻¹f bound λ (Barta), however small λ is. The relative error of the Rayleigh quotient
+        is the square of the relative distance of these bounds: round-off if that is 1e-9.
         """
         found = []
         for e, f in zip(self.pair, self.means, strict=True):
-            share = np.exp(e.log_scale - e.log_mass.max())  # what underflows counts nothing
+            share = np.exp(e.log_scale - e.log_mass.max())  # may underflow to 0
             quotient = bracket = np.nan
             for _ in range(MAX_POWER_STEPS):
                 f = f / f[0, 1]
@@ -130,7 +139,10 @@ class FirstPassage:
         return value, SAFETY * abs(value - better) + left + other + 2.0 * self.relative * value
 
     def failures(self, times: Array, x: Array) -> tuple[Array, Array]:
-        """Return P(T <= t) (2, times, points) from the starts x by both elements, and the terms."""
+        """Return P(T <= t) at ``times`` from starts ``x`` by both chains, and the size of terms.
+
+        Both arrays are (2, times, points).
+        """
         p, size = np.zeros((2, 2, times.size, x.size))
         later = times > 0.0
         for k, e in enumerate(self.pair):
@@ -140,14 +152,17 @@ class FirstPassage:
         return p, size
 
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
-        """Return P(T <= t), (times, points), from the starts x and its error."""
+        """Return P(T <= t) at ``times`` from starts ``x``, and its error, (times, points) each."""
         (p, better), size = self.failures(times, x)
         error = SAFETY * np.abs(p - better) + _by_coefficients(2.0 * self.relative, p)
         return p, error + ROUNDINGS * EPS * size.sum(axis=0) + EPS**2
 
 
 def _by_coefficients(relative: float, failure: Array) -> Array:
-    """Error of P(T <= t) by a relative one: at short times ln P ~ −(distance)²/(2 b t)."""
+    """Error of P(T <= t) = ``failure`` by a ``relative`` error of the coefficients.
+
+    At short times ln P ~ −(distance)²/(2 b t), so that it is amplified by ln P.
+    """
     steep = 2.0 - np.log(np.clip(np.abs(failure), SMALLEST, 1.0))
     return np.asarray(relative * steep * np.abs(failure))
 
@@ -155,10 +170,11 @@ def _by_coefficients(relative: float, failure: Array) -> Array:
 def chain_first_passage(
     process: Process, limit: float, times: Array, tol: float = 1e-10, source: Source | None = None
 ) -> FirstPassage:
-    """Return the first passage of ``limit`` > 0 with errors below ``tol`` where that is possible.
+    """Return the first passage of ``limit`` > 0, with errors below ``tol`` if possible.
 
-    They are relative for moments and rate, absolute for the probability of failure at ``times``,
-    which ascend. Raises ``InvalidInput`` for a limit whose mean time is beyond double precision.
+    Errors are relative for moments and rate, absolute for the probability of failure at ascending
+    ``times``. A ``source`` that is a density gets nodes that resolve it. Raises ``InvalidInput``
+    for a limit whose mean time is beyond double precision.
     """
     degree, wanted = degree_for(tol), 0.25 * tol
     beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probe_process(process)
@@ -170,7 +186,7 @@ def chain_first_passage(
     nodes = time_nodes(process, limit, degree, fine=fine, more=more)
 
     def solved(pair: Pair) -> tuple[FirstPassage, Flags]:
-        # Sums to beyond the range are judged below.
+        # Sums may overflow; the limit is then refused below.
         with np.errstate(over="ignore", invalid="ignore"):
             answer = FirstPassage(limit, pair)
             longest = answer.longest
@@ -196,12 +212,13 @@ def fem_passage(
 ) -> Passage:
     """Return the first passage of the energy through ``limit`` from ``source`` below it.
 
-    Of a density that begins beyond the limit in part, that part has failed at the time 0. Raises
-    ``InvalidInput`` where the mean time is beyond double precision.
+    ``times`` and ``tol`` are as in ``chain_first_passage``. The part of an initial density that
+    lies beyond the limit has failed at time 0. Raises ``InvalidInput`` if the mean time is beyond
+    double precision.
     """
     solved = chain_first_passage(process, limit, times=times, tol=tol, source=source)
     e, unit = solved.pair[0], solved.longest
-    # The means over the source by the points of the elements, and by those of the enriched ones.
+    # Means over the source by the points of both chains.
     (x, weights), (y, better) = (source.samples(each) for each in solved.pair)
     beyond, off = float(1.0 - weights.sum()), 0.0 if source.process is None else solved.round_off
     starts, both = np.linspace(0.0, limit, START_POINTS), x.size + y.size
@@ -213,7 +230,7 @@ def fem_passage(
 
     T, T_error, V, V_error = solved.moments(np.concatenate([x, y, starts]))
     share, share_error = map(float, over(T, T_error))
-    # The variance is that of each start, and of their means: (E T − mean)² − mean² + mean².
+    # Law of total variance: E Var(T|x) + Var E(T|x), the latter as E m(m − 2 mean) + mean².
     own, own_error = over(V, V_error)
     spread, spread_error = over(T * (T - 2.0 * share), 2.0 * np.abs(T - share) * T_error)
     with np.errstate(over="ignore"):
@@ -222,12 +239,12 @@ def fem_passage(
         )
         curves = T * unit, T_error * unit, V * unit * unit, V_error * unit * unit
     mean = Number(share * unit, share_error * unit)
-    # Forward and backward equation are compared at the mean time where no other is asked for.
+    # Forward and backward equation are compared at ``times``, or at the mean time without any.
     compared = times if times.size else np.array([mean.value])
     failure, failure_error = over(*solved.failure(compared, np.append(x, y)))
     failure = failure + beyond
     failure_error = failure_error + SAFETY * np.abs(weights.sum() - better.sum()) + off
-    # ∫p where the limit absorbs, by the forward equation.
+    # ∫p with an absorbing limit, by the forward equation.
     load, later = source.load(e), compared > 0.0
     g = inverse_laplace(e, load, compared[later], held=0.0)
     kept = np.full(compared.size, load[:, :2].sum())
@@ -257,14 +274,15 @@ def passage_with_modulation(
     *,
     tol: float,
 ) -> Passage:
-    """Return the first passage of ``limit`` under modulated noise.
+    """Return the first passage of ``limit`` from ``source`` under modulated noise.
 
-    P(T > t) is the mass that the forward equation with p = 0 at the limit keeps; mean, variance
-    and failure rate are those of the noise that the modulation ends with. Where it ends with 0 who
-    lives then never fails: moments are infinite, and there is no failure rate. Errors as of
-    ``modulated_transition``, in probabilities and in the moments. Raises ``NotApplicable`` where
-    damping feeds energy in at the limit while there is no noise, and as
-    ``chain_first_passage`` does.
+    ``under(factor)`` is the process under that multiple of the noise. P(T > t) at ``times`` is the
+    mass of the forward solution with p = 0 at the limit. The failure rate is that under the noise
+    after the end of the modulation. If this noise is 0, systems that survive until then never fail:
+    moments are infinite, and there is no failure rate. ``tol`` is as in ``chain_first_passage``;
+    errors are by elements of a higher degree and by steps twice as long. Raises ``NotApplicable``
+    if damping feeds energy in at the limit while there is no noise, and as ``chain_first_passage``
+    does.
     """
     unit, last, quiet = modulation.largest, modulation.last, quiet_until(modulation, source)
     if unit == 0.0:
@@ -287,10 +305,10 @@ def passage_with_modulation(
     first = float(modulation.energy(stops[1])) / unit
 
     def carried(e: Elements, level: int) -> Carried:
-        """p at the stops > 0; P(T > t) at all stops, E T and E T², and errors by ``later``.
+        """p at the stops > 0; P(T > t) at all stops, E T and E T²; errors by ``later``.
 
-        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end t_e, and those of the time
-        τ that is left, E(t_e + τ)², over the density of then.
+        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end t_e of the modulation, plus
+        E τ and E(2 t_e τ + τ²) of the remaining time τ over the density at t_e.
         """
         load = source.load(e)
         g, t, weight, mass = radau_steps(
@@ -318,7 +336,7 @@ def passage_with_modulation(
         MODULATED_SHARE * tol,
     )
     e, (numbers, longer, both) = solved.elements, (each[1] for each in found)
-    # What twice as long steps change, and with them a higher degree: errors of both may cancel.
+    # Changes by twice as long steps and by a higher degree, added as they could cancel.
     error = SAFETY * (np.abs(numbers - longer) + np.abs(longer - both))
     failure, at = 1.0 - numbers[:-2], np.searchsorted(stops, asked)
     relative = 2.0 * e.coefficient_error(source.energy)

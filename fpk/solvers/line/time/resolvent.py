@@ -1,8 +1,8 @@
-"""The chain of elements of one energy in Laplace variables, and its relaxation rates.
+"""The chain of elements of one energy for complex Laplace variables, and relaxation rates.
 
-At the ends of the elements an equation (zM + A) f = load is one of conductances in series and
-admittances to ground. Eliminated from one side, all terms of all sums have one sign (z > 0), or
-lie in one sector of the complex plane: nothing cancels, whatever range the density spans.
+At the nodes an equation (zM + A) f = load describes a chain of conductances in series with
+admittances to ground. In elimination from one end all terms of each sum have one sign (z > 0), or
+lie in one sector of the complex plane: nothing cancels, however many decades the density spans.
 """
 
 from dataclasses import replace
@@ -30,32 +30,34 @@ from fpk.solvers.line.time.elements import (
 from fpk.system.process import Process
 
 CONTOUR_TIMES = 10.0
-"""Largest ratio of the times that share one contour: 75 points, where one time has 46."""
+"""Largest ratio of times that share one contour: it has 75 points, a contour of one time 46."""
 PHI = 0.5
-"""Inclination of the hyperbola. Faster converging ones (1.17) lie flat along the negative axis,
-where the transform of what has drifted for a time t_0 grows as e^(−z t_0): that cancels to
-less than a millionth where many masses start from rest."""
+"""Angle of the hyperbola. Larger angles (1.17) converge faster but stay close to the negative axis,
+where the transform of a density delayed by t_0 grows as e^(−z t_0): with many masses started at
+rest the integral then cancels to less than a millionth of its terms."""
 CONTOUR_VERTEX = 6.0
-"""z t where the contour crosses the real axis, times 1/(1 − sin φ): e^3.1 multiplies round-off."""
+"""μ t of the contour at its last time t: it crosses the real axis at z t = 3.1, and round-off is
+multiplied by e^3.1."""
 LONGER = 1.3
-"""Factor on the last energy from one round to the next."""
+"""Factor on the last energy of the mesh from one round of ``relaxation_spectrum`` to the next."""
 WAVES = 10
-"""Waves of an eigenfunction that an element takes."""
+"""Number of waves of an eigenfunction that one element resolves."""
 RATE_ROUNDS = 6
-"""Most rounds, at every second of which all elements are cut in two."""
+"""Largest number of rounds of ``relaxation_spectrum``; every second one halves all elements."""
 SHIFT = 0.1
-"""Shift below 0 of the inverse, in units of the scale of the rates: K alone is singular."""
+"""Shift of the inverse (K + shift M)⁻¹, over the scale b/H² of the rates: K alone is singular."""
 Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
-"""Real numbers, or complex ones where the Laplace variables are."""
+"""Arrays of real numbers, or of complex numbers if the Laplace variables are complex."""
 
 
 def contours(times: Array, *, more: int = 0) -> list[tuple[Integers, Complexes, Complexes]]:
-    """Return contours for ``times`` > 0 in any order, with ``more`` points than round-off asks.
+    """Return contours of the inverse Laplace transform for ``times`` > 0 in any order.
 
-    Each is the places of its times among ``times``, the points z, and the factors e^(z t) w (times,
-    points) of f(t) = Im Σ e^(z t) w F(z): the trapezoidal rule on the half with Im z > 0 of the
-    hyperbola z(θ) = μ (1 + sin(iθ − φ)). It errs by e^(μt − 2πφ/h), and ends where e^(z t) is
-    round-off at the first time: J. A. C. Weideman and L. N. Trefethen, Math. Comp. 76 (2007) 1341.
+    A contour has the indices of its times, the points z, and the factors e^(z t) w (times, points)
+    of f(t) = Im Σ e^(z t) w F(z): the trapezoidal rule of step h on the half Im z > 0 of the
+    hyperbola z(θ) = μ (1 + sin(iθ − φ)). Its error is e^(μt − 2πφ/h), and it ends where e^(z t) is
+    round-off at the first time, but for ``more`` points of a smaller step. J. A. C. Weideman and
+    L. N. Trefethen, Math. Comp. 76 (2007) 1341.
     """
     order, found, digits = np.argsort(times, kind="stable"), [], -log(EPS)
     while order.size:
@@ -76,12 +78,13 @@ def contours(times: Array, *, more: int = 0) -> list[tuple[Integers, Complexes, 
 
 
 def eliminate_chain(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
-    """Return the elements at the Laplace variables ``z`` (points,), each with all below eliminated.
+    """Return the admittances of the elements at the Laplace variables ``z`` (points,).
 
-    Arrays (elements, …, points): ``series`` conducts from end to end, ``shunt`` flows off at both
-    ends, ``damped`` is 1 + zν of its own functions, ``total`` the admittance at the left end with
-    the share ``ratio`` of series; ``passed`` is what of the rest is seen from the right. The first
-    element conducts nothing.
+    Arrays (elements, …, points), with all elements below eliminated: ``series`` is the conductance
+    from end to end, ``shunt`` the admittances to ground at both ends, ``damped`` is 1 + zν of the
+    functions v_j, ν = ``relaxation``, ``total`` the sum of admittances at the left end, ``ratio``
+    is series/total, and ``passed`` the admittance below, seen through the element from its right
+    end. The first element has no conductance.
     """
     coupling, own = e.mass[:, 2:, :2], e.load[:, 2:]
     damped = 1.0 + e.relaxation[:, :, None] * z
@@ -94,7 +97,7 @@ def eliminate_chain(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
         below = (passed[k - 1] + shunt[k - 1, 1]) * e.steps[k - 1] + shunt[k, 0]
         total[k] = below + series[k]
         zero = total[k] == 0.0  # at an eigenvalue of the part below
-        total[k, zero] = EPS * series[k, zero]
+        total[k, zero] = EPS * series[k, zero]  # instead of a division by 0
         ratio[k] = series[k] / total[k]
         passed[k] = below * ratio[k]
     return series, shunt, damped, total, ratio, passed
@@ -103,12 +106,12 @@ def eliminate_chain(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
 def chain_resolvent(
     e: Elements, z: Numbers, load: Array, end: Numbers | None = None, *, density: bool = True
 ) -> tuple[Numbers, float]:
-    """Return the coefficients f (elements, functions, points) of (z − L) f = ``load``.
+    """Return coefficients f (elements, functions, points) of (z − L) f = ``load``, and a residual.
 
-    ``end`` (points,) is f at the right end of the last element; None: no flux leaves there. A
-    ``density`` is f = p/π of the unit 1/e^``log_scale`` in each element, its load (elements,
-    functions) physical, and has a relative residual at the nodes; otherwise f has one unit, and
-    the load those of the elements.
+    ``z`` (points,) are Laplace variables, ``load`` is (elements, functions). ``end`` (points,) is f
+    at the right end of the last element; None: zero flux there. If ``density``, f = p/π in the unit
+    1/e^``log_scale`` of each element, the load is in one unit, and the residual is relative, at the
+    nodes. Otherwise f is in one unit, the load in the units of the elements, and the residual 0.
     """
     series, shunt, damped, total, ratio, passed = eliminate_chain(e, z)
     coupling = e.mass[:, 2:, :2]
@@ -143,9 +146,10 @@ def inverse_laplace(
     e: Elements, load: Array, times: Array, *, held: float | None = None, more: int = 0,
     density: bool = True,
 ) -> ChainDensity:  # fmt: skip
-    """Return the coefficients at ``times`` > 0 of what begins with ``load``.
+    """Return the solution at ``times`` > 0 of ∂f/∂t = L f that starts with ``load``.
 
-    Contours have ``more`` points. The last end is ``held`` at a value, or no flux leaves there.
+    ``load`` and ``density`` are as in ``chain_resolvent``; contours have ``more`` points. At the
+    last end f is ``held`` at a value, or the flux is zero if None.
     """
     values, size = np.zeros((2, times.size, e.count, e.degree + 1))
     residuals = [0.0]
@@ -159,7 +163,10 @@ def inverse_laplace(
 
 
 def chain_potential(e: Elements, load: Array) -> Array:
-    """Return (−L)⁻¹ of a load in the units of the elements, 0 at the right end: first passage."""
+    """Return f (elements, functions) of −L f = ``load``, f = 0 at the right end: first passage.
+
+    ``load`` (elements, functions) is in the units of the elements.
+    """
     own = zip(load[:, :2].sum(axis=1), e.steps, strict=False)
     below = accumulate(own, lambda current, k: (current + k[0]) * k[1], initial=0.0)
     current = np.fromiter(below, float, e.count) + load[:, 0]
@@ -169,15 +176,16 @@ def chain_potential(e: Elements, load: Array) -> Array:
 
 
 def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
-    """Return M, K and C of the free functions, scaled to a mass of one, for the reference noise.
+    """Return the sparse mass, stiffness and drift matrices M, K, C, and the map to elements.
 
-    No flux leaves at the last end, or it absorbs. The last matrix (functions of all elements, free
-    functions) holds e^(½ ``log_scale``) times the factor of each free function.
+    The unknowns are the free functions, scaled so that M has a unit diagonal. At the last end the
+    flux is zero, or the function if ``absorbing``. The map (functions of all elements, unknowns)
+    contains e^(½ ``log_scale``) times the scale of each unknown.
     """
     size = e.degree + 1
     K_local = np.tile(np.eye(size), (e.count, 1, 1))
     K_local[:, :2, :2] = e.conductance[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    # A vertex is of two elements, of which the one on its left has the function h_1.
+    # A node belongs to h_1 of the element on its left and to h_0 of the element on its right.
     place = np.arange(e.count * size).reshape(e.count, size)
     place[1:, 0] = place[:-1, 1]
     masses = np.einsum("eii->ei", e.mass)
@@ -194,9 +202,10 @@ def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
 
 
 def eigenvalues_below(e: Elements, rates: Array) -> Integers:
-    """Return how many eigenvalues, 0 among them, are less than each of ``rates`` (points,).
+    """Return the number of eigenvalues of −L, 0 included, below each of ``rates`` (points,).
 
-    As many as negative pivots of A − λM: Wittrick, Williams, Q. J. Mech. Appl. Math. 24 (1971) 263.
+    It is the number of negative pivots of A − λM: W. H. Wittrick and F. W. Williams, Q. J. Mech.
+    Appl. Math. 24 (1971) 263.
     """
     _, shunt, damped, total, _, passed = eliminate_chain(e, -rates)
     inner, ends = (damped < 0.0).sum(axis=(0, 1)), (total[1:] < 0.0).sum(axis=0)
@@ -204,16 +213,16 @@ def eigenvalues_below(e: Elements, rates: Array) -> Integers:
 
 
 def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
-    """Return the ``count`` least eigenvalues of −L but 0, all of them real.
+    """Return the ``count`` smallest nonzero eigenvalues of −L, which are real, to relative ``tol``.
 
-    To the relative tolerance ``tol``, up to where π φ², φ ~ H^``count``, has the share
-    ``TAIL_SHARES``.
+    The mesh ends where π φ² of an eigenfunction φ ~ H^``count`` has the mass ``TAIL_SHARES`` · tol
+    beyond. Raises ``NotCertified`` if π φ² does not fall, or no eigenvalues are found.
     """
     degree, scale = degree_for(tol), process.energy_scale
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
     temperature = scale / process.degrees_of_freedom
-    # φ rises from the temperature on. Of a Laguerre polynomial of the norm 1, with φ ~ H^count, the
-    # largest π φ² far out is 4^count.
+    # φ rises above the temperature. π φ² of a Laguerre polynomial of norm 1, φ ~ H^count, is at
+    # most 4^count times the continuation of its tail.
     probe = probe_process(process)
     rise = np.where(probe.energy > temperature, 2.0 * count / probe.energy, 0.0)
     grown = replace(probe, slope=probe.slope + rise)
@@ -222,7 +231,7 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
     except NotCertified:
         words = "the density does not fall faster than the eigenfunctions rise"
         raise NotCertified(words) from None
-    # Towards H = 0 the k-th eigenfunction has k waves a temperature.
+    # Near H = 0 the k-th eigenfunction has k waves over the energy ``temperature``.
     fine = [(0.0, WAVES / count * temperature)] if count > WAVES else []
     for turn in range(RATE_ROUNDS):
         end, last = LONGER**turn * ends
@@ -236,19 +245,19 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
             first, shift = np.linspace(1.0, 2.0, M.shape[0]), -SHIFT * order
             try:
                 own = eigsh(K, count + 1, M, sigma=shift, v0=first, return_eigenvectors=False)
-            except RuntimeError as error:  # of the factorisation, or of an endless iteration
+            except RuntimeError as error:  # singular factorisation, or no convergence
                 raise NotCertified(f"the relaxation rates were not found: {error}") from None
             found.append(np.sort(own)[1:])
         answer, (rates, better) = pair[0], found
         common = 2.0 * answer.coefficient_error()
         common += ROUNDINGS * EPS * (answer.count + answer.log_range)
         errors = SAFETY * np.abs(rates - better) + common * rates
-        # Round-off of the inverse, relative to its largest eigenvalue, as one of λ.
+        # Round-off of the largest eigenvalue of the inverse, as an error of each λ.
         errors += ROUNDINGS * EPS * (rates + SHIFT * order) ** 2 / (SHIFT * order)
         if (errors <= tol * rates).all() or 2 * answer.count > MOST_ELEMENTS:
             break
-    # The eigenvalue 0 of the constant is there whatever the elements: no probability is lost. And
-    # no rate is missed.
+    # The constant is an eigenfunction of 0 on any elements, as no probability is lost. The count
+    # shows that no rate was missed.
     beyond = rates[-1] + max(float(errors[-1]), tol * float(rates[-1]))
     below = eigenvalues_below(answer, np.array([0.5 * rates[0], beyond]))
     residual = float(below.tolist() != [1, count + 1])

@@ -36,26 +36,29 @@ from fpk.solvers.line.time.resolvent import inverse_laplace
 from fpk.system.process import Process
 
 MIN_LOG_SHARE = -600.0
-"""ln of the least stationary probability beyond a start that double precision can relate to one;
-four times as much where the start is a density and not one energy (at −5000 errors exceed it)."""
+"""Smallest ln of the stationary probability above a start energy, to which double precision relates
+1; four times as much if the start is a density (at −5000 errors exceed the stated ones)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Initial density of a transient: at one energy, or the stationary one of another process."""
+    """Initial density: at one ``energy``, or the stationary density of another ``process``."""
 
     energy: float = 0.0
     process: Process | None = None
 
     @cached_property
     def extent(self) -> float:
-        """Energy above which no more than the round-off of the source is."""
+        """Energy above which the mass of the source is below round-off."""
         return (
             self.energy if self.process is None else float(probe_process(self.process).extent(EPS))
         )
 
     def nodes(self, end: float, degree: int) -> Array:
-        """Return ends of elements that see the source; beyond it they grow up to ``end``."""
+        """Return nodes up to ``end`` that resolve a source density; empty for one energy.
+
+        Above its extent elements of ``degree`` grow by ``LENGTH_RATIO``.
+        """
         if self.process is None:
             return np.zeros(0)
         last = min(end, self.extent)
@@ -63,7 +66,7 @@ class Source:
         return np.append(time_nodes(self.process, last, degree), last * LENGTH_RATIO**steps)
 
     def samples(self, e: Elements) -> tuple[Array, Array]:
-        """Return energies within the elements, and their weights in a mean over the source."""
+        """Return energies in the elements ``e``, and their weights in a mean over the source."""
         if self.process is None:
             return np.array([self.energy]), np.ones(1)
         nodes = time_nodes(self.process, self.extent, MAX_ELEMENT_DEGREE)
@@ -74,7 +77,7 @@ class Source:
         return x, e.weight[within] * np.exp(log_p)
 
     def load(self, e: Elements) -> Array:
-        """Return its moments with the functions of each element, (elements, functions)."""
+        """Return E f_i over the source, for the functions f_i of each element, (elements, …)."""
         x, weights = self.samples(e)
         k, values = e.functions(x)
         load = np.zeros(e.load.shape)
@@ -84,17 +87,17 @@ class Source:
 
 @dataclass(frozen=True)
 class Question:
-    """A density from ``source``, ``width`` wide at the first time, to the L1 tolerance ``tol``."""
+    """Start from ``source``, width of the density at the first time, and L1 tolerance ``tol``."""
 
     source: Source
     width: float
     tol: float
 
     def common_error(self, e: Elements, p: Array, size: Array, x: Array) -> Array:
-        """Return errors that the densities ``p`` at x have in common on any elements.
+        """Return the errors of ``p`` (times, points) at ``x`` that no mesh shows.
 
-        By the coefficients: at short times ln p ~ −(distance)²/(2 b t), so that they count the more
-        the smaller p is. By the rounding of energies, and of terms of ``size`` that cancel.
+        They are errors by the coefficients, amplified where p is small, as at short times
+        ln p ~ −(distance)²/(2 b t); and round-off of energies and of terms of ``size`` in p.
         """
         rounding = ROUNDINGS * EPS * (1.0 + x / self.width + e.log_range)
         top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
@@ -106,9 +109,10 @@ class Question:
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """The density of an energy at several times after a start, with its error and certificate.
+    """Density of an energy at several times after a start, with its error and certificate.
 
-    ``distance`` (times, elements, points) to more accurate solutions, ``top`` (times,) largest p.
+    ``distance`` (times, elements, points) is the distance of p to more accurate solutions, ``top``
+    (times,) the largest p.
     """
 
     question: Question
@@ -121,18 +125,18 @@ class Transition:
 
     @property
     def elements(self) -> Elements:
-        """The elements of the answer."""
+        """Elements of the answer."""
         return self.solution.elements
 
     @property
     def certificate(self) -> Certificate:
-        """The certificate by the tolerance that was asked for."""
+        """Certificate for the tolerance of the question."""
         return certify(self.measured, tol=self.question.tol)
 
     def density(self, x: Array) -> tuple[Array, Array]:
-        """Return p and its error at energies x (points,): two arrays (times, points).
+        """Return p and its error at energies ``x`` (points,): two arrays (times, points).
 
-        Below 0 both are 0; beyond the last element p is 0 and the error what it is at the end.
+        Below 0 both are 0; beyond the last element p is 0, with an error of at least p at the end.
         """
         e = self.elements
         end = float(e.right[-1])
@@ -147,7 +151,7 @@ class Transition:
 
 
 def transition(process: Process, source: Source, times: Array, *, tol: float = 1e-10) -> Transition:
-    """Return the density at ``times`` > 0 after ``source``, to ``tol`` if certified."""
+    """Return the density at ``times`` > 0 after ``source``, to the L1 tolerance ``tol``."""
     question, pair = pose_question(process, source, float(times.min()), tol)
     return solve_adaptively(
         question, pair, lambda e, more: inverse_laplace(e, source.load(e), times, more=more)
@@ -157,15 +161,16 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
 def pose_question(
     process: Process, source: Source, time: float, tol: float, *, limit: float | None = None
 ) -> tuple[Question, Pair]:
-    """Return the question, ``time`` the first one asked for, and the meshes to begin with.
+    """Return the question and the first pair of elements for it.
 
-    Without an absorbing ``limit`` no more than ``TAIL_SHARES`` is beyond them at any time: from a
-    start above the energy H_0 it is less than the stationary tail over that beyond H_0. Raises
-    ``InvalidInput`` for a start beyond the range of double precision.
+    ``time`` is the first time, ``tol`` the L1 tolerance. Meshes end at the absorbing ``limit``, or
+    where the mass beyond is ``TAIL_SHARES`` · tol at any time: from a start at H_0 it is less than
+    the stationary mass beyond, over the stationary mass beyond H_0. Raises ``InvalidInput`` for a
+    start beyond the range of double precision.
     """
     degree, start, width, fine = degree_for(tol), source.energy, process.energy_scale, []
     if source.process is None:
-        # √(b t), b ~ H at H = 0, where b' is wanted beside it.
+        # √(b t), or b' t near H = 0, where b ~ H.
         c = process.coefficients(np.array([max(start, 1e-9 * width)]))
         spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0
         width = max(spread, 0.5 * float(c.divergence[0]) * time)
@@ -193,7 +198,7 @@ def pose_question(
             ends.append(
                 max(each.extent(tail * tol) for each in (probe, probe_process(source.process)))
             )
-    # The enriched solution reaches farther, by a fiftieth at least.
+    # The mesh of the enriched solution is longer by 2 % at least.
     end, last = ends[0], max(ends[1], 1.02 * ends[0])
     nodes = time_nodes(process, end, degree, fine=fine, more=source.nodes(end, degree))
     beyond = np.linspace(end, last, 1 + math.ceil((last - end) / float(nodes[-1] - nodes[-2])))
@@ -203,7 +208,10 @@ def pose_question(
 def solve_adaptively(
     question: Question, pair: Pair, solve: Callable[..., ChainDensity]
 ) -> Transition:
-    """Return what ``solve(e=elements, more=degrees)`` gives on meshes that adapt, judged."""
+    """Return the transition by ``solve(e=elements, more=points)`` on adapted meshes.
+
+    ``pair`` is the first mesh; ``more`` are further points of the contours.
+    """
     before, tol = math.inf, question.tol
 
     def solved(pair: Pair) -> tuple[Transition, Flags]:
@@ -221,9 +229,11 @@ def solve_adaptively(
 def estimate_error(
     question: Question, own: ChainDensity, finer: ChainDensity, *, distance: Array | None = None
 ) -> tuple[Transition, Array, Array]:
-    """Return the solution, judged by its ``distance``, to the enriched one ``finer`` unless given.
+    """Return the transition of the solution ``own`` with its error, and the errors by elements.
 
-    Then each element's part of the error, and of its round-off.
+    The error is based on ``distance`` (times, elements, points), by default to the enriched
+    solution ``finer``. The last two arrays (elements,) are the shares of each element in the
+    distance and in ``Question.common_error``.
     """
     answer, enriched = own.elements, finer.elements
     x, w = answer.x, answer.weight
@@ -231,7 +241,7 @@ def estimate_error(
     shape = (len(p), *x.shape)
     distance = np.abs(p - better).reshape(shape) if distance is None else distance
     last = float(enriched.right[-1])
-    # What the enriched solution has beyond the last element of the answer.
+    # Mass of the enriched solution beyond the last element of the answer.
     far, far_w = enriched.x[answer.count :], enriched.weight[answer.count :]
     beyond = np.abs(finer.density(np.append(far.ravel(), last))[0])
     tail = (beyond[:, :-1] @ far_w.ravel()).max()
