@@ -191,8 +191,8 @@ class SampledDensity(Quantities):
         The error follows from the spread of the batches. Where fewer visits than batches are
         expected, it is at least the error of Poisson counts. One visit is added, as none of a few
         expected visits may be observed. At a kink the side with the smaller error is used. Outside
-        the bins the density is 0, with the error at the nearest point inside. Raises ``InvalidInput``
-        for another number of arrays than axes.
+        the bins the density is 0, with the error at the nearest point inside. Raises
+        ``InvalidInput`` for another number of arrays than axes.
         """
         require_one_array_an_axis(self.observable, points)
         batches = len(self.batch_values)
