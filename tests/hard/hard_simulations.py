@@ -1,207 +1,267 @@
-"""Hard cases of the simulation: stiff stops, steps, few and many trajectories, nothing lost."""
+"""Hard cases of the simulation: stiff stops, steps, few and many trajectories, no noise."""
 
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from hard_case import Check, HardCase
-from hard_noiseless import no_noise, nothing_lost
-from hard_plain import plain_euler
-from hard_systems import with_stops
-from numpy.typing import NDArray
+from hard_battery import Check, HardCase
 
 from averaging.theory import Exact
 from cases.compare.compare import compared
 from cases.scene.scene import load_scene
 from fpk.answer.density import Density
 from fpk.answer.names import parse_observable
-from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import InvalidInput, NotCertified
-from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.sample.ensemble import Ensemble
-from sim.step.arrays import MAX_TRAJECTORIES
+from sim.step.arrays import LANES, MAX_TRAJECTORIES
 from sim.step.schemes import SCHEMES
 from sim.step.step_size import chosen_step
 
 SHORT = MonteCarlo(paths=4096, relaxations=10.0, burn_in=5.0)
 """A simulation of a second or two."""
-
-Array = NDArray[np.float64]
-
 EULER_STEP, EULER_TIME, EULER_PATHS = 0.01, 50.0, 1000
+MANY_STEPS = 1_000_000
+Q2 = [parse_observable("q2", 2)]
 
 
-def against_exact(system: System, method: MonteCarlo) -> tuple[list[Check], SampledDensity]:
-    """Certificate of the simulation and its distance to the exact p(q2)."""
-    q2 = [parse_observable("q2", system.n)]
-    exact, sampled = Exact().solve(system, q2), method.solve(system, q2)
+def with_stops(stiffness):
+    """Return the system of ``stiff-stops``, for which (7) is exact, with stops of ``stiffness``."""
+    system = load_scene("stiff-stops").system
+    return replace(system, contacts=tuple(replace(c, stiffness=stiffness) for c in system.contacts))
+
+
+def pushed(system, q):
+    """Forces of the stops on the masses at displacements (paths, n)."""
+    force = np.zeros_like(q)
+    for stop in system.stops:
+        overlap = np.maximum(stop.sign * q[:, stop.index] - stop.clearance, 0.0)
+        force[:, stop.index] -= stop.sign * stop.force(overlap)
+    return force
+
+
+def plain_euler(system, *, dt, seed=1):
+    """Return the share of lost paths and the final states (paths, 2n) of Euler-Maruyama in NumPy.
+
+    Constant damping; every path starts at rest.
+    """
+    generator, n, m = np.random.default_rng(seed), system.n, system.mass
+    root = np.linalg.cholesky(2.0 * dt * system.noise_matrix + 1e-300 * np.eye(n))
+    q, p = np.zeros((EULER_PATHS, n)), np.zeros((EULER_PATHS, n))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(round(EULER_TIME / dt)):
+            force = pushed(system, q) - q @ system.stiffness_matrix - (p / m) @ system.damping.T
+            noise = generator.standard_normal((EULER_PATHS, n)) @ root.T
+            q, p = q + dt * p / m, p + dt * force + noise
+    finite = np.all(np.isfinite(q) & np.isfinite(p), axis=1)
+    return 1.0 - float(finite.mean()), np.hstack([q, p])
+
+
+def refusal(error, made):
+    """What ``made`` says when it raises ``error``."""
+    try:
+        made()
+    except error as reason:
+        return str(reason)
+    return "taken"
+
+
+def against_exact(system, method):
+    """Certificate of the simulation and its distance to the exact p(q2), and its words."""
+    exact, sampled = Exact().solve(system, Q2), method.solve(system, Q2)
     (comparison,) = compared([exact, sampled], averaging_is_exact=True)
     truth, histogram = exact.densities[0], sampled.densities[0]
-    assert isinstance(truth, Density) and isinstance(histogram, SampledDensity)
-    band = comparison.band or 0.0
+    words, band = "; ".join(histogram.certificate.failures), comparison.band or 0.0
+    measured = f"L1 {comparison.L1:.2g}, band {band:.2g}"
     checks = [
-        Check(
-            "certified", histogram.certificate.certified, "; ".join(histogram.certificate.failures)
-        ),
-        Check(
-            "p(q2) is the exact one", comparison.holds, f"L1 {comparison.L1:.2g}, band {band:.2g}"
-        ),
+        Check("certified", histogram.certificate.certified, words),
+        Check("p(q2) is the exact one", comparison.holds, measured),
     ]
-    if not system.contacts:
-        return checks, histogram
-    share, expected = beyond_clearance(system, histogram), beyond_clearance(system, truth)
-    # What lies beyond the stops is a part of what lies anywhere: the same band holds for it.
-    return [
-        *checks,
-        Check(
-            "share of time in contact",
-            abs(share - expected) <= band,
-            f"{share:.5f}, exact {expected:.5f}",
-        ),
-    ], histogram
+    if system.contacts:
+        share, expected = (beyond_clearance(system, p) for p in (histogram, truth))
+        # What lies beyond the stops is a part of what lies anywhere: the same band holds for it.
+        inside, shown = abs(share - expected) <= band, f"{share:.5f}, exact {expected:.5f}"
+        checks.append(Check("share of time in contact", inside, shown))
+    return checks, words or "certified"
 
 
-def beyond_clearance(system: System, density: Density | SampledDensity) -> float:
+def beyond_clearance(system, density):
     """Return the probability of |q2| > δ, of a histogram by linear interpolation in its bins."""
-    clearance = system.contacts[0].clearance
+    ends = system.contacts[0].clearance * np.array([-1.0, 1.0])
     if isinstance(density, Density):
-        edges = np.array([-clearance, clearance])
-        return 1.0 - float(density.cell_averages(edges)[0] * 2.0 * clearance)
+        return 1.0 - float(density.cell_averages(ends)[0] * np.ptp(ends))
     (edges,) = density.edges
     below = np.concatenate([[0.0], np.cumsum(density.values * np.diff(edges))])
-    inside = np.interp([-clearance, clearance], edges, below)
-    return 1.0 - float(inside[1] - inside[0])
+    return 1.0 - float(np.diff(np.interp(ends, edges, below))[0])
 
 
-def stiff(stiffness: float) -> HardCase:
+def stiff(stiffness):
     """A stiff stop, simulated with the step that the program chooses."""
     system = with_stops(stiffness)
-    checks, histogram = against_exact(system, SHORT)
-    lost, state = plain_euler(system, dt=EULER_STEP, time=EULER_TIME, paths=EULER_PATHS)
+    checks, words = against_exact(system, SHORT)
+    lost, state = plain_euler(system, dt=EULER_STEP)
     outside = float(np.mean(np.abs(state[:, 1]) > system.contacts[0].clearance))
     return HardCase(
-        name=f"simulation, B = {stiffness:.0e}",
-        hard="the contact is over in a thousandth of a period, and a step too long feeds energy in",
-        plain=f"Euler-Maruyama, dt = {EULER_STEP}: {lost:.1%} of the paths lost,"
+        f"simulation, B = {stiffness:.0e}",
+        "the contact is over in a thousandth of a period, and a step too long feeds energy in",
+        checks[1].measured + "; in contact " + checks[2].measured,
+        words,
+        checks,
+        f"Euler-Maruyama, dt = {EULER_STEP}: {lost:.1%} of the paths lost,"
         f" {outside:.1%} of the others in contact",
-        ours=checks[1].measured + "; in contact " + checks[2].measured,
-        certificate="certified" if histogram.certificate.certified else checks[0].measured,
-        checks=tuple(checks),
     )
 
 
-def seeded(seed: int) -> HardCase:
+def seeded(seed):
     """A seed at the end of its range, or 0."""
-    system = with_stops(10.0)
-    checks, histogram = against_exact(system, replace(SHORT, seed=seed))
-    return HardCase(
-        name=f"seed {seed}",
-        hard="a counter-based generator must not repeat itself where the seed mixes in no bits",
-        plain="not run",
-        ours=checks[1].measured,
-        certificate="certified" if histogram.certificate.certified else checks[0].measured,
-        checks=tuple(checks),
-    )
+    checks, words = against_exact(with_stops(10.0), replace(SHORT, seed=seed))
+    hard = "a counter-based generator must not repeat itself where the seed mixes in no bits"
+    return HardCase(f"seed {seed}", hard, checks[1].measured, words, checks)
 
 
-def two_humps() -> HardCase:
+def two_humps():
     """Two humps of the energy with rare passages: right, or said not to be."""
-    scene = load_scene("bistable")
-    (_, exact), histogram = against_exact(scene.system, SHORT)
-    words = "; ".join(histogram.certificate.failures)
-    honest = exact.holds or bool(words)
-    return HardCase(
-        name="simulation, bistable",
-        hard="passages between the humps are rarer than any decay time of the chain",
-        plain="not run",
-        ours=exact.measured,
-        certificate=words or "certified",
-        checks=(Check("the exact p(q2), or not certified", honest, exact.measured),),
-    )
+    (_, exact), words = against_exact(load_scene("bistable").system, SHORT)
+    honest = exact.holds or words != "certified"
+    hard = "passages between the humps are rarer than any decay time of the chain"
+    checks = [Check("the exact p(q2), or not certified", honest, exact.measured)]
+    return HardCase("simulation, bistable", hard, exact.measured, words, checks)
 
 
-def too_long_a_step() -> HardCase:
+def too_long_a_step():
     """A step beyond the stability limit: refused, or marked where the user insists."""
-    system = with_stops(1e5)
-    try:
-        replace(SHORT, dt=0.5).solve(system, [])
-        refusal = "taken"
-    except InvalidInput as error:
-        refusal = str(error)
-    q2 = [parse_observable("q2", system.n)]
-    try:
-        replace(SHORT, dt=0.5, allow_unstable=True).solve(system, q2)
-        words = "taken"
-    except NotCertified as error:
-        words = str(error)
-    lost, _ = plain_euler(system, dt=0.5, time=EULER_TIME, paths=EULER_PATHS)
+    system, long = with_stops(1e5), replace(SHORT, dt=0.5)
+    refused = refusal(InvalidInput, lambda: long.solve(system, []))
+    insisting = replace(long, allow_unstable=True)
+    words = refusal(NotCertified, lambda: insisting.solve(system, Q2))
+    lost, _ = plain_euler(system, dt=0.5)
     return HardCase(
-        name="step beyond the limit",
-        hard="dt = 0.5 where the stability limit is 0.02",
-        plain=f"Euler-Maruyama: {lost:.0%} of the paths lost, without a word",
-        ours=f"refused: {refusal}",
-        certificate=f"with --allow-unstable: {words}",
-        checks=(
-            Check("refused with the limit", "stability limit" in refusal, refusal),
+        "step beyond the limit",
+        "dt = 0.5 where the stability limit is 0.02",
+        f"refused: {refused}",
+        f"with --allow-unstable: {words}",
+        [
+            Check("refused with the limit", "stability limit" in refused, refused),
             Check("ended where insisted on", "are unstable" in words, words),
-        ),
+        ],
+        f"Euler-Maruyama: {lost:.0%} of the paths lost, without a word",
     )
 
 
-def one_trajectory() -> HardCase:
+def one_trajectory():
     """A single trajectory has no independent batches to take an error from."""
-    words = "taken"
-    try:
-        replace(SHORT, paths=1)
-    except InvalidInput as error:
-        words = str(error)
+    words = refusal(InvalidInput, lambda: replace(SHORT, paths=1))
+    hard, checks = "there is nothing independent to take an error from", []
+    checks.append(Check("refused with what to use", "use 4096" in words, words))
     return HardCase(
-        name="one trajectory",
-        hard="there is nothing independent to take an error from",
-        plain="a histogram without an error",
-        ours="refused",
-        certificate=words,
-        checks=(Check("refused with what to use", "use 4096" in words, words),),
+        "one trajectory", hard, "refused", words, checks, "a histogram without an error"
     )
 
 
-def many_trajectories() -> HardCase:
+def many_trajectories():
     """Ten million trajectories, a few steps each."""
-    paths = 10_000_000
     system = with_stops(10.0)
-    ensemble = Ensemble(system, SCHEMES["exact_flow"], chosen_step(system), paths, 1, 2)
+    ensemble = Ensemble(system, SCHEMES["exact_flow"], chosen_step(system), 10_000_000, 1, 2)
     ensemble.advance(20)
     _, p = ensemble.phase_points()
     square, finite = float(np.mean(p[:, 0] ** 2)), float(np.isfinite(ensemble.states).mean())
     gigabytes = sum(array.nbytes for array in ensemble.saved().values()) / 1e9
     # From the momenta's own law, kT = 1/8, twenty short steps do not lead far away.
     return HardCase(
-        name="ten million trajectories",
-        hard=f"memory, and counters: a seed has words for {MAX_TRAJECTORIES}",
-        plain="not run",
-        ours=f"E p1² = {square:.4f} after 20 steps, {gigabytes:.2f} GB",
-        certificate="none: no density",
-        checks=(
+        "ten million trajectories",
+        f"memory, and counters: a seed has words for {MAX_TRAJECTORIES}",
+        f"E p1² = {square:.4f} after 20 steps, {gigabytes:.2f} GB",
+        "none: no density",
+        [
             Check("below 2 GB", gigabytes < 2.0, f"{gigabytes:.2f} GB"),
             Check("finite, none lost", finite == 1.0, f"{finite:.0%} finite"),
-        ),
+        ],
     )
 
 
-def never_visited() -> HardCase:
+def never_visited():
     """A density asked for where no sample ever came."""
-    system = with_stops(10.0)
-    histogram = SHORT.solve(system, [parse_observable("q2", system.n)]).densities[0]
-    assert isinstance(histogram, SampledDensity)
-    density, error = histogram.at(np.array([50.0]))
+    histogram = SHORT.solve(with_stops(10.0), Q2).densities[0]
+    (density,), (error,) = histogram.at(np.array([50.0]))
     return HardCase(
-        name="never visited",
-        hard="a point where no sample came: its error is not 0",
-        plain="0, with the error 0",
-        ours=f"{density[0]:.0f} ± {error[0]:.1e}",
-        certificate="; ".join(histogram.certificate.failures) or "certified",
-        checks=(Check("an error is stated", bool(error[0] > 0.0), f"{error[0]:.1e}"),),
+        "never visited",
+        "a point where no sample came: its error is not 0",
+        f"{density:.0f} ± {error:.1e}",
+        "; ".join(histogram.certificate.failures) or "certified",
+        [Check("an error is stated", bool(error > 0.0), f"{error:.1e}")],
+        "0, with the error 0",
+    )
+
+
+def released(damping, dt):
+    """A system without noise and its trajectories, at rest in the stops and beside them."""
+    system = with_stops(10.0)
+    none = 0.0 * system.noise_intensity
+    system = replace(system, damping=damping * system.damping, noise_intensity=none)
+    ensemble = Ensemble(system, SCHEMES["exact_flow"], dt, LANES, 1, 1)
+    states = 0.0 * ensemble.states
+    states[0, 1] = np.linspace(-0.7, 0.7, LANES)
+    ensemble.restore({**ensemble.saved(), "states": states})
+    ensemble.energy = float(np.max(energies(system, ensemble)))
+    return system, ensemble
+
+
+def energies(system, ensemble):
+    """H of all trajectories half a kick on: states are stored just before one."""
+    q, p = ensemble.phase_points()
+    return system.hamiltonian(q, p + 0.5 * ensemble.dt * pushed(system, q))
+
+
+def no_noise():
+    """Damping without noise: the energy falls, and there is no density to ask for."""
+    dt, levels = chosen_step(with_stops(10.0)), []
+    system, ensemble = released(1.0, dt)
+    for _ in range(200):
+        ensemble.advance(round(1.0 / dt))
+        levels.append(energies(system, ensemble))
+    levels = np.array(levels)
+    first, last = float(levels[0].max()), float(levels[-1].max())
+    # Between two samples the energy of a step may stand above its mean by (ω dt)²/8 or so.
+    rise = float(np.max(levels[1:] - 1.1 * levels[:-1])) - 1e-12 * first
+    reason = MonteCarlo().refusal(system, Q2[0]) or "taken"
+    return HardCase(
+        "no noise",
+        "the state decays into a point: no stationary density",
+        f"energy {first:.2g} to {last:.1e}; densities refused",
+        reason,
+        [
+            Check("the energy falls", rise <= 0.0, f"largest rise beyond the step's {rise:.1e}"),
+            Check("and away", last < 1e-3 * first, "see above"),
+            Check("densities refuse", "no noise" in reason, reason),
+        ],
+    )
+
+
+def nothing_lost():
+    """No damping, no noise: the energy after a million steps."""
+    drifts = []
+    for part in (4.0, 8.0):
+        system, ensemble = released(0.0, chosen_step(with_stops(10.0)) / part)
+        before, worst = energies(system, ensemble), 0.0
+        for _ in range(10):
+            ensemble.advance(MANY_STEPS // 10)
+            change = np.abs(energies(system, ensemble) - before)
+            worst = max(worst, float(np.max(change) / before.max()))
+        drifts.append(worst)
+    # A symmetric scheme keeps a Hamiltonian that differs from H by (ω dt)²; where a stop is touched
+    # its force has no second derivative, and what that adds at random is of a higher order.
+    (drift, finer), bound = drifts, (0.45 / 4.0) ** 2
+    ratio = drift / finer
+    return HardCase(
+        "no damping, no noise",
+        "a million steps in and out of contact, in which a drift of the energy would add up",
+        f"change of the energy {drift:.1e} at a quarter of the step, {finer:.1e} at an eighth, of"
+        " the largest",
+        "none: no density",
+        [
+            Check("bounded by (ω dt)²", drift < bound, f"{drift:.1e}, bound {bound:.1e}"),
+            Check("of second order at least", ratio > 3.0, f"halved step: {ratio:.1f} times less"),
+        ],
     )
 
 

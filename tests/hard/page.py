@@ -1,12 +1,10 @@
 """Run every hard case and write docs/hard-cases.md: python tests/hard/page.py (ten minutes)."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import hard_meshes
 import hard_scenes
 import hard_simulations
-from hard_case import HardCase
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "hard-cases.md"
 HEAD = ("case", "what makes it hard", "plain method", "this program", "certificate", "checks")
@@ -25,7 +23,7 @@ stated. Where a displacement is observed: the mirror image to 1e-13.
 """
 
 
-def page_text(cases: Sequence[HardCase]) -> str:
+def page_text(cases):
     """Return the page: one row a case."""
     lines = [INTRODUCTION, "| " + " | ".join(HEAD) + " |", "|" + " --- |" * len(HEAD)]
     for c in cases:
@@ -35,7 +33,7 @@ def page_text(cases: Sequence[HardCase]) -> str:
     return "\n".join([*lines, ""])
 
 
-def main() -> None:
+def main():
     """Run the cases one after the other, print what fails, write the page."""
     cases = []
     for make in (*hard_scenes.CASES, *hard_meshes.CASES, *hard_simulations.CASES):

@@ -8,9 +8,8 @@ import hard_scenes
 import hard_simulations
 import numpy as np
 import pytest
-from hard_case import Check, HardCase
-from hard_plain import plain_elements
-from hard_units import in_units, mirrored
+from hard_battery import Check, HardCase, in_units, mirrored
+from hard_scenes import plain_elements
 from page import page_text
 from state_damping import damping_at
 
@@ -20,16 +19,25 @@ from fpk.system.system import System
 
 
 def tiered(cases, slow, names):
-    """The cases as parameters, those in ``slow`` marked so."""
+    """The cases as parameters, those that are ``slow`` marked so."""
     marks = {True: [pytest.mark.slow], False: []}
-    pairs = zip(cases, names, strict=True)
-    return [pytest.param(case, marks=marks[case in slow], id=name) for case, name in pairs]
+    return [
+        pytest.param(case, marks=marks[slow(case)], id=name)
+        for case, name in zip(cases, names, strict=True)
+    ]
 
 
+CURVES = hard_scenes.CURVES
 SCENES = tiered(
-    hard_scenes.CURVES,
-    [c for c in hard_scenes.CURVES if c[0].name in hard_scenes.SLOW_SCENES],
-    [f"{scene.name} {curve.label}" for scene, curve in hard_scenes.CURVES],
+    CURVES,
+    lambda case: case[0].name in hard_scenes.SLOW_SCENES,
+    [f"{scene.name} {curve.label}" for scene, curve in CURVES],
+)
+MAKERS = (*hard_meshes.CASES, *hard_simulations.CASES)
+OTHERS = tiered(
+    MAKERS,
+    lambda case: case in (*hard_meshes.SLOW, *hard_simulations.SLOW),
+    [f"{k} {getattr(case, 'func', case).__name__}" for k, case in enumerate(MAKERS)],
 )
 
 
@@ -44,30 +52,12 @@ def test_every_hard_scene_says_why():
     scenes = hard_scenes.hard_scenes()
     assert len(scenes) == 17
     assert all(s.source.startswith("Hard: ") for s in scenes)
+    assert len(SCENES) + len(OTHERS) > 40
 
 
-@pytest.mark.parametrize(
-    "case",
-    tiered(hard_meshes.CASES, hard_meshes.SLOW, [case.__name__ for case in hard_meshes.CASES]),
-)
-def test_hard_meshes_and_limits_hold(case):
+@pytest.mark.parametrize("case", OTHERS)
+def test_hard_meshes_limits_and_simulations_hold(case):
     assert not case().failures
-
-
-@pytest.mark.parametrize("case", hard_simulations.QUICK)
-def test_hard_simulations_hold(case):
-    assert not case().failures
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", hard_simulations.SLOW)
-def test_long_hard_simulations_hold(case):
-    assert not case().failures
-
-
-def test_there_are_many():
-    modules = (hard_scenes, hard_meshes, hard_simulations)
-    assert sum(len(module.CASES) for module in modules) > 40
 
 
 def test_a_wrong_density_is_noticed(monkeypatch):
@@ -131,7 +121,7 @@ def test_plain_elements_solve_an_easy_case():
 
 
 def test_the_page_shows_what_fails():
-    case = HardCase("a | b", "why", "plain", "ours", "certified", (Check("x", False, "2"),))
+    case = HardCase("a | b", "why", "ours", "certified", [Check("x", False, "2")])
     assert case.failures == ("x: 2",)
     text = page_text([case])
     assert "a \\| b" in text and "0 of 1 hold" in text
