@@ -6,7 +6,7 @@ and ``relaxation``.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
 from inspect import signature
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -83,20 +83,24 @@ class Asked:
         Raises ``BadInput`` for a method that does not answer the question or lacks one of the
         settings, or with the first reason why it does not apply.
         """
+        from cases.compare.attempts import missed_words
         from cases.show.records import answer_record
         from cases.show.words import named
 
-        method, answer, seconds = self._answer(question, work, {**self.settings, **settings})
+        method, answer, missed, seconds = self._answer(
+            question, work, {**self.settings, **settings}
+        )
         record = answer_record(self.scene, method, given, answer, seconds, key=question.key)
         failures = record["certificate"]["failures"]
         problems = [f"{about} is not certified: {failure}" for failure in failures]
-        notes = [f"# {named(note)}" for note in record["averaging_notes"]]
+        record["notes"] = [] if missed is None else [missed_words(missed)]
+        notes = [f"# {named(note)}" for note in (*record["notes"], *record["averaging_notes"])]
         parts.end(record, lambda: "\n".join([text(record), *notes]), problems=problems)
 
     def _answer(
         self, question: Question, work: Callable[..., Any], settings: dict[str, Any]
-    ) -> tuple[Any, Any, float]:
-        """The method that answers, its answer and the seconds that it took."""
+    ) -> tuple[Any, Any, float | None, float]:
+        """The method that answers, its answer, the tolerance met if not its own, the seconds."""
         from cases.compare.routes import listed_routes, methods_of, settings_of
         from cases.show.bar import progress_bar
 
@@ -113,8 +117,10 @@ class Asked:
             for method in methods:
                 try:
                     with progress_bar() as progress:
-                        answer = work(method, tol=self.tol, progress=progress)
-                    return method, answer, perf_counter() - start
+                        answer, missed = self._at_tolerance(
+                            partial(work, method, progress=progress)
+                        )
+                    return method, answer, missed, perf_counter() - start
                 except NotApplicable as reason:
                     reasons.append(str(reason))
         except InvalidInput as error:
@@ -124,6 +130,14 @@ class Asked:
             raise BadInput(f"{self.scene.name}: {name} does not apply: {reasons[0]}")
         able = dict.fromkeys(r.method for r in listed_routes() if hasattr(r.make(), question.name))
         raise BadInput(f"{name} gives no {question.words}; use one of {', '.join(able)}")
+
+    def _at_tolerance(self, ask: Callable[..., Any]) -> tuple[Any, float | None]:
+        """The answer at ``tol``, or, as in ``fpk run``, at a default one loosened where missed."""
+        from cases.compare.attempts import loosened
+
+        if self.tol is not None:
+            return ask(tol=self.tol), None
+        return loosened(lambda tol: ask(tol=tol), lambda answer: [answer.certificate])
 
 
 def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:

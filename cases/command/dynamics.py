@@ -3,6 +3,7 @@
 Those about the motion of a displacement follow from their records in ``fpk.answer.question``.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import click
@@ -39,10 +40,12 @@ def density(asked: Asked, of: str, at: str) -> None:
     points, settings = parse_points(at, len(observable)), asked.settings
     parts.check_cluster(settings["cluster"])
 
-    def work(method: Method, tol: float | None, progress: Any) -> Curve:
-        plan = method.planned(asked.scene.system, [observable])
+    def work(method: Any, tol: float | None, progress: Any) -> Curve:
+        loosened = tol is not None and not method.route.sampled and hasattr(method, "tol")
+        taken: Method = replace(method, tol=tol) if loosened else method
+        plan = taken.planned(asked.scene.system, [observable])
         parts.checkpoint_folder(asked.scene, {**settings, "tol": tol, "observable": of})
-        result = method.solve(asked.scene.system, [observable], plan=plan, progress=progress)
+        result = taken.solve(asked.scene.system, [observable], plan=plan, progress=progress)
         (p,) = result.densities
         return Curve(*p.at(*points), p.certificate, result.settings, p.error_kind)
 

@@ -7,7 +7,12 @@ from typing import Any
 
 from cases.compare.attempts import Refusal
 from cases.compare.compare import Comparison, compared, discrepancies
-from cases.compare.doubt import averaging_notes, incompatibility
+from cases.compare.doubt import (
+    incompatibility,
+    notes_in_words,
+    tails_off,
+    unknown_averaging_errors,
+)
 from cases.compare.in_time import Replies
 from cases.compare.quantities import (
     Quantity,
@@ -127,12 +132,25 @@ class Answers(Mapping[Any, AnyDensity]):
         return exact or route.solves == "full"
 
     @cached_property
-    def averaging_notes(self) -> tuple[str, ...]:
-        """Notes on averaged answers without an answer of the full system: is their error known?"""
+    def unknown_averaging_errors(self) -> dict[str, list[str]]:
+        """Notes on averaged answers beside which none solves the full system, and their names."""
         of = dict.fromkeys(d.observable for d in self.values())
         densities = [(observable_name(o), self.densities(o), False) for o in of]
         in_time = [(r.question.name, [g.route for g in r.given], True) for r in self.in_time]
-        return averaging_notes(self.system, [*densities, *in_time])
+        return unknown_averaging_errors(self.system, [*densities, *in_time])
+
+    @property
+    def averaging_notes(self) -> tuple[str, ...]:
+        """The notes of ``unknown_averaging_errors`` in words, with what each is about."""
+        return notes_in_words(self.unknown_averaging_errors)
+
+    @cached_property
+    def tails(self) -> tuple[dict[str, Any], ...]:
+        """The tails of averaged theories that are off by a factor, see ``tails_off``."""
+        if self.system.modulation is not None:
+            return ()
+        of = dict.fromkeys(d.observable for d in self.values() if len(d.observable) == 1)
+        return tuple(row for o in of for row in tails_off(self.densities(o)))
 
     @property
     def answered(self) -> bool:

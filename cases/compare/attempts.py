@@ -72,12 +72,17 @@ def budget_of(methods: Sequence[Any], questions: int) -> Budget:
 
 @dataclass(frozen=True)
 class Refusal:
-    """A route not taken for some observables; ``failed`` when it was tried and did not succeed."""
+    """Why a route gives no answer for some observables.
+
+    ``gave_up``: the route was already at work on the answer. ``failed``: an answer was to be
+    expected of it, so that the run is not in order.
+    """
 
     route: Route
     observables: tuple[str, ...]
     reason: str
     failed: bool = False
+    gave_up: bool = False
 
 
 @dataclass
@@ -95,11 +100,9 @@ class Attempts:
     interrupted: bool = False
     notes: list[str] = field(default_factory=list)
 
-    def refuse(
-        self, route: Route, observables: Iterable[str], reason: str, *, failed: bool = False
-    ) -> None:
-        """Add a refusal."""
-        self.refused.append(Refusal(route, tuple(observables), reason, failed))
+    def refuse(self, route: Route, observables: Iterable[str], reason: str, **how: bool) -> None:
+        """Add the refusal of a route; ``how`` has the fields ``failed`` and ``gave_up``."""
+        self.refused.append(Refusal(route, tuple(observables), reason, **how))
 
     def answer_of(
         self,
@@ -122,9 +125,10 @@ class Attempts:
             if not self.partial:
                 raise
             self.interrupted = True
-            self.refuse(route, observables, INTERRUPTED, failed=True)
+            self.refuse(route, observables, INTERRUPTED, failed=True, gave_up=True)
         except REFUSALS as error:
-            self.refuse(route, observables, str(error), failed=isinstance(error, failures))
+            failed = isinstance(error, failures)
+            self.refuse(route, observables, str(error), failed=failed, gave_up=True)
         return None
 
     def at_default(
@@ -141,9 +145,13 @@ class Attempts:
             return ask(None)
         answer, tol = loosened(ask, certificates)
         if tol is not None:
-            words = f"certified to {tol:.0e}, as the default tolerance could not be met"
-            self.notes.append(f"{label}: {words}")
+            self.notes.append(f"{label}: {missed_words(tol)}")
         return answer
+
+
+def missed_words(tol: float) -> str:
+    """Return the note on an answer that is certified to ``tol`` instead of its default one."""
+    return f"certified to {tol:.0e}, as the default tolerance could not be met"
 
 
 def loosened(

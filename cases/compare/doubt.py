@@ -1,12 +1,14 @@
-"""When the averaging error of an answer is not known, and when to doubt the answer."""
+"""Averaging errors that are not known, tails that are off by a factor, answers to doubt."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
 from averaging.energy_process import compatibility
 from fpk.answer.contacts import stop_clearances
+from fpk.answer.density import AnyDensity
 from fpk.answer.method import Route
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable
@@ -16,6 +18,56 @@ from fpk.system.system import System
 ACCEPTABLE_L1 = 0.1
 """L1 distance to the full system up to which a theory is called acceptable: no probability is
 wrong by more than 5 %."""
+
+TAIL_FACTOR = 1.5
+"""Ratio of an averaged tail probability to that of the full system, or its inverse, from which the
+tail is reported: an L1 distance, which weighs the bulk, does not show it."""
+
+TAIL_SHARES = 1e-6, 1e-5, 1e-4, 1e-3, 1e-2
+"""Probabilities of a tail; the least that the reference knows to 10 % is compared."""
+
+
+def tails_off(densities: Mapping[Route, AnyDensity]) -> Iterator[dict[str, Any]]:
+    """Yield the tail of each averaged theory that is off by more than ``TAIL_FACTOR``.
+
+    ``densities`` are those of one coordinate by route. A row has the ``level`` x, the ``side``
+    (above or below it), the ``probability`` beyond it by the ``reference``, the answer for the
+    full system that is known best, the ``ratio`` of the theory's probability to it and its
+    ``error``, two standard errors of a sample included. The side that is further off is given.
+    """
+    full = [(d.l1_error, k, r) for k, (r, d) in enumerate(densities.items()) if r.solves == "full"]
+    theories: dict[str, Route] = {}
+    for route in densities:
+        if route.solves == "averaged" and not route.sampled:
+            theories.setdefault(route.method, route)
+    if not full or not theories:
+        return
+    reference = min(full)[-1]
+    best = densities[reference]
+    sides = ["above"] if best.observable[0].kind == "H" else ["above", "below"]
+    for theory in theories.values():
+        rows = []
+        for side in sides:
+            for share in TAIL_SHARES:
+                level = best.quantile(1.0 - share if side == "above" else share).value
+                beyond = "exceedance" if side == "above" else "cdf"
+                known, other = (getattr(d, beyond)(level) for d in (best, densities[theory]))
+                slack = (1 + reference.sampled) * known.error / known.value if known.value else 1.0
+                if slack <= 0.1:
+                    ratio = other.value / known.value
+                    error = other.error / known.value + ratio * slack
+                    own: dict[str, Any] = {
+                        "theory": theory.method,
+                        "reference": reference.label,
+                        "side": side,
+                    }
+                    own |= {"level": level, "probability": known.value}
+                    rows.append({**own, "ratio": ratio, "error": error})
+                    break
+        off = [(max(r["ratio"] - r["error"], 1.0 / (r["ratio"] + r["error"])), r) for r in rows]
+        worst, row = max(off, key=lambda pair: pair[0], default=(0.0, {}))
+        if worst > TAIL_FACTOR:
+            yield {"observable": best.name, **row}
 
 
 def incompatibility(system: System) -> str | None:
@@ -49,13 +101,26 @@ def rms_ratios(system: System) -> tuple[Array, float, float]:
 def averaging_notes(
     system: System, answers: Iterable[tuple[str, Iterable[Route], bool]]
 ) -> tuple[str, ...]:
-    """Return notes on ``answers``: what of, by which routes, whether in time; one for each kind.
+    """Return the notes of ``unknown_averaging_errors`` in words, with what each is about."""
+    return notes_in_words(unknown_averaging_errors(system, answers))
 
-    There is none with an answer of the full system, or where averaging is exact: under condition
-    (8), if the motion is stationary and no stop is left out. A note says to doubt an answer where
-    the theory errs by more than ``ACCEPTABLE_L1`` in an rms without contacts, leaves out a stop
-    within the rule of section 6.3, or, in time, where an energy swings by more of itself within a
-    period, which it does by the damping ratio.
+
+def notes_in_words(notes: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
+    """Return each note behind the names that it is about."""
+    return tuple(f"{', '.join(own)}: {note}" for note, own in notes.items())
+
+
+def unknown_averaging_errors(
+    system: System, answers: Iterable[tuple[str, Iterable[Route], bool]]
+) -> dict[str, list[str]]:
+    """Return notes on ``answers`` and what each is about, which is the name in an answer.
+
+    An answer is a name, the routes that give it, and whether it is one in time. There is no note
+    with an answer of the full system, or where averaging is exact: under condition (8), if the
+    motion is stationary and no stop is left out. A note says to doubt an answer where the theory
+    errs by more than ``ACCEPTABLE_L1`` in an rms without contacts, leaves out a stop within the
+    rule of section 6.3, or, in time, where an energy swings by more than that share of itself
+    within a period, which it does by the damping ratio.
     """
     exact, notes = incompatibility(system) is None, dict[str, list[str]]()
     for of, routes, in_time in answers:
@@ -63,7 +128,7 @@ def averaging_notes(
         alone = [t for t in by if in_time or not exact or (t == "integrable" and system.stops)]
         if alone and all(route.solves == "averaged" for route in by.values()):
             notes.setdefault(_note(system, alone, in_time), []).append(of)
-    return tuple(f"{', '.join(own)}: {note}" for note, own in notes.items())
+    return notes
 
 
 def _note(system: System, theories: list[str], in_time: bool) -> str:

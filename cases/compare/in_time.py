@@ -52,6 +52,12 @@ class Given:
     answer: Passage | Transient
     seconds: float
 
+    @property
+    def words(self) -> str:
+        """The theory and what solved its equation, which may differ from that of densities."""
+        solved_by = self.answer.settings.get("solved_by")
+        return f"{self.route.name}, {solved_by}" if solved_by else self.route.words
+
 
 @dataclass(frozen=True, eq=False)
 class Replies:

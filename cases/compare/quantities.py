@@ -57,6 +57,13 @@ class Quantity:
         return observable_name(self.definition.observable)
 
     @property
+    def label(self) -> str:
+        """The name in tables for readers: of impacts, and of levels with their side."""
+        if self.definition.kind == "exceedance":
+            return self.quantity.replace("probability above", f"probability of {self.observable} >")
+        return self.quantity.replace("upcrossing rate", "impact rate")
+
+    @property
     def name(self) -> str:
         """The name that a user writes, such as ``rms(q2)``."""
         return str(self.definition)

@@ -48,9 +48,15 @@ class Place:
         return np.array([getattr(record, self.name) for record in own] if self.name else own)
 
     def powers(self, system: System) -> Powers | None:
-        """Powers of length, mass and time of the number; None where its records differ in them."""
+        """Powers of length, mass and time of the number.
+
+        None where the records of a list differ in them, and for an intensity D beside noise gains,
+        whose dimension a scene does not say.
+        """
         if self.factor:
             return NUMBER
+        if self.field in ("noise_intensity", "noise_gain") and system.noise_gain is not None:
+            return None
         if not self.name:
             return {"mass": (0, 1, 0), "noise_gain": NUMBER, **DERIVED}[self.field]
         records = getattr(system, self.field)

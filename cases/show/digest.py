@@ -12,7 +12,7 @@ from cases.compare.stationary import Outcome
 from cases.scene.questions import TransientQuestion
 from cases.scene.units import NO_UNITS, Units
 from cases.scene.written import SCHEMA
-from cases.show.facts import facts_record
+from cases.show.facts import facts_record, units_record
 from cases.show.records import Record, answer_tail, answer_units, passage_numbers, plain
 from cases.show.words import stationary_note
 from fpk.answer.dynamics import Passage
@@ -39,7 +39,7 @@ def digest_of(outcome: Outcome) -> Record:
             "schema": SCHEMA,
             "scene": outcome.scene.name,
             "title": outcome.scene.title,
-            "units": units.record(),
+            "units": units_record(outcome.scene),
             **_curve(base, key, units),
             "curves": [_curve(c, key, units) for c in others],
             "judged": len(judged),
@@ -68,6 +68,8 @@ def _curve(curve: Answers, key: str, units: Units) -> Record:
         "notes": curve.notes,
         "stationary_note": stationary_note(curve.system),
         "averaging_notes": curve.averaging_notes,
+        "averaging_unknown": [o for own in curve.unknown_averaging_errors.values() for o in own],
+        "tails": curve.tails,
         "quantities": [quantity_row(q, units) for q in curve.quantities],
         "comparisons": comparison_rows(curve.comparisons),
         "quantity_comparisons": comparison_rows(curve.quantity_comparisons),
@@ -119,7 +121,7 @@ def _replies(replies: Replies, units: Units) -> Record:
         own = passage_numbers(g.answer) if isinstance(g.answer, Passage) else {}
         tail = answer_tail(g.answer.certificate, g.answer.settings, g.seconds)
         names = _names(g.route)
-        names["solver"] = g.answer.settings.get("solver", g.route.solver)
+        names |= {"solver": g.answer.settings.get("solver", g.route.solver), "words": g.words}
         answers.append({**names, **own, "error_kind": g.answer.error_kind, **tail})
     rows = comparison_rows(replies.comparisons)
     for row in rows:
@@ -136,7 +138,9 @@ def _replies(replies: Replies, units: Units) -> Record:
 
 
 def _names(route: Route) -> Record:
-    return {"route": route.label, "method": route.method, "solver": route.solver}
+    """The names of a route, and which equation it solves: ``full`` or ``averaged``."""
+    names = {"route": route.label, "method": route.method, "solver": route.solver}
+    return {**names, "solves": route.solves}
 
 
 def method_record(result: Result) -> Record:
@@ -187,11 +191,14 @@ def quantity_row(quantity: Quantity, units: Units = NO_UNITS) -> Record:
     Its ``name`` is the one that ``fpk sweep`` takes.
     """
     unit = units.number(quantity.quantity, quantity.observable)
+    level = quantity.definition.kind == "exceedance" and units.number("", quantity.observable)
     return {
         "observable": quantity.observable,
         "quantity": quantity.quantity,
+        "label": f"{quantity.label} {level}" if level else quantity.label,
         "name": quantity.name,
         "route": quantity.route.label,
+        "solves": quantity.route.solves,
         "value": quantity.number.value,
         "error": quantity.number.error,
         "error_kind": quantity.error_kind,

@@ -58,9 +58,15 @@ def show_record(scene: Scene) -> Record:
 
 
 def units_record(scene: Scene) -> Record | None:
-    """Return the units for JSON, with that of every contact's stiffness B; None without names."""
+    """Return the units for JSON, with that of every contact's stiffness B; None without names.
+
+    The unit of the noise intensity D is empty where a noise gain is given: gains may have a
+    dimension of their own, and the unit of D depends on it.
+    """
     record = scene.units.record()
     if record is not None:
+        if scene.system.noise_gain is not None:
+            record["noise_intensity"] = ""
         places = [Place("contacts", "stiffness", (i,)) for i in range(len(scene.system.contacts))]
         powers = [place.powers(scene.system) or NUMBER for place in places]
         record["contact_stiffness"] = [scene.units.of(p) for p in powers]

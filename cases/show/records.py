@@ -12,6 +12,7 @@ from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
 from cases.scene.written import bound
 from cases.show.variables import CURVES, NUMBERS
+from cases.show.words import with_key
 from fpk.answer.certificate import Certificate
 from fpk.answer.dynamics import Curve, Passage, Rates, Transient
 from fpk.answer.method import Method
@@ -73,12 +74,13 @@ def answer_record(
         own["error_kind"] = answer.error_kind
     units = answer_units(scene.units, given, key) if scene.units else None
     solver = answer.settings.get("solver", method.route.solver)  # of several inside of one method
-    head = {"scene": scene.name, "method": method.route.method, "solver": solver, "units": units}
+    route = method.route
+    head = {"scene": scene.name, "method": route.method, "solver": solver, "units": units}
     of = str(given.get("observable", given.get("limit", "rates")))
     asked = [(of, [method.route], not isinstance(answer, Curve))]
     tail = answer_tail(answer.certificate, answer.settings, seconds)
     notes = averaging_notes(scene.system, asked)
-    return plain({**head, **given, **own, **tail, "averaging_notes": notes})
+    return plain({**head, "solves": route.solves, **given, **own, **tail, "averaging_notes": notes})
 
 
 def curves_by_key() -> dict[str, Question]:
@@ -138,9 +140,11 @@ def columns_text(record: Record) -> str:
     points = zip(names, [own] if isinstance(own, str) else own, strict=True)
     head = "   ".join(name + bracketed(unit) for name, unit in points)
     words = f"{head}   {key}{bracketed(units.get(key, ''))}   {_kind(record)}"
+    lines = [_equation(record)]
     if "times" not in record:
-        return "\n".join([f"# {words}", *_columns([], record, record[key], record["error"])])
-    lines = [f"# time{bracketed(units.get('times', ''))}   {words}"]
+        columns = _columns([], record, record[key], record["error"])
+        return "\n".join([*lines, f"# {words}", *columns])
+    lines.append(f"# time{bracketed(units.get('times', ''))}   {words}")
     for time, *rows in zip(record["times"], record[key], record["error"], strict=True):
         lines += _columns([time], record, *rows)
     return "\n".join(lines)
@@ -159,7 +163,8 @@ def passage_text(record: Record) -> str:
     units = record.get("units") or {}
     unit = f" {units['limit']}" if units.get("limit") else ""
     limit = ", ".join(f"{part}{unit}" for part in record["limit"].split(","))
-    lines = [f"# first passage of {limit} from {record['start']}   {_kind(record)}"]
+    lines = [_equation(record)]
+    lines.append(f"# first passage of {limit} from {record['start']}   {_kind(record)}")
     if sampled := record["settings"].get("sampled_by"):
         lines.append(f"# {sampled}")
     for key in ("mean", "variance", "rate"):
@@ -180,7 +185,17 @@ def rates_text(record: Record) -> str:
     rows = zip(record["rates"], record["frequencies"], record["errors"], strict=True)
     lines = [_row([rate, frequency], error) for rate, frequency, error in rows]
     unit = bracketed((record.get("units") or {}).get("rates", ""))
-    return "\n".join([f"# rate{unit}   angular frequency{unit}   numerical error", *lines])
+    head = [_equation(record), f"# rate{unit}   angular frequency{unit}   numerical error"]
+    return "\n".join([*head, *lines])
+
+
+def _equation(record: Record) -> str:
+    """Which equation was solved by which theory, and what a simulation sampled."""
+    words = f"# solves the {record['solves']} equation: {with_key(record['method'])}"
+    settings = record["settings"]
+    if paths := settings.get("paths", settings.get("trajectories")):
+        words += f", {paths} paths; --tol or --seconds asks for more or fewer"
+    return words
 
 
 def _kind(record: Record) -> str:

@@ -12,7 +12,7 @@ from cases.compare.claims import ALMOST_KURTOSIS, ALMOST_L1
 from cases.compare.doubt import ACCEPTABLE_L1
 from cases.compare.stationary import Outcome
 from cases.scene.scene import Scene
-from cases.scene.written import percent
+from cases.scene.written import number, percent, with_error
 from cases.show.digest import curves_of
 from cases.show.facts import theories, units_record
 from cases.show.files import write_text
@@ -110,6 +110,7 @@ def report_html(
         "digest": digest,
         "curves": curves,
         "answer": headline_of(curves),
+        "answer_numbers": numbers_of(digest),
         "answer_measure": measure_of(curves),
         "tables": [
             {**t, "label": c["label"], "columns": ["quantity", *(f"#{r}" for r in t["routes"])]}
@@ -169,7 +170,58 @@ def measure_of(curves: list[Record]) -> str:
         return ""
     if _asked(curves[0])[0] == RELIABILITY:
         return "Largest difference of P(T > t), T the time of first passage"
-    return "L1 distance ∫|p − p_full| of the density that is furthest off"
+    return (
+        "L1 distance ∫|p − p_full| of the density that is furthest off, which weighs its bulk and"
+        " says little of its tails"
+    )
+
+
+def numbers_of(curve: Record) -> str:
+    """Return the numbers that were asked for in sentences, and whose averaging error is unknown.
+
+    The rms of each displacement observed, impact rate and mean force of the stop that is hit most,
+    and P(T ≤ t) of each first passage at all times: of the full system where an answer of it is
+    known, by a solution before a simulation.
+    """
+    best: dict[tuple[str, str], Record] = {}
+    stationary = curve["quantities"] if curve["system"]["modulation"] is None else []
+    for row in sorted(stationary, key=lambda row: row["solves"] != "full"):
+        best.setdefault((row["observable"], row["label"]), row)
+    parts = [
+        _number_words(f"rms {of}", row)
+        for (of, quantity), row in best.items()
+        if quantity == "rms" and of.startswith("q")
+    ]
+    rates = [row for (_, quantity), row in best.items() if quantity.startswith("impact rate")]
+    if rates:
+        row = max(rates, key=lambda row: row["value"] or 0.0)
+        force = row["label"].replace("impact rate", "mean force")
+        parts.append(_number_words(f"{row['observable']} {row['label']}", row))
+        parts.append(_number_words(force, best[row["observable"], force]))
+    for question in curve["passages"]:
+        answers = sorted(question["answers"], key=lambda a: a["solves"] != "full")
+        for answer in answers[:1]:
+            by = answer["words"] + ", averaged equation" * (answer["solves"] == "averaged")
+            failures = zip(
+                question["times"], answer["failure"], answer["failure_error"], strict=True
+            )
+            chances = [f"{with_error(p, error)} by t = {number(t)}" for t, p, error in failures]
+            if chances:
+                name = f"probability of first passage, {question['question']}"
+                parts.append(f"{name}: {', '.join(chances)} ({by})")
+    sentences = ["; ".join(parts) + "."] if parts else []
+    if unknown := curve["averaging_unknown"]:
+        words = "no answer of the full equation stands beside: the averaging error is unknown."
+        sentences.append(f"Of {', '.join(unknown)} {words}")
+    text = " ".join(sentences)
+    return text[:1].upper() + text[1:]
+
+
+def _number_words(name: str, row: Record) -> str:
+    value, unit = with_error(row["value"], row["error"]), row.get("unit") or ""
+    by = named(row["route"]).partition(",")[0]
+    by += ", averaged equation" * (row["solves"] == "averaged")
+    return f"{name} {value}{' ' + unit if unit not in ('', '1') else ''} ({by})"
 
 
 def _asked(curve: Record) -> tuple[str, list[Record]]:

@@ -54,6 +54,9 @@ def _templates() -> Environment:
         "bound": bound,
         "up": up,
         "reasons": refusals_of,
+        "answerer": lambda answer: f"{answer['words']} ({answer['solves']} equation)",
+        "words": _answer_words,
+        "tail": tail_words,
         "curves": curves_of,
         "verdict": verdict_of,
         "counted": claims_counted,
@@ -88,28 +91,52 @@ def _diagonal(matrix: list[list[float]]) -> str:
     return _short([row[i] for i, row in enumerate(matrix)])
 
 
+def tail_words(row: Record) -> str:
+    """Return a tail of ``Answers.tails`` in words."""
+    sign = ">" if row["side"] == "above" else "<"
+    beyond = f"P({row['observable']} {sign} {row['level']:.3g})"
+    theory, reference = named(row["theory"]), named(row["reference"])
+    ratio = with_error(row["ratio"], row["error"])
+    known = number(row["probability"], 2)
+    return f"tail: {beyond} is {known} by {reference}; {theory} gives {ratio} times that"
+
+
+def _answer_words(label: str, question: Record) -> str:
+    """Return in words who gave an answer to a question in time, by the label of its route."""
+    words: dict[str, str] = {answer["route"]: answer["words"] for answer in question["answers"]}
+    return words[label]
+
+
 def refusals_of(curve: Record) -> list[Record]:
     """Return the refusals of one curve, those with the same reason joined in one entry.
 
     ``routes`` has the theories, with their solvers where a theory has several.
     """
-    joined: dict[tuple[str, bool], Record] = {}
+    joined: dict[tuple[str, bool, bool], Record] = {}
     for r in curve["methods"]:
         if r["applies"]:
             continue
-        reason, failed = r["reason"], r["failed"]
+        reason = r["reason"]
         for name in r["observables"]:
             reason = reason.removeprefix(f"{name}: ")
-        entry = joined.setdefault((reason, failed), {"solvers": {}, "observables": []})
+        key = reason, r["failed"], r["gave_up"]
+        entry = joined.setdefault(key, {"solvers": {}, "observables": []})
         entry["observables"] += [o for o in r["observables"] if o not in entry["observables"]]
         entry["solvers"].setdefault(r["method"], {})[r["solver"]] = None
-    for (reason, failed), entry in joined.items():
+    for (reason, failed, gave_up), entry in joined.items():
+        methods = entry.pop("solvers")
         routes = ", ".join(
             theory_of_route(method)
             + (f" ({', '.join(own)})" if len(solvers_of(method)) > 1 else "")
-            for method, own in entry.pop("solvers").items()
+            for method, own in methods.items()
         )
-        entry |= {"routes": routes, "reason": reason, "failed": failed}
+        entry |= {
+            "methods": methods,
+            "routes": routes,
+            "reason": reason,
+            "failed": failed,
+            "gave_up": gave_up,
+        }
     return list(joined.values())
 
 
@@ -151,18 +178,21 @@ def shown_rows(rows: Sequence[Record]) -> list[Record]:
 
 
 def theory_table(rows: Sequence[Record]) -> Record:
-    """Return the names of the theories as ``routes``, and of each quantity a cell by theory.
+    """Return the theories as ``routes`` with what each ``solves``, and the cells by theory.
 
     Of ``rows``, each with its observable (``of``), ``quantity`` and ``cells``, those of
     ``shown_rows`` are taken; their units stand behind the quantities.
     """
     cells: dict[tuple[str, str], Record] = {}
+    solves: dict[str, str] = {}
     for row in shown_rows(rows):
         name = theory_of_route(row["route"])
-        quantity = row["quantity"] + bracketed(row.get("unit") or "")
+        solves[name] = row["solves"]
+        quantity = row["label"] + bracketed(row.get("unit") or "")
         cells.setdefault((row["observable"], quantity), {})[name] = row
     return {
-        "routes": list(dict.fromkeys(name for own in cells.values() for name in own)),
+        "routes": list(solves),
+        "solves": list(solves.values()),
         "rows": [{"of": of, "quantity": q, "cells": own} for (of, q), own in cells.items()],
     }
 
@@ -176,19 +206,22 @@ def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> 
 
 
 def quantity_rows(rows: Sequence[Record], *, every: bool = True) -> Iterator[list[tuple[str, ...]]]:
-    """Yield a table of each observable: its name beside the routes, then rows of quantities.
+    """Yield a table of each observable: routes, the equations that they solve, quantities.
 
-    Of ``every`` route, else of those of ``shown_rows``, by the names of the theories.
+    With ``every`` route, else with those of ``shown_rows``, by the names of the theories.
     """
     rows = rows if every else shown_rows(rows)
     for observable in dict.fromkeys(row["observable"] for row in rows):
         own = [row for row in rows if row["observable"] == observable]
-        routes = list(dict.fromkeys(row["route"] for row in own))
-        cells = {(r["quantity"], r["route"]): concise(r["value"], r["error"]) for r in own}
-        units = {row["quantity"]: bracketed(row.get("unit") or "") for row in own}
-        heads = [observable, *(name + unit for name, unit in units.items())]
+        routes = {row["route"]: row["solves"] for row in own}
+        cells = {(r["label"], r["route"]): concise(r["value"], r["error"]) for r in own}
+        units = {row["label"]: bracketed(row.get("unit") or "") for row in own}
+        heads = [observable, "equation solved", *(name + unit for name, unit in units.items())]
         words = named if every else theory_of_route
-        columns = [[words(r), *(cells.get((n, r), "") for n in units)] for r in routes]
+        columns = [
+            [words(r), solves, *(cells.get((n, r), "") for n in units)]
+            for r, solves in routes.items()
+        ]
         yield list(zip(heads, *columns, strict=True))
 
 

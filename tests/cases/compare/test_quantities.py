@@ -387,6 +387,8 @@ def test_a_table_is_as_wide_as_the_terminal_and_repeats_no_solver():
         {
             "observable": "q2",
             "quantity": quantity,
+            "label": quantity,
+            "solves": "full",
             "route": route,
             "value": 0.5,
             "error": 1e-3,

@@ -234,8 +234,8 @@ def test_stationary_numbers_of_a_modulated_scene_say_that_they_are_of_constant_n
 def test_quantities_have_a_column_for_each_theory():
     def q(route, value, of="q2"):
         kind = "sampling" if route == "montecarlo" else "numerical"
-        return {"observable": of, "quantity": "rms", "route": route, "value": value,
-                "error": 1e-3, "error_kind": kind}  # fmt: skip
+        return {"observable": of, "quantity": "rms", "label": "rms", "solves": "full",
+                "route": route, "value": value, "error": 1e-3, "error_kind": kind}  # fmt: skip
 
     rows = [q("nonintegrable/closed-form", 1.0), q("nonintegrable/fem", 1.1), q("montecarlo", 2.0)]
     table = theory_table([*rows, q("nonintegrable/fem", 3.0, "H")])
