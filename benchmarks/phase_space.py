@@ -19,7 +19,7 @@ from report import markdown_table, medians, write_page
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import MEMORY
 from averaging.theory import Exact
-from cases.compare.compare import chance_l1, joined
+from cases.compare.compare import chance_l1, join_bins
 from fpk.answer.density import Density, l1_distance
 from fpk.answer.names import parse_observable
 from fpk.answer.sampled_density import SampledDensity
@@ -52,7 +52,7 @@ def row(system: System, tol: float, words: list[str]) -> list[str]:
     spent, (sampled,) = perf_counter() - start, simulation.densities
     assert isinstance(sampled, SampledDensity)
     before, time = (float(simulation.settings[key]) for key in ("burn_in", "time"))
-    more = (chance_l1(joined(sampled))[0] / density.l1_error) ** 2
+    more = (chance_l1(join_bins(sampled))[0] / density.l1_error) ** 2
     needed = spent * (before + time * more) / (before + time)
     certified = "yes" if density.certificate.certified else "no"
     degrees = f"{result.settings['highest degree']}"

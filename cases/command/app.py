@@ -19,14 +19,14 @@ from fpk.answer.question import QUESTIONS
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
 WIDEST = 10_000
-"""Columns of a help text at most: it is as wide as the terminal."""
+"""Largest width of a help text in columns, beyond any terminal."""
 
 
 class Commands(click.Group):
-    """The commands, with those of questions that were registered since."""
+    """All commands, including the commands of questions that are registered later."""
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return the command of a name, None where there is none."""
+        """Return the command of a name, None if there is none."""
         return super().get_command(ctx, cmd_name) or dynamics.command_of(cmd_name)
 
     def list_commands(self, ctx: click.Context) -> list[str]:

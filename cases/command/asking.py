@@ -24,14 +24,6 @@ if TYPE_CHECKING:
 
 LIST = '"-1.5:1.5:0.1", "-1,0,0.3"'
 
-METHOD = click.option(
-    "--method", required=True, help="One that gives it; others are refused.",
-    shell_complete=completed.methods,
-)  # fmt: skip
-SOLVER = click.option(
-    "--solver", help="One of the solvers of the method.", shell_complete=completed.solvers
-)
-
 
 def observed(words: str) -> Any:
     """Return the option ``--of`` that says in ``words`` what it takes."""
@@ -83,24 +75,22 @@ class Asked:
         Raises ``BadInput`` for a method that does not answer the question or lacks one of the
         settings, or with the first reason why it does not apply.
         """
-        from cases.compare.attempts import missed_words
-        from cases.show.records import answer_record
+        from cases.show.records import answer_record, equation_words
         from cases.show.words import named
 
-        method, answer, missed, seconds = self._answer(
-            question, work, {**self.settings, **settings}
-        )
+        method, answer, note, seconds = self._answer(question, work, {**self.settings, **settings})
         record = answer_record(self.scene, method, given, answer, seconds, key=question.key)
         failures = record["certificate"]["failures"]
         problems = [f"{about} is not certified: {failure}" for failure in failures]
-        record["notes"] = [] if missed is None else [missed_words(missed)]
-        notes = [f"# {named(note)}" for note in (*record["notes"], *record["averaging_notes"])]
+        record["notes"] = [note] if note else []
+        words = equation_words(record), *record["notes"], *record["averaging_notes"]
+        notes = [f"# {named(note)}" for note in words]
         parts.end(record, lambda: "\n".join([text(record), *notes]), problems=problems)
 
     def _answer(
         self, question: Question, work: Callable[..., Any], settings: dict[str, Any]
-    ) -> tuple[Any, Any, float | None, float]:
-        """The method that answers, its answer, the tolerance met if not its own, the seconds."""
+    ) -> tuple[Any, Any, str, float]:
+        """The method that answers, its answer, a note on its tolerance, the seconds."""
         from cases.compare.routes import listed_routes, methods_of, settings_of
         from cases.show.bar import progress_bar
 
@@ -117,10 +107,8 @@ class Asked:
             for method in methods:
                 try:
                     with progress_bar() as progress:
-                        answer, missed = self._at_tolerance(
-                            partial(work, method, progress=progress)
-                        )
-                    return method, answer, missed, perf_counter() - start
+                        answer, note = self._at_tolerance(partial(work, method, progress=progress))
+                    return method, answer, note, perf_counter() - start
                 except NotApplicable as reason:
                     reasons.append(str(reason))
         except InvalidInput as error:
@@ -131,12 +119,12 @@ class Asked:
         able = dict.fromkeys(r.method for r in listed_routes() if hasattr(r.make(), question.name))
         raise BadInput(f"{name} gives no {question.words}; use one of {', '.join(able)}")
 
-    def _at_tolerance(self, ask: Callable[..., Any]) -> tuple[Any, float | None]:
-        """The answer at ``tol``, or, as in ``fpk run``, at a default one loosened where missed."""
+    def _at_tolerance(self, ask: Callable[..., Any]) -> tuple[Any, str]:
+        """The answer at ``tol``; without it at the default, loosened with a note as in a run."""
         from cases.compare.attempts import loosened
 
         if self.tol is not None:
-            return ask(tol=self.tol), None
+            return ask(tol=self.tol), ""
         return loosened(lambda tol: ask(tol=tol), lambda answer: [answer.certificate])
 
 
@@ -155,8 +143,20 @@ def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:
             named = {key: given.pop(key) for key in list(given) if key in own}
             work(Asked(parts.checked(scene, tol=tol), method, solver, tol, given), **named)
 
-        for option in reversed((parts.scene_name, METHOD, SOLVER, *options, parts.as_json)):
-            command = option(command)
-        return click.command()(command)
+        chosen = (
+            click.option(
+                "--method",
+                required=True,
+                help="One that gives it; others are refused.",
+                shell_complete=completed.methods,
+            ),
+            click.option(
+                "--solver",
+                help="One of the solvers of the method.",
+                shell_complete=completed.solvers,
+            ),
+        )
+        every = parts.with_options(parts.scene_name, *chosen, *options, parts.as_json)
+        return click.command()(every(command))
 
     return command_of

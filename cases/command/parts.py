@@ -7,6 +7,7 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import wrap
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
 
 
 class NonEmptyPath(click.Path):
-    """A path that is not the empty text, which would mean the folder one happens to be in."""
+    """A path; the empty text, which would mean the working folder, is refused."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return the path; refuse the empty text, as of a shell variable that is not set."""
+        """Return the path; refuse the empty text, such as an unset shell variable."""
         if not os.fspath(value):
             self.fail('"" is no path; write "." for this folder', param, ctx)
         return super().convert(value, param, ctx)
@@ -41,10 +42,10 @@ FIELDS = "result.nc"
 """File of the fields of a run, in its folder."""
 
 NARROWEST = 40
-"""Columns of a terminal below which lines are left as they are."""
+"""Columns of the narrowest terminal for which lines are wrapped."""
 
 NORMS = ("L1", "L2")
-"""Keys of JSON with a capital letter: those of the contract."""
+"""Keys of JSON with a capital letter, part of the contract."""
 
 
 scene_name = click.argument("scene", metavar="SCENE", shell_complete=completed.scenes)
@@ -62,24 +63,24 @@ cluster = click.option(
 )
 
 
-def simulation_options(command: Any) -> Any:
-    """Add the options of the routes: ``tol`` and all that a simulation takes, by these names."""
-    options = (
-        tol,
-        seed,
-        threads,
-        seconds,
-        click.option("--step-pair", is_flag=True, help="Simulate at half the step, too."),
-        dt,
-        click.option("--allow-unstable", is_flag=True, help="Take a --dt beyond the limit."),
-        cluster,
-        click.option(
-            "--checkpoint", type=FOLDER, help="Keep the simulation's state there, go on from it."
-        ),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
+def with_options(*options: Any) -> Callable[[Any], Any]:
+    """Return a decorator that adds ``options`` to a command, in this order."""
+    return lambda command: reduce(lambda own, option: option(own), reversed(options), command)
+
+
+simulation_options = with_options(
+    tol,
+    seed,
+    threads,
+    seconds,
+    click.option("--step-pair", is_flag=True, help="Simulate at half the step, too."),
+    dt,
+    click.option("--allow-unstable", is_flag=True, help="Take a --dt beyond the limit."),
+    cluster,
+    click.option(
+        "--checkpoint", type=FOLDER, help="Keep the simulation's state there, go on from it."
+    ),
+)
 
 
 def command_line() -> str:
@@ -101,9 +102,9 @@ def command_line() -> str:
 
 
 def checked(scene: str, *, tol: float | None = None, out: Path | None = None) -> "Scene":
-    """Load the scene, check the tolerance, make the folder: a refusal comes before any work.
+    """Load the scene, check the tolerance ``tol``, make the folder: refusals precede any work.
 
-    The folder ``out`` is this command's alone until it ends.
+    The folder ``out`` is locked for this command until it ends.
     """
     from cases.scene.scene import load_scene
 
@@ -121,7 +122,7 @@ def checked(scene: str, *, tol: float | None = None, out: Path | None = None) ->
 
 
 def observable_of(name: str, scene: "Scene") -> "Observable":
-    """Return what ``--of`` names; raise ``BadInput`` where it is no observable of the scene."""
+    """Return the observable ``name`` of ``--of``; raise ``BadInput`` if it is not in the scene."""
     from fpk.answer.names import parse_observable
 
     observable: Observable = read("of", name, lambda: parse_observable(name, scene.system.n))
@@ -129,7 +130,7 @@ def observable_of(name: str, scene: "Scene") -> "Observable":
 
 
 def read(option: str, text: str, parse: Callable[[], Any]) -> Any:
-    """Return what ``parse`` makes of ``text``; raise ``BadInput`` naming the option."""
+    """Return ``parse()``; ``InvalidInput`` becomes ``BadInput`` naming ``option`` and ``text``."""
     try:
         return parse()
     except InvalidInput as error:
@@ -137,10 +138,10 @@ def read(option: str, text: str, parse: Callable[[], Any]) -> Any:
 
 
 def narrowed(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":
-    """Return the scene with the observables of ``names`` alone and then no questions about time.
+    """Return the scene with the observables of ``names`` alone, without its questions in time.
 
-    No name: its own. ``whole`` says that all routes are taken: only then its claims stay, which are
-    about all routes and observables, and its own densities must be given.
+    Without ``names`` both stay. ``whole``: all routes run; only then the scene's claims, which are
+    about all routes and observables, stay, and its own densities must be given.
     """
     if names:
         observables = tuple(dict.fromkeys(observable_of(name, scene) for name in names))
@@ -151,7 +152,7 @@ def narrowed(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":
 
 
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
-    """Claim the folder ``settings["checkpoint"]``, if it is asked for, until the command ends."""
+    """Lock the folder ``settings["checkpoint"]``, if not None, until the command ends."""
     if settings["checkpoint"] is None:
         return
     from cases.show.claim import claimed
@@ -170,11 +171,9 @@ def end(
     problems: Sequence[str] = (),
     quiet: bool = False,
 ) -> None:
-    """Print ``record`` as the one JSON object where ``--json`` asks for it, else text and files.
+    """Print ``record`` as one JSON object with ``--json``, else the text and the files written.
 
-    ``quiet``: neither of the latter.
-
-    Every problem goes to standard error; with one the status is 1.
+    ``quiet``: no text. Problems go to standard error; with any the exit status is 1.
     """
     if click.get_current_context().meta["json"]:
         own = with_plain_keys({"schema": SCHEMA, **record})
@@ -191,9 +190,9 @@ def end(
 
 
 def with_plain_keys(record: Any) -> Any:
-    """Return the record with all keys in snake_case and ASCII, but for the norms ``L1``, ``L2``.
+    """Return the record with all keys in snake_case and ASCII, except the norms ``L1``, ``L2``.
 
-    ``E q1²`` becomes ``mean_q1_squared``; one that would take the place of another stays.
+    ``E q1²`` becomes ``mean_q1_squared``; keys that would coincide stay as they are.
     """
     if isinstance(record, list):
         return [with_plain_keys(entry) for entry in record]
@@ -211,9 +210,9 @@ def with_plain_keys(record: Any) -> Any:
 
 
 def as_wide(text: str) -> str:
-    """Return ``text`` with lines no longer than the terminal is wide, if it is one.
+    """Return ``text`` wrapped to the width of the terminal, lines continued with an indent.
 
-    A longer one goes on below itself, farther in; nothing is cut. In a file or pipe a line is one.
+    Unchanged if the output is a file or a pipe.
     """
     width = get_terminal_size((0, 0)).columns
     if width < NARROWEST:
@@ -237,7 +236,7 @@ def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":
 
 
 def check_cluster(address: str | None) -> None:
-    """Refuse a cluster that does not answer before anything else is done."""
+    """Raise ``BadInput`` or ``Unavailable`` if no Dask cluster answers at ``address``."""
     if address is not None:
         from sim.sample.workers import workers_of
 

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 USUAL, COARSE, COARSE_PATHS = 38.0, 5.0, 4096
 """Relaxation times sampled on a path: a quarter of what ``fpk run`` takes. Bands are from the
 sample itself, so that a shorter simulation judges less sharply, never wrongly."""
-WORK = 5e10
-"""Multiplications that a solution of the full equation may need: a second, and an error below what
-sampling leaves."""
+FULL_WORK = 5e10
+"""Largest number of multiplications of a solution of the full equation: about a second, with an
+error below the sampling error."""
 
 
 def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
@@ -102,34 +102,29 @@ def cost(scene: "Scene", **settings: Any) -> tuple[Any, "Page"]:
     return result, cost_page(result)
 
 
-def over_grid(command: Any) -> Any:
-    """Add the options of a study over a grid of parameters."""
-    options = (
-        click.option(
-            "--vary", multiple=True, required=True, metavar="PATH=GRID",
-            help="Once or twice: contact[1].clearance, system.mass[2], ... = LOW:HIGH:[log]COUNT"
-            " or 0.1,0.2.",
-        ),
-        parts.threads,
-        click.option("--paths", type=int, help="Paths of the simulation."),
-        click.option("--time", type=float, help="Sampled time a path."),
-        parts.cluster,
-        click.option(
-            "--checkpoint", type=parts.FOLDER, help="Folder for finished points, if not --out."
-        ),
-        click.option(
-            "--reference",
-            type=click.Choice(["montecarlo", "phase-space"]),
-            help="What judges the theories where (6) has no exact density; default: montecarlo.",
-        ),
-    )  # fmt: skip
-    for option in reversed(options):
-        command = option(command)
-    return command
+over_grid = parts.with_options(
+    click.option(
+        "--vary", multiple=True, required=True, metavar="PATH=GRID",
+        help="Once or twice: contact[1].clearance, system.mass[2], ... = LOW:HIGH:[log]COUNT"
+        " or 0.1,0.2.",
+    ),
+    parts.threads,
+    click.option("--paths", type=int, help="Paths of the simulation."),
+    click.option("--time", type=float, help="Sampled time a path."),
+    parts.cluster,
+    click.option(
+        "--checkpoint", type=parts.FOLDER, help="Folder for finished points, if not --out."
+    ),
+    click.option(
+        "--reference",
+        type=click.Choice(["montecarlo", "phase-space"]),
+        help="What judges the theories where (6) has no exact density; default: montecarlo.",
+    ),
+)  # fmt: skip
 
 
 def _over_grid(settings: dict[str, Any]) -> dict[str, Any]:
-    """The arguments of a study over a grid that ``settings``, of ``over_grid``, ask for."""
+    """The arguments of a study over a grid, from ``settings`` by the options ``over_grid``."""
     from cases.study.sweep.answering import SIMULATION
 
     own = ("reference", "progress", "tol")
@@ -194,7 +189,7 @@ def sweep(
 def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **settings: Any) -> None:
     """Run scenes by every route and judge them: one line each, one final table.
 
-    SCENE: names or paths; all shipped scenes but the hard ones where none is given.
+    SCENE: names or paths; without any all shipped scenes except cases/hard.
     """
     from cases.scene.scene import load_scene, shipped_scenes
 
@@ -210,7 +205,7 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
     relaxations = COARSE if coarse else USUAL
     if unknown := set(solver) - {route.solver for route in listed_routes()}:
         raise BadInput(f"--solver {unknown.pop()}: is not a solver of any method")
-    methods = all_methods(named=solver, relaxations=relaxations, work=WORK, **settings)
+    methods = all_methods(named=solver, relaxations=relaxations, work=FULL_WORK, **settings)
     width = max(len(scene.name) for scene in loaded)
     rows = []
     for scene in loaded:
@@ -272,7 +267,7 @@ def export(
     from cases.show.fields import write_csv, write_netcdf
     from cases.show.vtk import write_pvd, write_vtu
 
-    # Without all routes nothing can be claimed, and a density may be left out.
+    # Claims, and the demand for every density, are about runs of all routes.
     loaded = replace(loaded, expect=None, densities_asked=False)
     methods = [
         m

@@ -1,4 +1,4 @@
-"""Answers of methods to one question in time; windows of densities, splitting of rare failure."""
+"""Answers to one question in time: windows of densities, splitting for rare failure."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -22,26 +22,19 @@ from fpk.system.system import System
 from sim.sample.settings import LEAST_PATHS
 
 LEAST_FAILURES = 400.0
-"""Least expected number of failures by the last time for which a plain simulation is run, 5 % of
-its default 8192 paths; of fewer the failure rate, by which the curve is continued, is not known."""
+"""Smallest expected number of failures by the last time for which a plain simulation runs, 5 % of
+its default 8192 paths; fewer do not give the failure rate, which continues the curve."""
 
 WINDOW_POINTS = 129
-"""Points in the window of one time."""
-
-DECADES, MANY = (-8.0, 3.0), 4401
-"""Range of energies of the quick solution, in decades of the energy scale, and its points."""
-
-REACH = 12.0
-"""Largest displacement or momentum of the quick solution, in units of its scale."""
+"""Number of points in the window of one time."""
 
 WINDOW_SHARE = 1e-3
-"""Share of the largest density below which it lies outside the window of its time."""
+"""Density at the edge of a window over its maximum; also the tolerance of the quick solution by
+which windows are chosen."""
 
-SCOUT = {"paths": LEAST_PATHS, "checkpoint": None, "partial": False}
-"""Settings of a simulation by which windows are chosen."""
-
-SCOUT_TOL = 1e-3
-"""Tolerance of a solver by which windows are chosen."""
+DECADES, SCALES, MANY = (-8.0, 3.0), 12.0, 4401
+"""Points of the quick solution: energies in decades of the energy scale, displacements or momenta
+up to so many of their scales, and the number of points."""
 
 
 def replies_of(
@@ -55,17 +48,17 @@ def replies_of(
     tol: float | None = None,
     budget: Budget | None = None,
 ) -> Replies:
-    """Return the answers of those of ``methods`` that are able to answer ``question``.
+    """Return the answers of all ``methods`` that can answer ``question``.
 
-    ``partial`` and ``relax`` as of ``answers_of``; ``tol`` is asked of the methods that solve, None
-    their own default; ``budget`` is the time of all simulations. Simulations follow their paths
-    until the last time. Splitting takes the place of the simulation of the full system where that
-    would see few failures, by an answer that came before, or is not certified.
+    ``partial``: Ctrl-C ends the work, the answers so far are returned. ``relax``: default
+    tolerances may be loosened. ``tol``: tolerance of solvers, None: their defaults. ``budget``:
+    wall time of all simulations, which run until the last time. Splitting replaces the simulation
+    of the full system if that is not certified, or would see few failures by an earlier answer.
     """
     attempts, names, budget = Attempts(partial, relax), (question.name,), budget or Budget()
     kind = QUESTIONS["passage" if isinstance(question, PassageQuestion) else "transient"]
     able: list[Any] = [method for method in methods if hasattr(method, kind.name)]
-    # Splitting, or the choice of the window, may come beside them.
+    # One more for splitting, or for the choice of the window.
     budget.begin(1 + sum(method.route.sampled for method in able))
     given: list[Given] = []
 
@@ -110,8 +103,8 @@ def replies_of(
             continue
         ask(method.route, lambda points, m=method: budget.spend(m, partial_of(answered, points)))
     if isinstance(question, PassageQuestion) and not attempts.interrupted:
-        # Splitting, which knows constant noise only, answers in the place of the simulation of the
-        # full system where no certified answer for it is known.
+        # Splitting, for constant noise only, replaces the simulation of the full system if there
+        # is no certified answer of the full system.
         known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
         asked = question.times and system.modulation is None and not known
         plain = next((m for m in able if m.route.solves == "full" and m.route.sampled), None)
@@ -137,7 +130,7 @@ def replies_of(
 
 
 def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | None:
-    """Why a simulation of so many paths would see too few failures, by the answers there are."""
+    """Why a simulation would see too few failures, by the answers ``given`` so far; else None."""
     if not (method.route.sampled and isinstance(question, PassageQuestion) and question.times):
         return None
     known = [
@@ -157,17 +150,19 @@ def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | 
 def window_of(
     system: System, question: TransientQuestion, methods: Sequence[Any], budget: Budget
 ) -> tuple[Array, tuple[Any, ...]]:
-    """Return ascending points, and of each time the indices of the ``WINDOW_POINTS`` in its window.
+    """Return ascending points, and for each time the indices of the points in its window.
 
-    By the first of ``methods`` that answers, within the ``budget``; none at all where none does.
+    A window has ``WINDOW_POINTS`` and follows from a quick answer of the first of ``methods`` that
+    gives one within the ``budget``; without any there are no windows.
     """
     at = _wide(system, question)
     for method in methods:
         known = {f.name for f in fields(method)}
-        quick = replace(method, **{k: v for k, v in SCOUT.items() if k in known})
+        few = {"paths": LEAST_PATHS, "checkpoint": None, "partial": False}
+        quick = replace(method, **{k: v for k, v in few.items() if k in known})
         asked = system, question.of, question.start, np.array(question.times), (at,)
         try:
-            work = partial_of(_transient, asked, None if method.route.sampled else SCOUT_TOL)
+            work = partial_of(_transient, asked, None if method.route.sampled else WINDOW_SHARE)
             answer = budget.spend(quick, work)
             grids = []
             for density in answer.values:
@@ -177,7 +172,7 @@ def window_of(
                 low, high = max(inside[0] - 1, 0), min(inside[-1] + 1, at.size - 1)
                 grids.append(np.linspace(at[low], at[high], WINDOW_POINTS))
         except (NotApplicable, NotCertified, InvalidInput):
-            continue  # its reason is that of its answer, which is asked for later
+            continue  # its full answer will give the reason
         points = np.unique(np.concatenate(grids))
         return points, tuple(np.searchsorted(points, grid) for grid in grids)
     return at, ()
@@ -188,7 +183,7 @@ def _transient(asked: Any, tol: float | None, method: Any) -> Any:
 
 
 def _wide(system: System, question: TransientQuestion) -> Array:
-    """Points up to the largest scale of the coordinate, that of the noise or that of the start."""
+    """Points up to the larger scale of the coordinate: by the noise, or by the start."""
     (coordinate,) = question.of
     damping, noise = np.diag(system.damping), np.diag(system.noise_matrix)
     warm = noise.sum() / damping.sum() if damping.sum() > 0.0 else noise.sum()
@@ -201,4 +196,4 @@ def _wide(system: System, question: TransientQuestion) -> Array:
         return np.concatenate([[0.0], energy * np.logspace(*DECADES, MANY)])
     row = coordinate.row
     unit = system.mass[row] if coordinate.kind == "p" else system.compliance[row, row]
-    return np.linspace(-REACH, REACH, MANY) * float(np.sqrt(2.0 * energy * unit))
+    return np.linspace(-SCALES, SCALES, MANY) * float(np.sqrt(2.0 * energy * unit))

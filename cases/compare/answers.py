@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 from cases.compare.attempts import Refusal
-from cases.compare.compare import Comparison, compared, discrepancies
+from cases.compare.compare import Comparison, compare_densities, discrepancies
 from cases.compare.doubt import (
     incompatibility,
     notes_in_words,
@@ -31,13 +31,13 @@ from sim.montecarlo import MonteCarlo
 class Answers(Mapping[Any, AnyDensity]):
     """Densities by observable and method: ``answers["q2", "exact"]``, as names or labels.
 
-    ``answers["q2"]`` will do where one method alone gives q2; ``answers.of("q2")`` returns all by
-    method. ``results`` has what each method returned, ``refused`` who gives not all that was asked
-    for. Of a scene's curve ``label`` and ``value`` are as in ``Curve``; ``notes`` say in words what
-    was done that nobody asked for, ``interrupted`` whether Ctrl-C ended the work. ``passages`` and
-    ``transients`` are what was said to the scene's questions about motion in time. ``exceedance``
-    has the levels a whose P(X > a) is among the quantities. The stationary densities of ``asked``,
-    where the system has any, must be given by some route. ::
+    ``answers["q2"]`` suffices if one method alone gives q2; ``answers.of("q2")`` returns all by
+    method. ``results``: of each method that answered; ``refused``: the methods that do not give all
+    observables, with the reason. ``label`` and ``value`` are the fields of a scene's ``Curve``;
+    ``notes``: loosened tolerances and the like; ``interrupted``: Ctrl-C ended the work.
+    ``passages`` and ``transients``: the replies to the scene's questions about motion in time.
+    ``exceedance``: levels a whose P(X > a) is among the quantities. ``asked``: observables whose
+    stationary density, if it exists, must be given by some route. ::
 
         answers = fpk.solve(fpk.load("fig3a").system, ["q2"])
         answers["q2", "exact"], answers.of("q2"), answers.refusals, answers.problems
@@ -63,17 +63,19 @@ class Answers(Mapping[Any, AnyDensity]):
 
     @property
     def refusals(self) -> dict[str, str]:
-        """By the label of a method, why it gives not all that was asked for."""
+        """The reason why a method does not give all observables, by the label of the method."""
         return {refusal.route.label: refusal.reason for refusal in self.refused}
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
         """Distances of all pairs of densities of one observable, judged where that is possible."""
-        return compared(self.results, averaging_is_exact=incompatibility(self.system) is None)
+        return compare_densities(
+            self.results, averaging_is_exact=incompatibility(self.system) is None
+        )
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
-        """Moments, quantiles and what stops feel, each by every route that gives its density."""
+        """Moments, quantiles, impacts and forces, each by every route that gives its density."""
         return quantities_of(self.system, self.results, self.exceedance)
 
     @cached_property
@@ -85,19 +87,19 @@ class Answers(Mapping[Any, AnyDensity]):
     def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
         """Return the densities of one observable by route: first deterministic ones, then sampled.
 
-        In both, those of the full system precede those of averaged equations.
+        In both groups densities of the full system precede averaged ones.
         """
         all_of = [(r.method.route, d) for r in self.results for d in r.densities]
         pairs = [(route, d) for route, d in all_of if d.observable == observable]
         return dict(sorted(pairs, key=lambda pair: (pair[0].sampled, pair[0].solves != "full")))
 
     def of(self, observable: str) -> dict[str, AnyDensity]:
-        """Return the densities of ``observable`` by the label of the method, empty where none."""
+        """Return all densities of ``observable`` by the label of the method."""
         densities = self.densities(parse_observable(observable, self.system.n))
         return {route.label: density for route, density in densities.items()}
 
     def __getitem__(self, key: str | tuple[str, str]) -> AnyDensity:
-        """Return one density; raise ``KeyError`` with what there is where it is not one."""
+        """Return one density; raise ``KeyError`` naming the given densities if it is not one."""
         observable, method = (key, None) if isinstance(key, str) else key
         densities = self.of(observable)
         if method is None and len(densities) == 1:
@@ -141,7 +143,7 @@ class Answers(Mapping[Any, AnyDensity]):
 
     @property
     def averaging_notes(self) -> tuple[str, ...]:
-        """The notes of ``unknown_averaging_errors`` in words, with what each is about."""
+        """The notes of ``unknown_averaging_errors``, each behind the names of its answers."""
         return notes_in_words(self.unknown_averaging_errors)
 
     @cached_property
@@ -159,7 +161,7 @@ class Answers(Mapping[Any, AnyDensity]):
 
     @property
     def absence(self) -> str | None:
-        """Why the system has no stationary density, None where it has or a route gave one."""
+        """Why the system has no stationary density; None if it has, or if a route gave one."""
         return None if self.results else MonteCarlo().refusal(self.system, ())
 
     @property

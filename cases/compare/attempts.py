@@ -1,7 +1,7 @@
-"""Routes asked one after the other: their wall time, their tolerances, and why some do not answer.
+"""Routes asked one after the other: their wall time, their tolerances, the reasons of refusals.
 
-A command's simulations share its wall time among its questions and their routes. An answer that
-misses a default tolerance is asked for again at a looser one.
+The simulations of a command share its wall time among its questions and their routes. A route that
+misses its default tolerance is asked again at a looser one.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -17,27 +17,24 @@ from fpk.numeric.machine import working_time
 Answer = TypeVar("Answer")
 
 INTERRUPTED = "not finished: the program was interrupted"
-"""Reason of a route that Ctrl-C ended or that would have come after it."""
+"""Reason of a route that Ctrl-C ended, and of all routes after it."""
 
 REFUSALS = (NotApplicable, NotCertified, InvalidInput)
 """Errors by which a method says that it gives no answer."""
 
-LEAST = 1e-3
-"""Seconds that a simulation gets at the least: one that is late leaves none to those that follow,
-which then say that they had too little."""
-
 LOOSEST = 1e-4
-"""Largest tolerance that takes the place of a default one that is missed: it is still well below
-what simulations resolve."""
+"""Largest tolerance to which a missed default tolerance is loosened: well below the sampling errors
+of simulations."""
 
 
 @dataclass
 class Budget:
-    """``seconds`` that are left for ``questions``, None where nothing bounds the simulations.
+    """Wall time of the simulations of a command, shared among questions and routes.
 
-    Each question gets an equal share of what is left, and each of its routes one of what is left of
-    that: time that one does not use goes on to those that follow. ``clock`` tells the time in
-    seconds, without that of compiling.
+    ``seconds`` remain for ``questions``; None: simulations are not bounded. Each question gets an
+    equal share of the remaining time, and each of its routes an equal share of the question's; time
+    that a route does not use passes to the routes after it. ``clock`` returns the time in seconds,
+    less the time of compilation.
     """
 
     seconds: float | None = None
@@ -47,15 +44,19 @@ class Budget:
     _routes: int = 1
 
     def begin(self, routes: int) -> None:
-        """Begin the next question, which so many sampled ``routes`` may answer."""
+        """Begin the next question, with up to ``routes`` simulations."""
         self._own, self._routes = (self.seconds or 0.0) / max(1, self.questions), routes
         self.questions -= 1
 
     def spend(self, method: Any, work: Callable[[Any], Answer]) -> Answer:
-        """Return ``work(method)``, of a sampled method with its share as ``seconds``."""
+        """Return ``work(method)``; a simulation gets its share of the time as ``seconds``.
+
+        The share is never below 1 ms: a simulation that starts late then says that its time did
+        not suffice.
+        """
         if self.seconds is None or not method.route.sampled:
             return work(method)
-        share, begin = max(LEAST, self._own / max(1, self._routes)), self.clock()
+        share, begin = max(1e-3, self._own / max(1, self._routes)), self.clock()
         try:
             return work(replace(method, seconds=share))
         finally:
@@ -65,7 +66,7 @@ class Budget:
 
 
 def budget_of(methods: Sequence[Any], questions: int) -> Budget:
-    """Return the budget of ``methods``: the ``seconds`` of theirs, the most of any."""
+    """Return the budget for ``questions``: the largest ``seconds`` of any simulation."""
     given = [m.seconds for m in methods if m.route.sampled and getattr(m, "seconds", None)]
     return Budget(max(given, default=None), questions)
 
@@ -87,11 +88,11 @@ class Refusal:
 
 @dataclass
 class Attempts:
-    """Asks one route after the other, and collects in ``refused`` those that give no answer.
+    """Asks one route after the other; ``refused`` collects the routes without an answer.
 
-    With ``partial`` Ctrl-C makes it ``interrupted``: the route that was at work has failed, and
-    all later ones are refused. Without it Ctrl-C is raised. With ``relax`` tolerances are defaults
-    that nobody asked for, see ``at_default``; ``notes`` say in words which of them were missed.
+    ``partial``: Ctrl-C sets ``interrupted``, the running route has failed and all later routes are
+    refused; without it ``KeyboardInterrupt`` is raised. ``relax``: all tolerances are defaults,
+    which may be loosened; ``notes`` say which were missed.
     """
 
     partial: bool
@@ -112,9 +113,9 @@ class Attempts:
         *,
         failures: tuple[type[Exception], ...],
     ) -> Answer | None:
-        """Return what ``work()`` does, None where it raises one of ``REFUSALS``.
+        """Return ``work()``; if it raises one of ``REFUSALS``, add the refusal and return None.
 
-        Those of ``failures`` count as failed: what was to be expected of the route is missing.
+        An error of a type in ``failures`` counts as failed.
         """
         if self.interrupted:
             self.refuse(route, observables, INTERRUPTED)
@@ -137,38 +138,31 @@ class Attempts:
         ask: Callable[[float | None], Answer],
         certificates: Callable[[Answer], Iterable[Certificate]],
     ) -> Answer:
-        """Return ``ask(None)``, or with ``relax`` what ``loosened`` does, with a note on ``label``.
-
-        The note says to which tolerance an answer that misses its default one is certified.
-        """
+        """Return ``ask(None)``, with ``relax`` ``loosened``; ``label`` begins the note on it."""
         if not self.relax:
             return ask(None)
-        answer, tol = loosened(ask, certificates)
-        if tol is not None:
-            self.notes.append(f"{label}: {missed_words(tol)}")
+        answer, note = loosened(ask, certificates)
+        self.notes += [f"{label}: {note}"] if note else []
         return answer
-
-
-def missed_words(tol: float) -> str:
-    """Return the note on an answer that is certified to ``tol`` instead of its default one."""
-    return f"certified to {tol:.0e}, as the default tolerance could not be met"
 
 
 def loosened(
     ask: Callable[[float | None], Answer],
     certificates: Callable[[Answer], Iterable[Certificate]],
-) -> tuple[Answer, float | None]:
-    """Return ``ask(None)``, the answer at default tolerances, where it does not miss its own.
+) -> tuple[Answer, str]:
+    """Return the answer ``ask(tol)`` at its default tolerance (None), or at a looser one.
 
-    Else the answer at the least power of ten that its error meets, up to ``LOOSEST``, and that
-    tolerance; the first answer and None where no such answer is certified by ``certificates``.
+    If the default is missed: the answer at the least power of ten that its error meets, up to
+    ``LOOSEST``, and a note on that tolerance; the default answer without a note if no such answer
+    is certified by all its ``certificates``.
     """
     first = answer = ask(None)
-    tol = None
+    note = ""
     while errors := [c.missed for c in certificates(answer) if c.missed is not None]:
         if not (missed := max(inf if isnan(error) else error for error in errors)) <= LOOSEST:
             break
         tol = 10.0 ** ceil(log10(missed))
+        note = f"certified to {tol:.0e}, as the default tolerance could not be met"
         answer = ask(tol)
     certified = all(certificate.certified for certificate in certificates(answer))
-    return (answer, tol) if certified else (first, None)
+    return (answer, note) if certified else (first, "")

@@ -1,7 +1,7 @@
-"""Monte Carlo of the averaged equations as a method: the process of a theory, sampled.
+"""Monte Carlo of the averaged equations as a method: paths of the averaged energies.
 
-Theories and sampling are imported when a system is prepared: most commands register the routes
-here without asking for them.
+Theories and sampling are imported when a system is prepared: most commands register these routes
+without using them.
 """
 
 from collections.abc import Sequence
@@ -26,33 +26,32 @@ from fpk.system.process import Process
 from fpk.system.system import System
 
 BURN_IN, SAMPLED = 10.0, 20.0
-"""Relaxation times that each path runs before it is sampled, and that it is sampled for."""
+"""Burn-in and sampled time of each path, in relaxation times."""
 
 STEP = 0.1
-"""Step, in units of the fastest relaxation time, of motion in time, beside one of half of it."""
+"""Default step in units of the fastest relaxation time; motion in time also runs at half of it."""
 
 STATIONARY = 0.25
-"""Share of ``step`` with which stationary densities are sampled: no second step says their bias.
-With steps of 0.1 that of the standard deviation of H was 5 standard errors on vanderpol, with 0.025
-less than half of one."""
+"""Step of stationary densities in units of ``step``: no second step measures their bias.
+On vanderpol the standard deviation of H was off by 5 standard errors at a step of 0.1, by less than
+half a standard error at 0.025."""
 
 PER_PATH, MOST_PATHS = 1.1, 1 << 22
-"""Standard deviation of a first-passage time over its mean, about (1 of an exponential one), which
-sets the paths for a wanted relative error; and most paths."""
+"""Standard deviation over mean of a first-passage time (1 for an exponential law), which sets the
+number of paths for a relative error; largest number of paths."""
 
 
 @dataclass(frozen=True)
 class AveragedSimulation(Method):
     """Averaged energies (17) or energy (9) of a theory by simulation: its ``solver`` "simulation".
 
-    Times come from the process: an energy relaxes in about the time in which noise fills its scale,
-    ``scale/d``, d the drift at H_i = 0; paths run for ``BURN_IN`` of the slowest and are sampled
-    every half of it for ``SAMPLED``, with steps of ``step`` times the fastest (``STATIONARY`` times
-    that for stationary densities), or from sample to sample where steps are exact. Two wells with
-    rare passages relax more slowly than that.
-    ``paths`` in all; ``threads`` None: all that there are, the answer does not depend on it.
-    ``tol``: the expected L1 error by chance above which an answer is not certified. ``seconds`` of
-    wall time end it before.
+    The relaxation time of an energy is ``scale/d``, d the drift at H_i = 0, in which noise fills
+    the scale. Paths run for ``BURN_IN`` of the slowest relaxation times and are sampled every half
+    of it for ``SAMPLED``; steps are ``step`` times the fastest (``STATIONARY`` times that for
+    stationary densities), or from sample to sample if steps are exact. Two wells with rare passages
+    relax more slowly. ``paths`` in all; ``threads`` None: all cores, on which the answer does not
+    depend. ``tol``: largest expected L1 error by chance of a certified answer. ``seconds``: limit
+    of the wall time.
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
@@ -76,17 +75,17 @@ class AveragedSimulation(Method):
 
     @property
     def route(self) -> Route:
-        """The route that the method follows."""
+        """The route of the method."""
         return ROUTES[self.theory, "simulation"]
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
-        """Return the method; refuse where damping is constant, so that theories are closed."""
+        """Return the method for any ``share``; raise ``NotApplicable`` for constant damping."""
         if not system.damping_terms:
             raise NotApplicable("damping is constant: closed-form has the same density")
         return self
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
+        """Return the plan for ``system``; raise ``NotApplicable`` if the theory does not apply."""
         return Plan(self._unknown, partial(self._sampled, self._process(system)))
 
     @answer
@@ -119,8 +118,8 @@ class AveragedSimulation(Method):
     def transient(self, asked: Asked) -> Transient:
         """Return the densities of energies at ``times``, in steps of ``step`` and of half it.
 
-        ``tol``, the expected L1 error wanted at every time, makes more paths. Starts as of
-        ``passage``.
+        ``tol``, the expected L1 error wanted at every time, makes more paths. A start is turned
+        into energies as by ``passage``.
         """
         from sim.questions.averaged.paths import energy_transient
 
@@ -141,7 +140,7 @@ class AveragedSimulation(Method):
         )
 
     def _process(self, system: System) -> Process:
-        """The averaged process; raise ``NotApplicable`` where the theory does not hold."""
+        """The averaged process; raises ``NotApplicable`` if the theory does not apply."""
         from averaging.energy_process import energy_process
         from averaging.modal.analysis import modal_analysis
         from averaging.modal.resonance import require_no_resonance
@@ -158,9 +157,9 @@ class AveragedSimulation(Method):
         return (line_form if self.theory == "nonintegrable" else square_root_form)(process)
 
     def limits(self, form: Any, limit: Limit) -> tuple[Array, Array]:
-        """Return weights (limits, d) of X, and values (limits,) at which their sums pass ``limit``.
+        """Return weights (limits, d) of X, and values (limits,) that their sums must not exceed.
 
-        Raises ``NotApplicable`` where the theory does not know the limit.
+        Raises ``NotApplicable`` for a kind of limit that the theory does not have.
         """
         line, d = self.theory == "nonintegrable", form.scales.size
         if limit.kind == "q" or (limit.kind == "modal" and line):
@@ -219,12 +218,12 @@ class AveragedSimulation(Method):
         return slowest, 1 if exact else ceil(0.5 * slowest / longest - 1e-9)
 
     def _sampling(self) -> dict[str, Any]:
-        """Arguments that every simulation takes from the fields as they are."""
+        """Arguments of every simulation."""
         threads = self.threads or usable_cores()
         return {"seed": self.seed, "threads": threads, "seconds": self.seconds}
 
     def _unknown(self, observable: Observable) -> str | None:
-        """Why the averaged energies do not give the observable, None where they do."""
+        """Why the averaged energies do not give the observable, None if they do."""
         name = observable_name(observable)
         if any(c.kind != "H" for c in observable):
             return f"{name}: the averaged simulation samples energies only; use another solver"

@@ -1,4 +1,4 @@
-"""Claims held against numbers: findings about a source, never failures of the program."""
+"""Claims of a source compared with numbers: findings about it, never failures of the program."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -24,20 +24,20 @@ from fpk.numeric.arrays import Array
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
 
 OPPOSITE: dict[Verdict, Verdict] = {"holds": "does not hold", "does not hold": "holds"}
-"""Verdict on a claim by that on its opposite; an open one stays as it is."""
+"""Verdict on the opposite of a claim, by the verdict on the claim."""
 
 ALMOST_L1 = 0.05
-"""L1 distance to the fitted Gaussian up to which a density is called almost Gaussian: no
-probability is wrong by more than 2.5 %, about what the width of a printed line hides."""
+"""Largest L1 distance of an almost Gaussian density to the fitted Gaussian: no probability is wrong
+by more than 2.5 %, about the width of a printed line."""
 
 ALMOST_KURTOSIS = 0.3
-"""Excess kurtosis up to which a density is called almost Gaussian: its fourth moment is a tenth off
-the Gaussian's 3. It must meet ``ALMOST_L1``, too; beyond one of them it is non-Gaussian."""
+"""Largest excess kurtosis of an almost Gaussian density, a tenth of the Gaussian's 3. A density
+that exceeds this or ``ALMOST_L1`` is non-Gaussian."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One claim on one curve (or between two): what was measured and whether the claim holds."""
+    """One claim on one curve, or on two neighbours: the measured numbers and the verdict."""
 
     claim: str
     curve: str
@@ -47,7 +47,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Shape:
-    """How far a density is from the Gaussian of its own mean and variance; errors are bounds."""
+    """Distance of a density to the Gaussian of its mean and variance; the errors are bounds."""
 
     l1: float
     l1_error: float
@@ -56,7 +56,7 @@ class Shape:
 
     @property
     def almost_gaussian(self) -> bool | None:
-        """Whether both measures are small; None where their errors leave it open."""
+        """Whether both measures are small; None if their errors leave it open."""
         near = {
             _below(self.l1, ALMOST_L1, self.l1_error),
             _below(abs(self.kurtosis), ALMOST_KURTOSIS, self.kurtosis_error),
@@ -65,7 +65,7 @@ class Shape:
 
 
 def findings(expect: Expect | None, curves: Sequence[Answers]) -> Iterator[Finding]:
-    """Yield what became of every claim on every curve that it is about."""
+    """Yield the finding on every claim of ``expect``, for every curve to which it applies."""
     if expect is None:
         return
     symbol = curves[0].label.partition(" =")[0]
@@ -102,7 +102,7 @@ def shape_of(density: AnyDensity) -> Shape:
 
 
 def _reference(curve: Answers, of: Observable) -> AnyDensity | None:
-    """The answer for the full system that is known best, a certified one where there is one."""
+    """The most accurate density of the full system; certified ones first."""
     full = (d for route, d in curve.densities(of).items() if route.solves == "full")
     return min(full, key=lambda d: (not d.certificate.certified, d.l1_error), default=None)
 
@@ -134,7 +134,7 @@ def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
             ratio, limit = min(ratios), (ACCEPTABLE_L1, 0.0)
             found = _nearer(claim, curve.label, distance("integrable"), limit)
             found = replace(found, measured=f"clearance {ratio:.3g} rms, {found.measured}")
-            if ratio <= rule:  # of which the rule itself says nothing
+            if ratio <= rule:  # the rule itself says nothing here
                 claim = f"converse of the rule: not acceptable for clearance ≤ {rule:g} rms"
                 opposite = OPPOSITE.get(found.verdict, found.verdict)
                 found = replace(found, claim=claim, verdict=opposite)
@@ -147,7 +147,7 @@ def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
 def _nearer(
     claim: str, where: str, near: tuple[float, float] | None, far: tuple[float, float] | None
 ) -> Finding:
-    """Whether ``near`` is the smaller of two distances to the full system, with their errors."""
+    """Whether the distance ``near`` (value, error) to the full system is smaller than ``far``."""
     if near is None or far is None:
         return Finding(claim, where, "no answer to compare with", "not checked")
     measured = f"L1 {with_error(*near)} against {with_error(*far)}"
@@ -155,9 +155,9 @@ def _nearer(
 
 
 def _distance(curve: Answers, of: Observable, name: str) -> tuple[float, float] | None:
-    """L1 distance of an averaged method's first deterministic answer to the full system.
+    """L1 distance of an averaged method's first deterministic density to the full system.
 
-    With how far chance and the solvers may have moved it; None where there is none.
+    With its uncertainty by chance and solvers; None if one of the two densities is missing.
     """
     own = (d for r, d in curve.densities(of).items() if r.method == name and not r.sampled)
     theory, reference = next(own, None), _reference(curve, of)
@@ -167,7 +167,7 @@ def _distance(curve: Answers, of: Observable, name: str) -> tuple[float, float] 
 
 
 def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
-    """Yield what became of every claim of a [[passage]] on every curve."""
+    """Yield the finding on every claim of a [[passage]], for every curve."""
     for curve in curves:
         for replies in curve.passages:
             question = replies.question
@@ -184,7 +184,7 @@ def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
                     f"{question.name}: averaging error of the {what} by the {question.theory}"
                     f" theory {sign} {limits.limit:g}"
                 )
-                # Distances of the theory's equation, solved, to the full system.
+                # Differences of the solved averaged equation to the full system.
                 of, wanted = f"{question.name}: {words}", ("averaging", "relative", question.theory)
                 own = [
                     c
@@ -202,7 +202,7 @@ def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
 
 
 def _below(value: float, limit: float, slack: float) -> bool | None:
-    """Whether value < limit; None where the difference does not exceed what both may be off."""
+    """Whether value < limit; None if they differ by no more than their joint error ``slack``."""
     return None if abs(value - limit) <= slack else value < limit
 
 
@@ -211,15 +211,17 @@ def _verdict(holds: bool | None) -> Verdict:
 
 
 def _to_gaussian(density: AnyDensity, mean: float, scale: float) -> tuple[float, float]:
-    """L1 distance to the Gaussian, its mass outside the support included, and its error.
+    """L1 distance to the Gaussian of this mean and standard deviation ``scale``, and its error.
 
-    Of a sample, counted by bins, the integral has no error.
+    The mass of the Gaussian outside of the support is included. The integral over the bins of a
+    sample has no error.
     """
     (nodes,) = density.panels
     shares = np.diff(ndtr((nodes - mean) / scale))
     if isinstance(density, SampledDensity):
         shares -= density.values * np.diff(nodes)
-        return float(np.sum(np.abs(shares)) + abs(np.sum(shares))), 0.0  # outside: one more bin
+        outside = abs(np.sum(shares))
+        return float(np.sum(np.abs(shares)) + outside), 0.0
 
     def gaussian(x: Array) -> Array:
         return np.asarray(np.exp(-0.5 * ((x - mean) / scale) ** 2) / (np.sqrt(2.0 * np.pi) * scale))

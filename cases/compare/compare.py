@@ -1,14 +1,13 @@
-"""Comparison of routes: what is left between two answers, and which of three errors it is.
+"""Comparison of two answers to one question, and which of three errors separates them.
 
 numerical
-    two deterministic answers to the same question; the difference may be what their own error
-    estimates add up to.
+    two deterministic answers; the allowed difference is the sum of their stated errors.
 sampling
-    a histogram against a density that is exact for the full system; the difference may be what
-    chance makes of it, at a false-alarm rate that is chosen first.
+    a histogram against a density that is exact for the full system; the allowed difference is
+    exceeded by chance at the false-alarm rate ``FALSE_ALARMS``.
 averaging
-    an averaged theory against the full system; the difference is a property of the theory, it is
-    reported with its own uncertainty and never judged.
+    an averaged theory against the full system; the difference is a property of the theory, reported
+    with its own uncertainty and never judged.
 """
 
 from collections.abc import Sequence
@@ -29,32 +28,31 @@ from sim.sample.diagnostics import FALSE_ALARMS
 Measures = Literal["numerical", "sampling", "averaging"]
 
 Norm = Literal["L1", "relative", "absolute"]
-"""How a difference is measured: of densities in L1, of numbers relative to the second or not."""
+"""Norm of a difference: L1 for densities; for numbers absolute or relative to the second number."""
 
 SIGN_DRAWS, SIGN_SEED = 2000, 20040808
-"""Draws of the wild bootstrap and their seed: the same histogram always gets the same band."""
+"""Draws of the wild bootstrap, and their seed: a histogram always gets the same band."""
 
 BINS_1D, BINS_2D = 128, 32
-"""About so many bins an axis are compared: enough to see the shape, few enough to fill."""
+"""Approximate number of bins on each axis of a compared histogram, in one and two dimensions."""
 
 WithError = tuple[AnyDensity, float, float]
-"""A density as it is compared, a histogram in joined bins; its expected and its largest L1 error by
-chance or by numerics, the latter exceeded in ``FALSE_ALARMS``."""
+"""A density as it is compared (a histogram in joined bins), its expected L1 error, and its largest,
+which a sample exceeds at the rate ``FALSE_ALARMS``."""
 
 ROUND_OFF = -float(np.log(np.finfo(float).eps) * np.finfo(float).eps)
-"""Least L1 error of a function: it is an exponential, whose exponent reaches −log(eps) before it
-stops to count, and it is off by eps times its exponent: 8e-15."""
+"""Smallest L1 error of a density p = exp(−φ): p has the relative error eps·φ, and φ reaches
+−log(eps) before p is negligible; 8e-15."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two answers to one question: ``L1 = ∫|p_a − p_b|`` and what it is allowed to be.
+    """The difference of two answers to one question, and the largest allowed difference.
 
-    Of numbers ``L1`` is their difference, as ``norm`` says.
-
-    ``band`` is None where the difference is reported, not judged; ``error`` says how far chance
-    and the solvers may have moved ``L1`` itself. ``uncertified`` are those of the two routes whose
-    own checks fail: the difference says nothing against the other one then. ::
+    ``L1`` is ∫|p_a − p_b| of two densities, or the difference of two numbers in the ``norm``.
+    ``band`` is the allowed difference, None for a difference that is reported and not judged.
+    ``error``: uncertainty of ``L1`` by chance and by the solvers. ``uncertified`` names the routes
+    whose own checks fail: the difference is then no finding against the other route. ::
 
         for c in fpk.compare(fpk.solve(fpk.load("fig3a").system, ["q2"])):
             print(c.measures, c.L1, c.error, c.band, c.holds)
@@ -72,7 +70,7 @@ class Comparison:
 
     @property
     def holds(self) -> bool:
-        """Whether the difference is allowed; one that is not judged is."""
+        """Whether the difference is allowed; True if it is not judged."""
         return self.band is None or bool(self.band >= self.L1)
 
     def __str__(self) -> str:
@@ -83,11 +81,13 @@ class Comparison:
         return f"{names}: {self.measures}, {difference}, {judged}"
 
 
-def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Comparison, ...]:
-    """Return the comparison of every pair of results in every observable they share.
+def compare_densities(
+    results: Sequence[Result], *, averaging_is_exact: bool
+) -> tuple[Comparison, ...]:
+    """Return the comparison of every pair of ``results`` in every observable they share.
 
-    ``averaging_is_exact`` says that the exact theory applies, with which the averaged ones then
-    coincide (end of section 6.2) unless they neglect something.
+    ``averaging_is_exact``: the compatibility condition (8) holds, so that averaged theories
+    coincide with the exact one (end of section 6.2) unless they neglect an effect.
     """
     comparisons = []
     answers = [(r, d, _with_error(d)) for r in results for d in r.densities]
@@ -98,7 +98,8 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
         if both_sampled and not all(map(np.array_equal, a.panels, b.panels)):
             continue  # bin by bin; a function between them is compared with both
         routes = (of_a.method.route, of_b.method.route)
-        kind = measured_between(of_a, of_b, averaging_is_exact=averaging_is_exact)
+        exact = averaging_is_exact and not (of_a.neglected or of_b.neglected)
+        kind = what_is_measured(*routes, averaging_is_exact=exact)
         distance, expected, band = _distance(first, second)
         allowed = None if kind == "averaging" else band
         pairs = zip(routes, (a, b), strict=True)
@@ -112,12 +113,10 @@ def compared(results: Sequence[Result], *, averaging_is_exact: bool) -> tuple[Co
 def discrepancies(
     comparisons: Sequence[Comparison], failing: Sequence[Comparison] | None = None
 ) -> tuple[str, ...]:
-    """Return in words every difference that is not allowed, and which of the two it speaks against.
+    """Return in words every difference that is not allowed, and which answer it speaks against.
 
-    ``failing`` are those of the ``comparisons`` to be told; None: all that do not hold.
-
-    An answer is confirmed by one that agrees with it and shares no step of the calculation; of
-    answers that share theirs, two can be wrong in the same way.
+    ``failing`` are the ``comparisons`` to report; None: all that do not hold. An answer is
+    confirmed by another that agrees with it and shares no step of the calculation.
     """
     return tuple(
         f"{c.observable}: {c.a.label} and {c.b.label} differ by {c.norm} = {c.L1:.3g}, allowed"
@@ -128,7 +127,7 @@ def discrepancies(
 
 
 def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
-    """Which of the two a difference speaks against, empty where nothing says so."""
+    """The answer that a difference speaks against, in words; empty if nothing decides."""
     routes = (difference.a, difference.b)
     if doubtful := difference.uncertified:
         others = [r.label for r in routes if r not in doubtful]
@@ -150,14 +149,6 @@ def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
     return f"; {route} agrees with {other}, which is calculated independently"
 
 
-def measured_between(a: Result, b: Result, *, averaging_is_exact: bool) -> Measures:
-    """Return which of the three errors separates two results; ``averaging_is_exact`` as above."""
-    whole = not (a.neglected or b.neglected)
-    return what_is_measured(
-        a.method.route, b.method.route, averaging_is_exact=averaging_is_exact and whole
-    )
-
-
 def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measures:
     """Return which of the three errors separates the answers of two routes."""
     averaged = "averaged" in (a.solves, b.solves)
@@ -167,9 +158,9 @@ def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measure
 
 
 def distance_between(a: AnyDensity, b: AnyDensity) -> tuple[float, float, float]:
-    """Return ∫|p_a − p_b|, its mean were both right, and what it exceeds in ``FALSE_ALARMS``.
+    """Return ∫|p_a − p_b|, its expectation if both are right, and the largest allowed value.
 
-    The error of the integral is part of the second.
+    The second contains the error of the integral; the third is exceeded at ``FALSE_ALARMS``.
     """
     return _distance(_with_error(a), _with_error(b))
 
@@ -178,7 +169,7 @@ def _with_error(density: AnyDensity) -> WithError:
     if isinstance(density, Density):
         error = density.l1_error + ROUND_OFF
         return density, error, error
-    few = joined(density)
+    few = join_bins(density)
     return few, *chance_l1(few)
 
 
@@ -188,11 +179,11 @@ def _distance(a: WithError, b: WithError) -> tuple[float, float, float]:
 
 
 def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
-    """Return the mean of ∫|p_sampled − p_true| by chance, and what it exceeds in ``FALSE_ALARMS``.
+    """Return the mean of ∫|p_sampled − p_true| by chance, and its quantile at ``FALSE_ALARMS``.
 
     Wild bootstrap: random signs on the deviations of the independent batches keep the correlation
-    of neighbouring bins. The quantile is that of Student's t for the number of batches, corrected
-    for the skewness of the draws (Cornish-Fisher): it lies beyond what so few draws can show.
+    of neighbouring bins. The quantile, out of reach of ``SIGN_DRAWS`` draws, is Student's t for the
+    number of batches, corrected for the skewness of the draws (Cornish-Fisher).
     """
     batches = sampled.batch_values.reshape(sampled.batch_values.shape[0], -1)
     count = batches.shape[0]
@@ -200,7 +191,7 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
     weighted = (batches - batches.mean(axis=0)) * areas / np.sqrt(count * (count - 1.0))
     signs = np.random.default_rng(SIGN_SEED).choice([-1.0, 1.0], size=(SIGN_DRAWS, count))
     shares = signs @ weighted
-    # The last term is the bin of all that lies outside, as in ``l1_distance``.
+    # The last term is one bin for everything outside of the histogram, as in ``l1_distance``.
     draws: Array = np.abs(shares).sum(axis=1) + np.abs(shares.sum(axis=1))
     mean, spread = float(draws.mean()), float(draws.std(ddof=1))
     if spread == 0.0:
@@ -211,10 +202,10 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
     return mean, mean + z * spread
 
 
-def joined(sampled: SampledDensity, bins: int | None = None) -> SampledDensity:
-    """Return the histogram with neighbouring bins joined until about ``bins`` an axis are left.
+def join_bins(sampled: SampledDensity, bins: int | None = None) -> SampledDensity:
+    """Return the histogram with neighbouring bins joined to about ``bins`` on each axis.
 
-    ``bins`` None: as many as are compared, ``BINS_1D`` or ``BINS_2D``.
+    ``bins`` None: ``BINS_1D`` or ``BINS_2D``.
     """
     wanted = bins or (BINS_1D if len(sampled.edges) == 1 else BINS_2D)
     return sampled.joined(min(sampled.values.shape) // wanted)

@@ -20,8 +20,8 @@ ACCEPTABLE_L1 = 0.1
 wrong by more than 5 %."""
 
 TAIL_FACTOR = 1.5
-"""Ratio of an averaged tail probability to that of the full system, or its inverse, from which the
-tail is reported: an L1 distance, which weighs the bulk, does not show it."""
+"""Smallest ratio, or inverse ratio, of an averaged to the full system's tail probability that is
+reported: an L1 distance, which weighs the bulk, does not show it."""
 
 TAIL_SHARES = 1e-6, 1e-5, 1e-4, 1e-3, 1e-2
 """Probabilities of a tail; the least that the reference knows to 10 % is compared."""
@@ -30,7 +30,7 @@ TAIL_SHARES = 1e-6, 1e-5, 1e-4, 1e-3, 1e-2
 def tails_off(densities: Mapping[Route, AnyDensity]) -> Iterator[dict[str, Any]]:
     """Yield the tail of each averaged theory that is off by more than ``TAIL_FACTOR``.
 
-    ``densities`` are those of one coordinate by route. A row has the ``level`` x, the ``side``
+    ``densities``: of one coordinate, by route. A row has the ``level`` x, the ``side``
     (above or below it), the ``probability`` beyond it by the ``reference``, the answer for the
     full system that is known best, the ``ratio`` of the theory's probability to it and its
     ``error``, two standard errors of a sample included. The side that is further off is given.
@@ -71,7 +71,7 @@ def tails_off(densities: Mapping[Route, AnyDensity]) -> Iterator[dict[str, Any]]
 
 
 def incompatibility(system: System) -> str | None:
-    """Return why the exact theory (7), (8) does not apply, None where it does."""
+    """Return why the exact theory (7), (8) does not apply; None if it applies."""
     try:
         compatibility(system)
     except NotApplicable as reason:
@@ -101,22 +101,22 @@ def rms_ratios(system: System) -> tuple[Array, float, float]:
 def averaging_notes(
     system: System, answers: Iterable[tuple[str, Iterable[Route], bool]]
 ) -> tuple[str, ...]:
-    """Return the notes of ``unknown_averaging_errors`` in words, with what each is about."""
+    """Return the notes of ``unknown_averaging_errors``, each behind the names of its answers."""
     return notes_in_words(unknown_averaging_errors(system, answers))
 
 
 def notes_in_words(notes: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
-    """Return each note behind the names that it is about."""
+    """Return each note behind the names of its answers."""
     return tuple(f"{', '.join(own)}: {note}" for note, own in notes.items())
 
 
 def unknown_averaging_errors(
     system: System, answers: Iterable[tuple[str, Iterable[Route], bool]]
 ) -> dict[str, list[str]]:
-    """Return notes on ``answers`` and what each is about, which is the name in an answer.
+    """Return notes on ``answers`` and the names of the answers to which each applies.
 
-    An answer is a name, the routes that give it, and whether it is one in time. There is no note
-    with an answer of the full system, or where averaging is exact: under condition (8), if the
+    An answer is a name, the routes that give it, and whether it is about motion in time. There is
+    no note with an answer of the full system, or if averaging is exact: under condition (8), if the
     motion is stationary and no stop is left out. A note says to doubt an answer where the theory
     errs by more than ``ACCEPTABLE_L1`` in an rms without contacts, leaves out a stop within the
     rule of section 6.3, or, in time, where an energy swings by more than that share of itself

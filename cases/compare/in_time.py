@@ -1,9 +1,8 @@
-"""Answers about motion after a start by every route that gives them, and what separates them.
+"""Answers about motion after a start by every route, and the differences between them.
 
-The three errors are those of ``compare``. An averaged equation is never exact in time, whatever
-its stationary density: what is left between it and the full system is its averaging error. A band
-holds what the answers state: errors of solvers as they are, standard errors by the chance of a
-false alarm.
+The three errors are named as in ``compare``. An averaged equation is never exact in time, whatever
+its stationary density: its difference to the full system is its averaging error. A band is the sum
+of the errors that solvers state, and of the quantile of the sampling errors at ``FALSE_ALARMS``.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,22 +30,22 @@ from fpk.numeric.arrays import Array
 from sim.sample.diagnostics import FALSE_ALARMS
 
 BATCHES = 32
-"""Least number of independent batches from which a sample's standard error is estimated."""
+"""Smallest number of independent batches from which a standard error is estimated."""
 
 INDEPENDENT = 6
-"""Least number of independent coefficients of the sampled density in a window: the fits to an axis
-have two times nine of them, and a window is at least a third of the axis."""
+"""Smallest number of independent coefficients of a sampled density in a window: a fit to the axis
+has 2 · 9, and a window is at least a third of the axis."""
 
-MOST_ERROR = 0.3
-"""Relative error above which a number is not compared."""
+COMPARABLE = 0.3
+"""Largest relative error of a number that is compared."""
 
 Distance = tuple[str, Norm, float, float, float]
-"""Name of the number or density, norm, distance, error of the distance, and its band."""
+"""Name of the number or density, norm, distance, its uncertainty, and the allowed distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """The answer of a route to a question and the seconds that it took."""
+    """The answer of a route to a question, and its computing time in ``seconds``."""
 
     route: Route
     answer: Passage | Transient
@@ -54,7 +53,7 @@ class Given:
 
     @property
     def words(self) -> str:
-        """The theory and what solved its equation, which may differ from that of densities."""
+        """The theory and the solver of this answer; densities may come from another solver."""
         solved_by = self.answer.settings.get("solved_by")
         return f"{self.route.name}, {solved_by}" if solved_by else self.route.words
 
@@ -63,10 +62,9 @@ class Given:
 class Replies:
     """The answers of all routes to one question, and the routes that give none.
 
-    Of a transient, ``points`` (points,) are those of all its densities, ascending, and ``windows``
-    holds for each time the indices of the points at which its density is compared and drawn; no
-    windows where no route says where the density is large. ``notes`` say in words which default
-    tolerances were missed.
+    ``points`` (points,) ascend; all densities of a transient are given there. ``windows`` holds for
+    each time the indices of the points at which the density is compared and drawn; it is empty if
+    no route says where the density is large. ``notes`` name missed default tolerances.
     """
 
     question: Question
@@ -79,17 +77,17 @@ class Replies:
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
-        """The distances of all pairs of routes, but for pairs of two different theories."""
+        """The differences of all pairs of routes, except of two different averaged theories."""
         rows: list[Comparison] = []
         solved = {g.route.method for g in self.given if not g.route.sampled}
         for a, b in combinations(self.given, 2):
             kind = what_is_measured(a.route, b.route, averaging_is_exact=False)
             if kind == "averaging" and "full" not in (a.route.solves, b.route.solves):
                 continue
-            if b.route.solves == "averaged":  # the full system is what others are held against
+            if b.route.solves == "averaged":  # differences are relative to the full system
                 a, b = b, a
             if kind == "averaging" and a.route.sampled and a.route.method in solved:
-                continue  # a solution of the same equation says it better
+                continue  # a solution of the same equation is more accurate
             uncertified = tuple(g.route for g in (a, b) if not g.answer.certificate.certified)
             judged = kind != "averaging"
             if isinstance(a.answer, Passage) and isinstance(b.answer, Passage):
@@ -100,14 +98,10 @@ class Replies:
                 distances = density_distances(*of, judged)
             for name, norm, distance, error, band in distances:
                 if judged and not np.isfinite(band):
-                    continue  # nothing is stated: the answer is not certified
-                allowed = band if judged else None
-                words = f"{self.question.name}: {name}"
-                rows.append(
-                    Comparison(
-                        words, a.route, b.route, kind, distance, allowed, error, uncertified, norm
-                    )
-                )
+                    continue  # no error is stated: the answer is not certified
+                words, allowed = f"{self.question.name}: {name}", band if judged else None
+                own = words, a.route, b.route, kind, distance, allowed, error, uncertified, norm
+                rows.append(Comparison(*own))
         return tuple(rows)
 
     @property
@@ -128,17 +122,17 @@ class Replies:
 
 
 def failure_of(p: Passage) -> tuple[Array, Array]:
-    """Return P(T <= t) and its error, as the method gives them or else by 1 − P(T > t)."""
+    """Return P(T <= t) and its error, by the method itself or as 1 − P(T > t)."""
     if p.failure is not None and p.failure_error is not None:
         return p.failure, p.failure_error
     return 1.0 - p.survival, p.survival_error
 
 
 def passage_distances(a: Passage, b: Passage, judged: bool) -> Iterator[Distance]:
-    """Yield the distances of mean time, failure rate, P(T <= t) and P(T > t), of what both know.
+    """Yield the differences of mean time, failure rate, P(T <= t) and P(T > t), if both give them.
 
-    ``judged``: whether the distance at the time that fills most of its band is wanted, else the
-    largest distance.
+    ``judged``: of all times the difference that is largest in units of its band is given, else the
+    largest difference.
     """
     sampled = [p.error_kind == "sampling" for p in (a, b)]
     both = [("mean time", a.mean, b.mean)]
@@ -146,8 +140,8 @@ def passage_distances(a: Passage, b: Passage, judged: bool) -> Iterator[Distance
         both.append(("failure rate", a.rate, b.rate))
     for name, x, y in both:
         values, errors = np.array([x.value, y.value]), np.array([x.error, y.error])
-        # Not a number fails the comparison, too.
-        if np.all(errors <= MOST_ERROR * np.abs(values)) and np.all(np.isfinite(values)):
+        # False for NaN, too.
+        if np.all(errors <= COMPARABLE * np.abs(values)) and np.all(np.isfinite(values)):
             band, error = (v / abs(y.value) for v in _band(errors, sampled, 1))
             yield name, "relative", abs(x.value - y.value) / abs(y.value), error, band + ROUND_OFF
     if not a.times.size:
@@ -160,17 +154,17 @@ def passage_distances(a: Passage, b: Passage, judged: bool) -> Iterator[Distance
 
 
 def _survivals(a: Passage, b: Passage) -> list[tuple[Array, Array]]:
-    """P(T > t) of both with errors; of a sample at least those by what a solution expects.
+    """P(T > t) and standard errors of both; a sample's error is at least binomial by a solution.
 
-    Of few failures the sample itself does not know how many might have been.
+    A sample with few failures underestimates its own standard error.
     """
     pairs = [(p.survival, p.survival_error) for p in (a, b)]
     if (a.error_kind == "sampling") != (b.error_kind == "sampling"):
         own = int(b.error_kind == "sampling")
         S, error = pairs[own]
         expected = np.clip(pairs[1 - own][0], 0.0, 1.0)
-        # S(1 − S)/paths is the square of the error, or the error one path where none or all failed.
-        sure = (error > 0.0) & (error < inf)  # not at the start, which all survive, nor unknown
+        # error² = S(1 − S)/paths; if no path or every path failed, error = 1/paths.
+        sure = (error > 0.0) & (error < inf)  # not at the start, nor unknown
         square = np.where((S > 0.0) & (S < 1.0), S * (1.0 - S), error)
         paths = np.max(square[sure] / error[sure] ** 2, initial=1.0)
         pairs[own] = S, np.maximum(error, np.sqrt(expected * (1.0 - expected) / paths))
@@ -185,12 +179,15 @@ def _worst(
     norm: Norm,
     judged: bool,
 ) -> Iterator[Distance]:
-    """Yield the largest of the distances at the times, in units of their bands where judged."""
+    """Yield the largest of the differences at ``times``, in units of their bands if ``judged``.
+
+    ``pair`` has the values and errors (times,) of both answers.
+    """
     a, b = pair
     unit = np.abs(b[0]) if norm == "relative" else np.ones(times.size)
     known = (unit > 0.0) & (a[1] <= LARGEST_ERROR) & (b[1] <= LARGEST_ERROR)
     if norm == "relative":
-        known &= (a[1] <= MOST_ERROR * np.abs(a[0])) & (b[1] <= MOST_ERROR * unit)
+        known &= (a[1] <= COMPARABLE * np.abs(a[0])) & (b[1] <= COMPARABLE * unit)
     if not known.any():
         return
     band, error = _band(np.array([a[1], b[1]])[:, known], sampled, int(np.count_nonzero(known)))
@@ -201,10 +198,10 @@ def _worst(
 
 
 def _band(errors: Any, sampled: Sequence[bool], count: int) -> tuple[Any, Any]:
-    """The band of a difference, ``count`` of which are judged together, and its own error.
+    """The band of each of ``count`` differences judged together, and its standard uncertainty.
 
-    Stated errors add up; standard errors add in squares, and Student's t by ``BATCHES`` says how
-    many of them a false alarm takes (Bonferroni).
+    ``errors`` of the two answers; errors of solvers add up. Standard errors (``sampled``) add in
+    squares; the band has as many of them as Student's t for ``BATCHES`` asks (Bonferroni).
     """
     chance = np.sqrt(sum(e**2 for e, s in zip(errors, sampled, strict=True) if s) + 0.0)
     stated = sum(e for e, s in zip(errors, sampled, strict=True) if not s) + 0.0
@@ -215,10 +212,10 @@ def _band(errors: Any, sampled: Sequence[bool], count: int) -> tuple[Any, Any]:
 def density_distances(
     a: Transient, b: Transient, points: Array, windows: Sequence[Any], judged: bool
 ) -> Iterator[Distance]:
-    """Yield the largest L1 distance over its window of all times, as ``_worst`` does.
+    """Yield the largest L1 distance of all times, each over its window, as ``_worst`` does.
 
-    By the trapezoidal rule, of distance and band alike. By chance each |deviation| has the mean
-    √(2/π) of its standard error and the variance 1 − 2/π of its square.
+    ``points`` (points,) and ``windows`` as in ``Replies``. Trapezoidal rule for the distance and
+    its band. A normal deviation has the mean modulus √(2/π) σ with the variance (1 − 2/π) σ².
     """
     if not windows:
         return

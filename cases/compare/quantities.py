@@ -1,8 +1,8 @@
-"""Engineering quantities of the answers: moments, quantiles, what a stop feels; and their judging.
+"""Engineering quantities of the answers and their comparison: moments, quantiles, impacts, forces.
 
-Each follows from one density (an upcrossing rate from that of displacement and momentum, by Rice's
-formula), so that it comes in the same way from every route. Two routes are judged as two densities
-are, see ``compare``.
+Each follows from one density (an impact rate from the joint density of displacement and momentum,
+by Rice's formula), in the same way for every route. Two routes are judged like two densities, see
+``compare``.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,12 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from cases.compare.compare import ROUND_OFF, Comparison, discrepancies, measured_between
-from cases.compare.quantity import (
-    UPCROSSING,
-    Definition,
-    shown_of,
-)
+from cases.compare.compare import ROUND_OFF, Comparison, discrepancies, what_is_measured
+from cases.compare.quantity import UPCROSSING, Definition, definitions_of
 from fpk.answer.density import AnyDensity, Density
 from fpk.answer.dynamics import upcrossings
 from fpk.answer.method import Result, Route, silent
@@ -36,9 +32,9 @@ class Quantity:
     """A number that follows from the density of ``observable`` by ``route``, with its error.
 
     ``quantity`` is its name in tables, as ``contact probability, left stop``, and ``name`` the one
-    that ``fpk.sweep`` takes, as ``contact_probability(1,left)``. ``reach`` is how far it may be
-    from the truth: by numerics its error, by chance what is exceeded in ``FALSE_ALARMS`` by any of
-    the quantities of the observable. ::
+    that ``fpk.sweep`` takes, as ``contact_probability(1,left)``. ``reach`` bounds the distance to
+    the truth: by numerics the stated error, by chance the quantile that any quantity of the
+    observable exceeds at the rate ``FALSE_ALARMS``. ::
 
         for x in fpk.solve(system, ["q2"], methods=["integrable"]).quantities:
             print(x.observable, x.quantity, x.route.label, x.number.value, x.number.error)
@@ -53,33 +49,34 @@ class Quantity:
 
     @property
     def observable(self) -> str:
-        """The name of what it is a quantity of, such as ``q2``."""
+        """The name of the observable, such as ``q2``."""
         return observable_name(self.definition.observable)
 
     @property
     def label(self) -> str:
-        """The name in tables for readers: of impacts, and of levels with their side."""
+        """The name in tables: an impact rate by this name, a level with its coordinate."""
         if self.definition.kind == "exceedance":
             return self.quantity.replace("probability above", f"probability of {self.observable} >")
         return self.quantity.replace("upcrossing rate", "impact rate")
 
     @property
     def name(self) -> str:
-        """The name that a user writes, such as ``rms(q2)``."""
+        """The name that ``fpk sweep`` takes, such as ``rms(q2)``."""
         return str(self.definition)
 
 
 def quantities_of(
     system: System, results: Sequence[Result], exceedance: Sequence[Level] = ()
 ) -> tuple[Quantity, ...]:
-    """Return the quantities of every density: those of ``shown_of``, by observable and route.
+    """Return the quantities ``definitions_of`` every density, by observable and route.
 
-    Routes are in the order of ``Answers.densities``. The upcrossing rate of the position of a stop
-    is that of impacts.
+    Routes are in the order of ``Answers.densities``. ``exceedance``: levels a of P(X > a).
     """
     rows = [row for result in results for row in _rows(system, result, exceedance)]
     observables = list(dict.fromkeys(q.definition.observable for q in rows))
-    order = [definition for o in observables for definition in shown_of(system, o, exceedance)]
+    order = [
+        definition for o in observables for definition in definitions_of(system, o, exceedance)
+    ]
 
     def place(q: Quantity) -> tuple[int, bool, bool]:
         return order.index(q.definition), q.route.sampled, q.route.solves != "full"
@@ -90,10 +87,10 @@ def quantities_of(
 def compared_quantities(
     results: Sequence[Result], quantities: Sequence[Quantity], *, averaging_is_exact: bool
 ) -> tuple[Comparison, ...]:
-    """Return the comparisons of all pairs of routes in every quantity both give.
+    """Return the comparisons of all pairs of routes in every quantity that both give.
 
-    A ``band`` is the sum of what either may be off; None where averaging makes the difference, or
-    where a sample is too small to say how far chance may reach.
+    The ``band`` is the sum of both ``reach``; None for averaging errors, and if a sample is too
+    small to bound its error.
     """
     by_route = {r.method.route: r for r in results}
     comparisons = []
@@ -104,21 +101,19 @@ def compared_quantities(
         if not isfinite(difference):
             continue
         of = by_route[a.route], by_route[b.route]
-        measures = measured_between(*of, averaging_is_exact=averaging_is_exact)
+        exact = averaging_is_exact and not any(r.neglected for r in of)
+        measures = what_is_measured(a.route, b.route, averaging_is_exact=exact)
         band = a.reach + b.reach
-        comparisons.append(
-            Comparison(
-                f"{a.observable}: {a.quantity}",
-                a.route,
-                b.route,
-                measures,
-                difference,
-                band if measures != "averaging" and isfinite(band) else None,
-                a.number.error + b.number.error,
-                tuple(r.method.route for r in of if not _certified(r, a.observable)),
-                norm="absolute",
-            )
+        allowed = band if measures != "averaging" and isfinite(band) else None
+        uncertified = tuple(
+            r.method.route
+            for r in of
+            for d in r.densities
+            if d.name == a.observable and not d.certificate.certified
         )
+        names, error = f"{a.observable}: {a.quantity}", a.number.error + b.number.error
+        own = names, a.route, b.route, measures, difference, allowed, error, uncertified
+        comparisons.append(Comparison(*own, norm="absolute"))
     return tuple(comparisons)
 
 
@@ -127,7 +122,7 @@ def quantity_discrepancies(
 ) -> tuple[str, ...]:
     """Return in words the worst difference of each two routes in the quantities of an observable.
 
-    Where the comparison of the ``densities`` themselves fails, that has been said.
+    Pairs of routes whose ``densities`` already fail their comparison are left out.
     """
     said = {(c.observable, c.a, c.b) for c in densities if not c.holds}
     worst: dict[tuple[str, Route, Route], Comparison] = {}
@@ -138,15 +133,11 @@ def quantity_discrepancies(
     return discrepancies(quantities, list(worst.values()))
 
 
-def _certified(result: Result, name: str) -> bool:
-    return all(d.certificate.certified for d in result.densities if d.name == name)
-
-
 def _rows(system: System, result: Result, exceedance: Sequence[Level]) -> Iterator[Quantity]:
-    """The quantities by one route: of each density, then the rates at stops."""
+    """The quantities by one route: first of each density, then the impact rates."""
     route = result.method.route
     for density in result.densities:
-        definitions = shown_of(system, density.observable, exceedance)
+        definitions = definitions_of(system, density.observable, exceedance)
         for definition in definitions:
             if definition.kind != UPCROSSING:
                 number, words = definition.of(density, system), definition.words(system)
@@ -156,16 +147,16 @@ def _rows(system: System, result: Result, exceedance: Sequence[Level]) -> Iterat
     for row in system.contact_masses:
         q, p = Coordinate("q", row), Coordinate("p", row)
         if {(q,), (q, p)} & observed:
-            yield from _rates(system, result, q, p, len(shown_of(system, (q,), exceedance)))
+            yield from _rates(system, result, q, p, len(definitions_of(system, (q,), exceedance)))
 
 
 def _rates(
     system: System, result: Result, q: Coordinate, p: Coordinate, count: int
 ) -> Iterator[Quantity]:
-    """The upcrossing rates of all stops of the mass of ``q``, among ``count`` quantities of it."""
+    """The impact rates of all stops of the mass of ``q``, which has ``count`` quantities."""
     method: Any = result.method
     route = method.route
-    definitions = [d for d in shown_of(system, (q,)) if d.kind == UPCROSSING]
+    definitions = [d for d in definitions_of(system, (q,)) if d.kind == UPCROSSING]
     at = np.array([level for d in definitions for level in d.levels(system)])
     known = {d.observable: d for d in (*result.densities, *result.beside)}
     joint = known.get((q, p))
@@ -189,11 +180,11 @@ def _rates(
 
 
 def _reach(definition: Definition, density: AnyDensity, number: Number, count: int) -> float:
-    """How far a number of ``density`` may be from the truth, see ``reach_of``."""
+    """Bound of the error of one of ``count`` numbers of ``density``, see ``reach_of``."""
     kind, p = definition.kind, definition.at
     sampled = isinstance(density, SampledDensity) and isfinite(number.value)
     if kind == "quantile" and p is not None and sampled:
-        # By chance a quantile may be off by that of p plus and minus what its share may be.
+        # The quantile lies between the quantiles of p − reach and p + reach of the probability.
         share = density.cdf(number.value) if p <= 0.5 else density.exceedance(number.value)
         reach = reach_of(density, share, 0.0, count)
         ends = [p - reach, p + reach]
@@ -203,22 +194,22 @@ def _reach(definition: Definition, density: AnyDensity, number: Number, count: i
     size = {"skewness": 1.0, "correlation": 1.0}.get(kind, 0.0)
     if kind == "mean":
         size = density.std().value
-    if kind == "covariance":  # what it would be of coordinates in proportion to each other
+    if kind == "covariance":  # its value at correlation 1
         correlation = density.correlation().value
         size = abs(number.value / correlation) if correlation else number.error
     return reach_of(density, number, size, count)
 
 
 def reach_of(density: AnyDensity, number: Number, size: float, count: int) -> float:
-    """Return how far ``number``, which follows from ``density``, may be from the truth.
+    """Return a bound of the error of ``number``, which follows from ``density``.
 
-    By chance: Student's t of the batches, and Bernstein's term for a number of about ``size`` that
-    rests on few independent samples. ``count`` quantities share the rate ``FALSE_ALARMS``.
+    For a sample: Student's t of the batches, and Bernstein's term for a number of the order of
+    ``size`` from few independent samples. ``count`` quantities share the rate ``FALSE_ALARMS``.
     """
     value, error = abs(number.value), number.error
     if isinstance(density, Density):
         return error + ROUND_OFF * value
-    if error == 0.0:  # of a stop beyond all samples: nothing was seen, and nothing is known
+    if error == 0.0:  # a stop beyond all samples: nothing is known
         return np.inf
     z = -float(stdtrit(density.batch_values.shape[0] - 1, FALSE_ALARMS / (2 * count)))
     return z * error + 2.0 * (z * error) ** 2 / max(value, size, error)

@@ -1,7 +1,7 @@
-"""Quantities by name, such as ``rms(q2)`` and ``failure_rate(H=1.5)``: read, never evaluated.
+"""Quantities by name, such as ``rms(q2)`` and ``failure_rate(H=1.5)``: parsed, never evaluated.
 
-Here each is defined once: how it is written, what it follows from, and its number. A run shows
-those of ``shown_of`` for each density, a sweep gives any.
+Each is defined here once: its name, the density or answer it follows from, and its number. A run
+shows the ``definitions_of`` each density, a sweep gives any.
 """
 
 import re
@@ -36,12 +36,11 @@ AT_NUMBER = ("quantile", "exceedance", "cdf")
 QUANTILES = {"quantile 1 %": 0.01, "median": 0.5, "quantile 99 %": 0.99}
 """Quantiles that a run shows, by their names there."""
 UPCROSSING = "upcrossing_rate"
-CONTACT = ("contact_probability", "mean_overlap", "overlap_in_contact", "mean_force",
-           "force_in_contact")  # fmt: skip
-"""Numbers of ``contact_quantities``."""
-AT_STOP = (CONTACT[0], UPCROSSING, *CONTACT[1:])
-"""Numbers of one stop, in the order of the tables of a run; the upcrossing rate of its position is
-that of impacts."""
+AT_STOP = (
+    *("contact_probability", UPCROSSING, "mean_overlap", "overlap_in_contact"),
+    *("mean_force", "force_in_contact"),
+)
+"""Numbers of one stop in the order of the tables; its impact rate is ``UPCROSSING``."""
 PASSAGE = {"failure_rate": "rate", "mean_passage": "mean"}
 """Numbers of a ``Passage`` from rest."""
 RELAXATION = "relaxation_rate"
@@ -62,10 +61,10 @@ FORMS = (
 class Definition:
     """A quantity such as ``quantile(q2,0.99)``: ``kind`` stands before the parenthesis.
 
-    ``observable`` is the coordinate or pair whose stationary motion it is a number of, and ``at`` a
-    probability, a level, or which of the relaxation rates, from 1. ``contact`` counts the contacts
-    from 0, ``side`` names one of its stops, and is empty for both. ``limit`` is that of a first
-    passage from rest. What a kind does not need is empty or None.
+    ``observable`` is the coordinate or pair, and ``at`` a probability, a level, or the number of a
+    relaxation rate, from 1. ``contact`` counts the contacts from 0, ``side`` names one of its
+    stops, empty for both. ``limit``: of a first passage from rest. Fields that a kind does not need
+    are empty or None.
     """
 
     kind: str
@@ -87,7 +86,8 @@ class Definition:
     @property
     def of_density(self) -> bool:
         """Whether the number follows from the density of ``observable``."""
-        return self.kind in (*PLAIN, *PAIR, *AT_NUMBER, *CONTACT)
+        kinds = {*PLAIN, *PAIR, *AT_NUMBER, *AT_STOP} - {UPCROSSING}
+        return self.kind in kinds
 
     def words(self, system: System) -> str:
         """Return the name in tables of a run, such as ``contact probability, left stop``."""
@@ -105,14 +105,14 @@ class Definition:
         return f"{words}, {stop.side} stop{where}"
 
     def stops(self, system: System) -> tuple[Contact, ...]:
-        """Return the one-sided stops of the contact that it is about, none without."""
+        """Return the one-sided stops of the contact, none without a contact."""
         if self.contact is None:
             return ()
         sides = system.contacts[self.contact].one_sided()
         return tuple(stop for stop in sides if self.side in ("", stop.side))
 
     def levels(self, system: System) -> tuple[float, ...]:
-        """Return the displacements whose upcrossings are counted: ``at``, or those of the stops."""
+        """Return the displacements of the upcrossings: ``at``, or the stops' positions."""
         if self.at is not None:
             return (self.at,)
         return tuple(stop.sign * stop.clearance for stop in self.stops(system))
@@ -120,7 +120,7 @@ class Definition:
     def of(self, density: AnyDensity, system: System) -> Number:
         """Return the number of a stationary density of ``observable``.
 
-        What both sides of a contact feel is added up, as are its errors.
+        Numbers and errors of both sides of a contact are added.
         """
         if self.contact is None:
             number: Number = getattr(density, self.kind)(*(() if self.at is None else (self.at,)))
@@ -137,13 +137,12 @@ class Definition:
     def failures(
         self, number: Number, density: AnyDensity | None, system: System
     ) -> tuple[str, ...]:
-        """Return why ``number``, of a certified answer, is not certified itself: no reason, or one.
+        """Return why ``number`` of a certified answer is not certified itself: none or one reason.
 
-        A failure rate, a time or a force has no bound but its own size: an error beyond it says
-        nothing. A force that is zero but for rounding is known beside those of the springs. Other
-        quantities are of the size of a probability, of the displacement or of its frequency, to
-        which the certificate of their answer bounds their errors. ``density`` is None where the
-        number follows from none.
+        The error of a failure rate, a time or a force must be below its value; a force that is zero
+        up to rounding is certified if its error is small beside the forces of the springs. The
+        errors of other quantities are bounded by the certificate of the answer. ``density``: the
+        density from which the number follows, None if from none.
         """
         force = 0.0
         if self.kind not in PASSAGE:
@@ -157,17 +156,17 @@ class Definition:
 
 
 def total(numbers: Sequence[Number]) -> Number:
-    """Return the sum of ``numbers``; errors are added, as they may be of one sign."""
+    """Return the sum of ``numbers``; errors are added, as they may have the same sign."""
     return Number(sum(x.value for x in numbers), sum(x.error for x in numbers))
 
 
-def shown_of(
+def definitions_of(
     system: System, observable: Observable, exceedance: Sequence[Level] = ()
 ) -> tuple[Definition, ...]:
-    """Return what a run shows of ``observable``, in this order.
+    """Return the quantities of ``observable`` that a run shows, in the order of its tables.
 
-    Of a coordinate: ``MOMENTS``, ``QUANTILES`` and the ``exceedance`` of its levels among these; of
-    a displacement besides, for every stop of its mass, ``AT_STOP``. Of a pair: ``PAIR``.
+    For a coordinate: ``MOMENTS``, ``QUANTILES``, and P(X > a) of its levels in ``exceedance``; for
+    a displacement also ``AT_STOP`` of every stop of its mass. For a pair: ``PAIR``.
     """
     if len(observable) > 1:
         return tuple(Definition(kind, observable) for kind in PAIR)

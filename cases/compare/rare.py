@@ -25,29 +25,26 @@ from sim.questions.splitting.run import Splitting, rare_failure
 SPLITTING = Route(
     "splitting", "splitting", "splitting", "(6)", "full", True, "#b50c01", make=MonteCarlo
 )
-"""The route that takes the place of the plain simulation; it gives no densities."""
+"""The route that replaces a plain simulation; it gives no densities."""
 
 ALIVE = 0.1
-"""Share of the paths alive at the last time below which a simulation that ends there is the answer:
-its moments are continued by the failure rate."""
+"""Largest share of surviving paths at the last time for which a simulation up to there is the
+answer; its moments are continued by the failure rate."""
 
 REPLICAS, REPETITIONS = 256, 8
-"""Replicas of a run of splitting, and independent runs: in some seconds they give a probability of
-1e-9 to 20 %."""
+"""Replicas of a run of splitting, and independent runs: 1e-9 to 20 % in some seconds."""
 
 MORE_REPLICAS = 512
-"""Replicas of a run of splitting for which a relative error is asked: with fewer, the independent
-runs scatter too much for the error of a probability below 1e-10 to be known."""
+"""Replicas of a run of splitting to a given relative error; with fewer, the error of a probability
+below 1e-10 cannot be estimated from the independent runs."""
 
-ERROR = 0.2
-"""Relative error of P(T <= t) that is aimed at, where a simulation is left to splitting."""
+AIM, MOST_ERROR = 0.2, 0.5
+"""Relative errors of P(T <= t): the aim of splitting in place of a simulation, and the largest that
+is certified."""
 
-MOST_ERROR = 0.5
-"""Relative error of a probability above which it is not certified."""
-
-TOL, LEAST = 1e-4, 1e-12
-"""Tolerance of the averaged probability of failure as a score, and its least value, from rest at
-the last time, for which it is used: as one minus the reliability it has no digits below 1e-12."""
+SCORE_TOL, LEAST_SCORE = 1e-4, 1e-12
+"""Tolerance of the averaged failure probability as a score, and its smallest useful value from rest
+at the last time: it is computed as 1 − reliability, which has no digits below 1e-12."""
 
 
 def passage_answer(
@@ -58,20 +55,20 @@ def passage_answer(
     tol: float | None,
     progress: Progress,
 ) -> Passage:
-    """Return the first passage by ``method``, or by splitting where it would see few failures.
+    """Return the first passage by ``method``, or by splitting if a simulation sees few failures.
 
     A plain simulation of the full system first runs to the last time of ``question``. By the share
-    of its paths that have failed then,
+    of failed paths at that time,
 
-    - splitting answers where, in all the time for which ``method`` may follow them, fewer than
-      ``LEAST_FAILURES`` are expected to fail;
-    - this first run is the answer where fewer than ``ALIVE`` live on and it is certified, unless
-      ``tol`` is given;
+    - splitting answers if fewer than ``LEAST_FAILURES`` paths are expected to fail within the
+      longest time of ``method``;
+    - this first run is the answer if a share below ``ALIVE`` survives, it is certified, and ``tol``
+      is None;
     - else ``method`` itself is run, from the start.
 
-    The last holds at once of other methods, without times > 0, under modulated noise, and with
-    ``method.seconds``, which splitting does not keep to. ``tol`` is the relative error wanted of
-    the mean, of splitting that of P(T <= t).
+    Other methods run at once, and so does a simulation without times > 0, under modulated noise, or
+    with ``method.seconds``, to which splitting does not keep. ``tol``: relative error wanted of the
+    mean, for splitting of P(T <= t).
     """
     times = np.array(question.times)
     asked = system, question.limit, question.start, times
@@ -83,7 +80,7 @@ def passage_answer(
         failed = (1.0 - float(first.survival[-1])) * method.paths
         longest = horizon(method, float(first.settings["coarse dt"]), last)
         if failed * longest / last < LEAST_FAILURES:
-            settings = splitting_of(method, replicas=MORE_REPLICAS, tol=tolerance(tol, ERROR))
+            settings = splitting_of(method, replicas=MORE_REPLICAS, tol=tolerance(tol, AIM))
             answer = split_passage(system, question, settings, tol=tol, progress=progress)
             words = f"splitting: of {method.paths} plain paths {failed:.0f} pass by t = {last:g}"
             return replace(answer, settings={"sampled_by": words, **answer.settings})
@@ -94,7 +91,10 @@ def passage_answer(
 
 
 def splitting_of(method: MonteCarlo, **settings: Any) -> Splitting:
-    """Return ``settings`` of splitting with step, seed, threads, cluster, seconds of ``method``."""
+    """Return splitting with step, seed, threads, cluster and seconds of ``method``.
+
+    ``settings`` are further fields, which take precedence.
+    """
     own = {name: getattr(method, name) for name in ("dt", "seed", "threads", "cluster")}
     own |= {"seconds": method.seconds} if method.seconds else {}
     return Splitting(**{"replicas": REPLICAS, "repetitions": REPETITIONS, **own, **settings})
@@ -108,14 +108,13 @@ def split_passage(
     tol: float | None = None,
     progress: Progress,
 ) -> Passage:
-    """Return P(T <= t) at each of the times > 0 of ``question``, by a splitting of its own.
+    """Return P(T <= t) at the times > 0 of ``question``, each by an independent splitting.
 
-    No relative error of P(T <= t) above ``MOST_ERROR`` is certified, nor one above ``tol`` where it
-    is given; ``settings.tol`` is the one aimed at. The score is that of ``averaged_score``, or
-    least action where there is none. The moments and the failure rate, that for t → ∞, are not
-    given.
+    A relative error of P(T <= t) above ``MOST_ERROR`` or above ``tol`` is not certified;
+    ``settings.tol`` is the error aimed at. The score is ``averaged_score``, or least action if it
+    is None. Moments and the failure rate, which is defined for t → ∞, are not given.
 
-    Raises ``NotApplicable`` where no time is > 0.
+    Raises ``NotApplicable`` if no time is > 0.
     """
     times = np.array(question.times)
     failure, errors = np.zeros((2, times.size))
@@ -158,10 +157,10 @@ def split_passage(
 
 
 def averaged_score(system: System, question: PassageQuestion) -> ScoreFunction | None:
-    """Return ln P(failure | energy, time left) of the averaged energy, Eq. (24).
+    """Return ln P(failure | energy, remaining time) of the averaged energy, Eq. (24).
 
-    None where the limit is not one of H, or failure from rest by the last time is less probable
-    than ``LEAST``.
+    None for a limit of another quantity than H, and if P(failure) from rest by the last time is
+    below ``LEAST_SCORE``.
     """
     if question.limit.kind != "H":
         return None
@@ -172,13 +171,13 @@ def averaged_score(system: System, question: PassageQuestion) -> ScoreFunction |
     limit, last = question.limit.value, np.array([question.times[-1]])
 
     def score(energies: Array, times: Array) -> Array:
-        failure, _ = chain_first_passage(process, limit, times=times, tol=TOL).failure(
+        failure, _ = chain_first_passage(process, limit, times=times, tol=SCORE_TOL).failure(
             times, energies
         )
         return np.asarray(np.log(np.maximum(failure, 1e-300)))
 
     try:
         at_rest = float(score(np.zeros(1), last)[0, 0])
-    except InvalidInput:  # a limit beyond what double precision reaches
+    except InvalidInput:  # a limit out of reach of double precision
         return None
-    return score if at_rest > np.log(LEAST) else None
+    return score if at_rest > np.log(LEAST_SCORE) else None

@@ -1,4 +1,4 @@
-"""The methods that the command line asks for, made from the registry of routes."""
+"""The methods of the command line, made from the registry of routes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -16,20 +16,20 @@ ROUTE_MODULES = {
     "integrable": ("averaging.integrable", "cases.compare.averaged"),
     "montecarlo": ("sim.montecarlo",),
 }
-"""The modules of the program's own methods; each registers its routes when it is imported."""
+"""The modules of each method of the program; importing one registers its routes."""
 
 
 def register_routes(method: str | None = None) -> None:
-    """Import the modules of one of the program's methods, those of all where it is none of them."""
+    """Import the modules of ``method``, or of all methods if it is none of the program's own."""
     for name in [method] if method in ROUTE_MODULES else ROUTE_MODULES:
         for module in ROUTE_MODULES[name]:
             import_module(module)
 
 
 def listed_routes() -> tuple[Route, ...]:
-    """Return all routes: quick ones, slow ones, and last those that sample.
+    """Return all routes: first quick, then slow, then sampling ones.
 
-    In each the full system precedes averaged equations.
+    In each group routes of the full system precede averaged ones.
     """
     register_routes()
     names = list(dict.fromkeys([*ROUTE_MODULES, *(method for method, _ in ROUTES)]))
@@ -38,9 +38,10 @@ def listed_routes() -> tuple[Route, ...]:
 
 
 def method_for(name: str, solver: str | None = None, **settings: Any) -> Method:
-    """Return the method ``name`` by ``solver`` (None: its default) with the settings it has.
+    """Return the method ``name`` by ``solver`` (None: its default).
 
-    A setting that is None is left to the method. Raises ``InvalidInput`` for names of no route.
+    Of the ``settings`` those that are fields of the method and not None are set. Raises
+    ``InvalidInput`` for names of no route.
     """
     return methods_of(name, solver, **settings)[0]
 
@@ -48,7 +49,7 @@ def method_for(name: str, solver: str | None = None, **settings: Any) -> Method:
 def methods_of(name: str, solver: str | None = None, **settings: Any) -> tuple[Method, ...]:
     """Return the method ``name`` by ``solver``, or by each of its solvers, its default first.
 
-    Those that are taken only where they are named are left out of the latter.
+    Without ``solver``, routes that must be named are left out. Raises as ``method_for``.
     """
     register_routes(name)
     choices = [ROUTES[name, each] for each in solvers_of(name)]
@@ -66,12 +67,10 @@ def methods_of(name: str, solver: str | None = None, **settings: Any) -> tuple[M
 def all_methods(
     *, tol: float | None = None, named: Sequence[str] = (), **settings: Any
 ) -> tuple[Method, ...]:
-    """Return every route with the settings that it has; ``tol`` is for deterministic ones only.
+    """Return every route with its ``settings``, solvers with the tolerance ``tol``.
 
-    Routes that are taken only where they are named are those whose solver or label is in ``named``.
-
-    A simulation has its own tolerance: a digit that takes a solver a millisecond takes sampling a
-    hundred times as long.
+    A route that must be named is returned only if its solver or label is in ``named``. Simulations
+    do not get ``tol``: a digit more costs them a hundred times the time.
     """
     return tuple(
         _made(route, settings if route.sampled else {**settings, "tol": tol})
@@ -83,10 +82,10 @@ def all_methods(
 def chosen_methods(
     methods: Sequence[Method], names: Sequence[str], *, simulation: bool
 ) -> tuple[Method, ...]:
-    """Return those of ``methods`` that ``names`` have, as method or method/solver; no name: all.
+    """Return the ``methods`` with one of the ``names``, method or method/solver; no name: all.
 
-    Without ``simulation`` none that samples. Raises ``InvalidInput`` for a name of none, and where
-    nothing is left.
+    ``simulation`` False leaves out methods that sample. Raises ``InvalidInput`` for an unknown
+    name, and if no method remains.
     """
     wanted = {m.route for name in names for m in methods_of(*name.split("/", 1))}
     chosen = [m for m in methods if not names or m.route in wanted]

@@ -22,7 +22,7 @@ from fpk.system.system import System
 
 
 def joint_at_stops(system: System, observables: Sequence[Observable]) -> list[Observable]:
-    """Return the pairs (q, p), not observed, of masses at stops with q observed: for rates."""
+    """Return the unobserved pairs (q, p) of masses at stops with q observed, for impact rates."""
     touching = [Coordinate("q", i) for i in system.contact_masses]
     pairs = [(q, Coordinate("p", q.row)) for q in touching if (q,) in observables]
     return [pair for pair in pairs if pair not in observables]
@@ -42,11 +42,11 @@ def answers_of(
 ) -> Answers:
     """Return the answers of ``methods``, each for the observables that it gives.
 
-    ``share``: no method was named, and each is taken as its ``unasked`` says with this share of the
-    work; None: they were named. ``partial``: Ctrl-C ends the work with the answers that there are
-    by then. ``relax``: tolerances are defaults that nobody asked for; an answer that misses its own
-    is solved for again as ``loosened`` says, with a note. ``rates``: joint densities that crossing
-    rates of stops follow from are wanted ``beside``. ``budget``: the time of simulations.
+    ``share``: the methods were not named, and each runs as its ``unasked`` with this share of the
+    work; None: they were named. ``partial``: Ctrl-C ends the work, the answers so far are returned.
+    ``relax``: all tolerances are defaults; a missed one is ``loosened``, with a note. ``rates``:
+    the joint densities from which impact rates follow are computed ``beside``. ``budget``: wall
+    time of the simulations.
     """
     budget = budget or Budget()
     budget.begin(sum(m.route.sampled and _is_taken(m, system, share) for m in methods))
@@ -96,7 +96,7 @@ def answers_of(
 
 
 def _is_taken(method: Method, system: System, share: float | None) -> bool:
-    """Whether the method, named or unasked, is for the system."""
+    """Whether the method, named (``share`` None) or unasked, applies to the system."""
     try:
         (method if share is None else method.unasked(system, share=share)).planned(system, ())
     except NotApplicable:
@@ -112,7 +112,7 @@ def _solved(
     progress: Progress,
     rates: bool,
 ) -> Result:
-    """The answer by ``solve``, or as ``Attempts.at_default`` says."""
+    """The answer by ``solve``, at a looser tolerance if ``attempts`` relax."""
     beside = joint_at_stops(system, observables) if rates else []
     result = solve(system, observables, beside=beside)
 
@@ -131,13 +131,13 @@ def _solved(
 
 
 def _worst_error(result: Result) -> float:
-    """Largest L1 error that a solver states, 0 of samples."""
+    """Largest L1 error that a solver states, 0 for samples."""
     return max((d.l1_error for d in result.densities if isinstance(d, Density)), default=0.0)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The curves of a scene, the scene's own first, and the seconds that their answers took."""
+    """The answers for each curve of a scene, its own system first, and the computing time."""
 
     scene: Scene
     curves: tuple[Answers, ...]
@@ -145,7 +145,7 @@ class Outcome:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Every check that does not hold, in words; empty when all do."""
+        """Every check that does not hold, in words."""
         return tuple(text for curve in self.curves for text in curve.problems)
 
 
@@ -159,12 +159,12 @@ def run_scene(
     tol: float | None = None,
     save: Callable[[Outcome], object] = lambda outcome: None,
 ) -> Outcome:
-    """Return the answers of ``methods`` for every curve of ``scene``, as they are taken unasked.
+    """Return the answers of ``methods`` for every curve of ``scene``, each method ``unasked``.
 
-    ``partial`` and ``relax`` as in ``answers_of``, ``tol`` as in ``replies_of``; once one was
-    interrupted, the curves that follow are not run. The ``seconds`` of the simulations are shared
-    as ``Budget`` says. ``save`` gets the outcome so far when the
-    answers of a curve have been made, before they are compared.
+    ``partial``: Ctrl-C ends the work; later curves are not run. ``relax``: default tolerances may
+    be loosened. ``tol``: tolerance of the solvers for questions in time, None: their own. The
+    ``seconds`` of the simulations are shared by a ``Budget``. ``save`` is called with the outcome
+    so far after the answers of each curve, before they are compared.
     """
     start, share = perf_counter(), 1.0 / len(scene.curves)
     questions = 1 + len(scene.passages) + len(scene.transients)
@@ -200,6 +200,6 @@ def run_scene(
         curves.append(answers)
         save(Outcome(scene, tuple(curves), perf_counter() - start))
         progress(k - 1, len(scene.curves), "comparing")
-        _ = answers.problems  # compares, once and for all: the comparisons are cached
+        _ = answers.problems  # compares now, under the progress bar; comparisons are cached
         progress(k, len(scene.curves), "comparing")
     return Outcome(scene, tuple(curves), perf_counter() - start)

@@ -1,4 +1,4 @@
-"""Input that is refused: the one exception that the command line turns into exit status 2."""
+"""Refused input: the exception ``BadInput``, for exit status 2, and the parts of its messages."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -10,17 +10,17 @@ from typing import Any
 from fpk.numeric.errors import InvalidInput, one_line_repr
 
 LONGEST = 600
-"""Characters of a message; what is quoted in a longer one is cut out of its middle."""
+"""Largest length of a message in characters; longer messages are cut in the middle."""
 
 WIDTH = 60
-"""Characters of a value that a message quotes."""
+"""Largest length of a quoted value in characters."""
 
 
 class BadInput(ValueError):
-    """Input of a user that cannot be used; the message is one line that says how to mend it."""
+    """Input that cannot be used; the message is one line that says how to correct it."""
 
     def __init__(self, message: str) -> None:
-        """Keep ``message`` on one line of bounded length, whatever was quoted in it."""
+        """Bring ``message`` to one line of bounded length."""
         super().__init__(one_line(message))
 
 
@@ -46,11 +46,11 @@ def refused_as(key: str, value: object) -> Iterator[None]:
 
 
 def misspelt(word: str, known: Iterable[str]) -> str | None:
-    """Return the first of ``known`` that ``word`` is a misspelling of, None where there is none.
+    """Return the first of ``known`` of which ``word`` is a misspelling, None if there is none.
 
-    One letter is left out, added, replaced or swapped with the next, which are four of five
-    misspellings (Damerau 1964), of at least three letters; capitals and dashes in front count for
-    nothing. Words that begin alike are no misspellings of each other.
+    A misspelling of a word of at least three letters leaves out, adds or replaces one letter or
+    swaps two neighbours, as four of five do (Damerau 1964). Capitals and leading dashes are
+    ignored. A common beginning alone is no misspelling.
     """
     for name in known:
         a, b = (text.casefold().lstrip("-") for text in (word, name))

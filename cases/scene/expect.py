@@ -16,7 +16,7 @@ RELATIONS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
     "at_least": ("≥", ge),
     "at_most": ("≤", le),
 }
-"""How a claim gives a range of the varied number, with the sign of each."""
+"""Relations by which a claim gives a range of the varied number, with their signs."""
 
 
 class Range(NamedTuple):
@@ -27,7 +27,7 @@ class Range(NamedTuple):
 
 
 def range_of(key: str, given: Mapping[str, float]) -> Range:
-    """Return the range that a claim gives; raise ``InvalidInput`` for none or several."""
+    """Return the one range in ``given``; raise ``InvalidInput`` for ``key`` if not exactly one."""
     if len(given) != 1:
         raise InvalidInput(key, given, f"must have exactly one of {', '.join(RELATIONS)}")
     return Range(*next(iter(given.items())))
@@ -35,12 +35,12 @@ def range_of(key: str, given: Mapping[str, float]) -> Range:
 
 @dataclass(frozen=True)
 class Expect:
-    """The claims of one figure; a claim that is not made is None.
+    """The claims of one figure; None for a claim that the source does not make.
 
-    ``of`` is the density that they are about. ``better``: the first theory is nearer to the full
-    system than the second. ``acceptable``: theories whose L1 distance to the full system is small.
-    ``clearance_rule``: the integrable theory is acceptable where every clearance exceeds this many
-    rms displacements; elsewhere the converse is asked, that it is not.
+    ``of``: the density of the claims. ``better``: the first theory is nearer to the full system
+    than the second. ``acceptable``: theories whose L1 distance to the full system is small.
+    ``clearance_rule``: the integrable theory is acceptable if every clearance exceeds this many
+    rms displacements; if not, the converse is tested.
     """
 
     of: Observable
@@ -55,7 +55,7 @@ class Expect:
 def expect_of(
     table: Mapping[str, Any] | None, observables: Sequence[Observable], *, curves: int
 ) -> Expect | None:
-    """Return the claims of the table about a figure of so many ``curves``.
+    """Return the claims of the table about a figure with this number of ``curves``.
 
     Raises ``InvalidInput`` for a claim that the scene cannot test.
     """

@@ -28,8 +28,8 @@ PATH = re.compile(r"(\w+)(?:\[([0-9]{1,4})\])?\.(\w+)(?:\[([0-9]{1,4})(?:,([0-9]
 class Place:
     """Where a number stands in a ``System``.
 
-    ``field`` is an array, ``name`` then empty, or a list of records (``contacts``,
-    ``damping_terms``) that have the number ``name``. ``index`` counts from 0: (i,) is an entry of a
+    ``field`` is an array (``name`` is then empty), or a list of records (``contacts``,
+    ``damping_terms``) with the number ``name``. ``index`` counts from 0: (i,) is an entry of a
     vector or a record, (i, j) an entry of a matrix, None the whole array or all records.
     """
 
@@ -50,8 +50,8 @@ class Place:
     def powers(self, system: System) -> Powers | None:
         """Powers of length, mass and time of the number.
 
-        None where the records of a list differ in them, and for an intensity D beside noise gains,
-        whose dimension a scene does not say.
+        None if the records of a list differ in them, and for an intensity D beside noise gains,
+        whose dimension a scene does not define.
         """
         if self.factor:
             return NUMBER
@@ -83,10 +83,10 @@ def _powers_of(record: Contact | DampingTerm, name: str) -> Powers:
 def place_of(path: str, system: System) -> Place:
     """Return the place of the number that ``path`` names.
 
-    ``system.mass[2]`` and ``contact[1].clearance`` count from 1, of a matrix ``[2]`` is an entry of
-    the diagonal and ``[1,2]`` any; ``contact.stiffness`` is that of all contacts,
-    ``system.damping`` a factor of the whole matrix. ``damping_term[1]`` is the first that depends
-    on the state: constant ones are part of ``system.damping``.
+    ``system.mass[2]`` and ``contact[1].clearance`` count from 1. In a matrix ``[2]`` is an entry of
+    the diagonal, ``[1,2]`` any entry. ``contact.stiffness`` is the stiffness of all contacts,
+    ``system.damping`` a factor of the whole matrix. ``damping_term[1]`` is the first term that
+    depends on the state: constant terms are part of ``system.damping``.
 
     Raises ``InvalidInput`` with the list of all paths of the system.
     """
@@ -120,7 +120,7 @@ def _listed(system: System) -> str:
 
 
 def with_numbers(system: System, values: Mapping[str, float]) -> System:
-    """Return the system with other numbers at paths that do not overlap.
+    """Return the system with the numbers ``values``, by paths that do not overlap.
 
     Raises ``InvalidInput`` as ``place_of``, or for a number that the system cannot take.
     """
@@ -143,10 +143,11 @@ def with_numbers(system: System, values: Mapping[str, float]) -> System:
 
 @dataclass(frozen=True)
 class Curve:
-    """One curve of a figure: its label such as ``B = 10`` (empty for a lone one) and its system.
+    """One curve of a figure: its ``label``, such as ``B = 10``, and its system.
 
-    ``value`` is what is varied as one number: B, δ, the common ratio c/D, or else the trace of the
-    matrix; None for a lone curve. ``key`` is what is varied, as ``contact.stiffness``.
+    ``key`` is the varied key, as ``contact.stiffness``, and ``value`` its value as one number: B,
+    δ, the common ratio c/D, or else the trace of the matrix. A lone curve has an empty label and
+    the value None.
     """
 
     label: str
@@ -165,7 +166,7 @@ VARIED = {
 
 
 def changed(system: System, key: str, value: Any) -> System:
-    """Return the system in which ``key`` of ``VARIED`` has the value, a number or a matrix."""
+    """Return the system with another ``value``, number or matrix, of a ``key`` of ``VARIED``."""
     place = place_of(key, system)
     if place.factor:
         return replace(system, **{place.field: value})
@@ -209,7 +210,7 @@ def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> t
 
 
 def _common_ratio(system: System) -> float | None:
-    """The ratio c_i/D_i where both are diagonal and it is the same for all i."""
+    """The common ratio c_i/D_i if both are diagonal and it is the same for all i, else None."""
     c, d = system.damping, system.noise_matrix
     diagonals = np.diag(c), np.diag(d)
     if not all(map(np.array_equal, (c, d), map(np.diag, diagonals))) or not np.all(diagonals[1]):

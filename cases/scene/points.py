@@ -9,13 +9,13 @@ from cases.scene.errors import BadInput, toml_value
 from fpk.numeric.arrays import Array
 
 MAX_POINTS = 200_000
-"""More than a picture or a table can use; a typing error in a step is caught by it."""
+"""Largest number of points, beyond any table or picture; catches typing errors in a step."""
 
 
 def parse_points(text: str, axes: int, *, option: str = "at") -> tuple[Array, ...]:
-    """Return one array of points per axis, for a pair every combination of its two lists.
+    """Return an array of points for each of ``axes`` coordinates; a pair has all combinations.
 
-    Raises ``BadInput`` saying what of ``text``, given by ``option``, cannot be used.
+    Raises ``BadInput`` naming the part of ``text``, given by ``--option``, that cannot be used.
     """
     given = f"--{option} {toml_value(text)}"
     parts = [p.strip() for p in re.split(r"[x×]", text)]
@@ -28,7 +28,7 @@ def parse_points(text: str, axes: int, *, option: str = "at") -> tuple[Array, ..
 
 
 def _list(part: str, given: str) -> Array:
-    """Decimal arithmetic, so that the points are the ones that were written and reach the end."""
+    """Points of one list by decimal arithmetic: exactly the written numbers, the end included."""
     points: list[Decimal] = []
     for item in part.split(","):
         match [_number(n, given) for n in item.split(":")]:

@@ -46,10 +46,10 @@ class TransientQuestion:
 class PassageQuestion:
     """The question for the time T at which ``limit`` is first passed after ``start``.
 
-    Asked for are the moments of T, the failure rate and P(T > t) at ``times``, >= 0 and ascending.
-    The averaging error of ``theory`` in a number x is |x averaged − x full|/x full. ``rate_error``
-    is the range in which it is claimed to lie for the failure rate, ``failure_error`` for P(T <= t)
-    at that one of the times where it is largest; None where nothing is claimed.
+    Its answer has the moments of T, the failure rate and P(T > t) at ``times``, >= 0 and ascending.
+    The averaging error of ``theory`` in a number x is |x averaged − x full|/x full. ``rate_error``:
+    claimed range of the averaging error of the failure rate; ``failure_error``: of P(T <= t), at
+    the time at which it is largest; None without a claim.
     """
 
     limit: Limit
@@ -130,9 +130,9 @@ def _times(table: Mapping[str, Any]) -> tuple[float, ...]:
 
 
 def require_below(system: System, limit: Limit, start: Start) -> None:
-    """Raise ``InvalidInput`` for a start that is at or beyond the limit, whatever its phases.
+    """Raise ``InvalidInput`` for a ``start`` at or beyond the ``limit`` for all phases.
 
-    Before any work: methods refuse it, too, by the states or energies that they begin with.
+    A check before any work; methods also check the states or energies from which they start.
     """
     least = dict(start.values)
     if start.kind == "state":

@@ -19,25 +19,25 @@ from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 
 MAX_BYTES = 1 << 20
-"""A scene is a page of text; what is larger than this is something else."""
+"""Largest size of a scene file in bytes."""
 
 MAX_DEPTH = 16
-"""Levels of tables and lists, and parts of a dotted key; a scene needs five. Some hundreds exhaust
-the stack of what follows, and the parser takes a time of n² for a key of n parts."""
+"""Largest depth of tables and lists, and number of parts of a dotted key; a scene needs five. Some
+hundreds exhaust the stack, and the parser takes a time of n² for a key of n parts."""
 
 NO_KEY = re.compile(
     r""""{3}(?:\\.?|[^\\])*?(?:"{3}|\Z) | '{3}.*?(?:'{3}|\Z)
       | "(?:\\.|[^"\\\n])*+"? | '[^'\n]*+'? | \#[^\n]* | \d\.\d""",
     re.VERBOSE | re.DOTALL,
 )
-"""Texts, comments and decimal points: the dots that are left in a line are those of dotted keys."""
+"""Texts, comments and decimal points of TOML; all remaining dots belong to dotted keys."""
 
 
 def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
     """Return the tables of the TOML file at ``path`` and its text, without a byte order mark.
 
-    ``label`` names the file in messages. Raises ``BadInput`` with one line for everything that can
-    be wrong with the file.
+    ``label`` names the file in messages. Raises ``BadInput`` with one line if the file cannot be
+    read, is empty, is not TOML, or is nested too deeply.
     """
     text = read_text(path, label, most=MAX_BYTES, what="a scene").removeprefix("\ufeff")
     if not text.strip():
@@ -58,10 +58,10 @@ def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
 
 
 def read_text(path: Path, label: str, *, most: int, what: str) -> str:
-    """Return the UTF-8 text of a regular file of at most ``most`` bytes, ``what`` it should be.
+    """Return the UTF-8 text of a regular file of at most ``most`` bytes.
 
-    Nothing is read of a file that is larger, of a folder, a pipe or a device, which may have no
-    end. Raises ``BadInput`` with one line that begins with ``label``.
+    ``what`` names the expected content in messages. Raises ``BadInput`` with one line that begins
+    with ``label`` for a larger file, a folder, a pipe or a device, and for text that is not UTF-8.
     """
     with readable_errors(label, "cannot be read", "give another file"):
         mode = path.stat().st_mode
@@ -98,11 +98,11 @@ SHIPPED = ("paper", "hard", "more", "time")
 class Scene:
     """A checked scene file.
 
-    ``name`` is the file's stem; ``text`` the file as it was read; ``curves`` holds the scene's own
-    system first, then those that ``[vary]`` adds. Of each, ``passages`` and ``transients`` ask.
-    ``exceedance`` has the levels a of the probabilities P(X > a) that are wanted of an observable
-    X. ``units`` are the names of ``[units]``. ``densities_asked``: ``observables`` are those of
-    ``[observe]``, not the default ones. ::
+    ``name`` is the file's stem; ``text`` the content of the file; ``curves`` holds the scene's own
+    system first, then the curves of ``[vary]``. ``passages`` and ``transients`` are asked for each
+    curve. ``exceedance`` has pairs (X, a): an observable and a level of P(X > a). ``units`` are the
+    names of ``[units]``. ``densities_asked``: ``observables`` come from ``[observe]``, not from the
+    defaults. ::
 
         scene = fpk.load("fig6a")
         scene.title, scene.system, [(curve.label, curve.value) for curve in scene.curves]
@@ -135,9 +135,9 @@ def shipped_scenes() -> dict[str, Path]:
 
 
 def load_scene(scene: str | Path) -> Scene:
-    """Return the shipped scene of that name, or the one at that path; its ``system`` is Eq. (1).
+    """Return the shipped scene of the name ``scene``, or the scene at that path.
 
-    A path is one like ``"my/pipe.toml"``; a shipped scene has a name. ::
+    Its ``system`` is Eq. (1). A path has a folder or a suffix, as ``"my/pipe.toml"``. ::
 
         system = fpk.load("fig6a").system
 

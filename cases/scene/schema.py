@@ -21,22 +21,22 @@ from fpk.system.damping import DampingTerm
 from fpk.system.modulation import Modulation
 
 MAX_MASSES = 500
-"""Matrices are full: a chain longer than this is not what they are for."""
+"""Largest number of masses; matrices are full."""
 
 MAX_TERMS = 200
-"""A van der Pol damping of four modes has a hundred monomials."""
+"""Largest number of damping terms; van der Pol damping of four modes has a hundred monomials."""
 
 MOST_LEVELS = 12
-"""Levels of an observable whose exceedance is asked for."""
+"""Largest number of exceedance levels of an observable."""
 
 MOST_QUESTIONS, MOST_TIMES = 4, 50
-"""Tables of a kind about motion in time, and times in each: each is answered by every route."""
+"""Largest number of [[passage]] or [[transient]] tables, and of times in each."""
 
 MOST_OBSERVED = 16
-"""Densities of a scene."""
+"""Largest number of densities of a scene."""
 
 LARGEST, SMALLEST = 1e100, 1e-100
-"""Beyond these a product of three inputs leaves the range of double precision."""
+"""Range of the modulus of a number: a product of three inputs stays in double precision."""
 
 
 def _list(items: core.CoreSchema, *, least: int = 1, most: int = MAX_MASSES) -> core.ListSchema:
@@ -46,7 +46,7 @@ def _list(items: core.CoreSchema, *, least: int = 1, most: int = MAX_MASSES) -> 
 def _table(
     required: Mapping[str, core.CoreSchema], optional: Mapping[str, core.CoreSchema]
 ) -> core.TypedDictSchema:
-    """A table that refuses keys it does not know; what is left out is not in it."""
+    """A table of ``required`` and ``optional`` keys, others refused; absent keys stay absent."""
     fields = {
         key: core.typed_dict_field(schema, required=key in required)
         for key, schema in {**required, **optional}.items()
@@ -82,7 +82,7 @@ def _list_or_matrix(value: Any) -> str:
 
 
 def _said(schema: Any, description: str, **more: Any) -> Any:
-    """The schema with what its JSON Schema says beside the types, for editors."""
+    """The schema with a ``description`` and further metadata for its JSON Schema."""
     return {**schema, "metadata": {"description": description, **more}}
 
 
@@ -103,9 +103,6 @@ POWERS = _then(
     core.dict_schema(
         _said(core.str_schema(pattern=r"^[1-9][0-9]{0,8}$"), "mass"), WHOLE, max_length=MAX_MASSES
     ),
-)
-EXCEEDANCE = core.dict_schema(
-    _said(TEXT, "observable"), _list(NUMBER, most=MOST_LEVELS), max_length=MOST_OBSERVED
 )
 VALUES = _list(NUMBER, most=12)
 MATRICES = _list(NUMBERS_OR_MATRIX, most=12)
@@ -154,31 +151,6 @@ UNIT = core.str_schema(strict=True, pattern=r"^[A-Za-zµμΩÅ]{1,16}$")
 UNITS = _table(
     {key: _said(UNIT, f"name of the unit of {key}") for key in ("length", "mass", "time")}, {}
 )
-MODULATION = _table(
-    {
-        "times": _said(NUMBERS, "ascending from 0"),
-        "factor": _said(
-            NUMBERS, "e at these times, linear between and constant after: noise e(t)^2 D"
-        ),
-    },
-    {},
-)
-VARY = {
-    "contact": _table(
-        {},
-        {
-            "stiffness": _said(VALUES, "B of every contact, a curve for each value"),
-            "clearance": _said(VALUES, "gap of every contact, a curve for each value"),
-        },
-    ),
-    "system": _table(
-        {},
-        {
-            "noise_intensity": _said(MATRICES, "D, a curve for each list or matrix"),
-            "damping": _said(MATRICES, "c, a curve for each list or matrix"),
-        },
-    ),
-}
 EXPECT = {
     "of": _said(TEXT, "the density that the claims are about; the first observed if left out"),
     "non_gaussian": RANGE,
@@ -206,10 +178,6 @@ PASSAGE = _table(
     }
     | {"rate_error": RANGE, "failure_error": RANGE},
 )
-TRANSIENT = _table(
-    {"of": _said(TEXT, "one coordinate, as H"), "times": _said(TIMES, "times after the start")},
-    {"start": _said(TEXT, "as of [[passage]]")},
-)
 SCENE = _table(
     {"system": SYSTEM},
     {
@@ -221,8 +189,30 @@ SCENE = _table(
             _then(lambda keys: DampingTerm(**keys), DAMPING_TERM), least=0, most=MAX_TERMS
         ),
         "passage": _list(PASSAGE, least=0, most=MOST_QUESTIONS),
-        "transient": _list(TRANSIENT, least=0, most=MOST_QUESTIONS),
-        "modulation": _then(lambda keys: Modulation(**keys), MODULATION),
+        "transient": _list(
+            _table(
+                {
+                    "of": _said(TEXT, "one coordinate, as H"),
+                    "times": _said(TIMES, "times after the start"),
+                },
+                {"start": _said(TEXT, "as of [[passage]]")},
+            ),
+            least=0,
+            most=MOST_QUESTIONS,
+        ),
+        "modulation": _then(
+            lambda keys: Modulation(**keys),
+            _table(
+                {
+                    "times": _said(NUMBERS, "ascending from 0"),
+                    "factor": _said(
+                        NUMBERS,
+                        "e at these times, linear between and constant after: noise e(t)^2 D",
+                    ),
+                },
+                {},
+            ),
+        ),
         "observe": _table(
             {
                 "densities": _said(
@@ -231,18 +221,38 @@ SCENE = _table(
             },
             {
                 "exceedance": _said(
-                    EXCEEDANCE, "levels a of P(X > a), as { q2 = [0.6, 0.8] }; X is observed"
+                    core.dict_schema(
+                        _said(TEXT, "observable"),
+                        _list(NUMBER, most=MOST_LEVELS),
+                        max_length=MOST_OBSERVED,
+                    ),
+                    "levels a of P(X > a), as { q2 = [0.6, 0.8] }; X is observed",
                 )
             },
         ),
-        "vary": _table({}, VARY),
+        "vary": _table(
+            {},
+            {
+                "contact": _table(
+                    {},
+                    {
+                        "stiffness": _said(VALUES, "B of every contact, a curve for each value"),
+                        "clearance": _said(VALUES, "gap of every contact, a curve for each value"),
+                    },
+                ),
+                "system": _table(
+                    {},
+                    {
+                        "noise_intensity": _said(MATRICES, "D, a curve for each list or matrix"),
+                        "damping": _said(MATRICES, "c, a curve for each list or matrix"),
+                    },
+                ),
+            },
+        ),
         "expect": _table({}, EXPECT),
     },
 )
 """The whole file."""
-
-PAGE = "docs/scene.md"
-"""The page of the documentation about the scene file."""
 
 _VALIDATOR = SchemaValidator(SCENE)  # it checks the schema itself
 
@@ -265,7 +275,7 @@ REMEDIES = {
 
 
 def validated(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the checked tables of a scene; raise ``InvalidInput`` with what is wrong first."""
+    """Return the checked tables of a scene; raise ``InvalidInput`` for the first mistake."""
     try:
         tables: dict[str, Any] = _VALIDATOR.validate_python(data)
     except ValidationError as error:
@@ -304,4 +314,4 @@ def _known_keys(place: Sequence[int | str]) -> str:
     if near := misspelt(str(place[-1]), table["fields"]):
         return f'is not a key of a scene; did you mean "{near}"?'
     known = ", ".join(table["fields"])
-    return f"is not a key of a scene; here are known: {known}; {PAGE} says what each means"
+    return f"is not a key of a scene; here are known: {known}; docs/scene.md says what each means"

@@ -35,8 +35,8 @@ DERIVED: dict[str, Powers] = {
     "damping": (0, 1, -1),
     "noise_intensity": (2, 2, -3),
 }
-"""Powers of length, mass and time of the quantities whose units JSON lists; the intensity D is that
-of a force with E[WW'] = 2Dδ."""
+"""Powers of length, mass and time of the quantities whose units JSON lists; D is the intensity of a
+force, E[WW'] = 2Dδ."""
 
 NAMED: tuple[tuple[str, Powers], ...] = (
     ("probability|share|exceedance|cdf|correlation|skewness|kurtosis|averaging.error|L1", NUMBER),
@@ -45,18 +45,16 @@ NAMED: tuple[tuple[str, Powers], ...] = (
     ("rate|per unit time|frequency", DERIVED["rate"]),
     ("time|passage|lag", (0, 0, 1)),
 )
-"""Words in the name of a quantity that give its dimension, the first that is in it; others, such as
-a mean, have that of the observable."""
+"""Words in the name of a quantity, and its dimension; the first match counts. Without a match, as
+for a mean, the quantity has the dimension of the observable."""
 
 
 @dataclass(frozen=True)
 class Units:
     """Names of the units of ``length``, ``mass`` and ``time``, as ``mm``, ``kg``, ``s``.
 
-    Empty names are those of a scene without ``[units]``: all that follows is then empty, too.
-    Nothing is converted: numbers are in these units as they are.
-
-    Raises ``InvalidInput`` where two of them have the same name.
+    A scene without ``[units]`` has empty names, and all derived units are empty, too. Numbers are
+    never converted. Raises ``InvalidInput`` if two units have the same name.
     """
 
     length: str = ""
@@ -73,8 +71,8 @@ class Units:
     def of(self, *dimensions: Powers, inverse: bool = False) -> str:
         """Return the unit of a product of quantities of these powers of length, mass and time.
 
-        As ``kg mm² s⁻²``, which UDUNITS reads, or ``kg m^-0.5 s^-2`` where a power is no integer;
-        empty where there are no names, and 1 for a number.
+        As ``kg mm² s⁻²``, which UDUNITS reads, or ``kg m^-0.5 s^-2`` if a power is no integer; 1
+        for a number, empty without names.
         """
         if not self:
             return ""
@@ -107,15 +105,15 @@ class Units:
     def number(self, name: str, observable: str = "") -> str:
         """Return the unit of a quantity by its name, such as ``rms`` or ``mean force, left stop``.
 
-        ``observable`` is the name of what it is a quantity of, as ``q2``; a ``variance`` has the
-        square of its unit, and the ``covariance`` of a pair the product of both.
+        ``observable`` is its name, as ``q2``; a ``variance`` has the square of its unit, the
+        ``covariance`` of a pair the product of both units.
         """
         own = [DIMENSIONS[c[0]] for c in observable.split(",") if c[:1] in DIMENSIONS]
         named = next(([powers] for words, powers in NAMED if re.search(words, name)), own)
         return self.of(*named * (2 if re.search(r"\bvariance", name) else 1))
 
     def record(self) -> dict[str, Any] | None:
-        """Return the names and all derived units for JSON, None where there are none."""
+        """Return the names and all derived units for JSON, None without names."""
         return {**vars(self), **{name: self.quantity(name) for name in DERIVED}} if self else None
 
 

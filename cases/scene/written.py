@@ -1,13 +1,13 @@
-"""Numbers and their errors as text; an error or a bound is never shown below what it is."""
+"""Numbers and their errors as text; errors and bounds are rounded up."""
 
 from math import ceil, floor, isfinite, log10
 from typing import Any
 
 DIGITS = 7
-"""Significant digits of a number with its error in brackets, at most."""
+"""Largest number of significant digits of a number with its error in brackets."""
 
 SMALL = 1e-3
-"""Error below which a number that may be zero is shown as zero and its error."""
+"""Largest error of a number within its error of zero that is shown as ``0(error)``."""
 
 SCHEMA = 2
 """Version of the records of JSON: 2 has this number, ``quantities``, and curves in one shape."""
@@ -26,7 +26,7 @@ NOTE = (
 
 
 def number(value: Any, digits: int = 3) -> str:
-    """Return a number as a table shows it: plain where it is short, else with a power of ten."""
+    """Return a number to ``digits`` digits: plain if it is short, else with a power of ten."""
     if value is None:
         return "–"
     if isinstance(value, (list, tuple)):
@@ -48,7 +48,7 @@ def rounded_up(value: float, last: int) -> int:
 
 
 def bound(error: float | None, digits: int = 2) -> str:
-    """Return an error to so many digits, rounded up: ``1.3e-03`` of 0.00121; a dash of None."""
+    """Return an error rounded up to ``digits`` digits: ``1.3e-03`` for 0.00121; a dash for None."""
     if error is None:
         return "–"
     if error == 0.0 or not isfinite(error):
@@ -58,7 +58,7 @@ def bound(error: float | None, digits: int = 2) -> str:
 
 
 def percent(share: float, *, up: bool = False) -> str:
-    """Return two digits of a share as a percentage, rounded up where it is a bound."""
+    """Return a ``share`` as a percentage of two digits, rounded up with ``up``."""
     value = 100.0 * share
     if value <= 0.0:
         return "0 %"
@@ -68,15 +68,15 @@ def percent(share: float, *, up: bool = False) -> str:
 
 
 def up(error: float | None) -> str:
-    """Return ``bound`` of an error as ``number`` shows it: ``0.0013`` of 0.00121."""
+    """Return ``bound`` of an error in the form of ``number``: ``0.0013`` for 0.00121."""
     return number(None if error is None else float(bound(error)), 2)
 
 
 def with_error(value: float | None, error: float | None) -> str:
-    """Return ``0.1235 ± 1.3e−3``: the digits that the error leaves, at most six, and the error.
+    """Return ``0.1235 ± 1.3e−3``: at most six digits of ``value``, as its ``error`` allows.
 
-    A value well within its error is 0, by which the error grows; a dash stands for what is not
-    known, be it the error alone.
+    A value below a tenth of its error is shown as 0, and its modulus is added to the error. A dash
+    if either is None.
     """
     if value is None or error is None:
         return "–"
@@ -91,10 +91,10 @@ def with_error(value: float | None, error: float | None) -> str:
 
 
 def concise(value: float | None, error: float | None) -> str:
-    """Return a number with its error in brackets, in units of the last digits: ``0.4123(5)``.
+    """Return ``value`` with its ``error`` in brackets, in units of the last digits: ``0.4123(5)``.
 
-    There are no brackets where the error is below the last of ``DIGITS`` digits; a number within
-    its error of zero is ``0(2e-10)``; a dash stands for what is not known.
+    No brackets if the error is below the last of ``DIGITS`` digits; ``0(2e-10)`` for a number
+    within its error of zero; a dash if either is None.
     """
     if value is None or error is None:
         return "–"
@@ -118,7 +118,7 @@ def concise(value: float | None, error: float | None) -> str:
 
 
 def duration(seconds: float, digits: int = 3) -> str:
-    """Return a time with a unit that suits it: ``1.5 min``, ``2 days``, ``3.2e+06 years``."""
+    """Return ``seconds`` to ``digits`` digits in a suitable unit: ``1.5 min``, ``2 days``."""
     size, unit = next((u for u in TIME_UNITS if seconds >= u[0]), TIME_UNITS[-1])
     value = seconds / size
     text = f"{float(f'{value:.{digits}g}'):g}" if value < 1e4 else f"{value:.1e}"

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from cases.compare.answers import Answers
-from cases.compare.compare import joined
+from cases.compare.compare import join_bins
 from cases.compare.in_time import Replies
 from cases.compare.stationary import Outcome
 from cases.scene.questions import TransientQuestion
@@ -127,7 +127,7 @@ def _map(curves: Sequence[Answers], observable: Observable) -> Record | None:
     fields = []
     for route, density in densities.items():  # of a function at the points, of a sample its bins
         if isinstance(density, SampledDensity):
-            few = joined(density, MAP_BINS)
+            few = join_bins(density, MAP_BINS)
             middles = [0.5 * (e[1:] + e[:-1]) for e in few.edges]
             inside = [(m >= g[0]) & (m <= g[-1]) for m, g in zip(middles, grid, strict=True)]
             values, errors = few.values[np.ix_(*inside)], few.standard_error[np.ix_(*inside)]

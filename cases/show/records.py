@@ -140,11 +140,9 @@ def columns_text(record: Record) -> str:
     points = zip(names, [own] if isinstance(own, str) else own, strict=True)
     head = "   ".join(name + bracketed(unit) for name, unit in points)
     words = f"{head}   {key}{bracketed(units.get(key, ''))}   {_kind(record)}"
-    lines = [_equation(record)]
     if "times" not in record:
-        columns = _columns([], record, record[key], record["error"])
-        return "\n".join([*lines, f"# {words}", *columns])
-    lines.append(f"# time{bracketed(units.get('times', ''))}   {words}")
+        return "\n".join([f"# {words}", *_columns([], record, record[key], record["error"])])
+    lines = [f"# time{bracketed(units.get('times', ''))}   {words}"]
     for time, *rows in zip(record["times"], record[key], record["error"], strict=True):
         lines += _columns([time], record, *rows)
     return "\n".join(lines)
@@ -163,8 +161,7 @@ def passage_text(record: Record) -> str:
     units = record.get("units") or {}
     unit = f" {units['limit']}" if units.get("limit") else ""
     limit = ", ".join(f"{part}{unit}" for part in record["limit"].split(","))
-    lines = [_equation(record)]
-    lines.append(f"# first passage of {limit} from {record['start']}   {_kind(record)}")
+    lines = [f"# first passage of {limit} from {record['start']}   {_kind(record)}"]
     if sampled := record["settings"].get("sampled_by"):
         lines.append(f"# {sampled}")
     for key in ("mean", "variance", "rate"):
@@ -185,13 +182,12 @@ def rates_text(record: Record) -> str:
     rows = zip(record["rates"], record["frequencies"], record["errors"], strict=True)
     lines = [_row([rate, frequency], error) for rate, frequency, error in rows]
     unit = bracketed((record.get("units") or {}).get("rates", ""))
-    head = [_equation(record), f"# rate{unit}   angular frequency{unit}   numerical error"]
-    return "\n".join([*head, *lines])
+    return "\n".join([f"# rate{unit}   angular frequency{unit}   numerical error", *lines])
 
 
-def _equation(record: Record) -> str:
-    """Which equation was solved by which theory, and what a simulation sampled."""
-    words = f"# solves the {record['solves']} equation: {with_key(record['method'])}"
+def equation_words(record: Record) -> str:
+    """Return which equation was solved, by which theory, and with how many paths if it samples."""
+    words = f"solves the {record['solves']} equation: {with_key(record['method'])}"
     settings = record["settings"]
     if paths := settings.get("paths", settings.get("trajectories")):
         words += f", {paths} paths; --tol or --seconds asks for more or fewer"

@@ -6,7 +6,7 @@ from math import inf, sqrt
 from time import process_time
 from typing import NamedTuple
 
-from cases.compare.compare import chance_l1, joined
+from cases.compare.compare import chance_l1, join_bins
 from cases.compare.routes import listed_routes
 from cases.compare.stationary import answers_of
 from cases.study.levels import timed_first
@@ -147,7 +147,7 @@ def full_reference(system: System, *, seed: int) -> Reference:
     method = replace(long, step_factor=sqrt(0.5))
     (sampled,) = method.solve(system, [observable]).densities
     assert isinstance(sampled, SampledDensity)
-    few, own = joined(sampled), sampled.certificate
+    few, own = join_bins(sampled), sampled.certificate
     measured = Measured(chance_l1(few)[0], None, None, own.residual, own.tail_mass)
     density = certify_density(
         observable, few.edges, sampled, lambda q: sampled.at(q)[1], measured=measured, tol=inf

@@ -7,7 +7,7 @@ import numpy as np
 from hard_battery import Check, HardCase
 
 from averaging.theory import Exact
-from cases.compare.compare import compared
+from cases.compare.compare import compare_densities
 from cases.scene.scene import load_scene
 from fpk.answer.density import Density
 from fpk.answer.names import parse_observable
@@ -69,7 +69,7 @@ def refusal(error, made):
 def against_exact(system, method):
     """Certificate of the simulation and its distance to the exact p(q2), and its words."""
     exact, sampled = Exact().solve(system, Q2), method.solve(system, Q2)
-    (comparison,) = compared([exact, sampled], averaging_is_exact=True)
+    (comparison,) = compare_densities([exact, sampled], averaging_is_exact=True)
     truth, histogram = exact.densities[0], sampled.densities[0]
     words, band = "; ".join(histogram.certificate.failures), comparison.band or 0.0
     measured = f"L1 {comparison.L1:.2g}, band {band:.2g}"

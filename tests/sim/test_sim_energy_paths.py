@@ -9,7 +9,7 @@ from processes import process_of
 from scipy.stats import chi2, ncx2
 
 from cases.compare.averaged import AveragedSimulation
-from cases.compare.compare import chance_l1, compared
+from cases.compare.compare import chance_l1, compare_densities
 from cases.compare.routes import method_for
 from cases.scene.scene import load_scene
 from fpk.answer.certificate import Certificate
@@ -167,7 +167,7 @@ def test_as_a_method_it_agrees_with_another_solver_and_is_judged(
     results = [
         method_for(theory, name).solve(system, observables) for name in ("simulation", solver)
     ]
-    comparisons = compared(results, averaging_is_exact=False)
+    comparisons = compare_densities(results, averaging_is_exact=False)
     assert len(comparisons) == len(observables)
     for found in comparisons:
         assert found.measures == "sampling"

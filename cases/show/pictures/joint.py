@@ -9,7 +9,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from cases.compare.answers import Answers
-from cases.compare.compare import joined
+from cases.compare.compare import join_bins
 from cases.show.fields import common_grid
 from cases.show.pictures.lines import walls_of
 from cases.show.pictures.style import (
@@ -97,7 +97,7 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
     drawn: dict[Route, AnyDensity] = dict([*theories[:1], *full])
     x, y = np.meshgrid(*common_grid(drawn.values(), cut=SHOWN, count=SHEET), indexing="ij")
     sheets = {
-        route.name: (joined(d, SHEET) if isinstance(d, SampledDensity) else d)(x, y)
+        route.name: (join_bins(d, SHEET) if isinstance(d, SampledDensity) else d)(x, y)
         for route, d in drawn.items()
     }
     top = max(float(values.max()) for values in sheets.values())

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from cases.compare.answers import Answers
-from cases.compare.compare import joined
+from cases.compare.compare import join_bins
 from cases.show.fields import common_grid
 from cases.show.pictures.style import (
     COLOURS,
@@ -207,7 +207,7 @@ def theory_differences(curve: Answers, observable: Observable, x: Array) -> Diff
     theories = lines_of(curve, observable).items()
     if not sampled or not theories:
         return None
-    few = joined(sampled[0], 2 * MARKERS)
+    few = join_bins(sampled[0], 2 * MARKERS)
     middles = 0.5 * (few.edges[0][1:] + few.edges[0][:-1])
     inside = (middles >= x[0]) & (middles <= x[-1])
     # Above kinks some bins are much narrower than a pixel, with few samples: no place in a curve.

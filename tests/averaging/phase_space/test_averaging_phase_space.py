@@ -16,7 +16,7 @@ from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import least_distance
 from averaging.theory import Exact
-from cases.compare.compare import compared
+from cases.compare.compare import compare_densities
 from fpk.answer.density import l1_distance
 from fpk.answer.names import Coordinate, parse_observable
 from fpk.numeric.errors import NotApplicable
@@ -339,7 +339,7 @@ def test_simulations_of_random_systems_agree_and_of_wrong_clearances_do_not():
         wrong_stop = replace(contact, clearance=1.1 * contact.clearance)
         for other, holds in ((system, True), (replaced(system, wrong_stop), False)):
             sampled = MonteCarlo(seed=seed, tol=2e-3).solve(other, [observable])
-            (comparison,) = compared([answer, sampled], averaging_is_exact=False)
+            (comparison,) = compare_densities([answer, sampled], averaging_is_exact=False)
             assert comparison.measures == "sampling"
             if holds:
                 assert comparison.holds, (seed, comparison)

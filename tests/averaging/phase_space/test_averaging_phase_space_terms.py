@@ -17,7 +17,7 @@ from averaging.phase_space.equation.elimination import expanded
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
 from averaging.phase_space.method import PhaseSpace
 from averaging.theory import Exact
-from cases.compare.compare import compared
+from cases.compare.compare import compare_densities
 from fpk.answer.density import l1_distance
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate, parse_observable
@@ -279,7 +279,7 @@ def test_simulations_of_random_systems_agree_and_of_other_terms_do_not(seed):
     stronger = (replace(first, coefficient=4.0 * first.coefficient), *others)
     for other, agrees in ((system, True), (replace(system, damping_terms=stronger), False)):
         sampled = MonteCarlo(seconds=10.0, seed=seed, tol=1e-6).solve(other, observables)
-        comparisons = compared([answer, sampled], averaging_is_exact=False)
+        comparisons = compare_densities([answer, sampled], averaging_is_exact=False)
         assert len(comparisons) == 2
         assert all(c.holds for c in comparisons) == agrees
 

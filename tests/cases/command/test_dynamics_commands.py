@@ -56,7 +56,7 @@ def test_a_correlation_begins_with_the_variance(linear_scene, fpk):
 
 def test_a_correlation_has_columns_too(linear_scene, fpk):
     status, out, _ = fpk("correlation", linear_scene, *asked("linear", at="0:1:0.5"))
-    assert status == 0 and out.startswith("# lag   correlation") and len(out.splitlines()) == 4
+    assert status == 0 and out.startswith("# lag   correlation") and len(out.splitlines()) == 5
 
 
 def test_keys_of_relaxation(linear_scene, fpk):
@@ -65,7 +65,7 @@ def test_keys_of_relaxation(linear_scene, fpk):
     assert len(answer["rates"]) == len(answer["frequencies"]) == len(answer["errors"]) == 7
     assert answer["rates"] == sorted(answer["rates"]) and min(answer["rates"]) > 0.0
     status, out, _ = fpk("relaxation", linear_scene, "--method", "linear")
-    assert status == 0 and len(out.splitlines()) == 1 + 5
+    assert status == 0 and len(out.splitlines()) == 1 + 5 + 1
 
 
 def test_columns_of_a_curve(linear_scene, fpk):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fpk
-from cases.compare.compare import chance_l1, compared, what_is_measured
+from cases.compare.compare import chance_l1, compare_densities, what_is_measured
 from cases.compare.routes import register_routes
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Certificate
@@ -54,7 +54,7 @@ def compare(a, b, *, names=("montecarlo", "exact"), exact=True, neglected=""):
         Result(Named(n), (d,), neglected=neglected if n == "integrable" else "")
         for n, d in zip(names, (a, b), strict=True)
     ]
-    (comparison,) = compared(results, averaging_is_exact=exact)
+    (comparison,) = compare_densities(results, averaging_is_exact=exact)
     return comparison
 
 

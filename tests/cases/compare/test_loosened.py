@@ -19,8 +19,9 @@ def asked(error, default, *, least=0.0, failures=()):
         measured = Measured(max(error, least * wanted), 0.0, 0.0, 0.0, 0.0, failures=failures)
         return certify(measured, tol=wanted)
 
-    answer, tol = loosened(ask, lambda certificate: [certificate])
-    return tols, answer.certified, tol
+    answer, note = loosened(ask, lambda certificate: [certificate])
+    stated = note.removeprefix("certified to ").partition(",")[0]
+    return tols, answer.certified, float(stated) if note else None
 
 
 def test_an_answer_that_meets_its_default_is_asked_once():

@@ -196,14 +196,14 @@ def test_exceedance_stands_in_the_first_table_of_text_json_and_report(fpk, tmp_p
     monkeypatch.setenv("COLUMNS", "120")
     status, text, _ = fpk("run", path, "--no-simulation", "--out", out)
     assert status == 0
-    names = [f"probability above {level}" for level in ("1", "-0.5", "3", "60")]
+    names = [f"probability of q2 > {level} mm" for level in ("1", "-0.5", "3", "60")]
     heads = [line[2:].partition("  ")[0] for line in text.splitlines()]
     k = heads.index(names[0])
     assert heads[k - 1].startswith("quantile 99 %") and heads[k : k + 4] == names
     record = json.loads(fpk("run", path, "--no-simulation", "--json")[1])
     rows = [row for row in record["quantities"] if row["quantity"] == "probability above 3"]
     assert rows and {(row["name"], row["unit"]) for row in rows} == {("exceedance(q2,3)", "1")}
-    assert "q2, probability above 3</td>" in (out / "report.html").read_text()
+    assert "q2, probability of q2 &gt; 3 mm</td>" in (out / "report.html").read_text()
 
 
 def test_the_correlation_of_one_coordinate_is_refused(one):
@@ -321,7 +321,7 @@ def test_the_record_of_a_run_has_the_quantities_as_rows():
     for curve in (digest, *digest["curves"]):
         for row in curve["quantities"]:
             keys = ["observable", "quantity", "name", "route", "value", "error", "error_kind"]
-            assert [*row] == keys
+            assert {*row} == {*keys, "label", "solves"}
             assert isinstance(row["value"], float) and isinstance(row["error"], float)
         assert len(curve["quantities"]) == 2 * 8 + 2 * 6  # of q2 and H, at two stops
     json.dumps(digest, allow_nan=False)

@@ -49,5 +49,7 @@ def test_one_reason_is_given_once():
         "observables": ["H1", "H2"],
         "reason": "knows the total energy only",
         "failed": False,
+        "gave_up": False,
+        "methods": {"nonintegrable": {"fem": None, "quadrature": None}},
     }
     assert (second["routes"], second["failed"], third["failed"]) == ("Gaussian", False, True)

@@ -35,9 +35,9 @@ def test_a_run_says_which_equation_each_route_solves_and_what_is_not_known(scene
     assert "full" not in {
         word for row in text.splitlines() if "solved" in row for word in row.split()
     }
-    head, row = (
-        line for line in text.splitlines() if "P(T ≤ 5)" in line or "elements  averaged" in line
-    )
+    lines = text.splitlines()
+    k = next(k for k, line in enumerate(lines) if "P(T ≤ 5)" in line)
+    head, row = lines[k], lines[k + 1]
     assert "equation" in head and "P(T ≤ 20)" in head and row.count("±") == 4
     page = (out / "report.html").read_text()
     assert "energy averaging averaged" in page and "P(T ≤ 5)" in page
@@ -61,7 +61,7 @@ def test_a_run_says_which_equation_each_route_solves_and_what_is_not_known(scene
 def test_a_single_answer_says_which_equation_was_solved(scene, fpk, command, method, solves):
     name, *options = command
     status, text, _ = fpk(name, scene, "--method", method, *options)
-    assert status == 0 and text.startswith(f"# solves the {solves} equation: ")
+    assert status == 0 and f"# solves the {solves} equation: " in text
     assert (
         json.loads(fpk(name, scene, "--method", method, *options, "--json")[1])["solves"] == solves
     )
@@ -116,7 +116,7 @@ def test_a_tail_that_is_off_by_a_factor_is_found_and_one_that_is_right_is_not():
         rows = list(tails_off({full: narrow, theory: averaged}))
         assert bool(rows) == off
     (row,) = rows
-    level = row["level"] / std
+    level = abs(row["level"]) / std
     assert row["probability"] == pytest.approx(1e-6, rel=1e-6)
     assert row["ratio"] == pytest.approx(stats.norm.sf(level) / 1e-6, rel=1e-6)
     assert row["ratio"] > TAIL_FACTOR and row["reference"] == "exact"
