@@ -27,7 +27,10 @@ def scene(tmp_path, scene_text):
     return path
 
 
-def test_a_run_says_which_equation_each_route_solves_and_what_is_not_known(scene, fpk, tmp_path):
+def test_a_run_says_which_equation_each_route_solves_and_what_is_not_known(
+    scene, fpk, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "120")
     out = tmp_path / "out"
     averaged = ("--no-simulation", "--method", "nonintegrable", "--out", out)
     status, text, _ = fpk("run", scene, *averaged)
