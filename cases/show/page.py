@@ -23,17 +23,6 @@ TEMPLATES = Path(__file__).parent / "templates"
 DIGITS, ERROR_DIGITS = 10, 2
 """Digits of a number in the data of a page, and of its error, which is rounded up."""
 
-MARKS = (
-    "m-2.4,0a2.4,2.4 0 1,0 4.8,0a2.4,2.4 0 1,0 -4.8,0",
-    "m-2.2,-2.2h4.4v4.4h-4.4z",
-    "m0,-3.2l3.2,3.2l-3.2,3.2l-3.2,-3.2z",
-    "m0,-3l2.8,5h-5.6z",
-    "m0,3l2.8,-5h-5.6z",
-    "m-2.4,-2.4l4.8,4.8m0,-4.8l-4.8,4.8",
-    "m-3,0h6m-3,-3v6",
-)
-"""Paths of the markers of points, by curve, as ``CURVE_MARKS`` of the drawn pictures."""
-
 PLOTS = "axes.js", "curves.js", "maps.js", "plots.js"
 """Scripts of the plots that can be touched, in the order in which they need each other."""
 

@@ -5,16 +5,16 @@ from importlib import import_module
 from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 
 from cases.compare.answers import Answers
 from cases.scene.units import Units
 from cases.scene.written import NOTE
 from cases.show.digest import quantity_row
-from cases.show.fields import common_grid, density_variables
-from cases.show.pictures.joint import LOWEST, contour_panels, joint_figure
-from cases.show.pictures.lines import POINTS, density_figure
-from cases.show.pictures.style import COLOURS, SHOWN, STYLE, density_words, words_of
+from cases.show.fields import density_variables
+from cases.show.pictures.densities import HEIGHT, density_panel, joint_figure, lone_density
+from cases.show.pictures.draw import column_figure, contour_figure, draw_curves
+from cases.show.pictures.panel import Field
+from cases.show.pictures.style import STYLE, density_words
 from cases.show.records import UNITS, plain, program_version
 from cases.show.text import html_table, quantity_rows
 from cases.show.variables import Variables
@@ -22,9 +22,6 @@ from cases.show.words import named
 from fpk.answer.density import AnyDensity
 from fpk.answer.names import Observable, observable_name
 from fpk.numeric.errors import InvalidInput, Unavailable
-
-TAIL = 1e-6
-"""Share of the largest density down to which a logarithmic axis reaches."""
 
 
 def summary_frame(answers: Answers) -> Any:
@@ -63,9 +60,8 @@ def plot(answers: Answers, observable: Observable, *, log: bool) -> Any:
     with mpl.rc_context(dict(STYLE)):
         figure = import_module("matplotlib.pyplot").figure()
         if len(observable) == 2:
-            return joint_figure(answers, observable, decades=log, figure=figure)
-        (x,) = common_grid(densities.values(), cut=TAIL if log else SHOWN, count=POINTS)
-        return density_figure([answers], observable, x, figure, lowest=TAIL if log else 0.0)
+            return joint_figure(answers, observable, log=log, figure=figure)
+        return column_figure([density_panel([answers], observable, log=log)], HEIGHT, figure=figure)
 
 
 def plot_density(density: AnyDensity, *, log: bool) -> Any:
@@ -73,23 +69,12 @@ def plot_density(density: AnyDensity, *, log: bool) -> Any:
 
     Of two coordinates the levels are in one proportion with ``log``.
     """
-    observable, words = density.observable, density_words(density.observable)
     with mpl.rc_context(dict(STYLE)):
         figure = import_module("matplotlib.pyplot").figure(layout="constrained")
-        if len(observable) == 2:
-            grid = common_grid([density], cut=LOWEST if log else SHOWN)
-            values = density(*np.meshgrid(*grid, indexing="ij"))
-            panels = {density.name: values}
-            return contour_panels(panels, grid, observable, words, decades=log, figure=figure)
-        (x,) = common_grid([density], cut=TAIL if log else SHOWN, count=POINTS)
-        values, errors = density.at(x)
-        axes = figure.subplots()
-        axes.plot(x, values, color=COLOURS[0])
-        axes.fill_between(x, values - errors, values + errors, color=COLOURS[0], alpha=0.25)
-        axes.set(xlim=(x[0], x[-1]), xlabel=words_of(observable[0]), ylabel=words)
-        if log:
-            top = float(values.max())
-            axes.set(yscale="log", ylim=(TAIL * top, 2.0 * top))
+        drawn = lone_density(density, log=log)
+        if isinstance(drawn, Field):
+            return contour_figure([drawn], density_words(density.observable), figure=figure)
+        draw_curves(figure.subplots(), drawn)
     return figure
 
 

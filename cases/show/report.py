@@ -16,19 +16,26 @@ from cases.scene.written import number, percent, with_error
 from cases.show.digest import curves_of
 from cases.show.facts import theories, units_record
 from cases.show.files import write_text
-from cases.show.live import live_record
-from cases.show.page import PLOTS, as_script_data, origin_record, page_record
+from cases.show.page import PLOTS, as_script_data, origin_record, page_record, script_record
 from cases.show.pictures.chain import chain_svg
-from cases.show.pictures.in_time import time_pictures
-from cases.show.pictures.joint import joint_pictures
-from cases.show.pictures.lines import line_pictures
-from cases.show.pictures.style import STYLE, in_units
+from cases.show.pictures.densities import (
+    density_panel,
+    fall_exponentially,
+    joint_fields,
+    joint_pictures,
+    line_pictures,
+)
+from cases.show.pictures.in_time import time_panels, time_pictures
+from cases.show.pictures.panel import map_record
+from cases.show.pictures.style import SHOWN, STYLE, in_units
 from cases.show.pictures.svg import inline_svg, svg_text
 from cases.show.records import Record
+from cases.show.slider_model import slider_curves, slider_model
 from cases.show.text import rendered, theory_table
 from cases.show.words import named
 from fpk.answer.contacts import CLEARANCE_RULE
 from fpk.answer.method import Progress, silent
+from fpk.answer.names import observable_name
 from sim.sample.diagnostics import FALSE_ALARMS
 
 GROUPS = {"passage": "time", "transient": "time", "solver": "difference", "left": "difference"}
@@ -87,6 +94,35 @@ def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[
             progress(k, len(outcome.scene.observables), "drawing")
         for k, curve in enumerate(outcome.curves):
             yield from time_pictures(curve, f"_{k}" if k else "")
+
+
+def live_record(outcome: Outcome) -> Record | None:
+    """Return the data of the page's scripts: all plots, and the model of the sliders.
+
+    None if nothing can be drawn.
+    """
+    observables = outcome.scene.observables
+    model, missing = slider_model(outcome.curves[0], observables, units_record(outcome.scene))
+    plots = []
+    with in_units(outcome.scene.units):
+        for observable in observables:
+            name = observable_name(observable)
+            own: Record = {"id": name, "of": name, "cut": SHOWN}
+            own["still"] = [f"density_{name.replace(',', '_')}"]
+            curves = [c for c in outcome.curves if c.densities(observable)]
+            if curves and len(observable) == 1:
+                curves.sort(key=lambda c: c.value or 0.0)
+                sliders = slider_curves(model, observable)
+                panel = density_panel(curves, observable, log=True, every=True, sliders=sliders)
+                own["still"].append(f"density_{name}_log")
+                plots.append(panel.record(**own, scales=[False, True]))
+            elif curves:
+                log = fall_exponentially(observable)
+                plots.append(map_record(joint_fields(curves[0], observable, log=log), **own))
+        for k, curve in enumerate(outcome.curves):
+            for stem, _, panel in time_panels(curve, f"_{k}" if k else ""):
+                plots.append(panel.record(id=stem, still=[stem]))
+    return script_record(plots, model=model, missing=missing) if plots else None
 
 
 def report_html(

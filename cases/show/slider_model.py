@@ -9,6 +9,7 @@ from averaging.conditional import conditional
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.modal.resonance import MAX_NEGLECTED
 from cases.compare.answers import Answers
+from cases.show.pictures.panel import Curve
 from cases.show.pictures.style import SUBSCRIPTS
 from cases.show.records import Record
 from fpk.answer.names import Coordinate, Observable, observable_name
@@ -86,13 +87,16 @@ def slider_model(
     return model, words
 
 
-def slider_series(model: Record | None, observable: Observable) -> list[Record]:
-    """Return the curves that sliders fill, empty as yet, of one coordinate."""
-    one = (model or {"of": {}})["of"].get(observable_name(observable), {"forms": ()})
-    drawn = {"energy": ("energy averaging by the sliders", "7 3")}
-    drawn["modal"] = ("modal averaging by the sliders", "2 3")
-    common: Any = {"curve": "", "colour": "currentColor", "shown": False, "y": []}
-    return [{**common, "form": f, "name": drawn[f][0], "dash": drawn[f][1]} for f in one["forms"]]
+def slider_curves(model: Record | None, observable: Observable) -> list[Curve]:
+    """Return the curves of one coordinate whose values the sliders compute, empty as yet."""
+    forms = model["of"].get(observable_name(observable), {"forms": ()})["forms"] if model else ()
+    own: Any = {"colour": "currentColor", "marker": "", "shown": False}
+    drawn = {"energy": ("energy averaging", "--"), "modal": ("modal averaging", ":")}
+    return [
+        Curve(f"{name} by the sliders", (), (), style=style, form=form, **own)
+        for form in forms
+        for name, style in [drawn[form]]
+    ]
 
 
 def _obstacle(system: System) -> str:

@@ -19,7 +19,8 @@ from cases.scene.written import duration
 from cases.show.fields import attributes_of, write_variables
 from cases.show.files import write_text
 from cases.show.page import PLOTS, as_script_data, origin_record, page_record, script_record
-from cases.show.pictures.panel import Field, Panel, live_plots, study_figure
+from cases.show.pictures.draw import study_figure
+from cases.show.pictures.panel import Field, Panel, live_plots
 from cases.show.pictures.svg import inline_svg, svg_text
 from cases.show.text import html_table, rendered, text_table
 from cases.show.variables import Variables

@@ -1,6 +1,6 @@
-"""Style of all pictures: ink and colours, words for axes, margins; which answers are drawn."""
+"""Style of all pictures: colours, dashes and markers, words for axes; which answers are drawn."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import combinations
@@ -8,16 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib import rc_params_from_file
-from matplotlib.artist import Artist
-from matplotlib.figure import Figure
 
 from cases.compare.answers import Answers
 from cases.scene.units import NO_UNITS, Units, bracketed
 from fpk.answer.density import Density
-from fpk.answer.method import Route
+from fpk.answer.method import ROUTES, Route
 from fpk.answer.names import Coordinate, Observable
 from fpk.answer.sampled_density import SampledDensity
-from fpk.numeric.arrays import Array
 
 STYLE: Any = rc_params_from_file(
     Path(__file__).with_name("fpk.mplstyle"), use_default_template=False
@@ -34,49 +31,24 @@ two of a row differ by more than 20 by CIE76 and by CIEDE2000, in normal vision 
 deficiencies, and have a contrast of 3 or more with the page. Seven that do so on both pages do not
 exist by a search: 18 is the best."""
 
+DASHES = {"-": "", "--": "12 4", "-.": "12 4 2 4", ":": "2 2"}
+"""Dashes and gaps of a line in pixels, as in SVG, by the names that matplotlib has for them."""
+
+MARKERS = {
+    "o": "m-2.4,0a2.4,2.4 0 1,0 4.8,0a2.4,2.4 0 1,0 -4.8,0",
+    "s": "m-2.2,-2.2h4.4v4.4h-4.4z",
+    "D": "m0,-3.2l3.2,3.2l-3.2,3.2l-3.2,-3.2z",
+    "^": "m0,-3l2.8,5h-5.6z",
+    "v": "m0,3l2.8,-5h-5.6z",
+    "X": "m-2.4,-2.4l4.8,4.8m0,-4.8l-4.8,4.8",
+    "P": "m-3,0h6m-3,-3v6",
+}
+"""Paths of the markers in a page by their names in matplotlib: as many as there are colours."""
+
 SHOWN = 1e-3
 """Share of the largest value below which a linear axis shows nothing."""
 
-WIDTH = 4.4
-"""Width of a picture with one column of axes, in inches: legible on a telephone."""
-
-LEFT, RIGHT, FOOT, GAP, LEGEND_ROW = 0.66, 0.12, 0.5, 0.34, 0.19
-"""Margins beside and below the axes, the gap between two for a title, and the height of a row of
-the legend, in inches. Fixed: to measure all words first draws every picture twice."""
-
-LONGEST_OF_TWO = 27
-"""Letters of the longest entry with which a legend of two columns fits."""
-
-SOLVER_WORDS = (
-    "Numerical error for {}: two solvers of the same equation against each other, and the errors"
-    " that they state."
-)
-"""Caption of the differences of two solvers of an observable."""
-
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-
-Differences = tuple[Array, Array, dict[str, Array]]
-"""Points along the first axis, the band in which differences of two answers may lie, and these."""
-
-
-def arrange(figure: Figure, height: float, legend: Mapping[str, Artist], *, head: float) -> None:
-    """Size a figure of one column of axes, ``height`` inches each, and put its legend above.
-
-    ``legend`` has the handles by their words; ``head`` is the space below it in inches.
-    """
-    rows = len(figure.axes)
-    columns = 2 if max(map(len, legend)) <= LONGEST_OF_TWO else 1
-    head += LEGEND_ROW * -(-len(legend) // columns)
-    total = head + rows * height + (rows - 1) * GAP + FOOT
-    figure.set_size_inches(WIDTH, total)
-    figure.subplots_adjust(
-        LEFT / WIDTH, FOOT / total, 1.0 - RIGHT / WIDTH, 1.0 - head / total, hspace=GAP / height
-    )
-    figure.legend(
-        list(legend.values()), list(legend), loc="upper left", ncols=columns, columnspacing=1.6,
-        borderaxespad=0.2,
-    )  # fmt: skip
-
 
 SHOWN_UNITS: ContextVar[Units] = ContextVar("SHOWN_UNITS", default=NO_UNITS)
 """Units of the scene whose pictures are being drawn, as the style of matplotlib is set for them."""
@@ -135,17 +107,35 @@ def samples_of(curve: Answers, observable: Observable) -> dict[Route, SampledDen
     return {route: d for route, d in densities if isinstance(d, SampledDensity)}
 
 
-def solver_difference(curve: Answers, observable: Observable, *points: Array) -> Differences | None:
-    """Return how far two solvers of one averaged equation differ; the band is what both state.
+def solver_pair(
+    curve: Answers, observable: Observable
+) -> tuple[tuple[Route, Density], tuple[Route, Density]] | None:
+    """Return two deterministic answers to one averaged equation, that with the larger error first.
 
-    None where no equation has two deterministic answers. The one that states the larger error comes
-    first.
+    None if no averaged equation has two of them.
     """
     answers = curve.densities(observable).items()
     functions = [(r, d) for r, d in answers if r.solves == "averaged" and isinstance(d, Density)]
     for pair in combinations(functions, 2):
-        (a, first), (b, second) = sorted(pair, key=lambda answer: -answer[1].l1_error)
-        if a.method == b.method:
-            (value, stated), (other, also_stated) = first.at(*points), second.at(*points)
-            return points[0], stated + also_stated, {f"{a.solver} − {b.solver}": value - other}
+        if pair[0][0].method == pair[1][0].method:
+            first, second = sorted(pair, key=lambda answer: -answer[1].l1_error)
+            return first, second
     return None
+
+
+def style_of(route: Route) -> str:
+    """Return the dashes of a theory, the same in all pictures; solid is the full system."""
+    averaged = list(dict.fromkeys(r.method for r in ROUTES.values() if r.solves == "averaged"))
+    place = averaged.index(route.method) + 1 if route.method in averaged else 0
+    return list(DASHES)[min(place, len(DASHES) - 1)]
+
+
+def marker_of(route: Route) -> str:
+    """Return the marker of a route that samples, the same in all pictures.
+
+    Another one for each: simulation, rare events by splitting, the simulated averaged equations.
+    """
+    sampled = sorted((r for r in ROUTES.values() if r.sampled), key=lambda r: r.solves != "full")
+    others = [r for r in sampled if r.solves == "averaged"]
+    place = 3 + others.index(route) if route in others else int(route not in sampled)
+    return list(MARKERS)[place % len(MARKERS)]

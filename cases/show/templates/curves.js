@@ -20,20 +20,20 @@ function curves(plot, view, on, off) {
     if (plot.yends && panel.log) return plot.yends;
     if (plot.cut) high = Math.max(high, 1e-6 * highest);
     const pad = 0.06 * (high - (plot.zero ? 0 : low)) || Math.abs(high) || 1;
-    if (panel.log) return plot.lowest ? [plot.lowest * 1.06 * high, 1.06 * high] : [low / 1.5, high * 1.5];
+    if (panel.log) return plot.lowest ? [plot.lowest * high, 2 * high] : [low / 1.5, high * 1.5];
     return [plot.zero ? 0 : low - pad, high + pad];
   }
 
   function draw(panel) {
     const shown = items.filter(on), range = view.x || whole(panel.log);
     const inside = frame(panel, plot, range, plot.xlog, height(panel, shown, range), panel.log), {X, Y, left, right, top, bottom} = panel.frame;
-    const at = (x, y) => `${X.to(x).toFixed(2)},${Y.to(y).toFixed(2)}`, walls = plot.walls || [];
-    for (const wall of walls) {
-      const x = X.to(wall), [from, to] = wall < 0 || (wall === 0 && walls.length > 1) ? [left, x] : [x, right];
-      if (walls.filter(w => w * wall > 0).length === 1 && to > from) svg(inside, "rect", {x: from, y: top, width: to - from, height: bottom - top, class: "wall"});
-      svg(inside, "line", {x1: x, x2: x, y1: top, y2: bottom, class: "edge"});
+    const at = (x, y) => `${X.to(x).toFixed(2)},${Y.to(y).toFixed(2)}`;
+    for (const ends of plot.shaded) {
+      const [from, to] = [ends[0] === null ? left : X.to(ends[0]), ends[1] === null ? right : X.to(ends[1])];
+      if (to > from) svg(inside, "rect", {x: from, y: top, width: to - from, height: bottom - top, class: "wall"});
     }
-    for (const {y, words, fill} of plot.levels || []) {
+    for (const wall of plot.walls) svg(inside, "line", {x1: X.to(wall), x2: X.to(wall), y1: top, y2: bottom, class: "edge"});
+    for (const {y, words, fill} of plot.levels) {
       const place = Y.to(y);
       if (fill && place < bottom) svg(inside, "rect", {x: left, y: place, width: right - left, height: bottom - place, class: "wall"});
       else svg(inside, "line", {x1: left, x2: right, y1: place, y2: place, class: "edge"});

@@ -166,7 +166,7 @@ class Sweep:
 
     def plot(self) -> "Figure":
         """Return a figure of every quantity: lines over one axis, heat pictures over two."""
-        study_figure = import_module("cases.show.pictures.panel").study_figure
+        study_figure = import_module("cases.show.pictures.draw").study_figure
         figure: Figure = study_figure(_page().sweep_panels(self))
         return figure
 

@@ -12,10 +12,10 @@ from cases.compare.routes import method_for
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
-from cases.show.live import live_record
-from cases.show.pictures.panel import HALO, Curve, Field, Panel, live_plots, study_figure
+from cases.show.pictures.draw import HALO, study_figure
+from cases.show.pictures.panel import Curve, Field, Panel, live_plots
 from cases.show.pictures.style import COLOURS, DARK
-from cases.show.report import write_report
+from cases.show.report import live_record, write_report
 from cases.show.words import named
 from cases.study.cost import CostStudy
 from cases.study.cost_page import cost_page
@@ -179,7 +179,7 @@ def test_maps_of_joint_densities_have_the_numbers_of_every_route(touched, outcom
 def test_answers_in_time_have_the_numbers_of_every_route(touched, outcome):
     (passages,), (transients,) = outcome.curves[0].passages, outcome.curves[0].transients
     given = {g.route.words: g.answer for g in passages.given}
-    for hover, k in zip(touched["report"]["passage_1"]["hover"], (1, 2), strict=True):
+    for hover, k in zip(touched["report"]["passage_1"]["hover"], (0, 1), strict=True):
         assert hover["place"]["x"] == passages.question.times[k]
         for value in hover["values"]:
             answer = given[value["name"]]

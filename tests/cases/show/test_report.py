@@ -21,11 +21,9 @@ from cases.scene.scene import load_scene
 from cases.scene.units import Units
 from cases.scene.written import bound, with_error
 from cases.show.digest import digest_of
-from cases.show.live import MARKS
 from cases.show.page import TEMPLATES
 from cases.show.pictures.chain import chain_svg
-from cases.show.pictures.lines import CURVE_MARKS, LINES
-from cases.show.pictures.style import COLOURS, DARK, STYLE
+from cases.show.pictures.style import COLOURS, DARK, DASHES, MARKERS, STYLE
 from cases.show.pictures.svg import TOLERANCE, inline_svg, svg_text
 from cases.show.report import headline_of, measure_of, report_html
 from cases.show.text import claims_counted, rendered, theory_table
@@ -129,8 +127,8 @@ def test_colour_differences_are_those_of_the_published_table():
 
 def test_every_curve_has_a_second_cue():
     assert {*route_colours(), SPLITTING.colour} == set(COLOURS) and len(COLOURS) == len(DARK) == 7
-    assert len(set(MARKS)) == len(set(CURVE_MARKS)) == len(COLOURS)
-    assert len(set(LINES)) == 4
+    assert len(MARKERS) == len(set(MARKERS.values())) == len(COLOURS)
+    assert len(DASHES) == len(set(DASHES.values())) == 4
 
 
 def scheme(text):

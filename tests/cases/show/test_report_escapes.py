@@ -11,9 +11,8 @@ from cases.compare.routes import method_for
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
-from cases.show.live import live_record
 from cases.show.page import PageStyle
-from cases.show.report import report_html, write_report
+from cases.show.report import live_record, report_html, write_report
 from cases.show.study_page import Page
 
 PAYLOADS = [

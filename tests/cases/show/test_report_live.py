@@ -11,10 +11,9 @@ from cases.compare.routes import method_for
 from cases.compare.stationary import answers_of, run_scene
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
-from cases.show.live import live_record
 from cases.show.page import TEMPLATES, as_script_data
 from cases.show.records import plain
-from cases.show.report import write_report
+from cases.show.report import live_record, write_report
 from cases.show.slider_model import slider_model
 from fpk import Contact, System
 from fpk.answer.names import observable_name, parse_observable

@@ -16,7 +16,7 @@ from cases.scene.numbers import place_of
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.scene.units import DERIVED, DIMENSIONS, Units
 from cases.show.facts import modes_record, rms_record
-from cases.show.pictures.panel import study_figure
+from cases.show.pictures.draw import study_figure
 from cases.show.pictures.style import density_words, in_units, time_words, words_of
 from cases.show.report import figures
 from cases.study.cost import CostStudy

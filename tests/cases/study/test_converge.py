@@ -8,7 +8,8 @@ import pytest
 
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
-from cases.show.pictures.panel import Curve, Panel, study_figure
+from cases.show.pictures.draw import study_figure
+from cases.show.pictures.panel import Curve, Panel
 from cases.study.converge import H_LEVELS, ROUND_OFF, chosen_routes, ladders, measured_ladder
 from cases.study.equations import P_DEGREES, energy_equation, modal_equation
 from cases.study.levels import FUNCTIONALS, NORMS, density_of, errors, refined_levels

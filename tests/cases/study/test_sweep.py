@@ -23,7 +23,7 @@ from cases.compare.quantity import parse_definition
 from cases.scene.errors import BadInput
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import load_scene
-from cases.show.pictures.panel import study_figure
+from cases.show.pictures.draw import study_figure
 from cases.study.regime_map import build_map
 from cases.study.sweep.grid import parse_axes
 from cases.study.sweep.sweep_page import sweep_panels
