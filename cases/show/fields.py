@@ -29,9 +29,6 @@ POINTS = {1: 401, 2: 101}
 CUT = 1e-9
 """Share of the largest value below which a density no longer widens the grid."""
 
-LABELS = "curve_label"
-"""Variable of the labels of the curves."""
-
 COARSE = {1: 200, 2: 60}
 """Cells an axis on which the extent of a density by a function is measured, by axes."""
 
@@ -56,7 +53,7 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
     if variables:
         varied = {"long_name": labels[0].partition(" = ")[0] or "number of the curve"}
         variables["curve"] = ("curve",), np.array(numbers, dtype=float), varied
-        variables[LABELS] = ("curve",), np.array(labels), {"long_name": "label of the curve"}
+        variables["curve_label"] = ("curve",), np.array(labels), {"long_name": "label of the curve"}
     order = np.argsort(numbers, kind="stable")
     for name, (dimensions, values, words) in variables.items():
         if dimensions[0] == "curve":
@@ -155,7 +152,7 @@ def density_variables(all_of: Sequence[Answers], observable: Observable, units: 
     sizes = dict(zip(points, mesh[0].shape, strict=True))
     unit = attribute(units.density(observable))
     part: Part = (("p", "error"), words, unit, lambda d: d.at(*mesh), sizes)
-    of_curves = {"coordinates": LABELS}
+    of_curves = {"coordinates": "curve_label"}
     return variables | by_route(name, len(all_of), answers, [part], of_curves=of_curves)
 
 

@@ -19,13 +19,15 @@ from cases.show.files import write_text
 from cases.show.page import PLOTS, as_script_data, origin_record, page_record, script_record
 from cases.show.pictures.chain import chain_svg
 from cases.show.pictures.densities import (
+    HEIGHT,
     density_panel,
     fall_exponentially,
     joint_fields,
     joint_pictures,
     line_pictures,
 )
-from cases.show.pictures.in_time import time_panels, time_pictures
+from cases.show.pictures.draw import column_figure
+from cases.show.pictures.in_time import time_panels
 from cases.show.pictures.panel import map_record
 from cases.show.pictures.style import SHOWN, STYLE, in_units
 from cases.show.pictures.svg import inline_svg, svg_text
@@ -93,7 +95,8 @@ def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[
                 yield from joint_pictures(curves[0], observable)
             progress(k, len(outcome.scene.observables), "drawing")
         for k, curve in enumerate(outcome.curves):
-            yield from time_pictures(curve, f"_{k}" if k else "")
+            for stem, caption, panel in time_panels(curve, f"_{k}" if k else ""):
+                yield stem, caption, column_figure([panel], HEIGHT)
 
 
 def live_record(outcome: Outcome) -> Record | None:

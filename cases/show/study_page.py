@@ -29,9 +29,9 @@ from cases.show.words import named
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
 """Characters to which Markdown gives a meaning inside a line, HTML and formulas included."""
 
-TIMES = ("seconds", "quartiles ±", "first call more", "coefficients", "simulation to this")
 FORMATS: Mapping[str, Callable[[Any], str]] = {
-    **dict.fromkeys(TIMES, duration),
+    **dict.fromkeys(("seconds", "quartiles ±", "first call more"), duration),
+    **dict.fromkeys(("coefficients", "simulation to this"), duration),
     "memory": lambda size: f"{size / 1e6:.2g} MB",
     **dict.fromkeys(("mean", "limit"), "{:.6g}".format),
     "value": "{:.10g}".format,
@@ -177,8 +177,11 @@ class Page:
         paths = {ending: folder / f"{self.name}.{ending}" for ending in (*texts, "html", "nc")}
         downloads = [path.name for ending, path in paths.items() if ending != "html"]
         data = script_record(live_plots(self.panels, "picture"))
+        curves = [panel for panel in self.panels if isinstance(panel, Panel)]
+        coincident = [(panel, note) for panel in curves for note in panel.coincidences()]
         record = {
             "page": self,
+            "notes": [f"{p.title}: {note}." for p, note in coincident],
             "svg": inline_svg(texts["svg"], self.title),
             "data": as_script_data(data),
             **page_record(PLOTS),

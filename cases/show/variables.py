@@ -48,7 +48,11 @@ class Axis:
     @property
     def label(self) -> str:
         """The words of the axis in a picture, with its unit."""
-        return LABELS.get(self.key, self.symbol) + bracketed(self.unit)
+        name = re.sub(r"\[(\d+)\]", "", self.key)
+        words = LABELS.get(name, self.symbol)
+        number = re.search(r"\[(\d+)\]", self.key)
+        of = f" of contact {number[1]}" if number and name in LABELS else ""
+        return words + of + bracketed(self.unit)
 
     @property
     def dimension(self) -> str:

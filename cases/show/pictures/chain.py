@@ -9,53 +9,61 @@ from fpk.system.system import System
 SHOWN_MASSES = 8
 """Masses that are drawn; of a longer chain the first ones, and the words say so."""
 
-CELL, BOX, FLOOR, TOP = 150, 46, 96, 40
-"""Width of a mass with what joins it to the one before, width of its box, height of the floor and
-of the top of a box, in pixels."""
+CELL, BOX, CEILING, TOP, FLOOR = 150, 46, 4, 52, 108
+"""Width of a mass with what joins it to the one before, width of its box, and heights of the frame
+from which stops hang, of the top of a box and of the floor, in pixels from the top."""
 
 
 def chain_svg(system: System, units: Units = NO_UNITS) -> Markup:
-    """Return the chain from its wall on the left; stops are shaded walls at their masses.
+    """Return the chain from its wall on the left.
 
+    Stops hang from a frame that is joined to the wall, on both sides of a rod on their mass.
     Lengths are not to scale; clearances are in ``units``.
     """
     unit = f" {units.quantity('displacement')}" if units else ""
     count = min(system.n, SHOWN_MASSES)
-    clearances = [f"δ = {stop.clearance:g}{unit}" for stop in system.stops]
-    # Letters of 13 px are 8 px wide at the most; the last clearance begins 2 px before the end.
-    width = 24 + CELL * count + max([64, *(8 * len(words) for words in clearances)])
-    parts = [_wall(4, 24, 30, FLOOR), _line((24, FLOOR), (width, FLOOR))]
+    stops = [stop for stop in system.stops if stop.index < count]
+    clearances = [f"δ = {stop.clearance:g}{unit}" for stop in stops]
+    # Letters of 13 px are at most 8 px wide; labels end or begin 28 px beside the middle of a box.
+    longest = max((8 * len(words) for words in clearances), default=0)
+    first = 24 + max(0, longest - 67)
+    width = first + CELL * count + max(40, longest - 20)
+    parts = [
+        _wall(4, 24, CEILING if stops else TOP - 10, FLOOR),
+        _line((24, FLOOR), (width, FLOOR)),
+    ]
+    if stops:
+        parts.append(_line((24, CEILING), (width, CEILING)))
     for k in range(count):
-        left = 24 + CELL * k
-        box = left + CELL - BOX - 32
+        left, box = first + CELL * k, first + CELL * (k + 1) - BOX - 32
+        left = left if k else 24
         index = str(k + 1).translate(SUBSCRIPTS)
-        parts += [_spring(left, box, 54), _damper(left, box, 80)]
+        parts += [_spring(left, box, TOP + 14), _damper(left, box, TOP + 40)]
         parts += [
             f'<rect x="{box}" y="{TOP}" width="{BOX}" height="{FLOOR - TOP}" class="mass"/>',
-            _text(box + BOX / 2, 73, f"m{index}"),
-            _text((left + box) / 2, 43, f"k{index}"),
-            _text((left + box) / 2, 112, f"c{index}"),
+            _text(box + BOX / 2, TOP + 33, f"m{index}"),
+            _text((left + box) / 2, TOP + 4, f"k{index}"),
+            _text((left + box) / 2, TOP + 72, f"c{index}"),
         ]
-        for stop, words in zip(system.stops, clearances, strict=True):
-            if stop.index != k:
-                continue
-            x = box + BOX + 14 if stop.sign > 0 else box - 26
-            parts.append(_wall(x, x + 12, 4, 30))
-            # From the edge of the mass to the stop.
-            parts.append(_line((x + 6, 30), (x + 6, TOP)))
-            parts.append(_text(x + 6, 13 if stop.sign > 0 else 28, words, side=stop.sign))
+        own = [(s, w) for s, w in zip(stops, clearances, strict=True) if s.index == k]
+        for stop, words in own:
+            x = box + BOX / 2 + 14 * stop.sign
+            parts.append(_wall(min(x, x + 9 * stop.sign), max(x, x + 9 * stop.sign), CEILING, 34))
+            parts.append(_text(x + 14 * stop.sign, 32 if stop.sign < 0 else 18, words, stop.sign))
+        if own:
+            parts.append(_line((box + BOX / 2, TOP), (box + BOX / 2, 20)))
         if k + 1 < count or system.n > count:
-            parts.append(_line((box + BOX, 54), (left + CELL, 54)))
-            parts.append(_line((box + BOX, 80), (left + CELL, 80)))
+            parts.append(_line((box + BOX, TOP + 14), (left + CELL, TOP + 14)))
+            parts.append(_line((box + BOX, TOP + 40), (left + CELL, TOP + 40)))
     more = f", the first {count} are drawn" if system.n > count else ""
     words = f"Chain of {system.n} masses with {len(system.stops)} stops{more}; not to scale"
     label = f'<svg class="chain" role="img" aria-label="{escape(words)}"'
-    return Markup(f'{label} viewBox="0 0 {width} 118" width="{width}">{"".join(parts)}</svg>')
+    return Markup(f'{label} viewBox="0 0 {width} 130" width="{width}">{"".join(parts)}</svg>')
 
 
 def _wall(left: float, right: float, top: float, bottom: float) -> str:
-    size = f'width="{right - left}" height="{bottom - top}"'
-    return f'<rect x="{left}" y="{top}" {size} class="wall"/>'
+    size = f'width="{right - left:g}" height="{bottom - top:g}"'
+    return f'<rect x="{left:g}" y="{top:g}" {size} class="wall"/>'
 
 
 def _line(*points: tuple[float, float]) -> str:
@@ -70,15 +78,12 @@ def _spring(left: float, right: float, y: float) -> str:
 
 
 def _damper(left: float, right: float, y: float) -> str:
-    middle = (left + right) / 2
-    return (
-        _line((left, y), (middle - 6, y))
-        + _line((middle + 8, y - 7), (middle - 6, y - 7), (middle - 6, y + 7), (middle + 8, y + 7))
-        + _line((middle + 3, y - 5), (middle + 3, y + 5))
-        + _line((middle + 3, y), (right, y))
-    )
+    x = (left + right) / 2
+    cup = (x + 8, y - 7), (x - 6, y - 7), (x - 6, y + 7), (x + 8, y + 7)
+    rods = _line((left, y), (x - 6, y)) + _line((x + 3, y), (right, y))
+    return rods + _line(*cup) + _line((x + 3, y - 5), (x + 3, y + 5))
 
 
-def _text(x: float, y: float, words: str, *, side: float = 0.0) -> str:
-    anchor = {0.0: "middle", 1.0: "start", -1.0: "end"}[side]
-    return f'<text x="{x + 10 * side:g}" y="{y}" text-anchor="{anchor}">{escape(words)}</text>'
+def _text(x: float, y: float, words: str, sign: float = 0.0) -> str:
+    anchor = {0.0: "middle", 1.0: "start", -1.0: "end"}[sign]
+    return f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}">{escape(words)}</text>'

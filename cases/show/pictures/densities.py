@@ -34,32 +34,25 @@ from fpk.answer.names import Observable, observable_name
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
 
-POINTS, MAP_POINTS, MAP_BINS = 301, 61, 40
-"""Points of a curve, points an axis of a map, and about as many bins of a map that is sampled."""
+POINTS, MAP_POINTS, SHEET = 301, 61, 72
+"""Points of a curve, and points an axis of a map and of a surface."""
 
-MARKED = 48
-"""Points of a curve that is sampled."""
+MARKED, MAP_BINS = 48, 40
+"""Points of a curve that is sampled, and about as many bins an axis of a sampled map."""
 
 TAIL = 1e-6
 """Share of the largest value at which a logarithmic scale ends."""
 
-SAME_LINE = 0.007
-"""Distance of two lines, relative to the height of a picture, that the width of a line hides."""
-
 HEIGHT, ALONE, ROW = 2.7, 1.6, 0.9
 """Height in inches of the axes of densities, and of differences of a lone curve or one of many."""
 
-SHEET = 72
-"""Points an axis of a surface, and about as many bins where it is sampled."""
-
-SOLVER_WORDS = (
-    "Numerical error for {}: two solvers of the same equation against each other, and the errors"
-    " that they state."
-)
-LEFT_WORDS = (
-    "Simulation minus theory for {}. Inside the grey band the difference is chance; a curve that"
-    " leaves it shows the averaging error where the theory is an averaged one."
-)
+CAPTIONS = {
+    "solver": "Numerical error for {}: two solvers of the same equation against each other, and the"
+    " errors that they state.",
+    "left": "Simulation minus theory for {}. Inside the grey band the difference is chance; a curve"
+    " that leaves it shows the averaging error where the theory is an averaged one.",
+}
+"""Captions of the pictures of differences, by the first word of their files."""
 
 
 def line_pictures(
@@ -70,7 +63,7 @@ def line_pictures(
     curves = sorted(curves, key=lambda c: c.value or 0.0)
     panel = density_panel(curves, observable)
     words = "theory as lines, simulation as points and a band of two standard errors"
-    words += "".join(f"; {note}" for note in coincidences(panel))
+    words += "".join(f"; {note}" for note in panel.coincidences())
     words += "; stops shaded." if panel.stops else "."
     yield f"density_{name}", f"Density of {name}: {words}", column_figure([panel], HEIGHT)
     caption = "The same with a logarithmic scale, to a millionth of the top."
@@ -78,51 +71,33 @@ def line_pictures(
     yield f"density_{name}_log", caption, column_figure([panel], HEIGHT)
     every = [d for c in curves for d in c.densities(observable).values()]
     (x,) = common_grid(every, cut=SHOWN, count=POINTS)
-    for stem, words, differences in (
-        ("solver", SOLVER_WORDS, solver_differences),
-        ("left", LEFT_WORDS, theory_differences),
-    ):
-        rows = [row for k, c in enumerate(curves) if (row := differences(c, observable, x, k))]
-        if rows:
+    for stem, differences in (("solver", solver_differences), ("left", theory_differences)):
+        drawn = [differences(c, observable, x, k) for k, c in enumerate(curves)]
+        if rows := [row for row in drawn if row is not None]:
             figure = column_figure(rows, ROW if len(rows) > 1 else ALONE)
-            yield f"{stem}_{name}", words.format(name), figure
+            yield f"{stem}_{name}", CAPTIONS[stem].format(name), figure
 
 
 def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str, str, Figure]]:
     """Yield file stem, caption and figure of all pictures of a pair of coordinates."""
     name = observable_name(observable)
-    stem = name.replace(",", "_")
-    figure = joint_figure(curve, observable, log=fall_exponentially(observable))
+    stem, log = name.replace(",", "_"), fall_exponentially(observable)
+    figure = joint_figure(curve, observable, log=log)
     yield f"density_{stem}", f"Joint density of {name}, on common levels.", figure
     if (pair := solver_pair(curve, observable)) is not None:
         (a, first), (b, second) = pair
-        axes = _axes(lines_of(curve, observable).values(), observable)
-        (value, stated), (other, also) = (
-            d.at(*np.meshgrid(*(axis.values for axis in axes), indexing="ij"))
-            for d in (first, second)
-        )
+        axes, mesh = _map_axes(lines_of(curve, observable).values(), observable)
+        (value, stated), (other, also) = first.at(*mesh), second.at(*mesh)
         panels = {
             f"|{a.solver} − {b.solver}|": np.abs(value - other),
             "errors that both state, added": stated + also,
         }
-        top = max(float(values.max()) for values in panels.values())
-        stops = stops_of([curve], observable[:1]), stops_of([curve], observable[1:])
-        fields = [
-            Field(
-                words,
-                *axes,
-                values,
-                logarithmic=True,
-                limits=(0.0, top),
-                lowest=SHOWN,
-                stops=stops,
-            )
-            for words, values in panels.items()
-        ]
-        label = density_words(observable).replace("density", "difference of")
-        yield f"solver_{stem}", SOLVER_WORDS.format(name), contour_figure(fields, label)
-    if not fall_exponentially(observable):  # these have their largest value in a corner
-        words = f"Joint density of {name} as a surface: theory, and simulation in join_bins bins."
+        fields = [Field(words, *axes, values) for words, values in panels.items()]
+        fields = _on_common_levels(fields, observable, [curve], log=True)
+        label = density_words(observable, difference=True)
+        yield f"solver_{stem}", CAPTIONS["solver"].format(name), contour_figure(fields, label)
+    if not log:  # a density that falls exponentially has its largest value in a corner
+        words = f"Joint density of {name} as a surface: theory, and simulation in joined bins."
         yield f"surface_{stem}", words, surface_figure(curve, observable)
 
 
@@ -139,30 +114,15 @@ def fall_exponentially(observable: Observable) -> bool:
     return all(c.kind == "H" for c in observable)
 
 
-def _axes(densities: Iterable[AnyDensity], observable: Observable) -> tuple[Axis, Axis]:
-    """The axes of a map of the densities, their words with units."""
-    x, y = (
-        Axis(str(c), words_of(c), values, logarithmic=False)
-        for c, values in zip(
-            observable, common_grid(densities, cut=SHOWN, count=MAP_POINTS), strict=True
-        )
-    )
-    return x, y
-
-
 def stops_of(curves: Sequence[Answers], observable: Observable) -> list[float]:
     """Return the places, ascending, at which the observed displacement touches its stops.
 
     Those of all curves, each once; negative on the left, -0.0 without a gap.
     """
     (c,) = observable
-    stops = {
-        (s.sign, s.clearance)
-        for curve in curves
-        for s in curve.system.stops
-        if c.kind == "q" and s.index == c.row
-    }
-    return sorted(sign * clearance for sign, clearance in sorted(stops))
+    every = [s for curve in curves for s in curve.system.stops if c.kind == "q"]
+    places = {(stop.sign, stop.clearance) for stop in every if stop.index == c.row}
+    return sorted(sign * clearance for sign, clearance in sorted(places))
 
 
 def density_panel(
@@ -176,115 +136,70 @@ def density_panel(
     """Return the densities of one coordinate: of functions as lines, of samples as points.
 
     Several curves are groups; a lone one has the colours of its routes. ``log``: down to ``TAIL``
-    of the largest value. ``every``: routes that are not drawn are there, not shown, and those that
-    are have their errors and full names; ``sliders`` are further curves.
+    of the largest value. ``every``: the page's panel, which also has the routes that are not drawn,
+    the errors of functions and twice as many points of samples; ``sliders`` are further curves.
     """
     answers = [(k, r, d) for k, c in enumerate(curves) for r, d in c.densities(observable).items()]
-    cut = TAIL if log else SHOWN
-    (x,) = common_grid([d for *_, d in answers], cut=cut, count=POINTS)
-    drawn = []
+    (x,) = common_grid([d for *_, d in answers], cut=TAIL if log else SHOWN, count=POINTS)
+    alone, drawn = len(curves) == 1, []
     for k, route, density in answers:
-        curve = curves[k]
-        shown = isinstance(density, SampledDensity) or route in lines_of(curve, observable)
-        if not (shown or every):
-            continue
-        colour = route.colour if len(curves) == 1 else COLOURS[k % len(COLOURS)]
-        own = Curve(route.words, x, x, group=curve.label, brief=route.name, colour=colour)
+        colour = route.colour if alone else COLOURS[k % len(COLOURS)]
+        own = Curve(route.words, x, x, group=curves[k].label, brief=route.name, colour=colour)
         if isinstance(density, SampledDensity):
             points, values, errors = points_within(density, MARKED * (1 + every), x)
-            marker = marker_of(route) if len(curves) == 1 else list(MARKERS)[k % len(MARKERS)]
-            own = replace(own, x=points, y=values, bar=errors, style="none", marker=marker)
-            drawn.append(replace(own, bars=2, band=True))
-        else:
-            values, errors = density.at(x)
-            own = replace(
-                own,
-                y=values,
-                bar=errors if every else None,
-                style=style_of(route),
-                marker="",
-                shown=shown,
-            )
-            drawn.append(replace(own, bars=0))
-    return panel_of([*drawn, *sliders], observable, x, log=log, stops=stops_of(curves, observable))
+            own = replace(own, x=points, y=values, bar=errors, bars=2, band=True, style="none")
+            marker = marker_of(route) if alone else list(MARKERS)[k % len(MARKERS)]
+            drawn.append(replace(own, marker=marker))
+        elif (shown := route in lines_of(curves[k], observable)) or every:
+            values, errors = density.at(x) if every else (density(x), np.zeros_like(x))
+            own = replace(own, y=values, bar=errors, bars=0, style=style_of(route), marker="")
+            drawn.append(replace(own, shown=shown))
+    return panel_of([*drawn, *sliders], observable, log=log, stops=stops_of(curves, observable))
+
+
+def panel_of(
+    curves: Sequence[Curve], observable: Observable, *, log: bool, stops: Sequence[float] = ()
+) -> Panel:
+    """Return the panel of densities of one coordinate."""
+    scales: Any = {"logarithmic": False, "y_logarithmic": log, "lowest": TAIL if log else 0.0}
+    words = words_of(observable[0]), density_words(observable)
+    return Panel("", *words, curves, **scales, by_x=True, zero=True, stops=stops)
 
 
 def lone_density(density: AnyDensity, *, log: bool) -> Panel | Field:
     """Return one density with a band of ± its error, or as a map of a pair of coordinates."""
     observable, name = density.observable, density.name
     if len(observable) == 2:
-        axes = _axes([density], observable)
-        values = density(*np.meshgrid(*(axis.values for axis in axes), indexing="ij"))
-        limits = 0.0, float(values.max())
-        return Field(name, *axes, values, logarithmic=log, limits=limits, lowest=SHOWN)
+        axes, mesh = _map_axes([density], observable)
+        return _on_common_levels([Field(name, *axes, density(*mesh))], observable, [], log=log)[0]
     (x,) = common_grid([density], cut=TAIL if log else SHOWN, count=POINTS)
-    return panel_of([Curve(name, x, *density.at(x), band=True, marker="")], observable, x, log=log)
-
-
-def panel_of(
-    curves: Sequence[Curve],
-    observable: Observable,
-    x: Array,
-    *,
-    log: bool,
-    stops: Sequence[float] = (),
-) -> Panel:
-    """Return the panel of densities of one coordinate between the ends of ``x``."""
-    return Panel(
-        "",
-        words_of(observable[0]),
-        density_words(observable),
-        curves,
-        logarithmic=False,
-        y_logarithmic=log,
-        by_x=True,
-        ends=(x[0], x[-1]),
-        zero=True,
-        lowest=TAIL if log else 0.0,
-        stops=stops,
-    )
-
-
-def coincidences(panel: Panel) -> list[str]:
-    """Return in words the lines that are nowhere further apart than the width of a line."""
-    lines = [c for c in panel.curves if c.shown and c.style != "none"]
-    top = max((float(np.max(c.y)) for c in lines), default=0.0)
-    alike: list[list[Curve]] = []
-    for line in lines:
-        for others in alike:
-            if np.abs(np.subtract(others[0].y, line.y)).max() <= SAME_LINE * top:
-                others.append(line)
-                break
-        else:
-            alike.append([line])
-    notes = []
-    for others in alike:
-        groups: dict[str, list[str]] = {}
-        for line in others:
-            groups.setdefault(line.brief, []).append(line.group)
-        if len(others) > 1:
-            words = [f"{n} ({', '.join(of)})" if any(of) else n for n, of in groups.items()]
-            notes.append(f"the lines of {' and '.join(words)} coincide")
-    return notes
+    return panel_of([Curve(name, x, *density.at(x), band=True, marker="")], observable, log=log)
 
 
 def solver_differences(
     curve: Answers, observable: Observable, x: Array, number: int
 ) -> Panel | None:
-    """Return the difference of two solvers of one averaged equation, and the errors they state."""
+    """Return the difference of two solvers of one averaged equation, and the errors they state.
+
+    None if no equation has two solvers here. ``number`` of the curve, from 0, gives its colour.
+    """
     if (pair := solver_pair(curve, observable)) is None:
         return None
     (a, first), (b, second) = pair
     (value, stated), (other, also) = first.at(x), second.at(x)
-    colour, name = COLOURS[number % len(COLOURS)], f"{a.solver} − {b.solver}"
-    own = Curve(name, x, value - other, colour=colour, marker="")
-    return _differences(curve, observable, x, [own], stated + also, "±the errors that both state")
+    name, colour = f"{a.solver} − {b.solver}", COLOURS[number % len(COLOURS)]
+    curves = [Curve(name, x, value - other, colour=colour, marker="")]
+    return _differences(curve, observable, curves, stated + also, "±the errors that both state")
 
 
 def theory_differences(
     curve: Answers, observable: Observable, x: Array, number: int
 ) -> Panel | None:
-    """Return simulation minus theory for every theory drawn, and two standard errors."""
+    """Return simulation minus theory for every theory drawn, and two standard errors.
+
+    None without a simulation of the full system. ``number`` of the curve, from 0, gives the colour
+    of all theories, unless the scene has one curve only.
+    """
     sampled = [d for r, d in samples_of(curve, observable).items() if r.solves == "full"]
     theories = lines_of(curve, observable).items()
     if not sampled or not theories:
@@ -294,37 +209,25 @@ def theory_differences(
     inside = (middles >= x[0]) & (middles <= x[-1])
     # Above kinks some bins are much narrower than a pixel, with few samples: no place in a curve.
     inside &= np.diff(few.edges[0]) > 1e-4 * (x[-1] - x[0])
-    curves = [
-        Curve(
-            f"simulation − {route.name}",
-            middles[inside],
-            bin_differences(few, theory)[inside],
-            style=style_of(route),
-            colour=COLOURS[number % len(COLOURS)] if curve.label else route.colour,
-            marker="",
-        )
-        for route, theory in theories
-    ]
+    curves = []
+    for route, theory in theories:
+        name, values = f"simulation − {route.name}", bin_differences(few, theory)[inside]
+        colour = COLOURS[number % len(COLOURS)] if curve.label else route.colour
+        own = Curve(name, middles[inside], values, colour=colour, marker="")
+        curves.append(replace(own, style=style_of(route)))
     allowed = 2.0 * few.standard_error[inside]
-    return _differences(curve, observable, x, curves, allowed, "±2 standard errors")
+    return _differences(curve, observable, curves, allowed, "±2 standard errors")
 
 
 def _differences(
-    curve: Answers,
-    observable: Observable,
-    x: Array,
-    curves: list[Curve],
-    allowed: Array,
-    words: str,
+    curve: Answers, observable: Observable, curves: list[Curve], allowed: Array, words: str
 ) -> Panel:
     """Differences of two answers, and the band ± ``allowed`` in which they may lie."""
-    at = np.asarray(curves[0].x)
-    band = Curve(words, at, 0.0 * at, allowed, style="none", band=True, colour=INK, marker="")
-    label = density_words(observable).replace("density", "difference of")
-    own: Any = {"logarithmic": False, "y_logarithmic": False, "ends": (x[0], x[-1])}
-    return Panel(
-        curve.label, words_of(observable[0]), label, [*curves, band], marks=[(0.0, "")], **own
-    )
+    x = np.asarray(curves[0].x)
+    band = Curve(words, x, 0.0 * x, allowed, style="none", band=True, colour=INK, marker="")
+    labels = words_of(observable[0]), density_words(observable, difference=True)
+    linear: Any = {"logarithmic": False, "y_logarithmic": False, "by_x": True}
+    return Panel(curve.label, *labels, [*curves, band], marks=[(0.0, "")], **linear)
 
 
 def points_within(sampled: SampledDensity, count: int, x: Array) -> tuple[Array, Array, Array]:
@@ -348,28 +251,42 @@ def joint_fields(curve: Answers, observable: Observable, *, log: bool) -> list[F
     """
     densities = curve.densities(observable)
     drawn = lines_of(curve, observable)
-    axes = _axes(densities.values(), observable)
-    stops = stops_of([curve], observable[:1]), stops_of([curve], observable[1:])
+    axes, mesh = _map_axes(densities.values(), observable)
     fields = []
     for route, density in densities.items():
-        shown = route in drawn or route.sampled
-        own = Field(route.words, *axes, np.zeros(0), brief=route.name, shown=shown, stops=stops)
+        own = Field(route.words, *axes, np.zeros(0), brief=route.name)
         if isinstance(density, SampledDensity):
             few = join_bins(density, MAP_BINS)
             middles = [0.5 * (e[1:] + e[:-1]) for e in few.edges]
-            inside = [
-                (m >= a.values[0]) & (m <= a.values[-1]) for m, a in zip(middles, axes, strict=True)
-            ]
-            x, y = (replace(a, values=m[i]) for a, m, i in zip(axes, middles, inside, strict=True))
+            ends = [(a.values[0], a.values[-1]) for a in axes]
+            inside = [(m >= e[0]) & (m <= e[1]) for m, e in zip(middles, ends, strict=True)]
+            own = replace(own, x=replace(axes[0], values=middles[0][inside[0]]))
+            own = replace(own, y=replace(axes[1], values=middles[1][inside[1]]))
             values, errors = few.values[np.ix_(*inside)], few.standard_error[np.ix_(*inside)]
-            fields.append(replace(own, x=x, y=y, values=values, errors=errors))
         else:
-            mesh = np.meshgrid(*(axis.values for axis in axes), indexing="ij")
             values, errors = density.at(*mesh)
-            fields.append(replace(own, values=values, errors=errors, smooth=True))
-    top = max(float(field.values.max()) for field in fields)
-    common: Any = {"logarithmic": log, "limits": (0.0, top), "lowest": SHOWN}
-    return [replace(field, **common) for field in fields]
+            own = replace(own, smooth=True, shown=route in drawn)
+        fields.append(replace(own, values=values, errors=errors))
+    return _on_common_levels(fields, observable, [curve], log=log)
+
+
+def _map_axes(
+    densities: Iterable[AnyDensity], observable: Observable
+) -> tuple[tuple[Axis, Axis], list[Array]]:
+    """The axes of a map of the densities, their words with units, and the mesh of its points."""
+    grid = common_grid(densities, cut=SHOWN, count=MAP_POINTS)
+    x, y = (Axis(str(c), words_of(c), g, False) for c, g in zip(observable, grid, strict=True))
+    return (x, y), list(np.meshgrid(*grid, indexing="ij"))
+
+
+def _on_common_levels(
+    fields: list[Field], observable: Observable, curves: Sequence[Answers], *, log: bool
+) -> list[Field]:
+    """The fields on levels up to the largest value of all, with the stops of ``curves``."""
+    stops = stops_of(curves, observable[:1]), stops_of(curves, observable[1:])
+    limits = 0.0, max(float(field.values.max()) for field in fields)
+    own: Any = {"logarithmic": log, "limits": limits, "lowest": SHOWN, "stops": stops}
+    return [replace(field, **own) for field in fields]
 
 
 def surface_figure(curve: Answers, observable: Observable) -> Figure:
@@ -381,13 +298,16 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
     theories = sorted(lines_of(curve, observable).items(), key=lambda a: curve.neglects(a[0]))
     full = [a for a in samples_of(curve, observable).items() if a[0].solves == "full"]
     drawn: dict[Route, AnyDensity] = dict([*theories[:1], *full])
-    x, y = np.meshgrid(*common_grid(drawn.values(), cut=SHOWN, count=SHEET), indexing="ij")
+    grid = common_grid(drawn.values(), cut=SHOWN, count=SHEET)
+    x, y = np.meshgrid(*grid, indexing="ij")
     sheets = {
         route.name: (join_bins(d, SHEET) if isinstance(d, SampledDensity) else d)(x, y)
         for route, d in drawn.items()
     }
     top = max(float(values.max()) for values in sheets.values())
     figure = Figure(figsize=(4.4, 3.6 * len(sheets)))
+    light = LightSource(azdeg=225, altdeg=50)
+    look: Any = {"cmap": "viridis", "norm": Normalize(0.0, top), "lightsource": light}
     for place, (words, values) in enumerate(sheets.items(), start=1):
         axes = figure.add_subplot(len(sheets), 1, place, projection="3d", proj_type="ortho")
         assert isinstance(axes, Axes3D)
@@ -397,11 +317,8 @@ def surface_figure(curve: Answers, observable: Observable) -> Figure:
         axes.set(xlabel=x_words, ylabel=y_words, zlabel=density_words(observable))
         axes.set_zlim(0.0, 1.05 * top)
         axes.locator_params(nbins=5)
-        sheet = axes.plot_surface(
-            x, y, values, cmap="viridis", norm=Normalize(0.0, top), rcount=SHEET, ccount=SHEET,
-            lightsource=LightSource(azdeg=225, altdeg=50), linewidth=0, antialiased=False,
-        )  # fmt: skip
-        sheet.set_rasterized(True)
+        size: Any = {"rcount": SHEET, "ccount": SHEET, "linewidth": 0, "antialiased": False}
+        axes.plot_surface(x, y, values, **size, **look).set_rasterized(True)
         axes.set_title(words, y=0.96, loc="left", x=0.05)
     figure.subplots_adjust(left=0.0, right=0.92, bottom=0.04, top=0.98, hspace=0.06)
     return figure

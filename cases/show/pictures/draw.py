@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from cases.show.pictures.panel import FLOOR_WORDS, Curve, Field, Panel
+from cases.show.pictures.panel import Curve, Field, Panel
 from cases.show.pictures.style import DASHES, INK, STYLE
 from cases.show.variables import Axis
 from fpk.numeric.arrays import Array
@@ -28,9 +28,6 @@ WIDTH = 4.4
 LEFT, RIGHT, FOOT, GAP, LEGEND_ROW = 0.66, 0.12, 0.5, 0.34, 0.19
 """Margins beside and below the axes, the gap between two for a title, and the height of a row of
 the legend, in inches. Fixed: to measure all words first draws every picture twice."""
-
-LONGEST_OF_TWO = 27
-"""Letters of the longest entry with which a legend of two columns fits."""
 
 LEVELS = 13
 """Contours of a joint density, from the lowest to the largest value."""
@@ -59,21 +56,16 @@ def column_figure(
     grid[-1].set_xlabel(panels[-1].x)
     if len(panels) > 1:
         figure.supylabel(panels[0].y, fontsize=STYLE["font.size"], x=0.005, ha="left")
-    columns = 2 if max(map(len, legend), default=0) <= LONGEST_OF_TWO else 1
+    # A letter is about 0.55 of the size of the font wide, a line beside its words half an inch.
+    letters = (36.0 * WIDTH - 36.0) / (0.55 * STYLE["legend.fontsize"])
+    columns = 2 if max(map(len, legend), default=0) <= letters else 1
     head = LEGEND_ROW * ceil(len(legend) / columns) + (GAP if len(panels) > 1 else 0.16)
     total = head + len(panels) * height + (len(panels) - 1) * GAP + FOOT
     figure.set_size_inches(WIDTH, total)
     figure.subplots_adjust(
         LEFT / WIDTH, FOOT / total, 1.0 - RIGHT / WIDTH, 1.0 - head / total, hspace=GAP / height
     )
-    figure.legend(
-        list(legend.values()),
-        list(legend),
-        loc="upper left",
-        ncols=columns,
-        columnspacing=1.6,
-        borderaxespad=0.2,
-    )
+    figure.legend(list(legend.values()), list(legend), loc="upper left", ncols=columns)
     return figure
 
 
@@ -83,7 +75,13 @@ def study_figure(panels: Sequence[Panel | Field]) -> Figure:
     rows = ceil(len(panels) / columns) or 1
     entries = max((len(panel.curves) for panel in panels if isinstance(panel, Panel)), default=0)
     width, height = 5.2 * columns if columns > 1 else 6.6, 3.0 + 0.2 * ceil(entries / 2)
-    with mpl.rc_context({**STYLE, "font.size": 8.5, "axes.titlesize": 8.5}):
+    small: Any = {"font.size": 8.5, "axes.titlesize": 8.5, "legend.fontsize": 7.0}
+    spaces: Any = {
+        "legend.columnspacing": 1.2,
+        "legend.handlelength": 1.8,
+        "legend.borderaxespad": 0.0,
+    }
+    with mpl.rc_context({**STYLE, **small, **spaces}):
         figure = Figure(figsize=(width, height * rows), layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[len(panels) :]:
@@ -97,17 +95,8 @@ def study_figure(panels: Sequence[Panel | Field]) -> Figure:
                     figure.colorbar(drawn, ax=axes)
                     continue
             if handles:
-                axes.legend(
-                    list(handles.values()),
-                    list(handles),
-                    loc="upper left",
-                    bbox_to_anchor=(-0.02, -0.19),
-                    ncols=2,
-                    fontsize=7.0,
-                    columnspacing=1.2,
-                    handlelength=1.8,
-                    borderaxespad=0.0,
-                )
+                place: Any = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.19), "ncols": 2}
+                axes.legend(list(handles.values()), list(handles), **place)
     return figure
 
 
@@ -158,8 +147,9 @@ def draw_curves(axes: Axes, panel: Panel, *, ink: bool = False) -> dict[str, Art
                 axes.fill_between(curve.x, low, high, color=colour, alpha=alpha, linewidth=0)
             if marker:  # one path for all bars: errorbar makes the file half as long again
                 ends = np.column_stack([y - reach, y + reach, np.full(len(y), np.nan)])
-                axes.plot(np.repeat(curve.x, 3), ends.ravel(), color=colour, linewidth=0.9)
-        axes.plot(curve.x, y, color=colour, **drawn)
+                axes.plot(np.repeat(curve.x, 3), ends.ravel(), color=colour, lw=0.9, zorder=1.9)
+        # Points of samples lie below the lines, which they would hide.
+        axes.plot(curve.x, y, color=colour, zorder=1.9 if curve.style == "none" else 2.0, **drawn)
         if curve.dashed is not None:
             axes.plot(*curve.dashed, color=colour, lw=0.9, ls=dash_pattern("--"))
         if several:
@@ -194,8 +184,12 @@ def dash_pattern(style: str) -> Any:
 
 def _finish(axes: Axes, panel: Panel) -> None:
     """Set the ends of the axes, then mark levels, stops and what lies beyond them."""
-    if panel.ends is not None:
-        axes.set_xlim(panel.ends)
+    x = panel.shared_x()
+    marked = any(curve.style != "none" and marker for curve, _, marker, _ in panel.styled())
+    if x.size > 1 and not marked:
+        axes.set_xlim(x[0], x[-1])
+    elif x.size > 1 and x[0] == 0.0:
+        axes.set_xlim(left=0.0)
     if panel.limits is not None:
         axes.set_ylim(panel.limits)
     elif panel.y_logarithmic and panel.lowest:
@@ -210,25 +204,16 @@ def _finish(axes: Axes, panel: Panel) -> None:
     for interval in panel.shaded():
         axes.axvspan(*np.clip(interval, *ends), color=INK, alpha=0.07, linewidth=0)
     axes.set_xlim(ends)
-    levels = [(level, words, 2, "bottom") for level, words in panel.marks]
-    for level, *_ in levels:
-        axes.axhline(level, color=INK, lw=0.9, ls=dash_pattern("--"))
-    if panel.floor is not None:
-        axes.axhspan(axes.get_ylim()[0], panel.floor, color=INK, alpha=0.08, lw=0)
-        levels.append((panel.floor, FLOOR_WORDS, -2, "top"))
-    for level, words, offset, side in levels:
-        axes.annotate(
-            words,
-            (0.985, level),
-            xycoords=axes.get_yaxis_transform(),
-            annotation_clip=True,
-            xytext=(0, offset),
-            textcoords="offset points",
-            ha="right",
-            va=side,
-            fontsize=6.5,
-            bbox=HALO,
-        )
+    for level in panel.levels():
+        y, below = level["y"], level["fill"]
+        if below:
+            axes.axhspan(axes.get_ylim()[0], y, color=INK, alpha=0.08, lw=0)
+        else:
+            axes.axhline(y, color=INK, lw=0.9, ls=dash_pattern("--"))
+        place: Any = {"xycoords": axes.get_yaxis_transform(), "annotation_clip": True}
+        place |= {"xytext": (0, -2 if below else 2), "textcoords": "offset points", "ha": "right"}
+        place["va"] = "top" if below else "bottom"
+        axes.annotate(level["words"], (0.985, y), fontsize=6.5, bbox=HALO, **place)
 
 
 def draw_map(axes: Axes, field: Field, *, contours: bool = False) -> tuple[dict[str, Artist], Any]:

@@ -1,17 +1,18 @@
 """Pictures of answers about motion after a start: reliability, and densities at several times."""
 
 from collections.abc import Iterator
+from dataclasses import replace
+from math import ceil
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 
 from cases.compare.answers import Answers
 from cases.compare.in_time import Replies, failure_of
 from cases.scene.questions import PassageQuestion, TransientQuestion
-from cases.show.pictures.densities import HEIGHT
-from cases.show.pictures.draw import column_figure
+from cases.show.pictures.densities import MARKED, TAIL
 from cases.show.pictures.panel import Curve, Panel
 from cases.show.pictures.style import (
     COLOURS,
@@ -24,15 +25,10 @@ from cases.show.pictures.style import (
 )
 from fpk.answer.dynamics import Passage, Transient
 from fpk.answer.method import Route
+from fpk.numeric.arrays import Array
 
 RARE = 0.05
 """Probability of failure at the last time below which it is drawn instead of the reliability."""
-
-LOWEST = 1e-4
-"""Smallest reliability that is drawn; samples know nothing below it."""
-
-EVERY = 6
-"""One of so many points of a sampled density in time is drawn."""
 
 SHADES = 0.05, 0.88
 """Part of the colours of many times, first to last: the rest is too light on white."""
@@ -54,12 +50,6 @@ def time_panels(curve: Answers, label: str) -> Iterator[tuple[str, str, Panel]]:
             yield f"transient_{k}{label}", caption, transient_panel(replies, curve.label)
 
 
-def time_pictures(curve: Answers, label: str) -> Iterator[tuple[str, str, Figure]]:
-    """Yield file stem, caption and figure of every question that has an answer to be drawn."""
-    for stem, caption, panel in time_panels(curve, label):
-        yield stem, caption, column_figure([panel], HEIGHT)
-
-
 def passage_panel(replies: Replies, title: str) -> Panel:
     """Return P(T > t) from P = 1 at t = 0, or P(T ≤ t) of rare failure, by every route.
 
@@ -72,34 +62,24 @@ def passage_panel(replies: Replies, title: str) -> Panel:
     curves = []
     for route, p in answers:
         values, errors = failure_of(p) if rare else (p.survival, p.survival_error)
-        seen = values > (0.0 if rare else LOWEST)
+        seen = values > (0.0 if rare else TAIL)
         start = () if rare or p.times[0] == 0.0 else (0.0,)  # starts lie below every limit: P = 1
-        curves.append(
-            Curve(
-                route.words,
-                np.concatenate([start, p.times[seen]]),
-                np.concatenate([np.ones(len(start)), values[seen]]),
-                np.concatenate([np.zeros(len(start)), errors[seen]]),
-                brief=route.name,
-                colour=route.colour,
-                style="none" if route.sampled else style_of(route),
-                marker=marker_of(route) if route.sampled else "o",
-                bars=2 if route.sampled else 1,
-                band=True,
-            )
-        )
-    lowest = min((float(v) for curve in curves for v in curve.y), default=1.0)
-    highest = max((float(v) for curve in curves for v in curve.y), default=1.0)
-    return Panel(
-        title,
-        time_words(),
-        "failure P(T ≤ t)" if rare else "reliability P(T > t)",
-        curves,
-        logarithmic=False,
-        by_x=True,
-        limits=(0.5 * lowest, 2.0 * highest if rare else 1.3),
-        ends=(0.0, 1.04 * max(replies.question.times)),
-    )
+        x, y = np.append(start, p.times[seen]), np.append(np.ones(len(start)), values[seen])
+        own = replace(_curve(route, x, y, np.append(np.zeros(len(start)), errors[seen])), band=True)
+        curves.append(own if route.sampled else replace(own, bars=1, marker="o"))
+    drawn = np.concatenate([curve.y for curve in curves])
+    words = "failure P(T ≤ t)" if rare else "reliability P(T > t)"
+    limits = 0.5 * drawn.min(initial=1.0), 2.0 * max(drawn, default=0.5) if rare else 1.3
+    scales: Any = {"logarithmic": False, "by_x": True, "limits": limits}
+    return Panel(title, time_words(), words, curves, **scales)
+
+
+def _curve(route: Route, x: Array, y: Array, error: Array) -> Curve:
+    """A line, or the points of a sample with bars of two standard errors."""
+    own = Curve(route.words, x, y, error, brief=route.name, colour=route.colour, bars=2)
+    if route.sampled:
+        return replace(own, style="none", marker=marker_of(route))
+    return replace(own, style=style_of(route), marker="", bars=0)
 
 
 def transient_panel(replies: Replies, title: str) -> Panel:
@@ -113,35 +93,14 @@ def transient_panel(replies: Replies, title: str) -> Panel:
     for route, p in answers:
         assert isinstance(p, Transient)
         for k, window in enumerate(replies.windows):
-            inside = window[::EVERY] if route.sampled else window
+            inside = window[:: ceil(len(window) / MARKED)] if route.sampled else window
             tops[k] = max(tops[k], p.values[k, window].max())
-            curves.append(
-                Curve(
-                    route.words,
-                    points[inside],
-                    p.values[k, inside],
-                    p.errors[k, inside],
-                    group=f"t = {times[k]:g}",
-                    brief=route.name,
-                    colour=colours[k],
-                    style="none" if route.sampled else style_of(route),
-                    marker=marker_of(route) if route.sampled else "",
-                    bars=2 if route.sampled else 0,
-                )
-            )
+            curve = _curve(route, points[inside], p.values[k, inside], p.errors[k, inside])
+            curves.append(replace(curve, group=f"t = {times[k]:g}", colour=colours[k]))
     energy = question.of[0].kind == "H"  # from rest its density falls exponentially at all times
-    return Panel(
-        title,
-        words_of(question.of[0]),
-        density_words(question.of),
-        curves,
-        logarithmic=False,
-        y_logarithmic=energy,
-        by_x=True,
-        zero=True,
-        lowest=SHOWN * tops.min() / tops.max(),
-        ends=(0.0, float(points[max(w[-1] for w in replies.windows)])) if energy else None,
-    )
+    scales: Any = {"logarithmic": False, "y_logarithmic": energy, "by_x": True, "zero": True}
+    scales["lowest"] = SHOWN * tops.min() / tops.max()
+    return Panel(title, words_of(question.of[0]), density_words(question.of), curves, **scales)
 
 
 def _drawn(replies: Replies) -> Iterator[tuple[Route, Passage | Transient]]:

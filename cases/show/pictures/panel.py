@@ -16,13 +16,12 @@ from cases.show.pictures.style import COLOURS, DASHES, MARKERS
 from cases.show.records import Record
 from cases.show.variables import Axis
 from cases.show.words import named
-from fpk.numeric.arrays import Array
+from fpk.numeric.arrays import EPS, Array
 
-ROUND_OFF = 1e-16
-"""Relative round-off: an error of exactly 0 is drawn there on a logarithmic axis."""
+SAME_LINE = 0.007
+"""Distance of two lines, relative to the height of a picture, that the width of a line hides."""
 DECADES = 100.0
 """Ratio of the largest to the smallest value from which an axis is logarithmic."""
-FLOOR_WORDS = "floor: error of the reference"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +66,11 @@ class Panel:
     """Curves over one axis; ``x`` and ``y`` are the words of the axes with their units.
 
     ``floor``: values below it are not resolved; ``marks``: horizontal levels with their words.
-    ``limits`` are the ends of the y axis, ``ends`` those of the x axis. A linear y axis begins with
-    0 if ``zero``; a logarithmic one ends at the share ``lowest`` of the largest value, if that is
-    not 0. ``stops`` are the places of stops on the x axis: what lies beyond the only stop of a side
-    is shaded. ``by_x``: a reader of the page asks for all curves at one x, else for the nearest
-    point of a curve.
+    ``limits`` are the ends of the y axis. A linear y axis begins with 0 if ``zero``; a logarithmic
+    one ends at the share ``lowest`` of the largest value, if that is not 0. ``stops`` are the
+    places of stops on the x axis: what lies beyond the only stop of a side is shaded. ``by_x``: the
+    x axis ends where the lines end, and a reader of the page asks for all curves at one x; else for
+    the nearest point of a curve.
     """
 
     title: str
@@ -84,7 +83,6 @@ class Panel:
     limits: tuple[float, float] | None = None
     y_logarithmic: bool = True
     by_x: bool = False
-    ends: tuple[float, float] | None = None
     zero: bool = False
     lowest: float = 0.0
     stops: Sequence[float] = ()
@@ -96,9 +94,15 @@ class Panel:
             own = marker if curve.marker is None else curve.marker
             y = np.asarray(curve.y, dtype=float)
             if self.y_logarithmic and not self.lowest:
-                y = np.maximum(y, ROUND_OFF)
+                y = np.maximum(y, EPS)  # where an error of exactly 0 is drawn
             rows.append((curve, curve.colour or colour, own, y))
         return rows
+
+    def levels(self) -> list[Record]:
+        """Return place ``y`` and ``words`` of horizontal levels; ``fill``: shaded below."""
+        levels: list[Record] = [{"y": y, "words": words, "fill": False} for y, words in self.marks]
+        floor = {"y": self.floor, "words": "floor: error of the reference", "fill": True}
+        return levels + ([floor] if self.floor is not None else [])
 
     @property
     def groups(self) -> list[str]:
@@ -113,53 +117,61 @@ class Panel:
 
     def record(self, **more: Any) -> Record:
         """Return the plot of the page's script, with the keys ``more``."""
-        levels: list[Record] = [{"y": level, "words": words} for level, words in self.marks]
-        if self.floor is not None:
-            levels.append({"y": self.floor, "words": FLOOR_WORDS, "fill": True})
-        lines = [c for c in self.curves if c.style != "none" and not c.form] or self.curves
-        shared = None
-        if self.by_x and lines:
-            shared = np.unique(np.concatenate([np.asarray(c.x, dtype=float) for c in lines]))
-        series = []
+        x, series = self.shared_x(), []
         for curve, colour, marker, y in self.styled():
-            own: Record = {
-                "curve": curve.group,
-                "name": named(curve.name),
-                "shown": curve.shown,
-                "colour": colour,
-                "x": None if shared is not None and np.array_equal(curve.x, shared) else curve.x,
-                "notes": curve.notes,
-                "guide": curve.dashed,
-                "band": curve.band,
-                **rounded(y=y, error=curve.bar),
-            }
-            if marker:
-                own["marks"] = MARKERS[marker]
-            if curve.bar is not None:
-                own["bars"] = curve.bars
-            if curve.style != "none":
-                own["dash"] = DASHES[curve.style]
-            if curve.form:
-                own |= {"form": curve.form, "x": None}
+            own = {key: getattr(curve, key) for key in ("shown", "notes", "band", "form")}
+            own |= {"curve": curve.group, "name": named(curve.name), "guide": curve.dashed}
+            own |= {"colour": colour, **rounded(y=y, error=curve.bar)}
+            own |= {} if curve.bar is None else {"bars": curve.bars}
+            own |= {"marks": MARKERS[marker]} if marker else {}
+            own |= {} if curve.style == "none" else {"dash": DASHES[curve.style]}
+            own["x"] = None if curve.form or np.array_equal(curve.x, x) else curve.x
             series.append(own)
+        keys = "title", "zero", "lowest", "stops", "limits"
         return {
-            "title": self.title,
-            "xlabel": self.x,
-            "ylabel": self.y,
-            "xlog": self.logarithmic,
-            "scales": [self.y_logarithmic],
-            "yends": self.limits,
-            "zero": self.zero,
-            "lowest": self.lowest,
-            "walls": self.stops,
-            "shaded": [
-                [end if np.isfinite(end) else None for end in ends] for ends in self.shaded()
-            ],
-            "levels": levels,
-            "x": shared,
+            **{key: getattr(self, key) for key in keys},
+            **{
+                "xlabel": self.x,
+                "ylabel": self.y,
+                "xlog": self.logarithmic,
+                "levels": self.levels(),
+            },
+            **{"scales": [self.y_logarithmic], "shaded": self.shaded(), "x": x if x.size else None},
             "series": series,
             **more,
         }
+
+    def coincidences(self) -> list[str]:
+        """Return in words the lines that are nowhere further apart than the width of a line."""
+        scale = np.log if self.y_logarithmic else np.asarray
+        lines = [(c, scale(y)) for c, _, _, y in self.styled() if c.shown and c.style != "none"]
+        ends = [v for _, y in lines for v in (np.nanmin(y), np.nanmax(y), *[0.0] * self.zero)]
+        width = SAME_LINE * (max(ends) - min(ends)) if ends else 0.0
+
+        def coincide(a: tuple[Curve, Array], b: tuple[Curve, Array]) -> bool:
+            return np.array_equal(a[0].x, b[0].x) and bool(np.all(np.abs(a[1] - b[1]) <= width))
+
+        sets: list[list[tuple[Curve, Array]]] = []
+        for line in lines:
+            own = next((s for s in sets if coincide(s[0], line)), None)
+            if own is None:
+                sets.append([line])
+            else:
+                own.append(line)
+        notes = []
+        for coincident in (s for s in sets if len(s) > 1):
+            groups: dict[str, list[str]] = {}
+            for curve, _ in coincident:
+                groups.setdefault(curve.brief or named(curve.name), []).append(curve.group)
+            words = [f"{n} ({', '.join(of)})" if any(of) else n for n, of in groups.items()]
+            notes.append(f"the lines of {' and '.join(words)} coincide")
+        return notes
+
+    def shared_x(self) -> Array:
+        """Return the x, ascending, at which the values of all curves are asked for; else none."""
+        lines = [c for c in self.curves if c.style != "none" and not c.form] or self.curves
+        every = [np.asarray(c.x, dtype=float) for c in lines if self.by_x]
+        return np.unique(np.concatenate(every)) if every else np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,15 +209,10 @@ class Field:
         error = None if self.errors is None else self.errors.ravel()
         words, colours = zip(*self.categories, strict=True) if self.categories else ((), ())
         return {
-            "name": self.title,
-            "shown": self.shown,
-            "log": self.logarithmic,
-            "smooth": self.smooth,
-            "x": self.x.values,
-            "y": self.y.values,
+            **{"name": self.title, "shown": self.shown, "log": self.logarithmic},
+            **{"smooth": self.smooth, "x": self.x.values, "y": self.y.values},
             **rounded(z=self.values.ravel(), error=error),
-            "low": low,
-            "high": high if high > low else low + (abs(low) or 1.0),
+            **{"low": low, "high": high if high > low else low + (abs(low) or 1.0)},
             "floor": self.lowest * high or max(low, 0.0),
             **({"names": words, "colours": colours} if words else {}),
         }
@@ -223,13 +230,9 @@ def map_record(fields: Sequence[Field], **more: Any) -> Record:
             if getattr(field, key) is common:
                 del record[key]
     return {
-        "x": first.x.values,
-        "y": first.y.values,
-        "xlog": first.x.logarithmic,
-        "ylog": first.y.logarithmic,
-        "xlabel": first.x.label,
-        "ylabel": first.y.label,
-        "walls": first.stops,
+        **{"x": first.x.values, "xlog": first.x.logarithmic, "xlabel": first.x.label},
+        **{"y": first.y.values, "ylog": first.y.logarithmic, "ylabel": first.y.label},
+        "stops": first.stops,
         "split": None if first.split is None else first.split.astype(int).ravel(),
         "border": first.border,
         "fields": own,

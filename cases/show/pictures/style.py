@@ -64,10 +64,11 @@ def in_units(units: Units) -> Iterator[None]:
         SHOWN_UNITS.reset(token)
 
 
-def density_words(observable: Observable) -> str:
+def density_words(observable: Observable, *, difference: bool = False) -> str:
     """Return the words for an axis of the density, as ``density p(q₂) [mm⁻¹]``."""
     unit = bracketed(SHOWN_UNITS.get().density(observable))
-    return f"density p({', '.join(map(symbol_of, observable))}){unit}"
+    words = "difference of" if difference else "density"
+    return f"{words} p({', '.join(map(symbol_of, observable))}){unit}"
 
 
 def time_words() -> str:

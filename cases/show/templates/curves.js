@@ -8,7 +8,7 @@ function curves(plot, view, on, off) {
     const seen = plot.cut && !log ? plot.x.filter((_, i) => given.some(s => s.x === plot.x && s.y[i] > plot.cut * highest)) : [];
     if (seen.length) return [plot.x[Math.max(plot.x.indexOf(seen[0]) - 1, 0)], seen.at(-1)];
     const [a, b] = everywhere, pad = given.some(s => s.marks && s.x === plot.x) || !plot.x ? 0.04 : 0; // a marker is seen whole
-    return plot.xlog ? [a / (b / a) ** pad, b * (b / a) ** pad] : [a - pad * (b - a), b + pad * (b - a)];
+    return plot.xlog ? [a / (b / a) ** pad, b * (b / a) ** pad] : [a && a - pad * (b - a), b + pad * (b - a)];
   };
   const point = (s, i) => ({curve: s.curve, name: s.name, x: s.x[i], p: s.y[i], error: s.error?.[i], note: s.notes?.[i], own: plot.x && s.x[i] !== view.cursor.x});
 
@@ -17,7 +17,7 @@ function curves(plot, view, on, off) {
     const reach = (s, i) => (panel.log ? [0, 1] : [0, 1, -1]).map(sign => s.y[i] + sign * (s.bars && s.error?.[i] || 0) * (s.bars || 0));
     const seen = shown.flatMap(s => inside(s).flatMap(i => reach(s, i)));
     let [low, high] = seen.length ? ends(seen) : [1e-3, 1].map(v => v * (highest > 0 ? highest : 1));
-    if (plot.yends && panel.log) return plot.yends;
+    if (plot.limits && panel.log) return plot.limits;
     if (plot.cut) high = Math.max(high, 1e-6 * highest);
     const pad = 0.06 * (high - (plot.zero ? 0 : low)) || Math.abs(high) || 1;
     if (panel.log) return plot.lowest ? [plot.lowest * high, 2 * high] : [low / 1.5, high * 1.5];
@@ -32,14 +32,14 @@ function curves(plot, view, on, off) {
       const [from, to] = [ends[0] === null ? left : X.to(ends[0]), ends[1] === null ? right : X.to(ends[1])];
       if (to > from) svg(inside, "rect", {x: from, y: top, width: to - from, height: bottom - top, class: "wall"});
     }
-    for (const wall of plot.walls) svg(inside, "line", {x1: X.to(wall), x2: X.to(wall), y1: top, y2: bottom, class: "edge"});
+    for (const wall of plot.stops) svg(inside, "line", {x1: X.to(wall), x2: X.to(wall), y1: top, y2: bottom, class: "edge"});
     for (const {y, words, fill} of plot.levels) {
       const place = Y.to(y);
       if (fill && place < bottom) svg(inside, "rect", {x: left, y: place, width: right - left, height: bottom - place, class: "wall"});
       else svg(inside, "line", {x1: left, x2: right, y1: place, y2: place, class: "edge"});
       svg(inside, "text", {x: right - 4, y: fill ? place + 12 : place - 4, "text-anchor": "end"}, words);
     }
-    for (const s of shown) {
+    for (const s of [...shown].sort((a, b) => Boolean(b.marks) - Boolean(a.marks))) { // lines above points
       const seen = [...s.x.keys()].filter(i => s.y[i] !== null && s.y[i] !== undefined), run = list => list.map((p, k) => (k ? "L" : "M") + p).join("");
       const side = (i, sign) => at(s.x[i], s.y[i] + sign * s.bars * (s.error[i] ?? 0)), other = seen.slice().reverse();
       if (s.band) svg(inside, "polygon", {points: [...seen.map(i => side(i, 1)), ...other.map(i => side(i, -1))].join(" "), fill: s.colour, class: "band"});

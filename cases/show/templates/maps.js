@@ -48,7 +48,7 @@ function maps(plot, view, on) {
     const C = s.names ? null : axis([log ? s.floor : s.low, s.high], log, bottom, top);
     const colour = s.names ? z => rgb(s.colours[z]) : z => z < C.low && log && plot.cut ? null : colours[Math.round(Math.min(Math.max((bottom - C.to(z)) / (bottom - top), 0), 1) * (colours.length - 1))];
     svg(inside, "image", {href: picture(s, panel.frame, colour), x: left, y: top, width: right - left, height: bottom - top, preserveAspectRatio: "none"});
-    plot.walls.forEach((walls, k) => {
+    plot.stops.forEach((walls, k) => {
       for (const wall of walls) svg(inside, "line", k ? {x1: left, x2: right, y1: Y.to(wall), y2: Y.to(wall), class: "stop"} : {x1: X.to(wall), x2: X.to(wall), y1: top, y2: bottom, class: "stop"});
     });
     if (plot.split) svg(inside, "path", {d: border(X, Y), class: "stop"});

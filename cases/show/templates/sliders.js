@@ -4,6 +4,7 @@ Object.assign(report, (() => {
   if (data.missing) html(touch, "p", data.missing, {class: "soft"});
   if (!model) return {};
   const factors = asRun(model), slid = plots.filter(p => p.plot.series?.some(s => s.form)), inputs = [];
+  const raised = unit => unit.replace(/\^([-.\d]+)/g, (_, power) => [...power].map(c => "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹"["-.0123456789".indexOf(c)]).join(""));
   let forms = null; // of the factors as they are
   for (const {plot} of slid) {
     const own = plot.series.filter(s => s.form);
@@ -22,7 +23,7 @@ Object.assign(report, (() => {
     const {name, value, unit} = model[key][k], label = html(box, "label", ""), text = html(label, "span", "");
     const most = key === "B" ? 2 : 1;
     const input = html(label, "input", "", {type: "range", min: -most, max: most, step: 0.01, value: 0, "data-key": key, "data-number": k});
-    const words = () => { text.textContent = `${name} = ${show(+(value * factors[key][k]).toPrecision(4))}${unit ? " " + unit : ""}`; };
+    const words = () => { text.textContent = `${name} = ${word(+(value * factors[key][k]).toPrecision(4))}${unit ? " " + raised(unit) : ""}`; };
     input.addEventListener("input", () => {
       factors[key][k] = 10 ** input.value;
       forms = null;

@@ -23,6 +23,7 @@ from cases.study.levels import Level
 from cases.study.prices import Priced
 from cases.study.regime_map import build_map, map_page
 from cases.study.sweep.sweep_page import sweep_page
+from fpk.numeric.arrays import EPS
 
 QUESTIONS = """
 [[passage]]
@@ -287,7 +288,7 @@ def test_what_there_is_not_is_null_in_the_data_and_empty_in_the_picture(sweeps):
     assert plot["fields"][0]["error"][:3] == [1.0, None, 2.0]
     assert study_figure(fields).axes
     (plot,) = live_plots([Panel("t", "x", "y", [Curve("a", [1.0, 2.0], [np.nan, 0.0])])], "p")
-    assert plot["series"][0]["y"] == [None, 1e-16]
+    assert plot["series"][0]["y"] == [None, pytest.approx(EPS)]
     assert "NaN" not in json.dumps([plot["series"][0]["y"]])
 
 
