@@ -253,7 +253,7 @@ def test_messages_and_help_state_the_limits_of_the_code():
     words = schema.REMEDIES["finite_number"]
     ends = [float(number) for number in re.findall(r"1e-?[0-9]+", words)]
     assert ends == [schema.SMALLEST, schema.LARGEST]
-    limits = short(densities.TAIL), short(densities.SHOWN)
+    limits = short(densities.LOG_TAIL), short(densities.SHOWN)
     assert (
         "down to {} of the largest, contours".format(*limits)
         in " ".join(PresentedAnswers.plot.__doc__.split())
@@ -270,7 +270,7 @@ def test_messages_and_help_state_the_limits_of_the_code():
     assert words in converge_page.GCI_WORDS
     assert f"within {WORDS[orders.ABOVE_FLOOR]} times the floor" in converge_page.ORDER_WORDS
     assert "the median of {} to {} runs".format(*levels.REPEATS) in cost_page.MEANING
-    assert densities.TAIL == 1e-6  # "to a millionth of the top"
+    assert densities.LOG_TAIL == 1e-6  # "to a millionth of the top"
     assert f"within {doubt.ACCEPTABLE_L1} in L1" in str(schema.EXPECT["acceptable"]["metadata"])
     system = {key: [1.0] for key in schema.SYSTEM["fields"]} | {"noise_gain": [[1.0]]}
     keys = schema.UNITS["fields"]

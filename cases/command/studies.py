@@ -225,9 +225,6 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
     )
 
 
-ENDINGS = (".vtu", ".pvd", ".nc", ".csv")
-
-
 @click.command()
 @parts.scene_name
 @click.option(
@@ -253,10 +250,13 @@ def export(
     every density.
     """
     loaded = parts.checked(scene, tol=tol)
+    from cases.show.fields import WRITERS
     from cases.show.files import make_folder
+    from cases.show.vtk import write_pvd, write_vtu
 
-    if out.suffix not in ENDINGS:
-        raise BadInput(f"--out {out}: the ending says the format; use {', '.join(ENDINGS)}")
+    writers = {".vtu": write_vtu, ".pvd": write_pvd, **WRITERS}
+    if out.suffix not in writers:
+        raise BadInput(f"--out {out}: the ending says the format; use {', '.join(writers)}")
     if of is not None:
         loaded = replace(loaded, observables=(parts.observable_of(of, loaded),))
     make_folder(out.parent)  # one that cannot be written is refused before the work
@@ -264,8 +264,6 @@ def export(
         first = next((o for o in loaded.observables if len(o) == 2), loaded.observables[0])
         loaded = replace(loaded, observables=(first,), curves=loaded.curves[:1])
     from cases.compare.routes import all_methods
-    from cases.show.fields import write_csv, write_netcdf
-    from cases.show.vtk import write_pvd, write_vtu
 
     # Claims, and the demand for every density, are about runs of all routes.
     loaded = replace(loaded, expect=None, densities_asked=False)
@@ -280,8 +278,7 @@ def export(
     if not any(map(len, outcome.curves)):
         reason = f"no stationary density: {outcome.curves[0].absence}"
         raise BadInput(f"{loaded.name}: {[*outcome.problems, reason][0]}")
-    write = dict(zip(ENDINGS, (write_vtu, write_pvd, write_netcdf, write_csv), strict=True))
-    files = [str(path) for path in write[out.suffix](outcome, out)]
+    files = [str(path) for path in writers[out.suffix](outcome, out)]
     record = {"scene": loaded.name, "file": str(out), "files": files, "seconds": outcome.seconds}
     words = "\n".join(f"wrote {file}" for file in files)
     parts.end(record, lambda: words, problems=outcome.problems)

@@ -11,7 +11,7 @@ from numba.core import event
 
 from fpk.answer.method import Progress, silent
 
-PATIENCE = 1.0
+BAR_AFTER = 1.0
 """Seconds before a bar appears."""
 
 CLEAR = "\r\x1b[K\x1b[?25h"
@@ -27,7 +27,7 @@ def progress_bar() -> Iterator[Progress]:
     start, bars = perf_counter(), dict[str, Any]()
 
     def report(done: int, total: int, what: str) -> None:
-        if perf_counter() - start < PATIENCE:
+        if perf_counter() - start < BAR_AFTER:
             return
         if what not in bars:
             bars[what] = click.progressbar(length=total, label=what, file=sys.stderr)

@@ -1,4 +1,4 @@
-"""A folder in which one run, or one map, keeps what it can go on from."""
+"""A folder in which one run, or one map, stores the states or points that it continues from."""
 
 import json
 from collections.abc import Iterator
@@ -16,11 +16,11 @@ from sim.sample.workers import PROGRAM, program_checksum
 
 @contextmanager
 def claimed(folder: Path | None, identity: Record) -> Iterator[None]:
-    """Return a context in which this process alone keeps states or points in ``folder``, if any.
+    """Lock ``folder`` for this process, which stores states or points there; None locks nothing.
 
-    ``run.json`` names what they depend on: ``identity``, as of ``canonical``, the version and the
-    sources of the program. Raises ``Unavailable`` where another process uses the folder,
-    ``BadInput`` where it is another run's.
+    ``run.json`` names all they depend on: ``identity`` in the form of ``canonical``, the version
+    and the sources of the program. Raises ``Unavailable`` if another process uses the folder,
+    ``BadInput`` if the folder is another run's.
     """
     if folder is None:
         yield

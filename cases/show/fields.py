@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from io import BytesIO, StringIO
 from pathlib import Path
 
@@ -23,13 +23,13 @@ from fpk.answer.names import Observable, observable_name
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
 
-POINTS = {1: 401, 2: 101}
+GRID_POINTS = {1: 401, 2: 101}
 """Points an axis of a grid, by the number of axes."""
 
-CUT = 1e-9
+GRID_CUT = 1e-9
 """Share of the largest value below which a density no longer widens the grid."""
 
-COARSE = {1: 200, 2: 60}
+EXTENT_CELLS = {1: 200, 2: 60}
 """Cells an axis on which the extent of a density by a function is measured, by axes."""
 
 
@@ -127,8 +127,17 @@ def write_csv(outcome: Outcome, path: Path) -> list[Path]:
     return [path]
 
 
+WRITERS: dict[str, Callable[[Outcome, Path], list[Path]]] = {
+    ".nc": write_netcdf,
+    ".csv": write_csv,
+}
+"""Writers of the densities of a run by the ending of the file; a format of one's own is one entry.
+
+Each returns the paths of the files that it wrote."""
+
+
 def density_variables(all_of: Sequence[Answers], observable: Observable, units: Units) -> Variables:
-    """Return the densities of an observable on a common grid, empty where no route gives it.
+    """Return the densities of an observable on a common grid; empty if no route gives any.
 
     As ``write_netcdf`` says, for ``all_of`` the curves.
     """
@@ -157,7 +166,7 @@ def density_variables(all_of: Sequence[Answers], observable: Observable, units: 
 
 
 def variable_name(observable: Observable) -> str:
-    """Return the observable's name as part of that of a variable or a file: ``q2_p2``."""
+    """Return the observable's name as part of the name of a variable or a file: ``q2_p2``."""
     return observable_name(observable).replace(",", "_")
 
 
@@ -169,24 +178,24 @@ def curve_numbers(outcome: Outcome) -> list[float]:
 
 
 def common_grid(
-    densities: Iterable[AnyDensity], *, cut: float = CUT, count: int | None = None
+    densities: Iterable[AnyDensity], *, cut: float = GRID_CUT, count: int | None = None
 ) -> tuple[Array, ...]:
     """Return one ascending array per axis: where any density exceeds ``cut`` of its largest.
 
-    ``count`` points an axis; None: as many as in ``POINTS``.
+    ``count``: points an axis; None: the number of ``GRID_POINTS``.
     """
-    reach = np.array([_reach(density, cut) for density in densities])
-    count = count or POINTS[reach.shape[1]]
+    reach = np.array([_extent(density, cut) for density in densities])
+    count = count or GRID_POINTS[reach.shape[1]]
     ends = zip(reach[..., 0].min(axis=0), reach[..., 1].max(axis=0), strict=True)
     return tuple(np.linspace(low, high, count) for low, high in ends)
 
 
-def _reach(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
+def _extent(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
     """Per axis, the interval in which the density exceeds ``cut`` of its largest value."""
     if isinstance(density, SampledDensity):
         edges, values = list(density.edges), density.values
     else:
-        cells = COARSE[len(density.panels)]
+        cells = EXTENT_CELLS[len(density.panels)]
         edges = [np.linspace(nodes[0], nodes[-1], cells + 1) for nodes in density.panels]
         values = density(*np.ix_(*(0.5 * (e[1:] + e[:-1]) for e in edges)))
     above = np.nonzero(values > cut * values.max())

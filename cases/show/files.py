@@ -17,15 +17,15 @@ LOCK, PREFIX = ".fpk.lock", ".fpk-"
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` in UTF-8 to ``path``, replacing what was there in one step."""
+    """Write ``text`` in UTF-8 to ``path``; a file that was there is replaced in one step."""
     write_by(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def write_by(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, then move it there in one step.
 
-    Raises ``BadInput`` with one line when the folder or the disk does not allow it; what was at
-    ``path`` is kept then.
+    Raises ``BadInput`` with one line if the folder or the disk does not allow it; the file that was
+    at ``path`` is unchanged then.
     """
     refusal = readable_errors(path, *NOT_WRITTEN)
     with refusal, TemporaryDirectory(prefix=PREFIX, dir=path.parent) as folder:
@@ -35,7 +35,7 @@ def write_by(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def make_folder(path: Path) -> Path:
-    """Return the folder at ``path``, made where it is missing; ``BadInput`` where it cannot be."""
+    """Return the folder at ``path``, made if missing; ``BadInput`` if it cannot be written."""
     with readable_errors(path, *NOT_WRITTEN):
         path.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=PREFIX, dir=path):
@@ -45,10 +45,10 @@ def make_folder(path: Path) -> Path:
 
 @contextmanager
 def output_folder(path: Path) -> Iterator[None]:
-    """Make the folder at ``path``, if it is missing, that of one command alone in a context.
+    """Lock the folder at ``path`` for one command; it is made if it is missing.
 
-    What killed processes have left half-written there is removed. Raises ``Unavailable`` where
-    another command has it, ``BadInput`` where it cannot be written.
+    Half-written files of killed processes are removed from it. Raises ``Unavailable`` if another
+    command writes to it, ``BadInput`` if it cannot be written.
     """
     with lock_file(make_folder(path) / LOCK, needed=False):
         for left in path.glob(f"{PREFIX}{'?' * 8}"):

@@ -33,7 +33,7 @@ PALETTE = 64
 
 
 class PageStyle:
-    """The style of a page; the templates say which tables are in it before they ask for it."""
+    """The style of a page; templates name all tables of the page before they use its text."""
 
     def __init__(self) -> None:
         """Start with no table."""
@@ -42,8 +42,9 @@ class PageStyle:
     def table(self, names: Sequence[str], texts: Sequence[bool] = ()) -> str:
         """Return the class of a table with columns of these names.
 
-        Before those of numbers stands "#", or ``texts`` says which have none. Where a window is
-        narrow the names stand beside the cells, by rules: attributes of cells are half of a table.
+        The names of columns of numbers begin with "#", or ``texts`` says which columns are text. In
+        a narrow window the names stand beside the cells, by rules: attributes of all cells would
+        double a table.
         """
         columns = tuple(names)
         if texts:
@@ -76,7 +77,7 @@ class PageStyle:
             for key in ("fill", "stroke")
         )
         curves = f"@media screen and (prefers-color-scheme: dark) {{ {dark} }}"
-        return Markup("\n").join((_source("report.css"), Markup(curves), Markup(rules)))
+        return Markup("\n").join((_template("report.css"), Markup(curves), Markup(rules)))
 
     @property
     def hash(self) -> Markup:
@@ -89,15 +90,15 @@ def page_record(scripts: Sequence[str] = ()) -> Record:
 
     The content security policy of the page has the hashes: it allows no others.
     """
-    script = Markup("\n").join(map(_source, scripts))
+    script = Markup("\n").join(map(_template, scripts))
     allowed = _hash(script) if scripts else "'none'"
     return {"style": PageStyle(), "script": script, "script_hash": allowed}
 
 
 def origin_record(command: str, downloads: Sequence[str], *, seeds: Sequence[int] = ()) -> Record:
-    """Return what ``origin.html`` needs: what made a page, with which versions, files beside it.
+    """Return the record of ``origin.html``: the command, the versions, and the files beside a page.
 
-    ``seeds`` are those that the ``command`` does not name.
+    ``seeds`` of the simulation are listed because the ``command`` need not name them.
     """
     return {
         "command": command,
@@ -120,15 +121,15 @@ def script_record(plots: Sequence[Record], **more: Any) -> Record:
 def rounded(*, error: Any = None, **values: Any) -> Record:
     """Return the values to ``DIGITS`` digits, and their ``error``, if any, rounded up.
 
-    What is not a number is None.
+    NaN becomes None.
     """
-    own = {key: [_number(f"{v:.{DIGITS - 1}e}") for v in each] for key, each in values.items()}
+    own = {key: [_finite(f"{v:.{DIGITS - 1}e}") for v in each] for key, each in values.items()}
     return (
-        own if error is None else own | {"error": [_number(bound(e, ERROR_DIGITS)) for e in error]}
+        own if error is None else own | {"error": [_finite(bound(e, ERROR_DIGITS)) for e in error]}
     )
 
 
-def _number(text: str) -> float | None:
+def _finite(text: str) -> float | None:
     return None if text == "nan" else float(text)
 
 
@@ -140,7 +141,7 @@ def as_script_data(record: Record) -> Markup:
     return Markup(text)
 
 
-def _source(name: str) -> Markup:
+def _template(name: str) -> Markup:
     """The text of a file in ``templates``, which the page takes over without escaping."""
     return Markup((TEMPLATES / name).read_text(encoding="utf-8").strip())
 

@@ -11,7 +11,7 @@ from cases.compare.doubt import averaging_notes
 from cases.scene.scene import Scene
 from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
 from cases.scene.written import bound
-from cases.show.variables import CURVES, NUMBERS
+from cases.show.variables import PASSAGE_CURVES, PASSAGE_NUMBERS
 from cases.show.words import with_key
 from fpk.answer.certificate import Certificate
 from fpk.answer.dynamics import Curve, Passage, Rates, Transient
@@ -110,10 +110,10 @@ def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[
 def passage_numbers(answer: Passage) -> Record:
     """Return the moments, the failure rate and the reliability with their errors."""
     record: Record = {}
-    for key, (*_, read) in NUMBERS.items():
+    for key, (*_, read) in PASSAGE_NUMBERS.items():
         record[key], record[f"{key}_error"] = read(answer)
     record["times"] = answer.times
-    for key, (_, read) in CURVES.items():
+    for key, (_, read) in PASSAGE_CURVES.items():
         record[key], record[f"{key}_error"] = read(answer)
     return record
 

@@ -56,7 +56,7 @@ def cell(value: Any, column: str = "") -> str:
 class Table:
     """Rows of equal keys, which are the columns, under a title; remarks stand below them.
 
-    ``name`` is the dimension of the rows in netCDF; ``units`` are those of columns that have one.
+    ``name`` is the dimension of the rows in netCDF; ``units`` has the unit of a column by its name.
     The first ``parameters`` columns have numbers that were given, which are shown with all digits.
     """
 
@@ -75,7 +75,7 @@ class Table:
         return [key + bracketed(self.units.get(key, "")) for key in self.rows[0]], rows
 
     def unrepeated(self) -> tuple[list[str], list[list[str]]]:
-        """Return ``cells`` without the first ones of a row that are those of the row above."""
+        """Return ``cells``; the first cells of a row are empty if the row above has the same."""
         head, rows = self.cells()
         for above, row in reversed(list(pairwise(rows))):
             same = [a == b for a, b in zip(above, row, strict=True)]
@@ -132,7 +132,7 @@ class Page:
 
     Tables without rows are left out. ``gridded`` are the variables of a study over a grid: netCDF
     has them in the place of the tables, and the first table is written as comma-separated values,
-    too. ``summary`` is what a terminal shows once the page is written; empty: the whole page.
+    too. ``summary`` is shown on a terminal once the page is written; empty: the whole page is.
     """
 
     name: str
@@ -162,7 +162,7 @@ class Page:
     def write(self, folder: Path, *, command: str = "") -> list[Path]:
         """Write files of the study's name: md, svg, html, nc and, if it is over a grid, csv.
 
-        ``command`` is what made the page, which shows it; empty where Python did.
+        ``command`` is what made the page, which shows it; empty if Python did.
         """
         texts = {"md": self.text(), "svg": svg_text(study_figure(self.panels), salt=self.name)}
         variables = self.gridded

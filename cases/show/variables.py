@@ -60,18 +60,18 @@ class Axis:
         return re.sub(r"[\[\],]+\.?", ".", self.key).strip(".")
 
 
-NUMBERS: dict[str, tuple[str, int, Read]] = {
-    "mean": ("mean first-passage time", 1, lambda p: _parts(p.mean)),
-    "variance": ("variance of the first-passage time", 2, lambda p: _parts(p.variance)),
-    "rate": ("failure rate", -1, lambda p: _parts(p.rate)),
+PASSAGE_NUMBERS: dict[str, tuple[str, int, Read]] = {
+    "mean": ("mean first-passage time", 1, lambda p: _value_and_error(p.mean)),
+    "variance": ("variance of the first-passage time", 2, lambda p: _value_and_error(p.variance)),
+    "rate": ("failure rate", -1, lambda p: _value_and_error(p.rate)),
 }
-"""Numbers of a first passage by key: what each is, power of time in its unit, how to read it."""
+"""Numbers of a first passage by key: name, power of time in the unit, function that reads it."""
 
-CURVES: dict[str, tuple[str, Read]] = {
+PASSAGE_CURVES: dict[str, tuple[str, Read]] = {
     "survival": ("P(T > t)", lambda p: (p.survival, p.survival_error)),
     "failure": ("P(T <= t)", failure_of),
 }
-"""Probabilities over the times of a question by key: what each is, and how to read it."""
+"""Probabilities over the times of a question by key: name, function that reads it."""
 
 
 def by_route(
@@ -87,9 +87,9 @@ def by_route(
     """Return the ``answers`` to one question by (number of the curve from 0, label of the route).
 
     First the coordinate of the routes and ``error_kind`` of each answer, empty for none, then other
-    ``coordinates``, then of each of ``parts`` the variable and that of its error; both are not
-    numbers where there is no answer. ``name`` ends all names; ``count`` is the number of curves,
-    ``of_curves`` the attributes of what belongs to a curve, ``kinds`` those of ``error_kind``.
+    ``coordinates``, then for each of ``parts`` a variable and its error, NaN if there is no answer.
+    ``name`` ends all names; ``count`` is the number of curves, ``of_curves`` has the attributes of
+    the variables of ``parts``, ``kinds`` those of ``error_kind``.
     """
     routes = list(dict.fromkeys(route for _, route in answers))
     places = [(curve, routes.index(route)) for curve, route in answers]
@@ -118,7 +118,7 @@ def time_variables(outcome: "Outcome") -> Variables:
     ``mean_passage_1``, ``variance_…`` and ``rate_…`` (curve, route), ``survival_…`` and
     ``failure_…`` (curve, route, time); ``p_transient_1`` (curve, route, time, point) at the
     energies or displacements ``at_transient_1`` (curve, point). Beside each is the error, as
-    ``error_mean_passage_1``. What no route answers is not a number.
+    ``error_mean_passage_1``. NaN stands for a missing answer.
     """
     variables: Variables = {}
     for kind in ("passage", "transient"):
@@ -155,10 +155,10 @@ def _variables(name: str, column: tuple[Replies, ...], units: Units) -> Variable
 
         parts.append((("p", "error_p"), f"density{about}", unit, read_density, axes))
     else:
-        for key, (what, power, read) in NUMBERS.items():
+        for key, (what, power, read) in PASSAGE_NUMBERS.items():
             unit = attribute(units.of((0, 0, power)))
             parts.append(((key, f"error_{key}"), f"{what}{about}", unit, read, {}))
-        for key, (what, read) in CURVES.items() if times else ():
+        for key, (what, read) in PASSAGE_CURVES.items() if times else ():
             parts.append(((key, f"error_{key}"), f"{what}{about}", "1", read, times))
     kinds = {"long_name": question.name}
     return by_route(name, len(column), answers, parts, coordinates=coordinates, kinds=kinds)
@@ -171,5 +171,5 @@ def _padded(rows: Array, size: int) -> Array:
     return np.pad(rows, pads, constant_values=np.nan)
 
 
-def _parts(number: Number | None) -> tuple[float, float]:
+def _value_and_error(number: Number | None) -> tuple[float, float]:
     return (np.nan, np.nan) if number is None else (number.value, number.error)

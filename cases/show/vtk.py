@@ -119,7 +119,7 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
         "largest density": largest,
     }
     _write_mesh(mesh, data, path)
-    stops = stops_of(curve.system, observable, mesh.points, largest)
+    stops = stop_planes(curve.system, observable, mesh.points, largest)
     if stops is None:
         return [path]
     beside = path.with_name(f"{path.stem}_stops.vtu")
@@ -128,7 +128,7 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
     return [path, beside]
 
 
-def stops_of(
+def stop_planes(
     system: System, observable: Observable, points: Array, height: float
 ) -> meshio.Mesh | None:
     """Return the stops of the displacements of ``observable`` as planes, None without any.

@@ -35,8 +35,8 @@ def chain_svg(system: System, units: Units = NO_UNITS) -> Markup:
     if stops:
         parts.append(_line((24, CEILING), (width, CEILING)))
     for k in range(count):
-        left, box = first + CELL * k, first + CELL * (k + 1) - BOX - 32
-        left = left if k else 24
+        right = first + CELL * (k + 1)
+        left, box = right - CELL if k else 24, right - BOX - 32
         index = str(k + 1).translate(SUBSCRIPTS)
         parts += [_spring(left, box, TOP + 14), _damper(left, box, TOP + 40)]
         parts += [
@@ -53,12 +53,14 @@ def chain_svg(system: System, units: Units = NO_UNITS) -> Markup:
         if own:
             parts.append(_line((box + BOX / 2, TOP), (box + BOX / 2, 20)))
         if k + 1 < count or system.n > count:
-            parts.append(_line((box + BOX, TOP + 14), (left + CELL, TOP + 14)))
-            parts.append(_line((box + BOX, TOP + 40), (left + CELL, TOP + 40)))
+            parts.append(_line((box + BOX, TOP + 14), (right, TOP + 14)))
+            parts.append(_line((box + BOX, TOP + 40), (right, TOP + 40)))
     more = f", the first {count} are drawn" if system.n > count else ""
     words = f"Chain of {system.n} masses with {len(system.stops)} stops{more}; not to scale"
     label = f'<svg class="chain" role="img" aria-label="{escape(words)}"'
-    return Markup(f'{label} viewBox="0 0 {width} 130" width="{width}">{"".join(parts)}</svg>')
+    top = 0 if stops else TOP - 16
+    frame = f'viewBox="0 {top} {width} {130 - top}" width="{width}"'
+    return Markup(f"{label} {frame}>{''.join(parts)}</svg>")
 
 
 def _wall(left: float, right: float, top: float, bottom: float) -> str:

@@ -40,7 +40,7 @@ POINTS, MAP_POINTS, SHEET = 301, 61, 72
 MARKED, MAP_BINS = 48, 40
 """Points of a curve that is sampled, and about as many bins an axis of a sampled map."""
 
-TAIL = 1e-6
+LOG_TAIL = 1e-6
 """Share of the largest value at which a logarithmic scale ends."""
 
 HEIGHT, ALONE, ROW = 2.7, 1.6, 0.9
@@ -110,14 +110,14 @@ def joint_figure(
 
 
 def fall_exponentially(observable: Observable) -> bool:
-    """Whether the density falls exponentially in all coordinates, as those of energies do."""
+    """Whether the density falls exponentially in all coordinates, as densities of energies do."""
     return all(c.kind == "H" for c in observable)
 
 
 def stops_of(curves: Sequence[Answers], observable: Observable) -> list[float]:
     """Return the places, ascending, at which the observed displacement touches its stops.
 
-    Those of all curves, each once; negative on the left, -0.0 without a gap.
+    The stops of all curves, each once; negative on the left, -0.0 without a gap.
     """
     (c,) = observable
     every = [s for curve in curves for s in curve.system.stops if c.kind == "q"]
@@ -135,12 +135,12 @@ def density_panel(
 ) -> Panel:
     """Return the densities of one coordinate: of functions as lines, of samples as points.
 
-    Several curves are groups; a lone one has the colours of its routes. ``log``: down to ``TAIL``
-    of the largest value. ``every``: the page's panel, which also has the routes that are not drawn,
+    Several curves are groups; a single curve has the colours of its routes. ``log``: down to
+    ``LOG_TAIL`` of the largest value. ``every``: the page's panel, which also has the routes that are not drawn,
     the errors of functions and twice as many points of samples; ``sliders`` are further curves.
     """
     answers = [(k, r, d) for k, c in enumerate(curves) for r, d in c.densities(observable).items()]
-    (x,) = common_grid([d for *_, d in answers], cut=TAIL if log else SHOWN, count=POINTS)
+    (x,) = common_grid([d for *_, d in answers], cut=LOG_TAIL if log else SHOWN, count=POINTS)
     alone, drawn = len(curves) == 1, []
     for k, route, density in answers:
         colour = route.colour if alone else COLOURS[k % len(COLOURS)]
@@ -161,7 +161,7 @@ def panel_of(
     curves: Sequence[Curve], observable: Observable, *, log: bool, stops: Sequence[float] = ()
 ) -> Panel:
     """Return the panel of densities of one coordinate."""
-    scales: Any = {"logarithmic": False, "y_logarithmic": log, "lowest": TAIL if log else 0.0}
+    scales: Any = {"logarithmic": False, "y_logarithmic": log, "lowest": LOG_TAIL if log else 0.0}
     words = words_of(observable[0]), density_words(observable)
     return Panel("", *words, curves, **scales, by_x=True, zero=True, stops=stops)
 
@@ -172,7 +172,7 @@ def lone_density(density: AnyDensity, *, log: bool) -> Panel | Field:
     if len(observable) == 2:
         axes, mesh = _map_axes([density], observable)
         return _on_common_levels([Field(name, *axes, density(*mesh))], observable, [], log=log)[0]
-    (x,) = common_grid([density], cut=TAIL if log else SHOWN, count=POINTS)
+    (x,) = common_grid([density], cut=LOG_TAIL if log else SHOWN, count=POINTS)
     return panel_of([Curve(name, x, *density.at(x), band=True, marker="")], observable, log=log)
 
 
@@ -246,8 +246,8 @@ def points_within(sampled: SampledDensity, count: int, x: Array) -> tuple[Array,
 def joint_fields(curve: Answers, observable: Observable, *, log: bool) -> list[Field]:
     """Return the joint density of a pair by every route, on common levels; ``log``: by decades.
 
-    A density by a function has values at points, one that is sampled those of its bins. Solvers
-    that are not drawn are there, not shown.
+    A function has values at points, a sample the values of its bins. Solvers that are not drawn are
+    there, not shown.
     """
     densities = curve.densities(observable)
     drawn = lines_of(curve, observable)
@@ -292,8 +292,8 @@ def _on_common_levels(
 def surface_figure(curve: Answers, observable: Observable) -> Figure:
     """Draw the joint density as surfaces on the same levels: theory and simulation.
 
-    The theory is the exact density where there is one, else an averaged one; one that neglects
-    something, the contacts for example, comes last.
+    The theory is the exact density if it is known, else an averaged theory; theories that neglect
+    something, the contacts for example, come last.
     """
     theories = sorted(lines_of(curve, observable).items(), key=lambda a: curve.neglects(a[0]))
     full = [a for a in samples_of(curve, observable).items() if a[0].solves == "full"]

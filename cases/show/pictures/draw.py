@@ -22,14 +22,14 @@ from fpk.numeric.arrays import Array
 HALO: Any = {"boxstyle": "square,pad=0.1", "fc": "#f4f4f4", "ec": "none", "alpha": 0.85}
 """Box behind words that a curve may cross."""
 
-WIDTH = 4.4
+ACROSS = 4.4
 """Width of a picture with one column of axes, in inches: legible on a telephone."""
 
 LEFT, RIGHT, FOOT, GAP, LEGEND_ROW = 0.66, 0.12, 0.5, 0.34, 0.19
 """Margins beside and below the axes, the gap between two for a title, and the height of a row of
 the legend, in inches. Fixed: to measure all words first draws every picture twice."""
 
-LEVELS = 13
+CONTOURS = 13
 """Contours of a joint density, from the lowest to the largest value."""
 
 
@@ -57,13 +57,17 @@ def column_figure(
     if len(panels) > 1:
         figure.supylabel(panels[0].y, fontsize=STYLE["font.size"], x=0.005, ha="left")
     # A letter is about 0.55 of the size of the font wide, a line beside its words half an inch.
-    letters = (36.0 * WIDTH - 36.0) / (0.55 * STYLE["legend.fontsize"])
+    letters = (36.0 * ACROSS - 36.0) / (0.55 * STYLE["legend.fontsize"])
     columns = 2 if max(map(len, legend), default=0) <= letters else 1
     head = LEGEND_ROW * ceil(len(legend) / columns) + (GAP if len(panels) > 1 else 0.16)
     total = head + len(panels) * height + (len(panels) - 1) * GAP + FOOT
-    figure.set_size_inches(WIDTH, total)
+    figure.set_size_inches(ACROSS, total)
     figure.subplots_adjust(
-        LEFT / WIDTH, FOOT / total, 1.0 - RIGHT / WIDTH, 1.0 - head / total, hspace=GAP / height
+        LEFT / ACROSS,
+        FOOT / total,
+        1.0 - RIGHT / ACROSS,
+        1.0 - head / total,
+        hspace=GAP / height,
     )
     figure.legend(list(legend.values()), list(legend), loc="upper left", ncols=columns)
     return figure
@@ -183,7 +187,7 @@ def dash_pattern(style: str) -> Any:
 
 
 def _finish(axes: Axes, panel: Panel) -> None:
-    """Set the ends of the axes, then mark levels, stops and what lies beyond them."""
+    """Set the ends of the axes, then mark levels and stops, and shade the side beyond a stop."""
     x = panel.shared_x()
     marked = any(curve.style != "none" and marker for curve, _, marker, _ in panel.styled())
     if x.size > 1 and not marked:
@@ -236,7 +240,7 @@ def draw_map(axes: Axes, field: Field, *, contours: bool = False) -> tuple[dict[
         space = np.geomspace if field.logarithmic else np.linspace
         # Below the lowest level nothing is drawn; a logarithm needs a value there all the same.
         values = np.maximum(field.values, 0.1 * low) if field.logarithmic else field.values
-        levels = space(low, high, LEVELS)
+        levels = space(low, high, CONTOURS)
         drawn: Any = axes.contourf(x.values, y.values, values.T, levels=levels, **palette)
     else:
         shown = np.ma.masked_invalid(field.values).T

@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex
 from cases.compare.answers import Answers
 from cases.compare.in_time import Replies, failure_of
 from cases.scene.questions import PassageQuestion, TransientQuestion
-from cases.show.pictures.densities import MARKED, TAIL
+from cases.show.pictures.densities import LOG_TAIL, MARKED
 from cases.show.pictures.panel import Curve, Panel
 from cases.show.pictures.style import (
     COLOURS,
@@ -53,8 +53,8 @@ def time_panels(curve: Answers, label: str) -> Iterator[tuple[str, str, Panel]]:
 def passage_panel(replies: Replies, title: str) -> Panel:
     """Return P(T > t) from P = 1 at t = 0, or P(T ≤ t) of rare failure, by every route.
 
-    Bands and bars are what the answers state. The times asked for are marked. What a logarithmic
-    scale cannot show is left out.
+    Bands and bars are the errors that the answers state. The times asked for are marked. Values
+    that the logarithmic scale does not reach are left out.
     """
     assert isinstance(replies.question, PassageQuestion)
     answers = [(r, p) for r, p in _drawn(replies) if isinstance(p, Passage)]
@@ -62,7 +62,7 @@ def passage_panel(replies: Replies, title: str) -> Panel:
     curves = []
     for route, p in answers:
         values, errors = failure_of(p) if rare else (p.survival, p.survival_error)
-        seen = values > (0.0 if rare else TAIL)
+        seen = values > (0.0 if rare else LOG_TAIL)
         start = () if rare or p.times[0] == 0.0 else (0.0,)  # starts lie below every limit: P = 1
         x, y = np.append(start, p.times[seen]), np.append(np.ones(len(start)), values[seen])
         own = replace(_curve(route, x, y, np.append(np.zeros(len(start)), errors[seen])), band=True)
@@ -104,7 +104,7 @@ def transient_panel(replies: Replies, title: str) -> Panel:
 
 
 def _drawn(replies: Replies) -> Iterator[tuple[Route, Passage | Transient]]:
-    """Yield routes and answers, samples last: of each equation that of its first solver."""
+    """Yield routes and answers, samples last; of the solvers of one equation only the first."""
     solved: set[str] = set()
     for g in sorted(replies.given, key=lambda g: g.route.sampled):
         if g.route.sampled or g.route.method not in solved:

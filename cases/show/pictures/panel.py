@@ -1,7 +1,7 @@
-"""Descriptions of pictures: curves over one axis, maps over two; matplotlib and the page draw them.
+"""Descriptions of pictures: curves over one axis, maps over two.
 
-``Panel.record`` and ``Field.record`` are what the scripts of a page read, ``pictures/draw.py`` is
-what matplotlib does with the same description.
+Each is drawn twice: by ``pictures/draw.py`` with matplotlib, and by the scripts of a page, which
+read ``Panel.record`` and ``Field.record``.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ class Curve:
     next of them, as an empty ``colour`` takes the next of ``COLOURS``. Of several ``group``s each
     has its own colour, and the names are told apart by dashes and markers. ``brief`` is the name in
     a drawn picture, if that is another. ``dashed`` are the coordinates (x, y) of a line of theory,
-    ``notes`` say in a page what is known of each point. A curve that is not ``shown`` appears in
+    ``notes`` have the words of the page about each point. A curve that is not ``shown`` appears in
     the page on demand; ``form`` names the closed form that its script evaluates.
     """
 
@@ -68,9 +68,9 @@ class Panel:
     ``floor``: values below it are not resolved; ``marks``: horizontal levels with their words.
     ``limits`` are the ends of the y axis. A linear y axis begins with 0 if ``zero``; a logarithmic
     one ends at the share ``lowest`` of the largest value, if that is not 0. ``stops`` are the
-    places of stops on the x axis: what lies beyond the only stop of a side is shaded. ``by_x``: the
-    x axis ends where the lines end, and a reader of the page asks for all curves at one x; else for
-    the nearest point of a curve.
+    places of stops on the x axis; beyond the only stop of a side the panel is shaded. ``by_x``: the
+    lines give the ends of the x axis, and a reader of the page asks for all curves at one x; else
+    for the nearest point of a curve.
     """
 
     title: str
@@ -176,7 +176,7 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A map of ``values`` (x, y), NaN where there is none, with their ``errors``, over two axes.
+    """A map of ``values`` (x, y), NaN for a missing value, with their ``errors``, over two axes.
 
     Values run between ``limits``; None: between the smallest and the largest. Of ``categories``,
     words and colours, they are the numbers. ``split`` (x, y) is True on one side of a border that
@@ -221,7 +221,7 @@ class Field:
 def map_record(fields: Sequence[Field], **more: Any) -> Record:
     """Return the plot of the page's script with a map of each field, with the keys ``more``.
 
-    Axes and border are those of the first field.
+    The first field gives the axes and the border.
     """
     first = fields[0]
     own = [field.record() for field in fields]

@@ -22,14 +22,14 @@ STYLE: Any = rc_params_from_file(
 """Settings of matplotlib in all pictures."""
 
 INK: str = STYLE["text.color"]
-"""Colour of text and axes; the report replaces it by that of the page's text."""
+"""Colour of text and axes; in a page the colour of its text takes its place."""
 
 COLOURS = ("#00a688", "#e07500", "#5e02e0", "#601626", "#056c66", "#b50c01", "#b86cfa")
 DARK = ("#00fdd3", "#fab034", "#9447e3", "#546f00", "#14a697", "#ff1b74", "#ceacff")
-"""Colours of curves and routes on a light page, and those that take their places on a dark one: any
-two of a row differ by more than 20 by CIE76 and by CIEDE2000, in normal vision and in its three
-deficiencies, and have a contrast of 3 or more with the page. Seven that do so on both pages do not
-exist by a search: 18 is the best."""
+"""Colours of curves and routes on a light page, and their replacements on a dark page. Any two of a
+row differ by more than 20 by CIE76 and by CIEDE2000, in normal vision and in its three
+deficiencies, and have a contrast of 3 or more with the page. A search found no seven that do so on
+both pages; the best differ by 18."""
 
 DASHES = {"-": "", "--": "12 4", "-.": "12 4 2 4", ":": "2 2"}
 """Dashes and gaps of a line in pixels, as in SVG, by the names that matplotlib has for them."""
@@ -90,9 +90,9 @@ def words_of(coordinate: Coordinate) -> str:
 
 
 def lines_of(curve: Answers, observable: Observable) -> dict[Route, Density]:
-    """Return the densities drawn as lines: an exact one, and of each averaged method its first.
+    """Return the densities drawn as lines: the exact density, the first of each averaged method.
 
-    An averaged method that is exact itself is not drawn beside the exact density.
+    An averaged method that is exact here is not drawn beside the exact density.
     """
     drawn: dict[str, tuple[Route, Density]] = {}
     for route, density in curve.densities(observable).items():
@@ -103,7 +103,7 @@ def lines_of(curve: Answers, observable: Observable) -> dict[Route, Density]:
 
 
 def samples_of(curve: Answers, observable: Observable) -> dict[Route, SampledDensity]:
-    """Return the histograms of one observable, that of the full system first."""
+    """Return the histograms of one observable, the full system's first."""
     densities = curve.densities(observable).items()
     return {route: d for route, d in densities if isinstance(d, SampledDensity)}
 
@@ -111,7 +111,7 @@ def samples_of(curve: Answers, observable: Observable) -> dict[Route, SampledDen
 def solver_pair(
     curve: Answers, observable: Observable
 ) -> tuple[tuple[Route, Density], tuple[Route, Density]] | None:
-    """Return two deterministic answers to one averaged equation, that with the larger error first.
+    """Return two deterministic answers to one averaged equation, the larger stated error first.
 
     None if no averaged equation has two of them.
     """

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from io import StringIO
-from itertools import chain, count
+from itertools import count
 from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from cases.show.pictures.style import INK, STYLE
 from fpk.numeric.arrays import Array
 
-NUMBERS = re.compile(r'( (?:d|x|y)=")([^"]*)"')
+COORDINATES = re.compile(r'( (?:d|x|y)=")([^"]*)"')
 LINES = re.compile(r"(?=M)([ML]-?\d+(\.\d+)? -?\d+(\.\d+)?)+z?")
 DIGITS, BLANKS = re.compile(r"(\.\d\d)\d+"), re.compile(r"\s*([A-Za-z])\s+(?=[-\d.])|\s*\n")
 
@@ -24,17 +24,8 @@ TOLERANCE = 0.05
 a picture is as wide as pages show it, 34rem. ``path.simplify`` of matplotlib is off: at its
 threshold of 0.11 it moves lines by 0.16, and areas it leaves as they are."""
 
-FEW = 3
-"""Uses of a symbol that are longer than a line that has it as its marker."""
-
-INHERITED = {
-    "fill", "fill-opacity", "font-size", "stroke", "stroke-dasharray", "stroke-dashoffset",
-    "stroke-linecap", "stroke-linejoin", "stroke-opacity", "stroke-width", "text-anchor",
-}  # fmt: skip
-"""Attributes that an element of SVG has from the group in which it is."""
-
-OF_TEXT = {"font-size", "text-anchor"}
-"""Inherited attributes that only text needs."""
+LEAST_USES = 3
+"""Smallest number of uses of a symbol that are replaced by one line with the symbol as marker."""
 
 
 def svg_text(figure: Figure, *, salt: str) -> str:
@@ -43,11 +34,11 @@ def svg_text(figure: Figure, *, salt: str) -> str:
     with rc_context({**STYLE, "svg.hashsalt": salt}):
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(stream, format="svg", metadata=nothing)
-    return NUMBERS.sub(_short, stream.getvalue())
+    return COORDINATES.sub(_shortened_attribute, stream.getvalue())
 
 
-def _short(attribute: re.Match[str]) -> str:
-    """Coordinates to a hundredth of a point, which nobody sees; of lines the points that show."""
+def _shortened_attribute(attribute: re.Match[str]) -> str:
+    """Coordinates rounded to a hundredth of a point; lines without the points that do not show."""
     text = BLANKS.sub(r"\1", attribute[2])
     if LINES.fullmatch(text):
         runs = [
@@ -80,7 +71,7 @@ def _thinned(points: Sequence[Sequence[float]]) -> Array:
 
 
 def _path(runs: Iterable[ArrayLike]) -> str:
-    """The path of lines (k, 2), to a hundredth of a point and each point from the one before.
+    """The path of lines (k, 2), to a hundredth of a point, each point relative to its predecessor.
 
     Places in the whole picture, of sixteen digits, make a file five times as long.
     """
@@ -92,14 +83,14 @@ def _path(runs: Iterable[ArrayLike]) -> str:
             if k and not (x or y):
                 continue
             before, letter = letter, "m" if k == 0 else "h" if y == 0 else "v" if x == 0 else "l"
-            words = " ".join(_number(v) for v in (x, y) if letter in "ml" or v)
+            words = " ".join(_decimal(v) for v in (x, y) if letter in "ml" or v)
             # After a move, and after a letter, the same is meant where none stands.
             same = letter == before != "m" or (before, letter) == ("m", "l")
             path += (" " if same else letter) + words
     return path.replace(" -", "-")
 
 
-def _number(hundredths: float) -> str:
+def _decimal(hundredths: float) -> str:
     """Hundredths as a decimal number of SVG, which needs no zero before its point."""
     return re.sub(r"^(-?)0\.", r"\1.", f"{hundredths / 100.0 + 0.0:.10g}")
 
@@ -107,9 +98,9 @@ def _number(hundredths: float) -> str:
 def inline_svg(svg: str, words: str) -> Markup:
     """Return SVG to stand inside a page: ink takes the page's colour, no background, no styles.
 
-    Nothing is in it that the page says already or nobody reads: fonts, names of groups, groups
-    without attributes. Beside an image, whose colours stay on a dark page, colours are in capitals,
-    which the rules of the page do not replace. ``words`` describe it to those who do not see it.
+    Fonts, names of groups and groups without attributes are removed. If the figure has an image,
+    whose colours stay on a dark page, all colours are in capitals, which the rules of the page do
+    not replace. ``words`` describe the figure to readers who do not see it.
     """
     root = fromstring(svg.replace(INK, "currentColor"))
     _lean(root, {name: set() for name in re.findall(r"#(\w+)", svg)})
@@ -125,40 +116,20 @@ def inline_svg(svg: str, words: str) -> Markup:
 
 
 def _lean(element: Element, used: dict[str, set[str]]) -> None:
-    """Make the element and all in it lean.
+    """Remove from the element, in place, what the page does not need; groups without attributes.
 
-    ``used`` are the identifiers that are referred to, with the attributes of what has them.
+    ``used`` has the identifiers that are referred to, with the attributes of their elements.
     """
     element.tag = element.tag.rpartition("}")[2]
-    element.attrib = own = _attributes(element, used)
+    element.attrib = _attributes(element, used)
+    element.text = (element.text or "").strip() and element.text
     children: list[Element] = []
     for child in element:
         if child.get("id") != "patch_1" and not child.tag.endswith(("}style", "}metadata")):
             _lean(child, used)
-            children += _without_group(child)
-    if element.tag in ("g", "text") and sum(child.tag != "defs" for child in children) > 1:
-        for key in sorted(INHERITED - {*own}):
-            heirs = [child for child in children if _needs(child, key)]
-            values = {child.get(key) for child in heirs}
-            if len(values) == 1 and (value := values.pop()) is not None:
-                own[key] = value
-                for child in heirs:
-                    del child.attrib[key]
-    element[:] = chain.from_iterable(map(_without_group, children))
-    element.text = (element.text or "").strip() and element.text
-    for child in children:
-        child.tail = (child.tail or "").strip() and child.tail
-
-
-def _without_group(element: Element) -> list[Element]:
-    """The element; of a group that says nothing what is in it."""
-    return [*element] if element.tag == "g" and not element.attrib else [element]
-
-
-def _needs(element: Element, key: str) -> bool:
-    """Whether the attribute changes how the element is drawn."""
-    text = key not in OF_TEXT or any(part.tag in ("text", "tspan") for part in element.iter())
-    return text and element.tag != "defs"
+            child.tail = (child.tail or "").strip() and child.tail
+            children += [*child] if child.tag == "g" and not child.attrib else [child]
+    element[:] = children
 
 
 def _mark(group: Element, numbers: Iterator[int]) -> None:
@@ -168,7 +139,7 @@ def _mark(group: Element, numbers: Iterator[int]) -> None:
         common = tuple(item for item in use.items() if item[0] not in "xy")
         uses.setdefault(common, []).append(use)
     for common, same in uses.items():
-        if len(same) >= FEW:
+        if len(same) >= LEAST_USES:
             places = [[float(use.get(key, 0.0)) for key in "xy"] for use in same]
             name = f"{dict(common)['href'].removeprefix('#')}-{next(numbers)}"
             marker = Element("marker", id=name, overflow="visible", markerUnits="userSpaceOnUse")

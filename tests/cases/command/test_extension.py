@@ -1,4 +1,4 @@
-"""A method, a contact law and a question in time of one file each are used as all others.
+"""A method, a contact law, a question in time and a format of one file each are used as all others.
 
 The method and the law are shown, run, compared, drawn and exported; the question is asked through
 the library and the command line.
@@ -6,6 +6,7 @@ the library and the command line.
 
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from cases.compare.routes import all_methods, method_for
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
-from cases.show.fields import write_netcdf
+from cases.show.fields import WRITERS, write_netcdf
 from cases.show.report import write_report
 from fpk.answer.method import ROUTES
 from fpk.answer.names import parse_observable
@@ -90,6 +91,25 @@ def test_they_are_exported(scene_path, fpk, tmp_path, monkeypatch):
         assert any(row["route"] == TOY[0] for row in csv.DictReader(stream))
     assert fpk("export", scene_path, "--of", "p1", "--out", tmp_path / "a.vtu")[0] == 0
     assert f'Name="{TOY[0]}"' in (tmp_path / "a.vtu").read_text(errors="replace")
+
+
+def test_a_format_of_one_file_is_written(scene_path, outcome, fpk, tmp_path, monkeypatch):
+    import toy_writer  # noqa: PLC0415
+
+    def few(**settings):
+        return [m for m in all_methods(**settings) if m.route.method in ("exact", TOY[0])]
+
+    monkeypatch.setattr("cases.compare.routes.all_methods", few)
+    status, out, _ = fpk("export", scene_path, "--of", "p1", "--out", tmp_path / "p1.dat")
+    assert (status, out.strip()) == (0, f"wrote {tmp_path / 'p1.dat'}")
+    names = re.findall("# (.*)", (tmp_path / "p1.dat").read_text())
+    assert names == ["p1, exact", f"p1, {TOY[0]}"]
+    x, p, error = np.loadtxt(tmp_path / "p1.dat", unpack=True)[:, :401]
+    values, errors = outcome.curves[0].of("p1")["exact"].at(x)
+    assert np.all(np.abs(p - values) <= error + 1e-12) and error == pytest.approx(errors, rel=1e-9)
+    del WRITERS[".dat"], toy_writer
+    status, _, err = fpk("export", scene_path, "--of", "p1", "--out", tmp_path / "p1.dat")
+    assert status == 2 and ".vtu, .pvd, .nc, .csv" in err
 
 
 @pytest.fixture(scope="module")

@@ -389,27 +389,6 @@ def test_symbols_are_markers_of_a_line_and_names_that_nobody_refers_to_are_left_
     assert len(svg) < 0.5 * len(svg_text(figure, salt="a"))
 
 
-def test_texts_of_an_axis_share_their_size_and_anchor():
-    with rc_context(STYLE):
-        figure = Figure()
-        axes = figure.subplots()
-        axes.plot([0, 1], [0, 1])
-        axes.set_xlabel("displacement", fontsize=7)
-        root = fromstring(inline_svg(svg_text(figure, salt="a"), "words"))
-    parents = {child: parent for parent in root.iter() for child in parent}
-
-    def inherited(element, key):
-        while element is not None and element.get(key) is None:
-            element = parents.get(element)
-        return None if element is None else element.get(key)
-
-    sizes = {e.text: inherited(e, "font-size") for e in root.iter("text")}
-    assert sizes.pop("displacement") == "7px" and set(sizes.values()) == {"9.5px"}
-    anchors = [inherited(e, "text-anchor") for e in root.iter("text")]
-    assert anchors.count("end") == 6 and anchors.count("middle") == 7
-    assert sum(e.get("font-size") is not None for e in root.iter("text")) < 3
-
-
 def test_the_policy_allows_the_style_of_the_page_alone(outcome):
     page = report_html(outcome.scene, digest_of(outcome), [])
     (style,) = re.findall(r"<style>(.*?)</style>", page, re.DOTALL)
