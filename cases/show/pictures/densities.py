@@ -136,8 +136,9 @@ def density_panel(
     """Return the densities of one coordinate: of functions as lines, of samples as points.
 
     Several curves are groups; a single curve has the colours of its routes. ``log``: down to
-    ``LOG_TAIL`` of the largest value. ``every``: the page's panel, which also has the routes that are not drawn,
-    the errors of functions and twice as many points of samples; ``sliders`` are further curves.
+    ``LOG_TAIL`` of the largest value. ``every``: the page's panel, which also has the routes that
+    are not drawn, the errors of functions and twice as many points of samples; ``sliders`` are
+    further curves.
     """
     answers = [(k, r, d) for k, c in enumerate(curves) for r, d in c.densities(observable).items()]
     (x,) = common_grid([d for *_, d in answers], cut=LOG_TAIL if log else SHOWN, count=POINTS)
