@@ -124,7 +124,8 @@ def live_record(outcome: Outcome) -> Record | None:
                 plots.append(map_record(joint_fields(curves[0], observable, log=log), **own))
         for k, curve in enumerate(outcome.curves):
             for stem, _, panel in time_panels(curve, f"_{k}" if k else ""):
-                plots.append(panel.record(id=stem, still=[stem]))
+                # Of several times the page shows the first until a reader asks for others.
+                plots.append(panel.record(id=stem, still=[stem], off=panel.groups[1:]))
     return script_record(plots, model=model, missing=missing) if plots else None
 
 

@@ -1,6 +1,7 @@
 """Parameters of the closed forms that the sliders of a report evaluate anew."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,6 @@ from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.numeric.arrays import Array
 from fpk.system.system import System
 
-_UNITS = {
-    "B": "contact_stiffness", "delta": "length", "c": "damping", "D": "noise_intensity"
-}  # fmt: skip
-
 MOST_MODES = 12
 """Modes up to which the page computes the density of the sum of their energies."""
 
@@ -27,13 +24,14 @@ MOST_MODES = 12
 def slider_model(
     curve: Answers, observables: Sequence[Observable], units: Record | None = None
 ) -> tuple[Record | None, str]:
-    """Return the parameters of (29), (30), (34), (36), None without, and what is not computed.
+    """Return the parameters of Eqs. (29), (30), (34) and (36), and in words what is not computed.
 
-    They hold with constant damping, unmodulated noise, one contact mass and forces by power laws.
-    ``B``, ``delta`` (contacts), ``c`` and ``D`` have names and values as run; of a full matrix the
-    value is 1, a factor of it. All rates are linear in these: α = Σ c rate / Σ D rate, and so are
-    the modal damping and noise, whose neglected correlation is at most ``most``. ``units`` is
-    ``units_record``, of which each that is no factor has its ``unit``.
+    The parameters are None if no closed form applies: constant damping, unmodulated noise, one
+    contact mass and power laws are needed. ``B`` and ``delta`` of each contact, ``c`` and ``D`` of
+    each mass have names and values as run; a full matrix has one factor instead, of value 1. All
+    rates are linear in these: α = Σ c rate / Σ D rate, and so are the modal damping and noise,
+    whose neglected correlation is at most ``most``. ``units`` is ``units_record``; it gives the
+    ``unit`` of everything but a factor.
     """
     system = curve.system
     taken = {r.method.route.method for r in curve.results if r.method.route.solves == "averaged"}
@@ -79,11 +77,15 @@ def slider_model(
         "of": known,
     }
     if units is not None:
-        for key, quantity in _UNITS.items():
-            for k, one in enumerate(model[key]):
-                own = units[quantity]
-                own = own[k] if isinstance(own, list) else own
-                one["unit"] = "" if "matrix" in one else own
+        own_units: dict[str, Iterable[str]] = {
+            "B": units["contact_stiffness"],
+            "delta": repeat(units["length"]),
+            "c": repeat(units["damping"]),
+            "D": repeat(units["noise_intensity"]),
+        }
+        for key, own in own_units.items():
+            for one, unit in zip(model[key], own, strict=False):
+                one["unit"] = "" if "matrix" in one else unit
     return model, words
 
 
@@ -126,9 +128,10 @@ def _contacts(system: System, words: str, key: str) -> list[Record]:
 def _linear(
     words: str, intensity: Array, gain: Array, system: System, shapes: Array
 ) -> list[Record]:
-    """Each entry of a diagonal ``intensity`` I, or all of a full one as one factor of it.
+    """The entries of a diagonal ``intensity`` I (n, n), or one factor of a full matrix.
 
-    ``rate`` is its share of Σ (g I gᵀ)_ii/m_i, ``matrix`` of Tᵀ g I gᵀ T, or v vᵀ of ``vector`` v.
+    ``gain`` is g (n, n), ``shapes`` are the columns T of the modes. ``rate`` is the share of the
+    entry in Σ (g I gᵀ)_ii/m_i; its share in Tᵀ g I gᵀ T is ``matrix``, or v vᵀ with ``vector`` v.
     """
     diagonal = np.diag(intensity)
     if not np.array_equal(intensity, np.diag(diagonal)):
@@ -153,7 +156,7 @@ def _linear(
 def _form(
     c: Coordinate, system: System, contact_mass: int, modes: ModalAnalysis | None
 ) -> Record | None:
-    """Parameters of a coordinate's closed forms, and their names; None where it has none."""
+    """Parameters of a coordinate's closed forms, and their names; None if it has none."""
     modal = [] if modes is None else ["modal"]
     if c.kind == "H":
         if c.index is not None:

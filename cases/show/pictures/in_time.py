@@ -54,7 +54,7 @@ def passage_panel(replies: Replies, title: str) -> Panel:
     """Return P(T > t) from P = 1 at t = 0, or P(T ≤ t) of rare failure, by every route.
 
     Bands and bars are the errors that the answers state. The times asked for are marked. Values
-    that the logarithmic scale does not reach are left out.
+    that the logarithmic scale does not reach, or whose error is not known, are left out.
     """
     assert isinstance(replies.question, PassageQuestion)
     answers = [(r, p) for r, p in _drawn(replies) if isinstance(p, Passage)]
@@ -62,7 +62,7 @@ def passage_panel(replies: Replies, title: str) -> Panel:
     curves = []
     for route, p in answers:
         values, errors = failure_of(p) if rare else (p.survival, p.survival_error)
-        seen = values > (0.0 if rare else LOG_TAIL)
+        seen = (values > (0.0 if rare else LOG_TAIL)) & np.isfinite(errors)
         start = () if rare or p.times[0] == 0.0 else (0.0,)  # starts lie below every limit: P = 1
         x, y = np.append(start, p.times[seen]), np.append(np.ones(len(start)), values[seen])
         own = replace(_curve(route, x, y, np.append(np.zeros(len(start)), errors[seen])), band=True)

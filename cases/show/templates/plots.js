@@ -8,7 +8,7 @@ function livePlot(plot) {
   for (const id of plot.still) document.getElementById(id)?.classList.add("still");
   if (plot.title) html(host, "h3", plot.title);
   const every = plot.fields || plot.series;
-  const off = {curve: new Set(), name: new Set(every.filter(s => !s.shown).map(s => s.name))};
+  const off = {curve: new Set(plot.off), name: new Set(every.filter(s => !s.shown).map(s => s.name))};
   for (const s of every) if (s.shown) off.name.delete(s.name);
   const on = s => !off.name.has(s.name) && !off.curve.has(s.curve);
   const kind = (plot.fields ? maps : curves)(plot, view, on, off), {items, panels} = kind;

@@ -188,7 +188,7 @@ def test_answers_in_time_have_the_numbers_of_every_route(touched, outcome):
             assert value["error"] >= answer.survival_error[k]
     hover = touched["report"]["transient_1"]["hover"][0]
     times = [f"t = {t:g}" for t in transients.question.times]
-    assert {v["curve"] for v in hover["values"]} == set(times)
+    assert {v["curve"] for v in hover["values"]} == {times[0]}  # others on demand
     given = {g.route.words: g.answer for g in transients.given}
     for value in hover["values"]:
         answer, k = given[value["name"]], times.index(value["curve"])
