@@ -144,7 +144,8 @@ class Panel:
     def coincidences(self) -> list[str]:
         """Return in words the lines that are nowhere further apart than the width of a line."""
         scale = np.log if self.y_logarithmic else np.asarray
-        lines = [(c, scale(y)) for c, _, _, y in self.styled() if c.shown and c.style != "none"]
+        drawn = [row for row in self.styled() if row[0].shown and len(row[0].y)]
+        lines = [(c, scale(y)) for c, _, _, y in drawn if c.style != "none"]
         ends = [v for _, y in lines for v in (np.nanmin(y), np.nanmax(y), *[0.0] * self.zero)]
         width = SAME_LINE * (max(ends) - min(ends)) if ends else 0.0
 
