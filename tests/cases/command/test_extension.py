@@ -101,7 +101,7 @@ def test_a_format_of_one_file_is_written(scene_path, outcome, fpk, tmp_path, mon
 
     monkeypatch.setattr("cases.compare.routes.all_methods", few)
     status, out, _ = fpk("export", scene_path, "--of", "p1", "--out", tmp_path / "p1.dat")
-    assert (status, out.strip()) == (0, f"wrote {tmp_path / 'p1.dat'}")
+    assert (status, out.split()) == (0, ["wrote", str(tmp_path / "p1.dat")])
     names = re.findall("# (.*)", (tmp_path / "p1.dat").read_text())
     assert names == ["p1, exact", f"p1, {TOY[0]}"]
     x, p, error = np.loadtxt(tmp_path / "p1.dat", unpack=True)[:, :401]

@@ -215,7 +215,7 @@ def test_the_data_are_those_of_the_densities_and_end_no_element(outcome):
     values, errors = density.at(np.array(first["x"]))
     np.testing.assert_allclose(first["series"][0]["y"], values, rtol=5.1e-10)  # ten digits
     assert np.all(np.array(first["series"][0]["error"]) >= errors)
-    assert record["model"]["n"] == 2 and first["walls"] == [-0.5, 0.5]
+    assert record["model"]["n"] == 2 and first["stops"] == [-0.5, 0.5]
     text = as_script_data({"a": "</script><!-- & \u2028"})
     assert not set("<>&\u2028") & set(text) and json.loads(text)["a"] == "</script><!-- & \u2028"
 
