@@ -75,9 +75,7 @@ class Probe:
 
     def extent(self, tail: float) -> float:
         """Return the energy beyond the maximum at which p H has fallen to ``tail`` of its maximum.
-
-        Raises ``NotCertified`` if p H does not fall so far, or coefficients overflow.
-        """
+        Raises ``NotCertified`` if p H does not fall so far, or coefficients overflow."""
         if not np.isfinite(self.log_mass).all():
             raise NotCertified(OUT_OF_RANGE)
         energy, rate = self.energy, self.rate
@@ -95,9 +93,7 @@ class Probe:
 
     def tail_bound(self, end: float, density_at_end: float) -> float:
         """Return a bound of the mass above ``end``, where p = ``density_at_end``; inf if p rises.
-
-        Between two energies of the probe p falls at the smaller of both rates.
-        """
+        Between two energies of the probe p falls at the smaller of both rates."""
         first = int(np.searchsorted(self.energy, end, side="right"))
         rate = -np.append(np.interp(end, self.energy, self.slope), self.slope[first:])
         least = np.minimum(rate[:-1], rate[1:])
@@ -116,10 +112,8 @@ class Probe:
 
 
 def probe_process(process: Process) -> Probe:
-    """Return a probe so fine that no maximum of p lies hidden between two of its energies.
-
-    Raises ``NotCertified`` if the density does not fall off at the highest energies.
-    """
+    """Return a probe so fine that no maximum of p lies hidden between two of its energies. Raises
+    ``NotCertified`` if the density does not fall off at the highest energies."""
     energy = process.energy_scale * PROBE_ENERGIES
 
     def sampled(energy: Array, c: Coefficients) -> tuple[Array, Array, Array]:
@@ -231,7 +225,7 @@ def time_nodes(
 
     They are the nodes for the stationary density; nodes around the energies in ``fine``, pairs
     (energy, length of the elements beside it), with lengths that grow by ``LENGTH_RATIO``; and the
-    nodes ``more``. Of nodes that nearly coincide one is dropped.
+    nodes ``more``. One of two nodes that nearly coincide is dropped.
     """
     n = process.degrees_of_freedom
     nodes = initial_nodes(probe_process(process), end, process.nonsmooth, nats=SMOOTH_FALL)
