@@ -260,7 +260,7 @@ class Model:
         return np.asarray(split.sum(axis=tuple(range(1, split.ndim, 2)))).ravel()
 
     def spread(self, theta: Array) -> Array:
-        """Return weight times p for ``theta`` at each Gauss point, (bins, ``BIN_POINTS``) by axis."""
+        """Return weight · p for ``theta`` at Gauss points, (bins, ``BIN_POINTS``) by axis."""
         size = self.vander[0].shape[-1]
         square = np.zeros((size,) * len(self.shape))
         square[tuple(self.powers)] = theta

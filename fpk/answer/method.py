@@ -20,7 +20,8 @@ Solves = Literal["full", "averaged"]
 
 @dataclass(frozen=True)
 class Identity:
-    """Identity ``value`` = ``expected`` of stationary states; ``error``: one standard error."""
+    """Identity ``value`` = ``expected`` of stationary states, with the ``error`` of the difference,
+    numerical or one standard error of sampling."""
 
     name: str
     value: float
