@@ -29,7 +29,7 @@ from fpk.solvers.plane.solution import (
 )
 from fpk.solvers.plane.weight import (
     MAX_WEIGHT_DEGREE,
-    NATS,
+    NEGLIGIBLE_FALL,
     RISE,
     RISE_PER_DEGREE,
     Weight,
@@ -94,7 +94,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     """
     weight = replace(weight, floor=0.0)
     try:
-        ends = weight.ends(max(NATS, negligible_rise(tol)))
+        ends = weight.ends(max(NEGLIGIBLE_FALL, negligible_rise(tol)))
     except NotCertified:
         return None
     for panels in (2, 4, 8, 16, 24):
@@ -116,7 +116,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     flow = 2.0 * c.drift - c.divergence
     flux = np.einsum("nij,nj->ni", c.diffusion, slope) + flow
     missed = np.abs(inverse_diffusion(flux, c.diffusion)).reshape(at.shape)
-    missed[w < np.exp(-NATS) * w.max()] = 0.0
+    missed[w < np.exp(-NEGLIGIBLE_FALL) * w.max()] = 0.0
     # Twice, as p is normalised: a factor on p in one place changes p everywhere else.
     along = zip((missed[..., 0].max(axis=1), missed[..., 1].max(axis=0)), grids, strict=True)
     wrong = 2.0 * float(sum(most @ v for most, (_, v) in along))

@@ -20,7 +20,7 @@ from fpk.system.process import Process
 
 PROBE = np.logspace(-2.0, 3.0, 26)
 """Energies of the first fit, in units of ``Process.energy_scales``; on an axis b is singular."""
-NATS = -float(np.log(EPS))
+NEGLIGIBLE_FALL = -float(np.log(EPS))
 """Fall of ln p from its maximum, 36, at which p is round-off of its maximum."""
 EDGE_WEIGHT = 1e-3
 """At the far edges of the first mesh w is EDGE_WEIGHT · tol times its value at the start."""
@@ -122,9 +122,10 @@ def flux_free_weight(process: Process) -> Weight:
     # p H1 H2, the density of the logarithms of the energies.
     log_mass = log_p + np.log(np.multiply.outer(PROBE, PROBE))
     weight = None
-    if max(log_mass[-1].max(), log_mass[:, -1].max()) < log_mass.max() - NATS:
+    if max(log_mass[-1].max(), log_mass[:, -1].max()) < log_mass.max() - NEGLIGIBLE_FALL:
         rise = log_p.max() - log_p
-        m, n = (max(last_index(rise < NATS, axis) + 2, MAX_WEIGHT_DEGREE + 2) for axis in (0, 1))
+        near, least = rise < NEGLIGIBLE_FALL, MAX_WEIGHT_DEGREE + 2
+        m, n = (max(last_index(near, axis) + 2, least) for axis in (0, 1))
         ends = PROBE[[min(m, PROBE.size) - 1, min(n, PROBE.size) - 1]]
         x, y = PROBE[:m] / ends[0], PROBE[:n] / ends[1]
         powers, root = _power_pairs(MAX_WEIGHT_DEGREE)[1:], np.exp(-0.5 * rise[:m, :n] / IMPORTANCE)
@@ -136,7 +137,7 @@ def flux_free_weight(process: Process) -> Weight:
         right = -root * first[:m, :n] * ends[0], -root * second[:m, :n] * ends[1]
         candidates = fits_by_degree(np.reshape(columns, (-1, len(powers))), np.ravel(right), powers)
         weight = _chosen(candidates, tuple((ends * scales).tolist()))
-    # In units of 40 energy scales Φ rises by more than NATS within RAYS.
+    # In units of 40 energy scales Φ rises by more than NEGLIGIBLE_FALL within RAYS.
     return weight or Weight(np.array([[0.0, 40.0], [40.0, 0.0]]), tuple((40.0 * scales).tolist()))
 
 
