@@ -21,6 +21,7 @@ from averaging.zero_flux import solved_energies
 from fpk.answer.dynamics import Passage, Rates, Transient, require_times
 from fpk.answer.names import Coordinate
 from fpk.answer.question import Asked, answer
+from fpk.numeric.arrays import EPS, LARGEST_LOG
 from fpk.numeric.errors import NotApplicable
 from fpk.solvers.line.stationary import StationarySolution
 from fpk.solvers.line.time.modulated import transient_with_modulation, transition_with_modulation
@@ -30,7 +31,7 @@ from fpk.solvers.line.time.transition import Source, transition
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.escape import require_held
-from fpk.system.modulation import FADED_ERROR, require_constant_noise
+from fpk.system.modulation import require_constant_noise
 from fpk.system.process import Process
 from fpk.system.system import System
 
@@ -187,7 +188,7 @@ def square_root(system: System, solver: str) -> SquareRoot:
         what = "contacts" if system.contacts else "damping terms"
         raise NotApplicable(f"the system has {what}: in time there is no closed form; use fem")
     (damping, noise), n = damping_and_noise(system), system.n
-    error = FADED_ERROR if system.modulation else 0.0
+    error = LARGEST_LOG * EPS if system.modulation else 0.0
     return SquareRoot(n, damping / n, noise / n, error, system.modulation)
 
 

@@ -18,7 +18,7 @@ from averaging.back_transformation import observed_energy, reduced
 from averaging.conditional import Conditional
 from averaging.modal.analysis import ModalAnalysis
 from averaging.weyl import weyl_integral
-from fpk.answer.certificate import certify
+from fpk.answer.certificate import DISTANCE_FACTOR, certify
 from fpk.answer.dynamics import Transient
 from fpk.answer.names import Limit, Observable, number_text, observable_name
 from fpk.answer.question import Asked
@@ -27,7 +27,6 @@ from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.piecewise import Piecewise, legendre_coefficients
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 from fpk.solvers.line.mesh import with_layers
-from fpk.solvers.line.time.elements import SAFETY
 from fpk.solvers.line.time.transition import Transition
 
 TOL = 1e-8
@@ -176,7 +175,7 @@ class WeylInTime:
         x = points.ravel()
         u, size = self._answer(x)
         better, other = solved.enriched.density(x, of_states=True)
-        error = SAFETY * (np.abs(u - better.T) + np.abs(u - self.tables[0](x)))
+        error = DISTANCE_FACTOR * (np.abs(u - better.T) + np.abs(u - self.tables[0](x)))
         within = np.minimum(x, e.right[-1])
         error += solved.question.common_error(e, u.T, size.T + other, within).T
         # Far from the peak u and p = T u are differences of larger numbers.

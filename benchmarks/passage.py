@@ -18,9 +18,9 @@ from report import machine, markdown_table
 
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
+from fpk.answer.certificate import DISTANCE_FACTOR
 from fpk.answer.method import silent
 from fpk.answer.names import REST, parse_limit
-from fpk.solvers.line.time.elements import SAFETY
 from fpk.solvers.line.time.passage import chain_first_passage
 from fpk.system.system import System
 
@@ -59,7 +59,7 @@ def mean_alone(x: int) -> Answer:
     solved = chain_first_passage(energy_process(SYSTEM), x * D / C, times=NONE)
     each = zip(solved.pair, solved.means, strict=True)
     value, other = (float(e.at(np.zeros(1), T)[0][0]) for e, T in each)
-    return value, SAFETY * abs(value - other) + solved.relative * value
+    return value, DISTANCE_FACTOR * abs(value - other) + solved.relative * value
 
 
 def kramers(low: float, asked: str, x: int) -> Answer:

@@ -49,10 +49,8 @@ __all__ = [*_MODULE_OF]
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name of the face when it is first used.
-
-    Raises ``ImportError`` where a file or folder of the user's has the name of a room.
-    """
+    """Load a name of the face when it is first used. Raises ``ImportError`` where a file or folder
+    of the user's has the name of a room."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'fpk' has no attribute {name!r}; it has {', '.join(__all__)}")
     beside = Path(__file__).resolve().parent.parent
@@ -71,5 +69,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the names of the face and of what is loaded."""
+    """Return the public names and all names loaded so far."""
     return sorted({*globals(), *__all__})

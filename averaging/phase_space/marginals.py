@@ -9,7 +9,7 @@ from averaging.phase_space.equation.degrees import combined
 from averaging.phase_space.equation.elimination import Expansion
 from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import Array
-from fpk.numeric.quadrature import GAUSS_POINTS
+from fpk.numeric.quadrature import GAUSS_RULES
 
 SPAN = 18
 """Width of the support of a density in its standard deviations: 2e-19 of a Gaussian is out."""
@@ -116,7 +116,7 @@ def _density(
     widths = [L[a, a] / abs(slope) for a, (_, slope, _) in enumerate(linear) if slope]
     width = min([b.reference.weight[1] ** -0.5, *widths])
     longest = float(np.max(np.diff(b.nodes)))
-    count = POINTS_PER_WIDTH * longest / width + len(e.levels) + GAUSS_POINTS[1]
+    count = POINTS_PER_WIDTH * longest / width + len(e.levels) + GAUSS_RULES[1][-1]
     rules = [panel.rule(ceil(share * min(count, MOST_POINTS))) for panel in b.panels]
     y, w = map(np.concatenate, zip(*rules, strict=True))
     c = given(y) * w

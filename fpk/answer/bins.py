@@ -20,7 +20,7 @@ import scipy  # its parts are loaded at their first use
 from numpy.polynomial.legendre import legvander
 from scipy.special import chdtrc, fdtrc, stdtr
 
-from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.arrays import LARGEST_LOG, ROUND_OFF, Array, Integers
 from fpk.numeric.quadrature import panel_rule
 
 LogReference = Callable[[Array, Integers], Array]
@@ -30,8 +30,7 @@ Bins = tuple[int, ...]
 
 BIN_POINTS = 3
 """Gauss points along a bin: relative error 1e-4 of its content if ln p changes by 2 within it."""
-LARGEST_LOG = 700.0
-"""Largest |ln p/r| of a trial solution, so that its exponential does not overflow."""
+
 MAX_FIT_DEGREE = 8
 """Largest total degree of the polynomial on a box."""
 TESTED_DEGREES = {1: 3, 2: 2}
@@ -44,8 +43,7 @@ PER_BATCH = 10
 STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
 """Largest numbers of Newton steps and of halvings of each; (distance from the maximum / sampling
 error)² at which the iteration ends."""
-ROUNDING = 1e-13
-"""Change of the mean log-likelihood of a sample that is round-off."""
+
 PRIOR_WIDTH = 10.0
 """Standard deviation of the Gaussian prior of each coefficient: larger than changes of ln p/r in a
 box, and effective only where there are no samples."""
@@ -110,8 +108,7 @@ class Box:
 
     ``theta`` (coefficients,) is empty if p is 0 there; ``deviations`` (batches, coefficients) are
     the θ of single batches less ``theta``; ``covariance`` is for independent samples. ``chance`` is
-    the probability of a misfit at least as large as the one observed, 0 if ln p changes by more
-    than ``STEEPEST`` from bin to bin.
+    the p-value of the observed misfit, 0 if ln p changes by more than ``STEEPEST`` from bin to bin.
     """
 
     first: Bins
@@ -201,7 +198,7 @@ def _fit_box(
 ) -> Box:
     """Return the fit of one box of ``axes``, of the highest degree whose likelihood has a maximum.
 
-    ``shares`` and ``batches`` are as in ``boxes``, within the box from ``first`` to ``last``;
+    ``shares`` and ``batches`` (see ``boxes``) are those bins from ``first`` to ``last``;
     ``samples`` are the independent samples of all bins.
     """
     many = len(batches)
@@ -263,7 +260,7 @@ class Model:
         return np.asarray(split.sum(axis=tuple(range(1, split.ndim, 2)))).ravel()
 
     def spread(self, theta: Array) -> Array:
-        """Return weight times p at each Gauss point, (bins, ``BIN_POINTS``) for each axis."""
+        """Return weight · p for ``theta`` at Gauss points, (bins, ``BIN_POINTS``) by axis."""
         size = self.vander[0].shape[-1]
         square = np.zeros((size,) * len(self.shape))
         square[tuple(self.powers)] = theta
@@ -299,11 +296,11 @@ class Model:
             score = (shares - content) @ self.design - prior * theta
             information = (self.design * content[:, None]).T @ self.design + np.diag(prior)
             step = np.linalg.solve(information, score)
-            if float(score @ step) < max(CONVERGED / samples, ROUNDING):
+            if float(score @ step) < max(CONVERGED / samples, ROUND_OFF):
                 return theta + step, information, True
             for _ in range(HALVINGS):
                 content = self.contents(theta + step)
-                if (less := unlikely(theta + step, content)) < value + ROUNDING:
+                if (less := unlikely(theta + step, content)) < value + ROUND_OFF:
                     break
                 step = 0.5 * step
             else:

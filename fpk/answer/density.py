@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify
+from fpk.answer.certificate import DISTANCE_FACTOR, NEGATIVE, Certificate, Measured, certify
 from fpk.answer.names import Observable, require_one_array_an_axis
 from fpk.answer.quantities import (
     ErrorKind,
@@ -21,14 +21,7 @@ from fpk.answer.quantities import (
 )
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array
-from fpk.numeric.quadrature import GAUSS_POINTS, gauss_grid, integral
-
-COMPARED_RULES = {1: (12, 16, GAUSS_POINTS[1]), 2: (7, 9, GAUSS_POINTS[2])}
-"""Gauss points per panel and axis, by the number of axes; the last rule is the answer. At a kink
-within a panel one coarser rule may agree with it by chance, two hardly."""
-SAFETY = 3.0
-"""Stated error of an integral over the sum of the distances of its rule to the coarser rules: with
-kinks (1 − H)^1.5 and (1 − H)^2.5 anywhere in panels it held at 97 %, with one rule at 85 %."""
+from fpk.numeric.quadrature import GAUSS_RULES, gauss_grid, integral
 
 
 @dataclass(frozen=True)
@@ -83,9 +76,7 @@ class Density(Quantities):
 
     def at(self, *points: Array) -> tuple[Array, Array]:
         """Return the density and its error at ``points``, one array per axis, which broadcast.
-
-        Raises ``InvalidInput`` for another number of arrays.
-        """
+        Raises ``InvalidInput`` for another number of arrays."""
         require_one_array_an_axis(self.observable, points)
         return self.pdf(*points), self.pointwise(*points)
 
@@ -103,13 +94,11 @@ class Density(Quantities):
 
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
         """Return E f(X) and its error, made of the error of p weighted by |f| and of the tails.
-
-        ``function`` takes one array per axis and is smooth except at ``kinks`` (one axis only).
-        """
+        ``function`` takes one array per axis and is smooth except at ``kinks`` (one axis only)."""
         panels = (self._axis(kinks),) if kinks else self.panels
         keeps = not kinks and len(panels) == 1  # values of a pair take too much memory to store
         coarse_p, p, e = (self if keeps else replace(self, panels=panels))._at_nodes
-        mesh, grids = gauss_grid(panels, points=COMPARED_RULES[len(panels)][1])
+        mesh, grids = gauss_grid(panels, points=GAUSS_RULES[len(panels)][1])
         coarse = integral(function(*mesh) * coarse_p, grids)
         mesh, grids = gauss_grid(panels)
         f = np.asarray(function(*mesh))
@@ -117,7 +106,7 @@ class Density(Quantities):
         e = e + SMALLEST  # if all pointwise errors are 0, the L1 error is distributed evenly
         least_l1 = max(self.l1_error, self.certificate.mass_defect or 0.0)
         error = integral(np.abs(f) * e, grids) * max(1.0, least_l1 / integral(e, grids))
-        sizes = [np.repeat(_condition(nodes), GAUSS_POINTS[len(panels)]) for nodes in panels]
+        sizes = [np.repeat(_condition(nodes), GAUSS_RULES[len(panels)][-1]) for nodes in panels]
         rounding = EPS * integral(np.abs(f * p) * reduce(np.add.outer, sizes), grids)
         tail = (self.certificate.tail_mass or 0.0) * largest_in_tails(function, self.panels, kinks)
         return Number(value, error + rounding + abs(value - coarse) + tail)
@@ -161,13 +150,13 @@ class Density(Quantities):
         """∫p, ∫error and the round-off of ∫p over each panel of the only axis, (3, panels)."""
         _, [(_, w)] = gauss_grid(self.panels)
         weighted = [np.broadcast_to(f, w.shape) * w for f in self._at_nodes[1:]]
-        value, error = np.reshape(weighted, (2, -1, GAUSS_POINTS[1])).sum(axis=2)
+        value, error = np.reshape(weighted, (2, -1, GAUSS_RULES[1][-1])).sum(axis=2)
         return np.array([value, error, EPS * _condition(self.panels[0]) * value])
 
     @cached_property
     def _at_nodes(self) -> tuple[Array, Array, Array]:
         """p at the Gauss points of the coarser rule; p and its error at those of the finer rule."""
-        coarse, _ = gauss_grid(self.panels, points=COMPARED_RULES[len(self.panels)][1])
+        coarse, _ = gauss_grid(self.panels, points=GAUSS_RULES[len(self.panels)][1])
         mesh, _ = gauss_grid(self.panels)
         return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
 
@@ -191,11 +180,11 @@ def certify_density(
 ) -> Density:
     """Return a density given by functions, with its certificate.
 
-    ``panels``, ``pdf`` and ``pointwise`` are as in ``Density``. ``measured`` comes from the solver,
-    but mass and minimum are measured here; ``tol`` is the L1 tolerance. ``added_error(p, *points)``
-    is a pointwise error of p that ``measured.l1_error`` does not contain. With ``frame``, a matrix
-    F and panels of y, integrals are taken over x = F y, for a ridge of correlated coordinates that
-    no affordable panels of x resolve.
+    ``panels``, ``pdf`` and ``pointwise`` become fields of ``Density``. ``measured`` comes from the
+    solver, but mass and minimum are measured here; ``tol`` is the L1 tolerance.
+    ``added_error(p, *points)`` is a pointwise error of p that ``measured.l1_error`` does not
+    contain. With ``frame``, a matrix F and panels of y, integrals are taken over x = F y, for a
+    ridge of correlated coordinates that no affordable panels of x resolve.
     """
     jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
     mesh, grids = gauss_grid(axes)
@@ -263,14 +252,14 @@ def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
         at = [brentq(lambda q: difference(np.array([q]))[0], *x[k : k + 2]) for k in crossed]
         panels = [np.union1d(panels[0], at)]
     of_panels = []  # summed by panel, as differences of rules may cancel between panels
-    for points in COMPARED_RULES[len(panels)]:
+    for points in GAUSS_RULES[len(panels)]:
         mesh, grids = gauss_grid(panels, points=points)
         shares = np.abs(difference(*mesh)) * reduce(np.multiply.outer, [w for _, w in grids])
         for axis in range(len(panels)):
             shares = np.add.reduceat(shares, range(0, shares.shape[axis], points), axis=axis)
         of_panels.append(shares)
     *coarser, fine = of_panels
-    return float(fine.sum()), SAFETY * sum(float(np.abs(fine - c).sum()) for c in coarser)
+    return float(fine.sum()), DISTANCE_FACTOR * sum(float(np.abs(fine - c).sum()) for c in coarser)
 
 
 def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:

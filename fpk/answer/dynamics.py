@@ -6,13 +6,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fpk.answer.certificate import Certificate, Measured, WithoutNaN, certify, largest_measured
-from fpk.answer.density import COMPARED_RULES, SAFETY, AnyDensity, Density
+from fpk.answer.certificate import (
+    DISTANCE_FACTOR,
+    Certificate,
+    Measured,
+    WithoutNaN,
+    certify,
+    largest_measured,
+)
+from fpk.answer.density import AnyDensity, Density
 from fpk.answer.quantities import ErrorKind, Number
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import EPS, SMALLEST, Array, Complexes
 from fpk.numeric.errors import InvalidInput
-from fpk.numeric.quadrature import gauss_grid
+from fpk.numeric.quadrature import GAUSS_RULES, gauss_grid
 
 START_POINTS = 101
 """Number of start energies, from rest to the limit, at which passage moments are given."""
@@ -116,7 +123,7 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
     if isinstance(joint, SampledDensity):
         return joint.flux(lambda p: p / mass, nodes, at)
     rates = []
-    for points in COMPARED_RULES[1]:
+    for points in GAUSS_RULES[1]:
         _, [(p, w)] = gauss_grid([nodes], points=points)
         density, error = joint.at(at[:, None], p)
         rates.append((density @ (w * p / mass), error @ (w * p / mass)))
@@ -130,14 +137,12 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
     both = np.broadcast_arrays(falls, last[1])  # the smaller, if f falls and is 0 within its error
     length = np.where([before > end, end <= known], both, np.inf).min(axis=0)
     beyond = (end + known) * length * (last[1] + length)
-    return value, own + SAFETY * missed + beyond / mass
+    return value, own + DISTANCE_FACTOR * missed + beyond / mass
 
 
 def require_times(times: Array, *, positive: bool = False) -> Array:
     """Return ``times``; raise ``InvalidInput`` unless finite, ascending and >= 0, or > 0.
-
-    ``positive``: the time 0 is refused.
-    """
+    ``positive``: the time 0 is refused."""
     if not (np.all(np.isfinite(times)) and np.all(times >= 0.0) and np.all(np.diff(times) > 0.0)):
         raise InvalidInput("times", times, "must be finite, 0 or later, and ascend")
     if positive and times.size and times[0] == 0.0:
@@ -232,8 +237,8 @@ def certify_passage(
 
     ``numbers`` are mean, variance and failure rate; ``failure`` is P(T <= t) at ``times``, with
     ``failure_error``. ``tol`` bounds relative errors of the finite numbers and absolute errors of
-    the probabilities; ``mass_defect`` and ``residual`` are as in ``Measured``; ``settings`` are for
-    readers.
+    the probabilities; ``mass_defect`` and ``residual`` are defined in ``Measured``; ``settings``
+    are for readers.
     """
     finite = [(x.value, x.error) for x in numbers if x and x.value != np.inf]
     value, error = np.array(finite).reshape(-1, 2).T

@@ -20,7 +20,8 @@ Solves = Literal["full", "averaged"]
 
 @dataclass(frozen=True)
 class Identity:
-    """Identity ``value`` = ``expected`` of stationary states; ``error``: one standard error."""
+    """Identity ``value`` = ``expected`` of stationary states, with the ``error`` of the difference,
+    numerical or one standard error of sampling."""
 
     name: str
     value: float
@@ -93,10 +94,8 @@ class Method(ABC):
         """Return the method at its next finer level of discretisation."""
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
-        """Return the method as ``fpk run`` uses it unasked, or raise ``NotApplicable``.
-
-        A slow method limits its work to ``share`` of the usual limit.
-        """
+        """Return the method as ``fpk run`` uses it unasked, or raise ``NotApplicable``. A slow
+        method limits its work to ``share`` of the usual limit."""
         return self
 
     def refusal(self, system: System, observable: Observable) -> str | None:

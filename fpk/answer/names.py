@@ -48,10 +48,8 @@ Level = tuple[Observable, float]
 
 
 def parse_observable(text: str, n: int) -> Observable:
-    """Return the observable named by ``text`` in a system of ``n`` masses.
-
-    Raises ``InvalidInput`` for an unknown name, an index above ``n``, or a coordinate named twice.
-    """
+    """Return the observable named by ``text`` in a system of ``n`` masses. Raises ``InvalidInput``
+    for an unknown name, an index above ``n``, or a coordinate named twice."""
     remedy = f"is not an observable; use q1..q{n}, p1..p{n}, H, H1..H{n}, or two of them as a,b"
     coordinates = []
     for part in text.split(","):
@@ -77,10 +75,8 @@ def require_one_array_an_axis(observable: Observable, points: Sequence[Any]) -> 
 
 
 def displacement_row(observable: Observable) -> int:
-    """Return the number, from 0, of the mass whose displacement is observed.
-
-    Raises ``InvalidInput`` for any observable that is not one displacement.
-    """
+    """Return the number, from 0, of the mass whose displacement is observed. Raises
+    ``InvalidInput`` for any observable that is not one displacement."""
     require_observables([observable])
     if len(observable) != 1 or observable[0].kind != "q":
         words = "is not a displacement; use q1, q2, ..."

@@ -83,9 +83,7 @@ class Quantities(ABC):
 
     def moment(self, *powers: int, about: float = 0.0) -> Number:
         """Return E (X − ``about``)^k for ``powers`` (k,), for a pair E (X − about)^k (Y − about)^m.
-
-        Raises ``InvalidInput`` unless each coordinate has a power, an integer >= 0.
-        """
+        Raises ``InvalidInput`` unless each coordinate has a power, an integer >= 0."""
         given: tuple[Any, ...] = powers
         whole = all(isinstance(power, Integral) and int(power) >= 0 for power in given)
         if len(given) != len(self.panels) or not whole:
@@ -135,9 +133,7 @@ class Quantities(ABC):
 
     def quantile(self, p: float) -> Number:
         """Return x with P(X <= x) = ``p``; its error follows from ``p`` ± the error of P(X <= x).
-
-        Raises ``InvalidInput`` unless 0 < ``p`` < 1.
-        """
+        Raises ``InvalidInput`` unless 0 < ``p`` < 1."""
         if not 0.0 < _real_number("p", p) < 1.0:
             raise InvalidInput("p", p, "must be a probability between 0 and 1")
         low, high = (float(x) for x in self._axis()[[0, -1]])
@@ -166,9 +162,7 @@ class Quantities(ABC):
 
     def to_meshio(self) -> Any:
         """Return the density as a ``meshio.Mesh`` of adaptively refined quadratic cells.
-
-        ``point_data`` has ``density``, ``log10 density`` and ``error of p``, the stated error.
-        """
+        ``point_data`` has ``density``, ``log10 density`` and ``error of p``, the stated error."""
         return field_of({"p": self})[0]
 
     def to_pyvista(self) -> Any:
@@ -189,9 +183,7 @@ class Quantities(ABC):
         self, function: Callable[[Complexes], Any], *, pair: bool = False, central: bool = True
     ) -> Number:
         """``function`` of the moments 1 to 4 (of a ``pair``: of orders 1 and 2), with its error.
-
-        The moments are about the mean if ``central``, else about 0.
-        """
+        The moments are about the mean if ``central``, else about 0."""
         if not pair:
             self._axis()
         elif len(self.panels) != 2:
@@ -248,7 +240,7 @@ def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
 
     The mesh covers the smallest box with all points at which the first density is at least
     ``FIELD_CUT`` of its maximum, and is refined where this density bends. ``point_data`` has
-    ``density``, the first, and ``log10 density``, NaN where it is not positive; for every route its
+    ``density``, the first, and ``log10 density``, NaN if it is not positive; for every route its
     density, its stated error, and the difference of the first density and its own. The
     interpolation error is the largest difference found between cells, in units of the density.
     """

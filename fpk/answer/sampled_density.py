@@ -9,11 +9,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from fpk.answer.bins import ALARM, BIN_POINTS, LARGEST_LOG, BinAxis, Box, Model, boxes
+from fpk.answer.bins import ALARM, BIN_POINTS, BinAxis, Box, Model, boxes
 from fpk.answer.certificate import Certificate
 from fpk.answer.names import Observable, require_one_array_an_axis
 from fpk.answer.quantities import ErrorKind, Function, Number, Quantities, largest_in_tails
-from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUND_OFF, SMALLEST, Array, Flags, Integers
+from fpk.numeric.arrays import (
+    BLOCK_SIZE,
+    EPS,
+    LARGEST_LOG,
+    ROUND_OFF,
+    SMALLEST,
+    Array,
+    Flags,
+    Integers,
+)
 from fpk.numeric.quadrature import panel_rule
 
 Values = tuple[Array, Array]
@@ -80,9 +89,7 @@ class SampledDensity(Quantities):
 
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
         """Return E f(X) and one standard error; f is averaged over each bin by the fitted density.
-
-        ``function`` takes one array per axis and is smooth except at ``kinks``.
-        """
+        ``function`` takes one array per axis and is smooth except at ``kinks``."""
         x = [panel_rule(e, BIN_POINTS)[0].ravel() for e in self.edges]
         f = np.asarray(function(*np.meshgrid(*x, indexing="ij")))
         within = self.within
@@ -99,10 +106,8 @@ class SampledDensity(Quantities):
         return Number(float(total), error)
 
     def _probability(self, low: float, high: float) -> Number:
-        """Return P(``low`` < X <= ``high``); bins are divided by the fitted density.
-
-        The standard error is at least one visit.
-        """
+        """Return P(``low`` < X <= ``high``); bins are divided by the fitted density. The standard
+        error is at least one visit."""
         edges = self._axis()
         inside = np.clip(edges, *np.clip([low, high], *edges[[0, -1]]))
         share = np.diff(inside) / np.diff(edges)
@@ -117,10 +122,8 @@ class SampledDensity(Quantities):
         return Number(float(self.values @ held), float(np.hypot(chance, self.visit) + tail))
 
     def joined(self, most: int) -> "SampledDensity":
-        """Return the density with k bins joined to one along every axis.
-
-        k <= ``most`` is the largest number for which no joined bin contains a kink.
-        """
+        """Return the density with k bins joined to one along every axis. k <= ``most`` is the
+        largest number for which no joined bin contains a kink."""
         cuts = [np.diff(axis.cuts) for axis in self.bins]
         factor = max(k for k in range(1, max(most, 1) + 1) if not np.any(np.concatenate(cuts) % k))
         every = np.concatenate([self.values[None], self.batch_values]) * self.areas
@@ -259,9 +262,7 @@ class SampledDensity(Quantities):
 
     def flux(self, weight: Callable[[Array], Array], nodes: Array, at: Array) -> Values:
         """Return ∫ ``weight``(y) p(x, y) dy at x = ``at`` (points,), and its standard error.
-
-        ``nodes`` ascend and bound the panels of y.
-        """
+        ``nodes`` ascend and bound the panels of y."""
         y, w = (a.ravel() for a in panel_rule(nodes, BIN_POINTS))
         weights, shape = weight(y), (at.size, y.size)
 
@@ -279,10 +280,8 @@ class SampledDensity(Quantities):
         return self._better(np.stack([np.repeat(at, y.size), np.tile(y, at.size)]), on_side)
 
     def _better(self, points: Array, on_side: Callable[[Array, Integers], Values]) -> Values:
-        """Values and errors by ``on_side(points, bins)`` at ``points`` (axes, points).
-
-        At a kink the side with the smaller error is used; outside the bins values are 0.
-        """
+        """Values and errors by ``on_side(points, bins)`` at ``points`` (axes, points). At a kink
+        the side with the smaller error is used; outside the bins values are 0."""
         given, edges = points, self.edges
         points = np.array([np.clip(x, *e[[0, -1]]) for x, e in zip(given, edges, strict=True)])
         ends = zip(edges, points, strict=True)

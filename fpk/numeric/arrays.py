@@ -15,6 +15,8 @@ ROUND_OFF = 1e-12
 or an eigenvalue counts as zero below this share of its largest term."""
 SMALLEST = float(np.finfo(float).tiny)
 """Smallest normal double, 2.2e-308: smaller numbers lose relative accuracy."""
+LARGEST_LOG = 700.0
+"""Largest exponent: e^700 = 1e304 leaves some decades to the largest double, 1.8e308."""
 ROUNDINGS = 8.0
 """Stated round-off of a sum whose terms cancel, in units of ``EPS`` times each term."""
 BLOCK_SIZE = 4_000_000

@@ -75,7 +75,7 @@ class CheckedFiles(IndexDataCacheFile):
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether the cache file ``path`` is intact or absent; remove a damaged one, with a warning."""
+    """Whether the cache file ``path`` is intact or absent; if damaged, remove it with a warning."""
     try:
         content = path.read_bytes()
     except FileNotFoundError:
@@ -127,10 +127,8 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
 
 
 def abandon() -> None:
-    """Raise ``KeyboardInterrupt`` in all threads that wait for a function to be compiled.
-
-    The compilation itself goes on: the process ends after it, or at once by ``os._exit``.
-    """
+    """Raise ``KeyboardInterrupt`` in all threads that wait for a function to be compiled. The
+    compilation itself goes on: the process ends after it, or at once by ``os._exit``."""
     for result in tuple(_awaited):
         abandoned.add(result)
         try:
@@ -140,10 +138,8 @@ def abandon() -> None:
 
 
 def cached_njit() -> Callable[[Function], Function]:
-    """Return a decorator that compiles a function at its first call, with a disk cache.
-
-    Without a writable folder the function is compiled again in every process.
-    """
+    """Return a decorator that compiles a function at its first call, with a disk cache. Without a
+    writable folder the function is compiled again in every process."""
 
     def decorated(function: Function) -> Function:
         compiled = _njit(fastmath=FLAGS, error_model="numpy", nogil=True)(function)

@@ -1,8 +1,8 @@
-"""The FPK equation of one or two energies in scikit-fem, its weak form written as the equation is.
+"""The FPK equation of one or two energies in scikit-fem, with the weak form as it is on paper.
 
-``solve_by_scikit_fem`` gives the stationary density on meshes that are refined uniformly. The fast
-solvers of ``fpk.solvers.line`` and ``fpk.solvers.plane`` assemble the same equation in other ways,
-one element and one direction at a time, and judge both answers.
+``solve_by_scikit_fem`` gives the stationary density on uniformly refined meshes. The fast solvers
+of ``fpk.solvers.line`` and ``fpk.solvers.plane`` assemble the same equation one element and one
+direction at a time; their error estimates and certificates serve here, too.
 """
 
 from collections.abc import Mapping
@@ -26,21 +26,23 @@ from fpk.system.ends import require_confined
 from fpk.system.process import Process
 
 MOST_ENTRIES = 1e5
-"""Entries of all element matrices of one energy, beyond which no interval is halved."""
+"""Number of entries of all element matrices of one energy above which no interval is halved."""
 SCIKIT_DEGREE = 6
-"""Degree of the elements where none is given."""
+"""Default degree of the elements."""
 
 
 def flux(u: Any, w: Mapping[str, Array]) -> Any:
-    """J = T (F u − ½ b ∇u) of ∂p/∂t = −∇ · J, p = T u; the weak form is ∫ J · ∇v, Eqs. (9), (19).
+    """Return J = T (F ``u`` − ½ b ∇u) of ∂p/∂t = −∇ · J, p = T u; weak form ∫ J · ∇v; (9), (19).
 
-    In the drift-diffusion form T = 1 and F = s − ½ ∇ · b, in the flux form F is the dissipation.
+    ``w`` has the fields "states" T, "F" and "b". In the drift-diffusion form T = 1 and
+    F = s − ½ ∇ · b, in the flux form F is the dissipation.
     """
     return w["states"] * (w["F"] * u - 0.5 * mul(w["b"], grad(u)))
 
 
 def element_basis(nodes: tuple[Array, ...], degree: int, points: int) -> Basis:
-    """Return the elements of ``fpk.solvers.plane``, with ``points`` of Gauss along each axis."""
+    """Return elements of ``degree`` between ``nodes``, one array per axis. There are ``points``
+    Gauss points in an element along each axis."""
     t, w = gauss_legendre(points)
     t, w = 0.5 * (1.0 + t), 0.5 * w
     if len(nodes) == 1:
@@ -55,10 +57,8 @@ def element_basis(nodes: tuple[Array, ...], degree: int, points: int) -> Basis:
 def coefficients(
     process: Process, basis: Basis, *, flux_form: bool
 ) -> tuple[dict[str, Array], Array]:
-    """Return F, b and T of ``flux`` at the points, and ln of the unit of T of each element.
-
-    p = T u in the flux form, of one energy; p = u otherwise.
-    """
+    """Return F, b and T of ``flux`` at the points of ``basis``, and ln of the unit of T by element.
+    In the flux form, for one energy only, p = T u; otherwise p = u."""
     x = np.asarray(basis.global_coordinates())
     d, shape = len(x), basis.dx.shape
     energies = x.reshape(d, -1).T
@@ -81,8 +81,8 @@ def stationary_vector(
 ) -> tuple[Array, Array, float]:
     """Return y and ln s of the solution u = y/s of ∫ J(u) · ∇v = 0, and its relative residual.
 
-    s is the largest T in the elements of each unknown: y is of the size of p. Zero flux is natural
-    at all ends. Raises ``NotCertified`` where the equation has no single solution.
+    s (unknowns,) is the largest T in the elements of each unknown, so that y is of the size of p.
+    Zero flux is natural at all ends. Raises ``NotCertified`` if the solution is not unique.
     """
     w, unit = coefficients(process, basis, flux_form=flux_form)
     fields, dx = [u for (u,) in basis.basis], basis.dx
@@ -102,11 +102,12 @@ def stationary_vector(
 
 
 def null_vectors(process: Process, nodes: Array, degree: int, points: int) -> tuple[Array, float]:
-    """Return Legendre series (elements, degree + 1) of u, of the mean 1 in each, and a residual."""
+    """Return Legendre series (elements, ``degree`` + 1) of u with mean 1 in each, and a residual.
+    The mesh has the ``nodes``; ``points`` is the number of Gauss points of an element."""
     basis = element_basis((nodes,), degree, points)
     y, log_scale, residual = stationary_vector(process, basis, flux_form=True)
     own = log_scale[basis.element_dofs]
-    # u in the scale of each element: within its own unknowns it may span many decades, too.
+    # u in a scale of each element, as s may vary by decades between the unknowns of an element.
     y = y[basis.element_dofs] * np.exp(own.min(axis=0) - own)
     values = sum(np.asarray(u) * y[k][:, None] for k, (u,) in enumerate(basis.basis))
     series = values @ projection(points - 1)[: degree + 1].T
@@ -116,11 +117,15 @@ def null_vectors(process: Process, nodes: Array, degree: int, points: int) -> tu
 def plane_null_function(
     process: Process, nodes: Nodes, degree: int, points: int, weight: Weight | None = None
 ) -> tuple[PiecewiseTensor, float]:
-    """Return p of two energies on a tensor mesh, unscaled, and its algebraic residual."""
+    """Return the unscaled p of two energies on a tensor mesh, and its relative residual.
+
+    Elements of ``degree`` between ``nodes`` have ``points`` Gauss points along each axis; the
+    ``weight`` is not used.
+    """
     basis = element_basis(nodes, degree, points)
     y, _, residual = stationary_vector(process, basis)
     values = np.asarray(basis.interpolate(y))
-    # scikit-fem's first local coordinate is H2.
+    # The first local coordinate of scikit-fem is H2.
     blocks = values.reshape(nodes[0].size - 1, nodes[1].size - 1, points, points)
     series = projection(points - 1)[: degree + 1]
     p = np.einsum("ia,jb,klba->klij", series, series, blocks, optimize=True)
@@ -132,11 +137,11 @@ def solve_by_scikit_fem(
 ) -> StationarySolution | PlaneSolution:
     """Return the stationary density to the L1 tolerance ``tol`` by elements of one ``degree``.
 
-    Every interval of the mesh is halved until the answer is certified, as long as its matrices are
-    affordable. Of one energy the first mesh is that of the fast solver; of two energies its
-    intervals are equal in √H, and those are halved that ``solve_by_elements`` has ``marked``.
+    Meshes are refined until the answer is certified or matrices would be too large. For one energy
+    the first mesh is the one of the fast solver, and all its elements are halved. For two energies
+    the first mesh is equidistant in √H; for ``marked`` see ``solve_by_elements``.
 
-    Raises ``NotCertified`` where no stationary density exists.
+    Raises ``NotCertified`` if no stationary density exists.
     """
     if process.dimension == 2:
         require_confined(process)

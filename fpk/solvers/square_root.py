@@ -1,6 +1,7 @@
 """The square-root process dH = (n d − c H) dt + √(2 d H) dB in time, in closed form.
 
-It is the averaged energy of n masses without contact, or of one mode; Cox, Ingersoll and Ross.
+It is the averaged energy of n masses without contact, or of one mode; J. C. Cox, J. E. Ingersoll
+and S. A. Ross, Econometrica 53 (1985) 385.
 """
 
 from dataclasses import dataclass
@@ -22,42 +23,41 @@ from fpk.answer.dynamics import (
     certify_rates,
 )
 from fpk.answer.quantities import Number
-from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes
+from fpk.numeric.arrays import DEPTH, EPS, LARGEST_LOG, ROUNDINGS, SMALLEST, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.line.time.resolvent import contours
 from fpk.system.modulation import Modulation, require_constant_noise
 
-MAX_REDUCED_LIMIT = 690.0
-"""Largest c H/d of a limit: the mean time is e^690 of its unit."""
-MORE = 8
-"""Points of the contour beyond those of another one, whose distance is the error of the rule."""
 CANCELLED = 1e3
-"""Error in roundings beyond which a transform or P(T <= t) is sought in another way."""
+"""Relative error of a transform, in units of EPS, above which it is computed in another way."""
 STEEPEST, NEGLIGIBLE = 1e5, 1e-20
-"""Largest s x_f/c of Chernoff's bound, 1F1 ~ e^(2 √(s x_f/c)); where it is less P(T <= t) is 0."""
+"""Largest s x_f/c of Chernoff's bound, where 1F1 ~ e^(2 √(s x_f/c)); bound below which P(T <= t) is
+taken as 0."""
 CLOSE_STARTS = (0.02, 40.0)
-"""Least x_0/x_f and largest x_f − x_0 of starts from which some fail while a series cancels."""
-WIDTHS = 40.0
-"""Standard deviations above the mean within which a density is integrated: e^(−√2·40) is beyond."""
+"""Smallest x_0/x_f and largest x_f − x_0 of starts with early failures, for which the series of 1F1
+cancels and ``log_kummer_ratio`` is used."""
+
 MOST_TERMS = 20_000
-"""Terms of a series of 1F1, or of a continued fraction, beyond which it is given up."""
+"""Largest number of terms of a series of 1F1 or of a continued fraction."""
 BESSEL = 50.0
-"""Error of scipy's ``ive`` in roundings, and of the power series beside it."""
+"""Relative error of SciPy's ``ive`` and of the power series beside it, in units of EPS."""
 SERIES_RANGE = 60.0
-"""x y below which 40 powers give the Bessel function: 60^41/41!² is 1e-26."""
+"""Largest x y at which 40 powers give the Bessel function: 60^41/41!² is 1e-26."""
 LEAST_SIZE = 4.0
-"""Least |a|: about the relaxation rates, small negative a, 1F1 has zeros near the real x."""
+"""Smallest |a| of ``log_kummer_ratio``: for smaller negative a, near the relaxation rates, 1F1 has
+zeros close to the real axis of x."""
 RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14
-"""Largest ratio and difference of the ends of a panel of x, and its Gauss points."""
+"""Largest ratio and difference of both ends of a panel of x; Gauss points of a panel."""
 
 
 @dataclass(frozen=True)
 class SquareRoot:
-    """The process of the shape ``n``, the damping ``c`` (1/time) and the noise ``d``: θ = d/c.
+    """Square-root process of shape ``n``, damping ``c`` (1/time), noise ``d``: temperature θ = d/c.
 
-    ``relative_error`` is that of c and of d, which all stated errors include. ``modulation`` e(t)
-    multiplies d by e²: densities stay what they are, with θ_t = ∫d e(s)² e^(−c(t−s)) ds.
+    ``relative_error`` is the error of c and of d, which all stated errors include. ``modulation``
+    e(t) multiplies d by e²; densities keep their form, with θ_t = ∫d e(s)² e^(−c(t−s)) ds.
     """
 
     n: int
@@ -67,16 +67,18 @@ class SquareRoot:
     modulation: Modulation | None = None
 
     def rates(self, count: int, *, tol: float) -> Rates:
-        """Return k c, the eigenvalues of −L; the eigenfunctions are Laguerre polynomials."""
+        """Return the eigenvalues k c of −L, k = 1 to ``count``, certified to the relative ``tol``.
+        The eigenfunctions are Laguerre polynomials."""
         values = self.c * np.arange(1.0, count + 1.0)
         return certify_rates(values, (4.0 * EPS + self.relative_error) * values, tol=tol)
 
     def transient(
         self, start: float, noise: float | None, times: Array, at: Array, *, tol: float
     ) -> Transient:
-        """Return the densities at ``times`` from the energy ``start`` or from louder ``noise``.
+        """Return the densities at ``times`` and energies ``at``, certified to the L1 ``tol``.
 
-        They are half a noncentral χ² of 2n degrees, Econometrica 53 (1985) 385, or gamma ones.
+        From the energy ``start`` (``noise`` None) H is θ_t/2 times a noncentral χ² of 2n degrees.
+        From the stationary state under ``noise`` times d it has a gamma density.
         """
         each = times.tolist()
         values, errors = np.array([self.density(start, noise, t, at) for t in each]).swapaxes(0, 1)
@@ -85,26 +87,33 @@ class SquareRoot:
         return Transient(times, values, errors, "numerical", certify(measured, tol=tol))
 
     def density(self, start: float, noise: float | None, t: float, H: Array) -> tuple[Array, Array]:
-        """Return the density at the time ``t`` at energies ``H`` of any shape, and its error."""
+        """Return the density at time ``t``, energies ``H`` of any shape, and its error. For
+        ``start`` and ``noise`` see ``transient``."""
         theta, left = self.scales(start, noise, t)
         x, y = np.maximum(H, 0.0) / theta, left / theta
         log_p, log_error = noncentral(self.n, x, y)
-        # |∂ ln p/∂ ln θ| and that to ln y are below these terms.
+        # |∂ ln p/∂ ln θ| and |∂ ln p/∂ ln y| are below these terms.
         log_error = log_error + 2.0 * self.relative_error * (self.n + x + start / theta)
         p = np.where(H >= 0.0, np.exp(log_p) / theta, 0.0)
         return p, np.where(H >= 0.0, p * log_error + SMALLEST, 0.0)
 
     def judged(self, start: float, noise: float | None, t: float) -> tuple[float, float, float]:
-        """Return L1 error, departure of the mass from one and minus the least p, by quadrature."""
+        """Return L1 error, |mass − 1| and −min p/max p at time ``t``, by quadrature. For ``start``
+        and ``noise`` see ``transient``."""
         theta, left = self.scales(start, noise, t)
         mean, width = self.n * theta + left, sqrt(theta * (self.n * theta + 2.0 * left))
-        nodes = np.linspace(max(mean - WIDTHS * width, 0.0), mean + WIDTHS * width, 161)
+        # Beyond the mean p falls by e in each standard deviation at least.
+        nodes = np.linspace(max(mean - DEPTH * width, 0.0), mean + DEPTH * width, 161)
         H, w = (part.ravel() for part in panel_rule(nodes, 20))
         p, error = self.density(start, noise, t, H)
         return float(w @ error), abs(float(w @ p) - 1.0), -float(p.min() / p.max())
 
     def scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
-        """Return θ_t and what is left of the start, or raise ``InvalidInput`` before any noise."""
+        """Return θ_t and the remaining initial energy ``start`` e^(−c ``t``).
+
+        From a stationary state under ``noise`` times d the latter is 0 and θ_t contains the initial
+        temperature. Raises ``InvalidInput`` if no noise has acted before ``t``.
+        """
         left, theta = exp(-self.c * t), self.d / self.c
         grown = -theta * expm1(-self.c * t)
         if self.modulation is not None:
@@ -116,17 +125,18 @@ class SquareRoot:
         return grown, start * left
 
     def passage(self, limit: float, start: float, times: Array, *, tol: float) -> Passage:
-        """Return the first passage of ``limit`` from a ``start`` below it.
+        """Return the first passage of ``limit`` from a ``start`` below it, P(T <= t) at ``times``.
 
         E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d; moments are its derivatives at 0.
+        For ``tol`` see ``certify_passage``. Raises as ``rate`` and ``failure`` do.
         """
         require_constant_noise(self.modulation)
         rate, xf = self.rate(limit), limit * self.c / self.d
         starts = np.linspace(0.0, limit, START_POINTS)
         x = np.append(starts, start) * self.c / self.d
-        k = np.arange(1.0, int(xf + 12.0 * sqrt(xf)) + 61.0)  # up to round-off, as of e^x
-        # The coefficient of a in 1F1 is A_1 = Σ x^k/(k (n)_k), that of a² is
-        # A_2 = Σ x^k (1 + … + 1/(k−1))/(k (n)_k): A(x_f) − A(x) without a difference of them.
+        k = np.arange(1.0, int(xf + 12.0 * sqrt(xf)) + 61.0)  # terms up to round-off, as for e^x
+        # 1F1 = 1 + A_1 a + A_2 a² + …, A_1 = Σ x^k/(k (n)_k) and
+        # A_2 = Σ x^k (1 + … + 1/(k−1))/(k (n)_k): A(x_f) − A(x) is summed without cancellation.
         terms = np.cumprod(xf / (self.n + k - 1.0)) / k
         with np.errstate(divide="ignore"):
             less = -np.expm1(k * np.log(x / xf)[:, None])
@@ -151,20 +161,17 @@ class SquareRoot:
         )
 
     def rate(self, limit: float) -> Number:
-        """Return the failure rate, c times the least a with 1F1(−a; n; x_f) = 0.
-
-        Raises ``InvalidInput`` where the mean time to the limit is beyond double precision.
-        """
+        """Return the failure rate, c times the smallest a with 1F1(−a; n; x_f) = 0. x_f is c
+        ``limit``/d. Raises ``InvalidInput`` if the mean time is beyond double precision."""
         xf = limit * self.c / self.d
-        if not xf <= MAX_REDUCED_LIMIT:
+        if not xf <= LARGEST_LOG:  # the mean time is about e^xf/c
             raise InvalidInput("limit", limit, BEYOND_RANGE)
         k = np.arange(1.0, int(xf + 12.0 * sqrt(xf)) + 61.0)  # as in ``passage``
         a, relative = 0.0, 4.0 * EPS * (k.size + 2.0)
         for _ in range(100):  # Newton's method rises to the root of a convex curve
-            # Terms of 1F1(−a; n; x) − 1 and of its derivative in a, of which the first has a left
-            # out: it may be as small as 1e-290.
+            # Terms of (1F1(−a; n; x) − 1)/(−a), and of its derivative in a; a may be 1e-290.
             factors = k[:-1] - a
-            factors[factors == 0.0] = EPS  # a rounding beside an integer a, where 0/0 follows
+            factors[factors == 0.0] = EPS  # one rounding beside an integer a, to avoid 0/0
             rest = np.cumprod(np.append(1.0, factors) * xf / ((self.n + k - 1.0) * k))
             slopes = np.cumsum(np.append(0.0, 1.0 / factors))
             f, slope = 1.0 - a * rest.sum(), -rest.sum() + a * (rest * slopes).sum()
@@ -178,10 +185,11 @@ class SquareRoot:
     def failure(
         self, limit: float, start: float, times: Array, *, tol: float
     ) -> tuple[Array, Array]:
-        """Return P(T <= t) at ``times`` by inverse transform, and its error.
+        """Return P(T <= t) at ``times`` by the inverse Laplace transform, and its absolute error.
 
-        At too short times it is 0 within Chernoff's bound e^(st) E e^(−sT), or ``NotApplicable``
-        where that exceeds ``tol``.
+        ``limit`` and ``start`` are energies. At short times, at which the transform cancels, 0 is
+        returned with Chernoff's bound e^(st) E e^(−sT) as its error. Raises ``NotApplicable`` if an
+        error exceeds ``tol``.
         """
         x0, xf = start * self.c / self.d, limit * self.c / self.d
         p, error = np.zeros((2, times.size))
@@ -193,7 +201,9 @@ class SquareRoot:
             powers = np.exp(np.multiply.outer(self.c * times, a))
             bound = np.nanmin(powers * (ratio.real * (1.0 + relative)), axis=1)
         later = np.flatnonzero((times > 0.0) & (bound > NEGLIGIBLE))
-        for both in zip(*(contours(times[later], more=k) for k in (0, MORE)), strict=True):
+        # The distance to a contour of ENRICHMENT more points is the error of the rule.
+        rules = (contours(times[later], more=more) for more in (0, ENRICHMENT))
+        for both in zip(*rules, strict=True):
             at, values = later[both[0][0]], []
             for _, z, factors in both:
                 ratio, relative = self._transform(z / self.c, x0, xf)
@@ -214,7 +224,7 @@ class SquareRoot:
         return p, error
 
     def _transform(self, a: Complexes, x0: float, xf: float) -> tuple[Complexes, Array]:
-        """Return 1F1(a; n; x_0)/1F1(a; n; x_f) and its relative error."""
+        """Return 1F1(a; n; ``x0``)/1F1(a; n; ``xf``) at ``a`` (points,), and relative errors."""
         (above, above_error), (below, below_error) = (kummer(a, self.n, x) for x in (x0, xf))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             relative = above_error / np.abs(above) + below_error / np.abs(below) + 4.0 * EPS
@@ -228,14 +238,15 @@ class SquareRoot:
         return ratio, relative
 
     def _lost(self, xf: float) -> float:
-        """Relative error by c and d of mean times and rates, which rise by e^(x_f) at most."""
+        """Relative error, by the errors of c and d, of mean times and rates ~ e^(±``xf``)."""
         return (3.0 + 2.0 * xf) * self.relative_error
 
 
 def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
-    """Return ln of e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)), n >= 1, and its error.
+    """Return ln p and its error, p = e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)), ``n`` >= 1.
 
-    As a density of x it is that of half a noncentral χ² of 2n degrees, noncentrality 2y.
+    p is the density of half a noncentral χ² of 2n degrees and noncentrality 2 ``y`` at ``x``, of
+    any shape.
     """
     few, root, other = x * y < SERIES_RANGE, np.sqrt(x), sqrt(y)
     # Σ (x y)^k/(k! (n)_k), of positive terms.
@@ -244,8 +255,8 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
         series = 1.0 + series * powers / (k * (n + k - 1.0))
     z, mu = 2.0 * root * other, 4.0 * (n - 1) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
-        # ln of e^(−z) I_(n−1)(z), which scipy does not give at very large z: there by Abramowitz
-        # and Stegun (9.7.1), whose next term is below round-off.
+        # ln of e^(−z) I_(n−1)(z), by Abramowitz and Stegun (9.7.1) at the very large z at which
+        # SciPy returns NaN; the next term is below round-off.
         value, w = np.log(ive(n - 1, z)), 8.0 * z
         tail = 1.0 - (mu - 9.0) / (2.0 * w) * (1.0 - (mu - 25.0) / (3.0 * w))
         far = np.log1p(-(mu - 1.0) / w * tail) - 0.5 * np.log(2.0 * pi * z)
@@ -253,14 +264,15 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
         value += (n - 1) * np.log(root / other) if n > 1 else 0.0
     value -= (root - other) ** 2
     value[few] = xlogy(n - 1, x[few]) - x[few] - y + np.log(series) - gammaln(n)
-    # Of an exponent, relative errors of its parts are errors of ln p.
+    # Errors of the exponent of p are errors of ln p.
     parts = np.where(few, x + y, np.abs(root - other) * (root + other))
     steep = np.where(x > 0.0, (n - 1) * np.abs(np.log(np.maximum(x, SMALLEST))), 0.0)
     return value, EPS * (BESSEL + 4.0 * parts + 2.0 * (gammaln(n + 1.0) + steep))
 
 
 def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
-    """Return 1F1(a; n; x >= 0) at ``a`` (points,), and its error, inf beyond ``MOST_TERMS``."""
+    """Return 1F1(``a``; ``n``; ``x`` >= 0) at ``a`` (points,), and its error. The error is inf if
+    the series needs more than ``MOST_TERMS`` terms."""
     term, total = np.ones_like(a), np.ones_like(a)
     size = np.ones(a.size)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -276,13 +288,14 @@ def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
 
 
 def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Complexes, Array]:
-    """Return ln 1F1(a; n; low)/1F1(a; n; high), 0 < low < high, and its error, at ``a`` (points,).
+    """Return ln 1F1(a; ``n``; ``low``)/1F1(a; n; ``high``) at ``a`` (points,), and its error.
 
-    It is −∫ 1F1'/1F1 dx by Gauss's continued fraction, DLMF (13.5.1), in which nothing cancels away
-    from the negative axis. The error is infinite below ``LEAST_SIZE`` and beyond ``MOST_TERMS``.
+    0 < low < high. It is −∫ 1F1'/1F1 dx by Gauss's continued fraction, DLMF (13.5.1), in which
+    nothing cancels for a away from the negative axis. The error is inf for |a| < ``LEAST_SIZE``
+    and if more than ``MOST_TERMS`` terms are needed.
     """
     nodes = [low]
-    while nodes[-1] < high:  # zeros of 1F1 are of angles beyond a radian, or an imaginary part of π
+    while nodes[-1] < high:  # zeros of 1F1 have angles above a radian, or imaginary parts of π
         nodes.append(min(high, RATIO_PANELS[0] * nodes[-1], nodes[-1] + RATIO_PANELS[1]))
     x, w = (part.reshape(-1, 1) for part in panel_rule(np.array(nodes), RATIO_POINTS))
     terms = 3.0 * np.sqrt(np.abs(a) * high) + high + 60.0

@@ -6,15 +6,14 @@ import numpy as np
 
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotCertified
+from fpk.system.contact import MAX_EXPONENT
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 NEAR, FAR, BESIDE = 1e-6, 1e4, 1.05
 """Energies, in units of ``Process.energy_scales``, at which the limits H → 0 and H → ∞ are
 evaluated. The order of the drift follows from FAR and BESIDE · FAR, so close that shell integrals
 with many contact masses mostly serve both."""
-LINEAR = 1e-2
-"""Tolerance within which the exponents of drift and σ² as powers of H count as 1. The least other
-one, of damping by q² between stops of exponent e <= 100, is 1 + 2/(1 + e) = 1.02."""
+
 FAR_OUT = np.logspace(4.0, 16.0, 13)
 """Energies, in units of the scale, at which the drift must point inwards. A damping term that
 exceeds another of lower degree only beyond 1e16 is less than its round-off (2e-16) at the scale."""
@@ -47,7 +46,9 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     energies, the others are put at 0, 1 or 10 times their scales, together or one by one, and the
     least favourable case decides.
     """
-    rest = process.dimension - 1
+    # The smallest exponent of the drift above 1, of damping by q² between stops of the highest
+    # exponent e, is 1 + 2/(1 + e): exponents within half of the difference count as 1.
+    linear, rest = 1.0 / (1.0 + MAX_EXPONENT), process.dimension - 1
     name = f"H{axis + 1}" if rest else "H"
     levels = [np.full(rest, level) for level in ((0.0, 1.0, 10.0) if rest else (0.0,))]
     levels += [level * row for level in (1.0, 10.0) if rest > 1 for row in np.eye(rest)]
@@ -63,7 +64,7 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     worst = float(order[np.argmax(np.abs(order - 1.0))])
     # κ is evaluated at H = NEAR: it differs from the limit by the order of NEAR.
     kappa = float(np.min(2.0 * drift * energy / diffusion))
-    if abs(worst - 1.0) > LINEAR:
+    if abs(worst - 1.0) > linear:
         lower = BoundaryClass(f"{name} = 0", "not classified", f"σ² ~ H^{worst:.3g}, not ~ H")
     else:
         kind, words = "exit", "the process ends there"
@@ -84,7 +85,7 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     # Error of the exponent by the errors of both drifts; 0 if the process gives none.
     slack = 2.0 * float(np.max(np.nan_to_num(near.relative_error))) / np.log(BESIDE)
     kind, words = "natural", ": neither reached nor left in finite time"
-    if power > 1.0 + LINEAR + slack:
+    if power > 1.0 + linear + slack:
         kind, words = "entrance", ", so it is left in finite time"
     return lower, BoundaryClass(f"{name} = ∞", kind, reason + words)
 

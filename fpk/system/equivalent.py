@@ -148,9 +148,7 @@ def _last_root(x: Array, share: Array) -> float:
 
 def _polynomial_balance(system: System, constant: float, noise: float) -> Balance:
     """``damping_balance`` without stops; ``constant`` = Σ c_ii/m_i, ``noise`` = Σ (f D fᵀ)_ii/m_i.
-
-    ``power`` holds the coefficients of ascending powers of θ.
-    """
+    ``power`` holds the coefficients of ascending powers of θ."""
     n, power = system.n, np.zeros(2 + max((t.degree // 2 for t in system.damping_terms), default=0))
     power[1] = constant
     size = np.abs(power)
@@ -180,10 +178,8 @@ def _polynomial_balance(system: System, constant: float, noise: float) -> Balanc
 
 
 def _temperature_of_sizes(system: System, constant: float, noise: float) -> float:
-    """The θ at which ``constant`` θ + Σ √E X² = ``noise``, X the power of each damping term.
-
-    The means are over the Gibbs state of the chain without stops.
-    """
+    """The θ at which ``constant`` θ + Σ √E X² = ``noise``, X the power of each damping term. The
+    means are over the Gibbs state of the chain without stops."""
     sizes, powers = [constant], [1.0]
     for term in system.damping_terms:
         q, v = term.powers("q", system.n), term.velocities(system.n)
@@ -205,8 +201,8 @@ def _temperature_of_sizes(system: System, constant: float, noise: float) -> floa
 def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
     """Displacements (masses, points) of the contact masses and weights (points,) of a Gibbs mean.
 
-    ``theta`` is the temperature. Along the chain each contact mass is Gaussian about the one
-    before, with the variance θ times the flexibility in between, and is cut off at its stops. With
+    ``theta`` is the temperature. Along the chain each contact mass is Gaussian about the previous,
+    with the variance θ times the flexibility in between, and is cut off at its stops. With
     five or more contact masses ``RESAMPLED_POINTS`` are drawn by their weights after each mass, as
     otherwise few points carry all of the weight.
     """

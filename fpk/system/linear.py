@@ -105,7 +105,7 @@ class LinearCovariance:
 def linear_covariance(system: System) -> LinearCovariance:
     """Return the covariance of the modes of the system without contacts, from A Σ + Σ Aᵀ + b = 0.
 
-    In (ω Q, P) every entry of A is a rate of its own mode, and none is lost beside a faster one.
+    In (ω Q, P) every entry of A is a rate of its own mode, and none is lost beside faster modes.
     The error estimate is the sum of the last of two corrections, of the effect of a residual of the
     size of its round-off, and of the effect of a round-off of ω with alternating signs.
 
@@ -159,10 +159,8 @@ def linear_covariance(system: System) -> LinearCovariance:
 
 
 def stationary_covariance(system: System) -> Array:
-    """Return the covariance (2n, 2n) of (q, p) without contacts, for any damping and noise.
-
-    Raises ``NotApplicable`` as ``linear_covariance`` does.
-    """
+    """Return the covariance (2n, 2n) of (q, p) without contacts, for any damping and noise. Raises
+    ``NotApplicable`` as ``linear_covariance`` does."""
     modal = system.fact(linear_covariance)
     back = block_diag(modal.shapes / modal.omega, system.mass[:, None] * modal.shapes)
     covariance = back @ modal.covariance @ back.T

@@ -9,9 +9,6 @@ from scipy.special import hyp1f1
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable, require
 
-FADED_ERROR = 1e-13
-"""Relative error of ``Modulation.faded``: 2e-15 by SciPy's 1F1, 8e-14 by exponents up to 700."""
-
 
 @dataclass(frozen=True, eq=False)
 class Modulation:
@@ -89,7 +86,8 @@ class Modulation:
     def faded(self, begin: float, end: float, rate: Array) -> Array:
         """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, (…) as ``rate``.
 
-        A negative ``rate`` means growth. The relative error is below ``FADED_ERROR``.
+        A negative ``rate`` means growth. The relative error is at most
+        ``LARGEST_LOG`` · EPS: 2e-15 by SciPy's 1F1, the rest by exponents up to 700.
         """
         inner = self.times[(self.times > begin) & (self.times < end)]
         nodes = np.concatenate([[begin], inner, [end]])

@@ -63,10 +63,8 @@ class Process:
         return Coefficients(s, b, divergence, relative_error=c.relative_error)
 
     def on_mesh(self, energy: Array, last: float) -> tuple[Array, Flags]:
-        """Return ``energy``, of any shape, clipped to (0, ``last``], and where p is not 0.
-
-        p is 0 outside [0, ``last``], and at H = 0 for more than one degree of freedom.
-        """
+        """Return ``energy``, of any shape, clipped to (0, ``last``], and where p is not 0. p is 0
+        outside [0, ``last``], and at H = 0 for more than one degree of freedom."""
         least = max(ZERO_ENERGY * last, SMALLEST)
         above = energy >= 0.0 if self.degrees_of_freedom == 1 else energy > 0.0
         return np.clip(energy, least, last), above & (energy <= last)

@@ -132,10 +132,8 @@ class System:
 
     @cached_property
     def compliance(self) -> Array:
-        """Inverse (n, n) of the stiffness matrix of the chain: Σ 1/k_l over l <= min(i, j).
-
-        Nothing cancels: every entry has full relative accuracy for any ratio of stiffnesses.
-        """
+        """Inverse (n, n) of the stiffness matrix of the chain: Σ 1/k_l over l <= min(i, j). Nothing
+        cancels: every entry has full relative accuracy for any ratio of stiffnesses."""
         reach = np.cumsum(1.0 / self.stiffness)
         matrix: Array = np.minimum.outer(reach, reach)
         matrix.setflags(write=False)
@@ -150,10 +148,8 @@ class System:
         )
 
     def fact(self, compute: Callable[["System"], Fact]) -> Fact:
-        """Return ``compute(self)``, stored in the system after the first call.
-
-        ``compute``, a function of a module, is the key. An exception is not stored.
-        """
+        """Return ``compute(self)``, stored in the system after the first call. ``compute``, a
+        function of a module, is the key. An exception is not stored."""
         if compute not in self._facts:
             self._facts[compute] = compute(self)
         return cast("Fact", self._facts[compute])

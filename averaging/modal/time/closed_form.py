@@ -31,11 +31,11 @@ from fpk.answer.dynamics import (
 )
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
-from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUNDINGS, SMALLEST, Array
+from fpk.numeric.arrays import BLOCK_SIZE, EPS, LARGEST_LOG, ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.square_root import SquareRoot
-from fpk.system.modulation import FADED_ERROR, Modulation
+from fpk.system.modulation import Modulation
 
 SUM_PANELS, SUM_POINTS = 16, (20, 24)
 """Panels and Gauss points of each along H1 + H2 = H: answer and error."""
@@ -131,7 +131,7 @@ def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) ->
     if not modes.constant:
         raise NotApplicable("damping that depends on the state has no closed form in time; use fem")
     c, d = float(modes.modal_damping[m, m]), float(modes.noise[m])
-    error = modes.relative_error + (FADED_ERROR if modulation else 0.0)
+    error = modes.relative_error + (LARGEST_LOG * EPS if modulation else 0.0)
     return SquareRoot(1, c, d, error, modulation)
 
 

@@ -121,9 +121,7 @@ def solve_elements(
     process: Process, nodes: Array, degree: int, null_vectors: NullVectors | None = None
 ) -> Elements:
     """Solve on each element between ``nodes``, in ``degree`` and in ``degree`` + ``ENRICHMENT``.
-
-    ``null_vectors``, if given, is used in place of elimination in each element.
-    """
+    ``null_vectors``, if given, is used in place of elimination in each element."""
     rule, left, h = element_rule(degree, process.degrees_of_freedom), nodes[:-1], np.diff(nodes)
     contact, h = np.flatnonzero([H in process.nonsmooth for H in left.tolist()]), h[:, None]
     x, points = left[:, None] + h * rule.share, rule.share.size
@@ -189,10 +187,8 @@ def solve_elements(
 
 
 def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
-    """Relative residual of ``A`` ``u`` = 0; residual and size of terms of its first equation.
-
-    ``A`` is (elements, equations, terms) and ``u`` (elements, terms).
-    """
+    """Relative residual of ``A`` ``u`` = 0; residual and size of terms of its first equation. ``A``
+    is (elements, equations, terms) and ``u`` (elements, terms)."""
     # All terms are zero if an element is so short that the damping in it underflows.
     terms = A[:, : u.shape[1] - 1, : u.shape[1]] * u[:, None]
     residual, size = np.abs(terms.sum(axis=2)), np.abs(terms).sum(axis=2)

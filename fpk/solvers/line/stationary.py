@@ -14,13 +14,12 @@ from numpy.polynomial.legendre import legvander
 from scipy.ndimage import maximum_filter1d
 
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify
-from fpk.numeric.arrays import EPS, ROUND_OFF, SMALLEST, Array, Flags
+from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.numeric.piecewise import Piecewise
 from fpk.solvers.line.elements import Elements, NullVectors, element_rule, solve_elements
 from fpk.solvers.line.mesh import (
     ELEMENT_FALL,
     GRADED_LAYERS,
-    SMOOTH_FALL,
     Probe,
     initial_nodes,
     probe_process,
@@ -29,16 +28,15 @@ from fpk.solvers.line.mesh import (
 )
 from fpk.system.process import Process
 
-SAFETY = 2.0
+LINE_FACTOR = 2.0
 """Stated L1 error over the distance to the enriched solution. At an algebraic singularity of order
 r of u the enriched solution has the share (p/(p+2))^(2r+2) of the error, at most a half for degree
 p >= 4; integrals above a contact energy have twice as many points in the enriched solution."""
-POINTWISE_SAFETY = 4.0
+POINTWISE_FACTOR = 4.0
 """Stated error of p at a point over the distance to the enriched solution nearby. In 8 of 779
 chains of 1 to 100 masses at tolerances from 2e-2 to 2e-10 the true error was two to three times
 this distance, as the density of states rises by decades over an element."""
-MOST_ELEMENTS = 20_000
-"""Number of elements above which none is cut: one solution then takes seconds."""
+
 HALF_WAVE = 4
 """Samples of the distance to the enriched solution in each of its half-waves."""
 
@@ -85,7 +83,7 @@ class StationarySolution:
         return self.answer(energy, log_factor=self._log_states(energy))
 
     def phase_space_density(self, energy: Array) -> Array:
-        """Return p_h/T, with ln T as in ``Coefficients``, at ``energy`` of any shape; 0 outside."""
+        """Return p_h/T at ``energy`` of any shape, in the unit of ``Coefficients``; 0 outside."""
         return self.answer(energy)
 
     def pointwise_error(self, energy: Array) -> Array:
@@ -147,7 +145,7 @@ class StationarySolution:
         # Accumulated from the element with most mass outwards, so that its own share is least.
         below, above = np.cumsum(steps[:top][::-1])[::-1], np.cumsum(steps[top:])
         relative = self.nodes.size + np.concatenate([below, [0.0], above])
-        own = math.log(POINTWISE_SAFETY) + around - 0.5 * log_T + scale
+        own = math.log(POINTWISE_FACTOR) + around - 0.5 * log_T + scale
         rounding = np.log(np.maximum(2.0 * EPS * most[:, None], SMALLEST)) - log_T
         return np.logaddexp(own, rounding), 2.0 * EPS * relative
 
@@ -171,13 +169,14 @@ def solve_stationary(
         # The error of an element is weighted by its mass, and rises as nats^(degree + 1). Up to 7
         # nats p at the far end exceeds the error of its element, so that p stays positive.
         fall = probe.log_mass.max() - probe.log_mass
-        nats = SMOOTH_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
+        nats = ELEMENT_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
     end, layers = probe.extent(1e-2 * tol), 0 if smooth else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
         elements = solve_elements(process, nodes, degree)
         solution, marked = _join_and_judge(process, probe, nodes, elements, degree, tol)
-        if not marked.any() or marked.size > MOST_ELEMENTS:
+        # Element matrices of more than a block take seconds.
+        if not marked.any() or marked.size * degree**2 > BLOCK_SIZE:
             break
         cut = split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
         before, nodes = nodes, np.unique(np.append(nodes, cut))
@@ -194,10 +193,8 @@ def solve_on_mesh(
     tol: float = np.inf,
     null_vectors: NullVectors | None = None,
 ) -> StationarySolution:
-    """Return the solution by elements of ``degree`` between ``nodes``, judged by ``tol``.
-
-    ``null_vectors`` is as in ``solve_elements``.
-    """
+    """Return the solution by elements of ``degree`` between ``nodes``, certified to the L1 ``tol``.
+    ``null_vectors`` goes to ``solve_elements``."""
     elements = solve_elements(process, nodes, degree, null_vectors)
     return _join_and_judge(process, probe_process(process), nodes, elements, degree, tol)[0]
 
@@ -207,7 +204,8 @@ def _join_and_judge(
 ) -> tuple[StationarySolution, Flags]:
     """Return the density of the elements ``e``, scaled to match, and which elements to cut in two.
 
-    ``nodes``, ``degree`` and ``tol`` are as in ``solve_on_mesh``; ``probe`` bounds the tail.
+    They have the ``degree`` and lie between ``nodes``; ``tol`` is the L1 tolerance; ``probe``
+    bounds the tail.
     """
     series = e.u, e.enriched
     signed, log_scale, share = zip(*(_match_at_nodes(u, e.log_factor) for u in series), strict=True)
@@ -227,7 +225,7 @@ def _join_and_judge(
     # mass of the smaller side, the element included in both.
     below = np.cumsum(size)
     sides = np.minimum(below, np.maximum(1.0 - below, 0.0) + size)
-    estimate = SAFETY * distance + 2.0 * tail + coefficient_error
+    estimate = LINE_FACTOR * distance + 2.0 * tail + coefficient_error
     estimate += 2.0 * float(e.slope_error @ sides)
     estimate += 2.0 * EPS * (size.size + degree**2)  # round-off of sums over elements and functions
     measured = Measured(
@@ -251,7 +249,7 @@ def _join_and_judge(
         certificate=certify(measured, tol=tol),
     )
     # The other half of the tolerance is for the tail, the coefficients and round-off.
-    if SAFETY * distance <= 0.5 * tol and least >= NEGATIVE * most:
+    if LINE_FACTOR * distance <= 0.5 * tol and least >= NEGATIVE * most:
         return solution, np.zeros(size.size, dtype=bool)
     # The error that an element causes: by its shape, and by its scale relative to its neighbours,
     # which changes the mass on the smaller side.

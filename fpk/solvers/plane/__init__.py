@@ -1,1 +1,1 @@
-"""Stationary FPK equation of two energies: tensor hp elements, statically condensed."""
+"""FPK equation of two energies: tensor hp finite elements, for the stationary state and in time."""

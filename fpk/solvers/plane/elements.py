@@ -1,8 +1,8 @@
-"""Tensor elements of two energies: matrices by sum factorisation, condensation, the null vector.
+"""Tensor elements of two energies: matrices by sum factorisation, condensation, null vector.
 
-The weak form of (19) with zero flux at infinity is ``∫ J · ∇v = 0`` for all test functions, with
+The weak form of (19) with zero flux at infinity is ``∫ J · ∇v = 0`` for all test functions v, with
 ``J_i = (s_i − ½ ∂_j b_ij) p − ½ b_ij ∂_j p``. Shape functions are products of scikit-fem's line
-elements; every sum over two-dimensional quadrature points is done one direction at a time.
+elements; sums over two-dimensional quadrature points are done one direction at a time.
 """
 
 from functools import lru_cache
@@ -24,27 +24,29 @@ Nodes = tuple[Array, Array]
 
 @lru_cache
 def local_order(degree: int) -> Integers:
-    """Return the local numbers of an element, those of the 4 ``degree`` on its boundary first."""
+    """Return local numbers of an element's functions, the 4 ``degree`` on its boundary first."""
     i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
     return np.argsort((i >= 2) & (j >= 2), kind="stable")
 
 
 def axis_numbers(elements: int, degree: int) -> Integers:
-    """Return the global numbers (elements, degree + 1) of one axis's functions: vertices first."""
+    """Return global numbers (``elements``, ``degree`` + 1) along an axis, vertices first."""
     vertex = np.arange(elements)[:, None] + np.array([0, 1])
     bubbles = elements + 1 + np.arange(elements * (degree - 1)).reshape(elements, degree - 1)
     return np.hstack([vertex, bubbles])
 
 
 def local_numbers(nodes: Nodes, degree: int) -> Integers:
-    """Return the global numbers (elements, m) of each element's functions, in ``local_order``."""
+    """Return global numbers (elements, (degree + 1)²) of each element's functions. ``nodes`` ascend
+    along both axes; the functions of ``degree`` are in ``local_order``."""
     first, second = (axis_numbers(x.size - 1, degree) for x in nodes)
     flat = first[:, None, :, None] * (len(second) * degree + 1) + second[None, :, None, :]
     return flat.reshape(len(first) * len(second), -1)[:, local_order(degree)]
 
 
 def assemble(matrices: Array, numbers: Integers) -> csc_array:
-    """Return the sum of element matrices (elements, m, m) of functions ``numbers``."""
+    """Return the sparse sum of element ``matrices`` (elements, m, m). ``numbers`` (elements, m) are
+    the global numbers of the functions."""
     m, size = numbers.shape[1], int(numbers.max()) + 1
     places = np.repeat(numbers, m, axis=1).ravel(), np.tile(numbers, (1, m)).ravel()
     return csc_array((matrices.ravel(), places), shape=(size, size))
@@ -55,8 +57,8 @@ def lu_factors(
 ) -> SuperLU:
     """Return the LU factors in a symmetric ordering, with pivots on the diagonal.
 
-    So the scales of rows and columns do not matter, with w over many orders of magnitude. Raises
-    ``NotCertified`` with the words of ``refusal`` where the matrix is singular.
+    Without row exchanges the accuracy does not depend on the scales of rows and columns, over which
+    w varies by many decades. Raises ``NotCertified(refusal)`` if the matrix is singular.
     """
     symmetric = {"SymmetricMode": True}
     try:
@@ -68,8 +70,9 @@ def lu_factors(
 def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
     """Return the null vector of a matrix whose columns add up to 0, and its relative residual.
 
-    The vertex functions sum to one: the equation of one of the ``vertices`` is redundant, and its
-    value is held at 1, at the vertex of the largest value, as a small one costs its digits.
+    The vertex functions sum to 1, so that the equation of one vertex is redundant; its unknown is
+    set to 1. ``vertices`` are the numbers of all vertex unknowns. The first is tried, and then, if
+    it is less than 1e-3 of the largest, the largest, as a small pivot costs its digits.
     """
     held, starts, rows = int(vertices[0]), matrix.indptr, matrix.indices
     for _ in range(2):
@@ -93,7 +96,11 @@ def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
 def null_function(
     process: Process, nodes: Nodes, degree: int, points: int, weight: Weight
 ) -> tuple[PiecewiseTensor, float]:
-    """Return u of a stationary density p = w u by Gauss ``points`` an axis, and its residual."""
+    """Return u of the unscaled stationary density p = w u, and the relative residual.
+
+    u has the ``degree`` along each axis between ``nodes``; w is the ``weight``; ``points`` is the
+    number of Gauss points of an element along each axis.
+    """
     (x, y), _ = gauss_grid(nodes, points=points)
     matrices = element_matrices(flux_coefficients(process, x, y, weight)[1:], nodes, degree)
     # The unknowns inside every element are eliminated first.
@@ -115,10 +122,10 @@ def null_function(
 
 
 def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
-    """Return the hierarchical shape functions and derivatives (degree + 1, points) at t in [0, 1].
+    """Return hierarchical shape functions and slopes (``degree`` + 1, points) at ``t`` in [0, 1].
 
-    The first two belong to the left and right vertex; the others, (P_j − P_(j−2))/√(4j − 2) of
-    Legendre polynomials, as scikit-fem's, vanish there.
+    The first two belong to the left and right vertex. The others vanish at both; they are
+    (P_j − P_(j−2))/√(4j − 2), P_j Legendre polynomials, as in scikit-fem.
     """
     P = legvander(2.0 * t - 1.0, degree).T
     j = np.arange(2.0, degree + 1.0)[:, None]
@@ -128,7 +135,8 @@ def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
 
 
 def by_element(values: Array, counts: tuple[int, int]) -> Array:
-    """Return values (…, along H1, along H2) by element (…, elements, q, q), along H2 fastest."""
+    """Return ``values`` (…, along H1, along H2) by element (…, elements, q, q), H2 fastest.
+    ``counts`` are the numbers of elements along H1 and H2."""
     *more, first, second = values.shape
     blocks = values.reshape(*more, counts[0], first // counts[0], counts[1], second // counts[1])
     blocks = np.moveaxis(blocks, -3, -2)
@@ -138,10 +146,11 @@ def by_element(values: Array, counts: tuple[int, int]) -> Array:
 def flux_coefficients(
     process: Process, H1: Array, H2: Array, weight: Weight, *, balanced: bool = False
 ) -> Array:
-    """Return w, w a_1, w a_2, w b_11, w b_12, w b_22 (6, ...) at energies that broadcast together.
+    """Return w, w a_1, w a_2, w b_11, w b_12, w b_22 (6, ...) at ``H1``, ``H2`` that broadcast.
 
-    With p = w u the flux is ``J_i = w (a_i u − ½ b_ij ∂_j u)``, a = s − ½ ∇·b + ½ b ∇ ln w. Of a
-    ``balanced`` weight, but for its floor the density without flux, s − ½ ∇·b is ½ b ∇Φ.
+    With p = w u the flux is ``J_i = w (a_i u − ½ b_ij ∂_j u)``, a = s − ½ ∇·b + ½ b ∇ ln w.
+    ``balanced``: the ``weight`` without its floor is the density of zero flux, and
+    s − ½ ∇·b = ½ b ∇Φ is not computed from s.
     """
     shape = np.broadcast_shapes(H1.shape, H2.shape)
     points = np.empty((*shape, 2))
@@ -164,10 +173,11 @@ def flux_coefficients(
 
 @lru_cache
 def _quadrature_products(degree: int, points: int) -> tuple[Array, Array, Array, Array, Integers]:
-    """Weighted products of test and trial functions at Gauss points, (points, (degree+1)²) each.
+    """Weighted products of test and trial functions at Gauss ``points``, (points, (degree+1)²).
 
-    value·value, slope·value, value·slope, slope·slope, test first, on the unit interval; then the
-    places of a matrix in ``local_order`` among rows (i, j) along H1 and columns along H2.
+    They are value·value, slope·value, value·slope and slope·slope, test first, on the unit
+    interval. The last array are the places of an element matrix in ``local_order`` in the product
+    matrix with pairs (test, trial) along H1 as rows and along H2 as columns.
     """
     t, w = gauss_legendre(points)
     phi, dphi = shape_functions(degree, 0.5 * (1.0 + t))
@@ -182,16 +192,16 @@ def _quadrature_products(degree: int, points: int) -> tuple[Array, Array, Array,
 
 
 def element_matrices(coefficients: Array, nodes: Nodes, degree: int) -> Array:
-    """Return the element matrices (elements, m, m), test functions first, in ``local_order``.
+    """Return element matrices (elements, m, m), test functions first, in ``local_order``.
 
-    ``coefficients`` on the grid of the Gauss points, (.., along H1, along H2), are w a and w b (5),
-    or w (1), of the matrices ∫ w φ_i φ_j.
+    ``coefficients`` (.., along H1, along H2) on the grid of Gauss points are w a and w b (5), for
+    the flux, or w (1), for ∫ w φ_i φ_j. ``nodes`` ascend; ``degree`` is the same along both axes.
     """
     # Lengths (elements, 1, 1) of the elements.
     h1, h2 = (h.reshape(-1, 1, 1) for h in np.meshgrid(*map(np.diff, nodes), indexing="ij"))
     first, *more = by_element(coefficients, (nodes[0].size - 1, nodes[1].size - 1))
     vv, sv, vs, ss, places = _quadrature_products(degree, first.shape[-1])
-    # Along H2 first: for every Gauss point of H1 a small matrix over (k, l).
+    # Sums over H2 first: for every Gauss point of H1 a small matrix over (k, l).
     if not more:
         outer, inner = [vv], [(h1 * h2 * first) @ vv]
     else:

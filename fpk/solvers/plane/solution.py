@@ -7,31 +7,24 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from fpk.answer.certificate import Certificate, Measured, certify
-from fpk.numeric.arrays import Array
+from fpk.answer.certificate import DISTANCE_FACTOR, Certificate, Measured, certify
+from fpk.numeric.arrays import EPS, Array
 from fpk.numeric.piecewise import PiecewiseTensor
-from fpk.numeric.quadrature import gauss_grid, integral
+from fpk.numeric.quadrature import GAUSS_RULES, gauss_grid, integral
 from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.line.stationary import HALF_WAVE
 from fpk.solvers.plane.elements import Nodes, null_function
 from fpk.solvers.plane.weight import UNIT_WEIGHT, Weight
 from fpk.system.process import Process
 
-SAFETY = 3.0
-"""Factor on the distance to the enriched solution. In random processes the error is at the most 2.1
-times the distance, once in 3,000, and 1.4 times in all others (test_fpk_plane_random.py)."""
-ROUND_OFF = 4e-16
-"""Relative round-off of a sum of shape functions, per square of their degree."""
-WEIGHT_POINTS = 20
-"""Further points of integrals with a weight, which is no polynomial, shared by the panels."""
-
 
 @dataclass(frozen=True, eq=False)
 class PlaneSolution:
-    """Density p(H1, H2) = w u, what was measured on it, and its certificate.
+    """Density p(H1, H2) = w u with its measured numbers and certificate.
 
     The error estimate compares the piecewise polynomial u with ``enriched``, of a higher degree.
-    ``beyond`` (2,) is the mass beyond each far edge: with the error of ∫p the ``relative_error``.
+    ``beyond`` (2,) is the mass beyond each far edge; it and the error of ∫p add up to
+    ``relative_error``, an error of p everywhere.
     """
 
     process: Process
@@ -55,7 +48,7 @@ class PlaneSolution:
 
     @property
     def panels(self) -> Nodes:
-        """The nodes, halved in √H where a weight has few: between them quadrature of p is exact."""
+        """Nodes, refined in √H if there are few: Gauss rules between them have round-off only."""
         first, second = self.nodes
         # On more than four panels a dozen Gauss points integrate w u to round-off.
         while not self.weight.plain and first.size <= 4:
@@ -67,7 +60,7 @@ class PlaneSolution:
 
     @property
     def degree(self) -> int:
-        """Degree of u along each axis; 0 where no probability flows and w itself is the density."""
+        """Degree of u along each axis; 0 if no probability flows, so that w is the density."""
         return int(self.u.coefficients.shape[-1]) - 1
 
     @property
@@ -77,7 +70,7 @@ class PlaneSolution:
         return first * second
 
     def density(self, H1: Array, H2: Array) -> Array:
-        """p_h at energies that broadcast together; 0 outside the nodes."""
+        """Return p_h at ``H1`` and ``H2`` that broadcast; 0 outside the nodes."""
         return self.u(H1, H2) * self.weight(H1, H2)
 
     def far_ends(self, rise: float) -> Array:
@@ -88,49 +81,53 @@ class PlaneSolution:
 
     @cached_property
     def _around(self) -> tuple[Nodes, Array]:
-        """Energies of a grid along each axis, and the error of √w u around each point of it.
+        """Energies of a grid along each axis, and the error of √w u around each grid point.
 
-        The distance to the enriched solution vanishes on lines where the error does not: as for one
-        energy, the largest within two half-waves counts. The weak form measures √w u.
+        The distance to the enriched solution vanishes on lines where the error does not. As for one
+        energy, the largest distance within two half-waves is used. The norm of the weak form is
+        ∫(√w u)².
         """
         count = HALF_WAVE * (self.enriched.coefficients.shape[-1] - 1)
         share = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / max(count, 1))
         x, y = (np.unique(z[:-1, None] + np.diff(z)[:, None] * share) for z in self.nodes)
         root = np.sqrt(self.weight(x[:, None], y))
         u, better = self.u.on_grid(x, y) * root, self.enriched.on_grid(x, y) * root
-        rounding = ROUND_OFF * self.degree**2 * np.abs(u).max()
-        distance = SAFETY * np.abs(u - better) + rounding
+        rounding = 2.0 * EPS * self.degree**2 * np.abs(u).max()
+        distance = DISTANCE_FACTOR * np.abs(u - better) + rounding
         return (x, y), maximum_filter(distance, 4 * HALF_WAVE + 1, mode="nearest")
 
     def pointwise_error(self, H1: Array, H2: Array) -> Array:
-        """Estimate of |p_h − p| at energies that broadcast together."""
+        """Return the estimate of |p_h − p| at ``H1`` and ``H2`` that broadcast."""
         x, y = np.asarray(H1, float), np.asarray(H2, float)
         grid, error = self._around
         i, j = (
             np.searchsorted(z, H).clip(max=z.size - 1) for z, H in zip(grid, (x, y), strict=True)
         )
-        relative = self.relative_error + ROUND_OFF * (self.degree**2 + self.weight.terms(x, y))
+        relative = self.relative_error + 2.0 * EPS * (self.degree**2 + self.weight.terms(x, y))
         own = error[i, j] * np.sqrt(self.weight(x, y))
         return np.asarray(own + relative * np.abs(self.density(x, y)))
 
 
 def root_spaced_nodes(ends: Sequence[float] | Array, panels: int) -> Nodes:
-    """Return nodes from 0 to the ``ends``, equidistant in √H, as p has layers along the axes."""
+    """Return nodes of ``panels`` from 0 to both ``ends``, equidistant in √H, as p is steep at 0."""
     share = np.linspace(0.0, 1.0, panels + 1) ** 2
     return ends[0] * share, ends[1] * share
 
 
 def gauss_points(nodes: Nodes, degree: int, weight: Weight) -> int:
-    """Return the number of Gauss points along each axis of an element of ``degree``."""
-    more = 0 if weight.plain else WEIGHT_POINTS // min(x.size - 1 for x in nodes)
+    """Return the number of Gauss points along each axis of an element between ``nodes``. u has the
+    ``degree``; a ``weight`` other than 1 takes more points."""
+    # A weight is no polynomial: all panels of an axis share the points of the rule of one axis.
+    more = 0 if weight.plain else GAUSS_RULES[1][-1] // min(x.size - 1 for x in nodes)
     return degree + ENRICHMENT + more
 
 
 def tails(p: Array, grids: list[tuple[Array, Array]], points: int) -> tuple[Array, Array]:
-    """Return the mass beyond each far edge (2,) from p on a grid of Gauss points, and e-folds (2,).
+    """Return the mass beyond each far edge (2,) and the e-folding energies there (2,).
 
-    On the last ``points`` of each axis the marginal is continued at half its logarithmic slope, as
-    that may drop; the mass is infinite where it does not fall.
+    ``p`` is given on the ``grids`` of Gauss points and weights. From its fall over the last
+    ``points`` of each axis the marginal is continued with half of its logarithmic slope, as the
+    slope may decrease. The mass is infinite if the marginal does not fall.
     """
     beyond, e_fold = np.zeros(2), np.zeros(2)
     (x, v), (y, w) = grids
@@ -155,16 +152,17 @@ def solve_plane_on_mesh(
     longer: bool = False,
     solved: Callable[..., tuple[PiecewiseTensor, float]] = null_function,
 ) -> PlaneSolution:
-    """Return the finite element solution p = w u with u of ``degree`` on a tensor mesh.
+    """Return the finite element solution p = w u, u of ``degree`` between ``nodes``.
 
-    If ``longer``, each axis of the enriched solution's mesh is longer, until its marginal has
-    fallen by another e², unless the mass beyond is round-off: the estimate then contains
-    1 − e⁻² = 86 % of the cost of ending the mesh, more than that mass where probability circulates.
-    ``solved`` is like ``null_function``. Raises ``NotCertified`` where no solution is single.
+    ``tol`` is the tolerance of the certificate; w is the ``weight``. If ``longer``, the mesh of the
+    enriched solution extends along each axis until the marginal has fallen by another e², unless
+    the mass beyond is round-off. The distance then contains 1 − e⁻² = 86 % of the error by ending
+    the mesh, which exceeds the mass beyond if probability circulates. ``solved`` replaces
+    ``null_function``. Raises ``NotCertified`` if the equations have no unique solution.
     """
 
     def of_mass_one(mesh: Nodes, degree: int, count: int) -> tuple[PiecewiseTensor, float]:
-        """u by ``count`` points, of mass 1 by a rule of as many, and its residual."""
+        """u of ``degree`` on ``mesh`` by ``count`` Gauss points, scaled to mass 1; its residual."""
         u, residual = solved(process, mesh, degree, count, weight)
         H, grids = gauss_grid(mesh, points=count)
         return PiecewiseTensor(mesh, u.coefficients / integral(u(*H) * weight(*H), grids)), residual
@@ -176,17 +174,17 @@ def solve_plane_on_mesh(
     p = u(*H) * w
     mass_defect = abs(integral(p, grids) - 1.0)
     beyond, e_fold = tails(p, grids, points)
-    # The mass beyond the mesh is missing there and too much elsewhere, as p has mass 1. The slope
-    # of a mass of the size of round-off says nothing.
-    tail, reach = float(beyond.sum()), np.where(beyond > ROUND_OFF, 2.0 * longer * e_fold, 0.0)
+    # The mass beyond the mesh counts twice, there and elsewhere, as p_h has mass 1. If it is
+    # round-off, its slope has no meaning.
+    tail, reach = float(beyond.sum()), np.where(beyond > 2.0 * EPS, 2.0 * longer * e_fold, 0.0)
     first, second = (z * (1.0 + r / z[-1]) for z, r in zip(nodes, reach, strict=True))
     enriched, _ = of_mass_one((first, second), degree + ENRICHMENT, points + ENRICHMENT)
-    relative, distance = tail + mass_defect, SAFETY * np.abs(p - enriched(*H) * w)
-    # Round-off of shape functions averages out over the elements, that of a weight does not.
+    relative, distance = tail + mass_defect, DISTANCE_FACTOR * np.abs(p - enriched(*H) * w)
+    # Round-off of shape functions averages out over the elements; round-off of a weight does not.
     elements = (nodes[0].size - 1) * (nodes[1].size - 1)
     rounding = degree**2 * elements**0.5 + integral(np.abs(p) * weight.terms(*H), grids)
     measured = Measured(
-        l1_error=integral(distance, grids) + tail + relative + ROUND_OFF * rounding,
+        l1_error=integral(distance, grids) + tail + relative + 2.0 * EPS * rounding,
         mass_defect=mass_defect,
         minimum=float(p.min() / p.max()),
         residual=residual,

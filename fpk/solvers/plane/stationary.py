@@ -1,9 +1,10 @@
 """Certified solution of the stationary FPK equation of two energies, Eq. (19).
 
-One discretisation on a ladder of rungs: p = w u, w a weight near p, u of high degree on a few
-panels. In the norm that the weak form weights by w ≈ p an error ε of u is one of ε √p of p, so that
-p stays positive far below the tolerance. Where that does not get to the tolerance, w = 1 on more
-elements. Under detailed balance, where no probability flows, the weight is the density: p = w/∫w.
+p = w u with a weight w near p and u of high degree on a few panels, on a ladder of finer and finer
+meshes. In the norm of the weak form, weighted by w ≈ p, an error ε of u is an error ε √p of p, so
+that p stays positive far below the tolerance. If this does not reach the tolerance, more elements
+with w = 1 are used. Under detailed balance, without probability flux, the weight is the density:
+p = w/∫w.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,20 +14,22 @@ from math import ceil
 import numpy as np
 
 from fpk.answer.certificate import Measured, certify
+from fpk.answer.dynamics import LARGEST_ERROR
+from fpk.numeric.arrays import BLOCK_SIZE, EPS
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.numeric.piecewise import PiecewiseTensor
 from fpk.numeric.quadrature import gauss_grid, integral
 from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.plane.elements import null_function
 from fpk.solvers.plane.solution import (
-    ROUND_OFF,
     PlaneSolution,
     root_spaced_nodes,
     solve_plane_on_mesh,
     tails,
 )
 from fpk.solvers.plane.weight import (
-    NATS,
+    MAX_WEIGHT_DEGREE,
+    NEGLIGIBLE_FALL,
     RISE,
     RISE_PER_DEGREE,
     Weight,
@@ -40,26 +43,20 @@ from fpk.system.ends import require_confined
 from fpk.system.process import Process
 
 RUNGS = ((2, 6), (2, 10), *((4, p) for p in range(8, 19)), *((n, 18) for n in range(5, 9)))
-"""Panels along each axis and degree of the attempts: on two long panels higher degrees lose digits
-to round-off; from four on a digit costs less by the degree."""
+"""Panels along each axis and degree of the attempts. Degrees above 10 lose digits to round-off on
+two long panels; from four panels on a higher degree gains a digit at less cost than more panels."""
 DIGITS_PER_RUNG = 0.6
-"""Digits of the error that a rung of the ladder gains: 0.4 to 0.85 were measured."""
+"""Digits of the error gained from one of ``RUNGS`` to the next: measured 0.4 to 0.85."""
 REFIT_ERROR = 1e-4
-"""Error above which a better weight is tried first, on the same rung or five rungs on."""
-FIT_ERROR = 0.1
-"""Relative error of p up to which ln p is fitted."""
-FIT_POINTS = 32
-"""Points along each axis at which a weight is fitted."""
-MAX_ENTRIES = 2e7
-"""Entries of all element matrices of the enriched solution: 160 MB, several times over."""
+"""Error above which a weight fitted to the solution is tried before a finer mesh."""
 
 
 def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     """Return the stationary density of two energies to the L1 tolerance ``tol``.
 
-    Zero flux is natural far out and at H_i = 0, where the diffusion across vanishes. If no attempt
-    is certified, that of the least error estimate is returned. Raises ``NotCertified`` where the
-    density does not fall off, ``InvalidInput`` for a process that has not two energies.
+    Zero flux is natural far out and at H_i = 0, where the normal diffusion vanishes. If no attempt
+    is certified, the attempt with the smallest error estimate is returned. Raises ``NotCertified``
+    if the density does not fall off, ``InvalidInput`` unless the process has two energies.
     """
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
@@ -67,7 +64,7 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     weight = flux_free_weight(process)
 
     def attempts() -> Iterator[PlaneSolution]:
-        """Each made after the one before was not certified."""
+        """Solutions in the order of their cost, each computed when the last was not certified."""
         balanced = detailed_balance(process, weight, tol=tol)
         yield from () if balanced is None else (balanced,)
         try:
@@ -88,27 +85,28 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
 
 
 def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSolution | None:
-    """Return p = w/∫w if the flux of w vanishes, as far as the error ``tol`` is concerned.
+    """Return p = w/∫w if the flux of the ``weight`` w vanishes within the L1 tolerance ``tol``.
 
-    The integral along each axis of what −∇ ln w misses of b⁻¹ (2s − ∇·b) bounds how far ln p is
-    off, whatever p is there: behind a barrier a small slope moves mass from side to side. None
-    where that is more than half the tolerance, or w varies too fast for 24 panels along each axis.
+    The error of ln p is bounded by the integral along each axis of the difference between ∇ ln w
+    and b⁻¹ (2s − ∇·b), without the factor p: behind a barrier a small slope error moves mass from
+    one side to the other. Returns None if this bound exceeds half of the tolerance, or if w varies
+    too fast for 24 panels along each axis.
     """
     weight = replace(weight, floor=0.0)
     try:
-        ends = weight.ends(max(NATS, negligible_rise(tol)))
+        ends = weight.ends(max(NEGLIGIBLE_FALL, negligible_rise(tol)))
     except NotCertified:
         return None
     for panels in (2, 4, 8, 16, 24):
         H, grids = gauss_grid(root_spaced_nodes(ends, panels), points=22)  # e^(−32 t) to 4e-14
         w = weight(*H)
         mass = integral(w, grids)
-        # On four parts of each panel 11 points give e^(−8 t) to 6e-15: a rule that may judge.
+        # A finer rule for comparison: 11 points on each quarter of a panel give e^(−8 t) to 6e-15.
         nodes = root_spaced_nodes(ends, 4 * panels)
         finer_H, finer = gauss_grid(nodes, points=11)
         p = weight(*finer_H) / mass
         mass_defect = abs(integral(p, finer) - 1.0)
-        if mass_defect <= 1e-13:  # what is left of it is in the stated error
+        if mass_defect <= 1e-13:  # it is part of the stated error
             break
     else:
         return None
@@ -118,8 +116,8 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     flow = 2.0 * c.drift - c.divergence
     flux = np.einsum("nij,nj->ni", c.diffusion, slope) + flow
     missed = np.abs(inverse_diffusion(flux, c.diffusion)).reshape(at.shape)
-    missed[w < np.exp(-NATS) * w.max()] = 0.0
-    # Twice, as p is normalised: a factor in one place is a factor everywhere else.
+    missed[w < np.exp(-NEGLIGIBLE_FALL) * w.max()] = 0.0
+    # Twice, as p is normalised: a factor on p in one place changes p everywhere else.
     along = zip((missed[..., 0].max(axis=1), missed[..., 1].max(axis=0)), grids, strict=True)
     wrong = 2.0 * float(sum(most @ v for most, (_, v) in along))
     if not wrong <= 0.5 * tol:
@@ -128,7 +126,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     beyond, _ = tails(w / mass, grids, 22)
     tail, rounding = float(beyond.sum()), integral(p * weight.terms(*finer_H), finer)
     measured = Measured(
-        l1_error=wrong + 2.0 * tail + mass_defect + ROUND_OFF * rounding,
+        l1_error=wrong + 2.0 * tail + mass_defect + 2.0 * EPS * rounding,
         mass_defect=mass_defect,
         minimum=float(w.min() / w.max()),
         residual=float(np.max(np.abs(flux).T * w.ravel()) / np.max(np.abs(flow).T * w.ravel())),
@@ -139,7 +137,8 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
 
 
 def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterator[PlaneSolution]:
-    """Yield solutions on more unknowns and with better weights, while these lower the error."""
+    """Yield solutions with more unknowns and better weights, as long as these lower the error.
+    ``weight`` is the first weight, ``tol`` the L1 tolerance."""
     rung, least, stalled, best = 0, np.inf, 0, weight
     rise = negligible_rise(tol)
     farthest = max(rise, 25.0)  # the first weight may be far from p
@@ -153,24 +152,25 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         yield solution
         error, better = solution.l1_error, None
         gained = error < 0.3 * least
-        # A mass beyond that is a millionth of the error is not known so well.
+        # A mass beyond the mesh below a millionth of the error is not known accurately.
         if (solution.measured.tail_mass or 0.0) > 0.1 * max(tol, 1e-6 * error) or not gained:
             rise = farthest + RISE
         farthest = rise
         if gained:
             best, better, least = weight, weight_of(solution), error
-        # On the first rung an error above ten times that says too little of p.
+        # On the first rung an error above 10 REFIT_ERROR leaves too few points for a fit.
         if better is None or error < REFIT_ERROR or (rung == 0 and error > 10.0 * REFIT_ERROR):
             rung = next_rung(rung, error / tol, most=5 if error > REFIT_ERROR else len(RUNGS))
-        # A weight that does not lower the error extrapolates badly: back to the one before.
+        # A weight that does not lower the error extrapolates badly: return to the best weight.
         weight = best if better is None else better
         stalled = 0 if gained else stalled + 1
 
 
 def next_rung(rung: int, missing: float, *, most: int) -> int:
-    """Return the next of ``RUNGS`` where the error is ``missing`` times the tolerance.
+    """Return the index in ``RUNGS`` after ``rung`` for an error ``missing`` times the tolerance.
 
-    By its digits, at the most ``most`` rungs on and up to the highest degree on four panels.
+    It follows from the missing digits, is at most ``most`` higher, and skips no rung beyond the
+    highest degree on four panels.
     """
     digits = float(np.log10(max(missing, 1.0))) if np.isfinite(missing) else np.inf
     gain = ceil(min(digits / DIGITS_PER_RUNG, most))
@@ -179,24 +179,26 @@ def next_rung(rung: int, missing: float, *, most: int) -> int:
 
 
 def weight_of(solution: PlaneSolution) -> Weight | None:
-    """Return a weight fitted to −ln p where p is known, None where no fit is much better.
+    """Return a weight fitted to −ln p of ``solution``, or None if no fit is much better.
 
-    An error ε √p of p is below ``FIT_ERROR`` of it as far as p > (ε/KNOWN)² of its maximum.
+    The fit uses points at which the relative error of p is below ``LARGEST_ERROR``: with the error
+    ε √p of p these have p > (ε/LARGEST_ERROR)² of its maximum.
     """
-    rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / FIT_ERROR))
+    rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / LARGEST_ERROR))
     if not rise > 2.0 * RISE_PER_DEGREE:
         return None
-    ends = [nodes[-1] for nodes in solution.nodes]
-    # First on the whole mesh, to see how far p is known; then on the box in which it is.
+    # Four times as many points along each axis as the fit of the highest degree needs.
+    ends, points = [nodes[-1] for nodes in solution.nodes], 4 * (MAX_WEIGHT_DEGREE + 2)
+    # First on the whole mesh, to find the box in which p is known; then on this box.
     for _ in range(2):
-        x, y = (np.linspace(0.0, end, FIT_POINTS) for end in ends)
+        x, y = (np.linspace(0.0, end, points) for end in ends)
         w = solution.weight(x[:, None], y)
         p, better = (u(x[:, None], y) * w for u in (solution.u, solution.enriched))
-        known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < FIT_ERROR * better)
+        known = (p > 0.0) & (better > 0.0) & (np.abs(p - better) < LARGEST_ERROR * better)
         known &= better > np.exp(-rise) * better.max()
         if not known.any():
             return None
-        ends = [H[min(last_index(known, k) + 1, FIT_POINTS - 1)] for k, H in enumerate((x, y))]
+        ends = [H[min(last_index(known, k) + 1, points - 1)] for k, H in enumerate((x, y))]
     log_p = np.log(np.where(known, better, 1.0))
     return fit_weight((x, y), log_p, known, rise, present=solution.weight)
 
@@ -210,19 +212,20 @@ def solve_by_elements(
     marked: float = 0.1,
     solved: Callable[..., tuple[PiecewiseTensor, float]] = null_function,
 ) -> PlaneSolution:
-    """Return the plain solution, w = 1, to the L1 tolerance ``tol``, refining the mesh.
+    """Return the solution with w = 1 to the L1 tolerance ``tol`` on adaptively refined meshes.
 
-    ``degree`` follows from ``tol`` unless given. Of the intervals, four along each axis at first,
-    up to the ends of the ``weight``, those are halved whose highest modes exceed the share
-    ``marked`` of the largest, and one is added where mass lies beyond: until the answer is
-    certified, or the next mesh has more than ``MAX_ENTRIES``. ``solved`` is like ``null_function``.
-    Raises ``NotCertified`` where the first mesh has more, or for a weight that does not fall off.
+    ``degree`` follows from ``tol`` unless given. The first mesh has four intervals along each axis,
+    up to the ends of the ``weight``. Intervals whose highest modes exceed ``marked`` times the
+    largest are halved, and one interval is added at an edge with mass beyond, until the answer is
+    certified or the next mesh has too many matrix entries. ``solved`` replaces ``null_function``.
+    Raises ``NotCertified`` if the first mesh has too many entries, or the weight does not fall off.
     """
     if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
         degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))
     solution = None
     first, second = root_spaced_nodes(weight.ends(-float(np.log(1e-2 * tol))), 4)
-    while (first.size - 1) * (second.size - 1) * (degree + ENRICHMENT + 1) ** 4 <= MAX_ENTRIES:
+    # The element matrices of the enriched solution are affordable up to 5 blocks, 160 MB.
+    while (first.size - 1) * (second.size - 1) * (degree + ENRICHMENT + 1) ** 4 <= 5 * BLOCK_SIZE:
         solution = solve_plane_on_mesh(
             process, (first, second), degree, tol=tol, longer=True, solved=solved
         )

@@ -1,8 +1,8 @@
-"""The weight w = exp(−Φ) of p = w u: Φ a polynomial of both energies, close to −ln p.
+"""The weight w = exp(−Φ) of p = w u, Φ a polynomial of both energies close to −ln p.
 
-Any weight gives the same p; the closer w is to it, the fewer unknowns u takes, and the farther out
-p stays positive. The first weight is fitted to the slopes of ln p that zero flux would give, later
-ones to solutions.
+The solution p does not depend on the weight; the closer w is to p, the fewer unknowns u has, and
+the farther out p stays positive. The first weight is fitted to the slopes of ln p for zero flux,
+later weights are fitted to solutions.
 """
 
 from collections.abc import Iterator
@@ -19,32 +19,35 @@ from fpk.numeric.errors import NotCertified
 from fpk.system.process import Process
 
 PROBE = np.logspace(-2.0, 3.0, 26)
-"""Energies of a probe, in units of the process's scales; the first for the axis, b singular."""
-NATS = -float(np.log(EPS))
-"""Fall of ln p, 36, beyond which the density is below round-off of its largest value."""
+"""Energies of the first fit, in units of ``Process.energy_scales``; on an axis b is singular."""
+NEGLIGIBLE_FALL = -float(np.log(EPS))
+"""Fall of ln p from its maximum, 36, at which p is round-off of its maximum."""
 EDGE_WEIGHT = 1e-3
-"""Fraction of the tolerance that w falls to at the far edges of the first mesh."""
+"""At the far edges of the first mesh w is EDGE_WEIGHT · tol times its value at the start."""
 RISE = 3.0
-"""Rise of −ln w to the ends of the next mesh: the difference shows what ending it costs."""
+"""Rise of −ln w from the ends of a mesh to the ends of the next: the difference of both solutions
+contains the error by ending the mesh."""
 MAX_WEIGHT_DEGREE = 6
-"""Highest total degree of Φ: under detailed balance one above the damping's in the energies."""
+"""Highest total degree of Φ; under detailed balance it is one above the degree of the damping."""
 GAIN = 0.5
-"""Factor by which a higher degree must lower the misfit: high degrees extrapolate badly."""
+"""A higher degree is accepted if it lowers the misfit by this factor, as it extrapolates worse."""
 IMPORTANCE = 10.0
-"""Rise of Φ over which a point's share in a fit falls to 1/e: more than that of p, by far."""
+"""Rise of Φ over which the weight of a point in a least-squares fit falls by e: far larger than
+for p itself, 1."""
 RISE_PER_DEGREE = 2.8
-"""Rise of −ln p that a fit must cover per degree: Φ is extrapolated far beyond it."""
+"""Rise of −ln p that the data must cover for each degree of Φ, which is extrapolated far beyond."""
 RAYS = np.concatenate([np.linspace(0.0, 1.0, 49), np.geomspace(1.04, 30.0, 48)])
-"""Coordinates, in units of the fitted box, up to which Φ must rise along every ray."""
+"""Coordinates, in units of the fitted box, at which Φ is tested: it must rise along every ray."""
 FLOOR = float(np.exp(-44.0))
-"""Added to w, so that no element matrix is singular: p ≥ −1e-14 of its maximum for u ≥ −1e5."""
+"""Default constant added to w so that no element matrix is singular: p ≥ −1e-14 of its maximum as
+long as u ≥ −1e5."""
 
 
 @dataclass(frozen=True, eq=False)
 class Weight:
     """w = exp(−Φ) + ``floor`` with Φ = Σ ``coefficients``[i, j] x^i y^j, x, y = H1, H2/``scales``.
 
-    The least Φ on the fitted box is 0. Energies broadcast together.
+    The smallest Φ on the fitted box is 0. ``H1`` and ``H2`` broadcast in all functions.
     """
 
     coefficients: Array
@@ -57,7 +60,7 @@ class Weight:
         return self.coefficients.size == 1
 
     def exponent(self, H1: Array, H2: Array) -> Array:
-        """Return Φ."""
+        """Return Φ at energies ``H1``, ``H2``."""
         x, y = np.asarray(H1) / self.scales[0], np.asarray(H2) / self.scales[1]
         if x.ndim == 2 and x.shape[1] == 1 and y.shape[-1:] == (y.size,):
             return np.asarray(polygrid2d(x.ravel(), y.ravel(), self.coefficients))
@@ -65,11 +68,11 @@ class Weight:
         return np.asarray(polyval2d(x, y, self.coefficients))
 
     def __call__(self, H1: Array, H2: Array) -> Array:
-        """Return w."""
+        """Return w at energies ``H1``, ``H2``."""
         return np.asarray(np.exp(-self.exponent(H1, H2)) + self.floor)
 
     def slopes(self, H1: Array, H2: Array) -> list[Array]:
-        """Return ∂Φ/∂H1 and ∂Φ/∂H2, the slopes of −ln w but for the floor."""
+        """Return ∂Φ/∂H1 and ∂Φ/∂H2 at ``H1``, ``H2``: the slopes of −ln w without the floor."""
         each = (
             replace(self, coefficients=polyder(self.coefficients, axis=k).astype(float))
             for k in (0, 1)
@@ -77,12 +80,13 @@ class Weight:
         return [w.exponent(H1, H2) / s for w, s in zip(each, self.scales, strict=True)]
 
     def terms(self, H1: Array, H2: Array) -> Array:
-        """Return the sum of the sizes of the terms of Φ, to which its round-off is relative."""
+        """Return the sum of the sizes of the terms of Φ at ``H1``, ``H2``: the round-off scale."""
         sizes = replace(self, coefficients=np.abs(self.coefficients))
         return sizes.exponent(np.abs(H1), np.abs(H2))
 
     def ends(self, rise: float) -> tuple[float, float]:
-        """Return the energies beyond which Φ > ``rise``; ``NotCertified`` outside ``RAYS``."""
+        """Return the energies (H1, H2) beyond which Φ > ``rise``. Raises ``NotCertified`` if Φ is
+        smaller at the end of ``RAYS``."""
         inside = polygrid2d(RAYS, RAYS, self.coefficients) < rise
         if inside[-1].any() or inside[:, -1].any():
             raise NotCertified(f"the weight falls by less than exp(−{rise:.0f})")
@@ -91,35 +95,37 @@ class Weight:
 
 
 UNIT_WEIGHT = Weight(np.zeros((1, 1)), (1.0, 1.0))
-"""w = 1: the floor is below its round-off."""
+"""The weight w = 1; the floor is below its round-off."""
 
 
 def negligible_rise(tol: float, height: float = 0.0, level: int = 0) -> float:
-    """Return the rise of −ln w beyond which p is negligible from a start at that ``height``."""
+    """Return the rise of −ln w at which a mesh ends: p beyond is negligible for the L1 ``tol``.
+    ``height`` is −ln w at the start; each ``level`` of refinement adds ``RISE``."""
     return height - float(np.log(EDGE_WEIGHT * tol)) + level * RISE
 
 
 def flux_free_weight(process: Process) -> Weight:
-    """Return w fitted to the slopes that zero flux everywhere gives, ∇ ln p = b⁻¹ (2s − ∇·b).
+    """Return w fitted to the slopes of p for zero flux everywhere, ∇ ln p = b⁻¹ (2s − ∇·b).
 
-    Where they or the fit do not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified``
-    where b is singular off the axes.
+    If p or the fit does not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified`` if b is
+    singular off the axes.
     """
     scales = np.array(process.energy_scales)
     points = np.stack(np.broadcast_arrays(PROBE[:, None], PROBE), axis=-1).reshape(-1, 2)
     c = process.coefficients(points * scales)
     slopes = inverse_diffusion(2.0 * c.drift - c.divergence, c.diffusion)
     first, second = (slopes * scales).T.reshape(2, PROBE.size, PROBE.size)
-    # The mean of the integrals along two paths, first one energy, then the other.
+    # Mean of the integrals along two paths: first along H1, then H2, and in the other order.
     a = cumulative_trapezoid(first, PROBE, axis=0, initial=0)
     b = cumulative_trapezoid(second, PROBE, axis=1, initial=0)
     log_p = 0.5 * (a[:, :1] + b + b[:1] + a)
     # p H1 H2, the density of the logarithms of the energies.
     log_mass = log_p + np.log(np.multiply.outer(PROBE, PROBE))
     weight = None
-    if max(log_mass[-1].max(), log_mass[:, -1].max()) < log_mass.max() - NATS:
+    if max(log_mass[-1].max(), log_mass[:, -1].max()) < log_mass.max() - NEGLIGIBLE_FALL:
         rise = log_p.max() - log_p
-        m, n = (max(last_index(rise < NATS, axis) + 2, MAX_WEIGHT_DEGREE + 2) for axis in (0, 1))
+        near, least = rise < NEGLIGIBLE_FALL, MAX_WEIGHT_DEGREE + 2
+        m, n = (max(last_index(near, axis) + 2, least) for axis in (0, 1))
         ends = PROBE[[min(m, PROBE.size) - 1, min(n, PROBE.size) - 1]]
         x, y = PROBE[:m] / ends[0], PROBE[:n] / ends[1]
         powers, root = _power_pairs(MAX_WEIGHT_DEGREE)[1:], np.exp(-0.5 * rise[:m, :n] / IMPORTANCE)
@@ -131,12 +137,13 @@ def flux_free_weight(process: Process) -> Weight:
         right = -root * first[:m, :n] * ends[0], -root * second[:m, :n] * ends[1]
         candidates = fits_by_degree(np.reshape(columns, (-1, len(powers))), np.ravel(right), powers)
         weight = _chosen(candidates, tuple((ends * scales).tolist()))
-    # 40 times the scales: within them RAYS see Φ rise by ``NATS``.
+    # In units of 40 energy scales Φ rises by more than NEGLIGIBLE_FALL within RAYS.
     return weight or Weight(np.array([[0.0, 40.0], [40.0, 0.0]]), tuple((40.0 * scales).tolist()))
 
 
 def inverse_diffusion(flow: Array, diffusion: Array) -> Array:
-    """Return b⁻¹ ``flow`` (points, 2); raises ``NotCertified`` where b is singular."""
+    """Return b⁻¹ ``flow`` (points, 2), b = ``diffusion`` (points, 2, 2). Raises ``NotCertified`` if
+    b is singular at any point."""
     (a, b), (_, c) = np.moveaxis(diffusion, 0, -1)
     determinant = a * c - b**2
     if not np.all(determinant > 0.0):
@@ -154,7 +161,11 @@ def fit_weight(
     *,
     present: Weight | None = None,
 ) -> Weight | None:
-    """Return w fitted to ``log_p``, which is ``known`` to fall by ``rise``, if it is better."""
+    """Return w fitted to ``log_p`` at the ``known`` points of a ``grid``, or None.
+
+    ``rise`` is the fall of ln p over the known points. None: no fit has less than ``GAIN`` times
+    the misfit of the ``present`` weight.
+    """
     scales, (i, j) = (float(grid[0][-1]), float(grid[1][-1])), np.nonzero(known)
     x, y = grid[0][i], grid[1][j]
     target = log_p[known].max() - log_p[known]
@@ -171,7 +182,7 @@ def fit_weight(
 
 
 def last_index(inside: Flags, axis: int) -> int:
-    """Return the last index along an axis at which anything is ``inside``."""
+    """Return the largest index along ``axis`` at which any entry of ``inside`` is true."""
     return int(np.flatnonzero(inside.any(axis=1 - axis))[-1])
 
 
@@ -183,15 +194,17 @@ def _power_pairs(degree: int) -> Integers:
 
 
 def _power_columns(x: Array, powers: Integers, *, slope: bool = False) -> Array:
-    """x^k or its slope k x^(k−1), (points, powers)."""
+    """``x``^k, or the slope k x^(k−1), for the ``powers`` k: (points, powers)."""
     values = np.vander(x, int(powers.max(initial=0)) + 1, increasing=True)
     return values[:, powers] if not slope else powers * values[:, np.maximum(powers - 1, 0)]
 
 
 def fits_by_degree(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array, float]]:
-    """Yield the least-squares fit of ``right`` for each total degree, with its relative misfit.
+    """Yield least-squares fits of ``right`` (rows,) of rising total degree, with relative misfits.
 
-    One triangular factor holds all; they end where ``columns`` are linearly dependent.
+    ``columns`` (rows, coefficients) are the values of the monomials with the ``powers``
+    (coefficients, 2), by degree. One QR factorisation serves all fits; they end where columns are
+    linearly dependent.
     """
     R = np.asarray(np.linalg.qr(np.column_stack([columns, right]), mode="r"))
     total = powers.sum(axis=1)
@@ -211,7 +224,11 @@ def _chosen(
     rise: float = np.inf,
     least: float = np.inf,
 ) -> Weight | None:
-    """The best of the fits that rise along every ray beyond the box and where Φ > ``rise``."""
+    """The accepted fit of highest degree with units ``scales``, or None.
+
+    One of the ``fits`` must rise along every ray beyond the box and where Φ > ``rise``, and have
+    less than ``GAIN`` times the misfit of the fit accepted before, at first ``least``.
+    """
     best, outside = None, np.maximum(RAYS[:, None], RAYS) > 1.0
     for phi, misfit in fits:
         if misfit < GAIN * least:

@@ -54,7 +54,8 @@ def test_a_kink_within_a_panel_is_in_the_error(power):
     values, errors = upcrossings(joint, 1.0, at)
     exact = np.maximum(1.0 - 0.5 * at**2, 0.0) ** (power + 1.0) / (power + 1.0)
     missed = np.abs(values - exact) / (errors + 1e-14)
-    # As ``SAFETY`` says of kinks: with one coarser rule up to 15 % are outside, by factors of 200.
+    # As ``DISTANCE_FACTOR`` says of kinks: with one coarser rule up to 15 % are outside, by factors
+    # of 200.
     assert np.mean(missed > 1.0) < 0.03 and missed.max() < 3.0
 
 

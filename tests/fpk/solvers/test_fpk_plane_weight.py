@@ -338,7 +338,7 @@ def test_without_any_weight_the_elements_obey_the_same_rule(
 
 def test_what_is_not_affordable_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
     process = square_root_process((0.1, 0.1), (0.1, 0.1))
-    monkeypatch.setattr(stationary, "MAX_ENTRIES", 0)
+    monkeypatch.setattr(stationary, "BLOCK_SIZE", 0)
     with pytest.raises(NotCertified, match="affordable"):
         solve_by_elements(process, flux_free_weight(process), tol=1e-6)
 
@@ -370,7 +370,7 @@ def test_what_misses_the_rule_is_returned_without_a_certificate(
     # Few panels of low degree and no plain elements: inaccurate, and said so in words.
     monkeypatch.setattr(stationary, "RUNGS", ((2, 6), (4, 18)))
     monkeypatch.setattr(stationary, "next_rung", lambda *_, **__: 2)
-    monkeypatch.setattr(stationary, "MAX_ENTRIES", 0)
+    monkeypatch.setattr(stationary, "BLOCK_SIZE", 0)
     solution = solve_plane(one_sided(0.3, 0.05), tol=1e-10)
     assert not solution.certificate.certified
     assert any("exceeds the tolerance" in words for words in solution.certificate.failures)

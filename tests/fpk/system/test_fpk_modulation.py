@@ -4,9 +4,10 @@ import mpmath
 import numpy as np
 import pytest
 
+from fpk.numeric.arrays import EPS, LARGEST_LOG
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.quadrature import panel_rule
-from fpk.system.modulation import FADED_ERROR, Modulation
+from fpk.system.modulation import Modulation
 
 
 def test_the_energy_of_the_modulation():
@@ -36,7 +37,7 @@ def test_what_is_left_of_the_noise_against_mpmath(seed):
             exact += mpmath.exp(-k * (mpmath.mpf(end) - b)) * part
         got = mpmath.mpf(float(modulation.faded(begin, end, np.array(rate))))
         # 30 digits less those that 1/k³ cancels at the least rate, and those of e(t) in double.
-        assert abs(got - exact) <= (FADED_ERROR + 1e-12) * exact
+        assert abs(got - exact) <= (LARGEST_LOG * EPS + 1e-12) * exact
 
 
 @pytest.mark.parametrize("rate", [-2.0, -1e-3, 0.0])

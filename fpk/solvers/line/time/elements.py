@@ -27,8 +27,6 @@ from fpk.solvers.line.mesh import MAX_ELEMENT_DEGREE, first_degree, split_points
 from fpk.solvers.plane.elements import shape_functions
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
-SAFETY = 3.0
-"""Factor on the distance to the enriched solution, of densities, first passage and rates."""
 MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
 """Largest number of rounds in which elements are cut in two, and number of elements above which
 none is cut."""
@@ -98,7 +96,7 @@ class Elements:
 
     @cached_property
     def steps(self) -> Array:
-        """Unit of π in each element but the last, divided by that in the next."""
+        """Unit of π in each element but the last, over the unit in the next element."""
         return np.exp(-np.diff(self.log_scale))
 
     @cached_property
@@ -136,9 +134,7 @@ class Elements:
 
     def at(self, x: Array, f: Array, size: Array | None = None) -> tuple[Array, Array]:
         """Return the function of coefficients ``f`` (…, elements, functions) at ``x``, (…, points).
-
-        Then the sum of the sizes of its terms, with ``size`` in place of |``f``| if given.
-        """
+        Then the sum of the sizes of its terms, with ``size`` in place of |``f``| if given."""
         k, values = self.functions(x)
         p, sizes = (
             np.array([np.einsum("xi,xi->x", each[k], v) for each in a.reshape(-1, *f.shape[-2:])])
@@ -177,9 +173,7 @@ class ChainDensity(NamedTuple):
 
     def density(self, x: Array, *, of_states: bool = False) -> tuple[Array, Array]:
         """Return p, or u = p/T if ``of_states``, at ``x`` > 0, (times, points), and size of terms.
-
-        u has a form of its own, as T vanishes at H = 0.
-        """
+        u has a form of its own, as T vanishes at H = 0."""
         e = self.elements
         p, size = e.at(x, self.values, self.size)
         factor = np.exp(e.log_density(x, of_states=of_states) - e.log_scale[e.within(x)[0]])
@@ -215,10 +209,8 @@ def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
 def chain_elements(
     process: Process, left: Array, right: Array, degree: int, *, enriched: bool = False
 ) -> Elements:
-    """Return the elements of ``degree`` from ``left`` to ``right``, ascending (elements,).
-
-    The element at H = 0 may have a lower degree, which is one higher if ``enriched``.
-    """
+    """Return the elements of ``degree`` from ``left`` to ``right``, ascending (elements,). The
+    element at H = 0 may have a lower degree, which is one higher if ``enriched``."""
     kind = np.isin(left, process.nonsmooth) + 2 * (left == 0.0)
     alike = [np.flatnonzero(kind == k) for k in np.unique(kind)]
     parts = [
@@ -236,7 +228,7 @@ def chain_elements(
 def _elements_of_kind(
     process: Process, left: Array, right: Array, degree: int, *, enriched: bool
 ) -> Elements:
-    """Elements as ``chain_elements``; all begin at H = 0, or all at a contact, or none does."""
+    """Elements of ``degree`` from ``left`` to ``right``: all at H = 0, all at contacts, or none."""
     n, first = process.degrees_of_freedom, left[0] == 0.0
     contact = bool(left[0] in process.nonsmooth)
     t, w, series, integral, values, derivatives = rule(degree, contact, n - 1 if first else 0)
@@ -315,9 +307,7 @@ def element_pair(process: Process, nodes: Array, degree: int, *, beyond: ArrayLi
 
 def solve_with_refinement(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
     """Return the answer of ``solve(pair)`` on the first mesh of which it marks no element.
-
-    ``solve`` returns an answer and which elements to cut in two for the next pair.
-    """
+    ``solve`` returns an answer and which elements to cut in two for the next pair."""
     for _ in range(MOST_ROUNDS):
         answer, marked = solve(pair)
         if not marked.any() or marked.size > MOST_ELEMENTS:

@@ -17,12 +17,12 @@ from scipy.sparse import csc_array, kron
 from scipy.sparse.linalg import splu
 from scipy.special import roots_jacobi
 
-from fpk.answer.certificate import certify
+from fpk.answer.certificate import DISTANCE_FACTOR, certify
 from fpk.answer.dynamics import LARGEST_ERROR, NO_NOISE_YET, Transient
 from fpk.answer.names import number_text
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.solvers.line.time.elements import SAFETY, ChainDensity, Elements, Pair, Settings
+from fpk.solvers.line.time.elements import ChainDensity, Elements, Pair, Settings
 from fpk.solvers.line.time.resolvent import matrices
 from fpk.solvers.line.time.transition import (
     Question,
@@ -50,10 +50,8 @@ Carried = tuple[ChainDensity, Array, Array]
 
 
 def quiet_until(modulation: Modulation, source: Source) -> float:
-    """Return the time until which the density that starts from ``source`` is constant.
-
-    Raises ``InvalidInput`` if the source is an energy > 0, which decays before the first noise.
-    """
+    """Return the time until which the density that starts from ``source`` is constant. Raises
+    ``InvalidInput`` if the source is an energy > 0, which decays before the first noise."""
     if source.process is not None:
         return 0.0
     if modulation.quiet > 0.0 and source.energy > 0.0:
@@ -142,7 +140,7 @@ def halve_steps(
     for level in range(STEP_HALVINGS[0] + 1, STEP_HALVINGS[1] + 1):
         numbers = carried(e, level)[1]
         sizes.append(size(np.abs(numbers - carried(e, level - 1)[1]), numbers))
-        if SAFETY * sizes[-1] <= wanted:
+        if DISTANCE_FACTOR * sizes[-1] <= wanted:
             break
     settings: Settings = {
         "equation": f"modulated noise, Radau IIA of order {2 * STAGES - 1}",
@@ -243,12 +241,12 @@ def transient_with_modulation(
         shifted = solved.density(np.minimum(inside * np.exp(moved), last))[0][-1]
         changed = np.abs(shifted - p) * (began <= last) + (moved + 2.0 * relative) * np.abs(p)
         # Beyond the last element p falls faster than 1/H.
-        lost = jacobian * (error * inside / began + SAFETY * changed)
+        lost = jacobian * (error * inside / began + DISTANCE_FACTOR * changed)
         values[k] = np.where(positive, jacobian * p, 0.0)
         errors[k] = np.where(at >= 0.0, lost + SMALLEST, 0.0)
         # A shift of ln H by ``moved`` changes p by at most its total variation, of two maxima.
         height = float(np.max(np.abs(solved.solution.density(inner)[0][-1]) * inner))
-        own = solved.measured.l1_error + 4.0 * SAFETY * moved * height + 2.0 * relative
+        own = solved.measured.l1_error + 4.0 * DISTANCE_FACTOR * moved * height + 2.0 * relative
         l1_error = float(np.max([l1_error, own]))
     if not l1_error <= LARGEST_ERROR:
         errors[:] = np.inf

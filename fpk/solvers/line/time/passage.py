@@ -10,15 +10,15 @@ from functools import cached_property
 
 import numpy as np
 
+from fpk.answer.certificate import DISTANCE_FACTOR
 from fpk.answer.dynamics import BEYOND_RANGE, START_POINTS, Passage, StartCurve, certify_passage
 from fpk.answer.quantities import Number
-from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
+from fpk.numeric.arrays import EPS, LARGEST_LOG, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.line.mesh import MAX_ELEMENT_DEGREE, layer_at, probe_process, time_nodes
 from fpk.solvers.line.time.elements import (
-    SAFETY,
     Elements,
     Pair,
     degree_for,
@@ -37,9 +37,6 @@ from fpk.solvers.line.time.transition import Source, pose_question
 from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
-MAX_BARRIER = 900.0
-"""Fall of ln(π H) from its maximum to the limit above which the limit is refused: the mean time is
-about e^900 relaxation times."""
 MAX_POWER_STEPS = 2_000
 """Largest number of power iterations for the failure rate; a hundred masses take a hundred."""
 MODULATED_SHARE = 0.1
@@ -93,10 +90,8 @@ class FirstPassage:
         return float(self._coefficients[0]) / self.longest + self.round_off
 
     def moments(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Return mean, its error, variance, its error for starts ``x``, (points,) each.
-
-        The mean is in units of ``longest``, the variance of its square.
-        """
+        """Return mean, its error, variance, its error for starts ``x``, (points,) each. The mean is
+        in units of ``longest``, the variance of its square."""
         values = []
         for e, mean in zip(self.pair, self.means, strict=True):
             f = mean / self.longest
@@ -106,12 +101,12 @@ class FirstPassage:
         T, of_T, U, of_U, better, _, half, _ = values
         # T is nearly linear in limit − x, which has the round-off of energies.
         rounding = ROUNDINGS * EPS * self.limit / np.maximum(self.limit - x, EPS * self.limit)
-        error = SAFETY * np.abs(T - better) + rounding * T + self.round_off * of_T
+        error = DISTANCE_FACTOR * np.abs(T - better) + rounding * T + self.round_off * of_T
         error += self._coefficients[self.pair[0].within(x)[0]] / self.longest
         V = 2.0 * U - T**2
         distance = np.abs(V - 2.0 * half + better**2)
         # The variance is ∫dx/m ∫2 m T'² dy with T' = −∫π/m: no terms cancel.
-        V_error = SAFETY * distance + (3.0 * self.relative + rounding) * V
+        V_error = DISTANCE_FACTOR * distance + (3.0 * self.relative + rounding) * V
         return T, error, V, V_error + self.round_off * 2.0 * (V + of_U + T * of_T)
 
     def rate(self) -> tuple[float, float]:
@@ -136,13 +131,13 @@ class FirstPassage:
                 f = g
             found.append((quotient, quotient * bracket**2))
         (value, left), (better, other) = found
-        return value, SAFETY * abs(value - better) + left + other + 2.0 * self.relative * value
+        return value, DISTANCE_FACTOR * abs(
+            value - better
+        ) + left + other + 2.0 * self.relative * value
 
     def failures(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t) at ``times`` from starts ``x`` by both chains, and the size of terms.
-
-        Both arrays are (2, times, points).
-        """
+        Both arrays are (2, times, points)."""
         p, size = np.zeros((2, 2, times.size, x.size))
         later = times > 0.0
         for k, e in enumerate(self.pair):
@@ -154,15 +149,13 @@ class FirstPassage:
     def failure(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t) at ``times`` from starts ``x``, and its error, (times, points) each."""
         (p, better), size = self.failures(times, x)
-        error = SAFETY * np.abs(p - better) + _by_coefficients(2.0 * self.relative, p)
+        error = DISTANCE_FACTOR * np.abs(p - better) + _by_coefficients(2.0 * self.relative, p)
         return p, error + ROUNDINGS * EPS * size.sum(axis=0) + EPS**2
 
 
 def _by_coefficients(relative: float, failure: Array) -> Array:
-    """Error of P(T <= t) = ``failure`` by a ``relative`` error of the coefficients.
-
-    At short times ln P ~ −(distance)²/(2 b t), so that it is amplified by ln P.
-    """
+    """Error of P(T <= t) = ``failure`` by a ``relative`` error of the coefficients. At short times
+    ln P ~ −(distance)²/(2 b t), so that it is amplified by ln P."""
     steep = 2.0 - np.log(np.clip(np.abs(failure), SMALLEST, 1.0))
     return np.asarray(relative * steep * np.abs(failure))
 
@@ -179,7 +172,8 @@ def chain_first_passage(
     degree, wanted = degree_for(tol), 0.25 * tol
     beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probe_process(process)
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
-    if not probe.log_mass.max() - log_mass < MAX_BARRIER:
+    # The mean time is about e^fall relaxation times; this bounds the mesh before it is computed.
+    if not probe.log_mass.max() - log_mass < 2.0 * LARGEST_LOG:
         raise beyond
     fine = [layer_at(process, limit, time) for time in times[times > 0.0][:1]]
     more = source.nodes(limit, MAX_ELEMENT_DEGREE) if source else ()
@@ -212,9 +206,8 @@ def fem_passage(
 ) -> Passage:
     """Return the first passage of the energy through ``limit`` from ``source`` below it.
 
-    ``times`` and ``tol`` are as in ``chain_first_passage``. The part of an initial density that
-    lies beyond the limit has failed at time 0. Raises ``InvalidInput`` if the mean time is beyond
-    double precision.
+    For ``times`` and ``tol`` see ``chain_first_passage``. The part of an initial density beyond the
+    limit has failed at time 0. Raises ``InvalidInput`` if the mean time is beyond double precision.
     """
     solved = chain_first_passage(process, limit, times=times, tol=tol, source=source)
     e, unit = solved.pair[0], solved.longest
@@ -225,7 +218,7 @@ def fem_passage(
 
     def over(values: Array, errors: Array) -> tuple[Array, Array]:
         mean, finer = values[..., : x.size] @ weights, values[..., x.size : both] @ better
-        distance = SAFETY * np.abs(mean - finer) + off * np.abs(mean)
+        distance = DISTANCE_FACTOR * np.abs(mean - finer) + off * np.abs(mean)
         return mean, errors[..., : x.size] @ weights + distance
 
     T, T_error, V, V_error = solved.moments(np.concatenate([x, y, starts]))
@@ -243,7 +236,7 @@ def fem_passage(
     compared = times if times.size else np.array([mean.value])
     failure, failure_error = over(*solved.failure(compared, np.append(x, y)))
     failure = failure + beyond
-    failure_error = failure_error + SAFETY * np.abs(weights.sum() - better.sum()) + off
+    failure_error = failure_error + DISTANCE_FACTOR * np.abs(weights.sum() - better.sum()) + off
     # ∫p with an absorbing limit, by the forward equation.
     load, later = source.load(e), compared > 0.0
     g = inverse_laplace(e, load, compared[later], held=0.0)
@@ -279,7 +272,7 @@ def passage_with_modulation(
     ``under(factor)`` is the process under that multiple of the noise. P(T > t) at ``times`` is the
     mass of the forward solution with p = 0 at the limit. The failure rate is that under the noise
     after the end of the modulation. If this noise is 0, systems that survive until then never fail:
-    moments are infinite, and there is no failure rate. ``tol`` is as in ``chain_first_passage``;
+    moments are infinite, and there is no failure rate. For ``tol`` see ``chain_first_passage``;
     errors are by elements of a higher degree and by steps twice as long. Raises ``NotApplicable``
     if damping feeds energy in at the limit while there is no noise, and as ``chain_first_passage``
     does.
@@ -306,6 +299,8 @@ def passage_with_modulation(
 
     def carried(e: Elements, level: int) -> Carried:
         """p at the stops > 0; P(T > t) at all stops, E T and E T²; errors by ``later``.
+
+        The steps are halved ``level`` times.
 
         The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end t_e of the modulation, plus
         E τ and E(2 t_e τ + τ²) of the remaining time τ over the density at t_e.
@@ -337,7 +332,7 @@ def passage_with_modulation(
     )
     e, (numbers, longer, both) = solved.elements, (each[1] for each in found)
     # Changes by twice as long steps and by a higher degree, added as they could cancel.
-    error = SAFETY * (np.abs(numbers - longer) + np.abs(longer - both))
+    error = DISTANCE_FACTOR * (np.abs(numbers - longer) + np.abs(longer - both))
     failure, at = 1.0 - numbers[:-2], np.searchsorted(stops, asked)
     relative = 2.0 * e.coefficient_error(source.energy)
     relative += ROUNDINGS * EPS * (e.count + e.log_range)

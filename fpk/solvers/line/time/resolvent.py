@@ -14,13 +14,13 @@ import numpy as np
 from scipy.sparse import block_diag, coo_array, csc_array
 from scipy.sparse.linalg import eigsh
 
+from fpk.answer.certificate import DISTANCE_FACTOR
 from fpk.answer.dynamics import Rates, certify_rates
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes, Integers
 from fpk.numeric.errors import NotCertified
 from fpk.solvers.line.mesh import probe_process, split_points, time_nodes
 from fpk.solvers.line.time.elements import (
     MOST_ELEMENTS,
-    SAFETY,
     TAIL_SHARES,
     ChainDensity,
     Elements,
@@ -40,10 +40,8 @@ CONTOUR_VERTEX = 6.0
 multiplied by e^3.1."""
 LONGER = 1.3
 """Factor on the last energy of the mesh from one round of ``relaxation_spectrum`` to the next."""
-WAVES = 10
-"""Number of waves of an eigenfunction that one element resolves."""
 RATE_ROUNDS = 6
-"""Largest number of rounds of ``relaxation_spectrum``; every second one halves all elements."""
+"""Largest number of rounds of ``relaxation_spectrum``; every other round halves all elements."""
 SHIFT = 0.1
 """Shift of the inverse (K + shift M)⁻¹, over the scale b/H² of the rates: K alone is singular."""
 Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
@@ -148,8 +146,8 @@ def inverse_laplace(
 ) -> ChainDensity:  # fmt: skip
     """Return the solution at ``times`` > 0 of ∂f/∂t = L f that starts with ``load``.
 
-    ``load`` and ``density`` are as in ``chain_resolvent``; contours have ``more`` points. At the
-    last end f is ``held`` at a value, or the flux is zero if None.
+    For ``load`` and ``density`` see ``chain_resolvent``; contours have ``more`` points. At the last
+    end f is ``held`` at a value, or the flux is zero if None.
     """
     values, size = np.zeros((2, times.size, e.count, e.degree + 1))
     residuals = [0.0]
@@ -164,9 +162,7 @@ def inverse_laplace(
 
 def chain_potential(e: Elements, load: Array) -> Array:
     """Return f (elements, functions) of −L f = ``load``, f = 0 at the right end: first passage.
-
-    ``load`` (elements, functions) is in the units of the elements.
-    """
+    ``load`` (elements, functions) is in the units of the elements."""
     own = zip(load[:, :2].sum(axis=1), e.steps, strict=False)
     below = accumulate(own, lambda current, k: (current + k[0]) * k[1], initial=0.0)
     current = np.fromiter(below, float, e.count) + load[:, 0]
@@ -231,8 +227,10 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
     except NotCertified:
         words = "the density does not fall faster than the eigenfunctions rise"
         raise NotCertified(words) from None
-    # Near H = 0 the k-th eigenfunction has k waves over the energy ``temperature``.
-    fine = [(0.0, WAVES / count * temperature)] if count > WAVES else []
+    # Near H = 0 the k-th eigenfunction has k waves over the energy ``temperature``; an element of
+    # degree p resolves p/2.
+    waves = degree // 2
+    fine = [(0.0, waves / count * temperature)] if count > waves else []
     for turn in range(RATE_ROUNDS):
         end, last = LONGER**turn * ends
         nodes = time_nodes(process, end, degree, fine=fine)
@@ -251,7 +249,7 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
         answer, (rates, better) = pair[0], found
         common = 2.0 * answer.coefficient_error()
         common += ROUNDINGS * EPS * (answer.count + answer.log_range)
-        errors = SAFETY * np.abs(rates - better) + common * rates
+        errors = DISTANCE_FACTOR * np.abs(rates - better) + common * rates
         # Round-off of the largest eigenvalue of the inverse, as an error of each λ.
         errors += ROUNDINGS * EPS * (rates + SHIFT * order) ** 2 / (SHIFT * order)
         if (errors <= tol * rates).all() or 2 * answer.count > MOST_ELEMENTS:

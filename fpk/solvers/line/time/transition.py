@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fpk.answer.certificate import Certificate, Measured, certify
+from fpk.answer.certificate import DISTANCE_FACTOR, Certificate, Measured, certify
 from fpk.answer.names import number_text
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput
@@ -21,7 +21,6 @@ from fpk.solvers.line.mesh import (
     time_nodes,
 )
 from fpk.solvers.line.time.elements import (
-    SAFETY,
     TAIL_SHARES,
     ChainDensity,
     Elements,
@@ -37,7 +36,7 @@ from fpk.system.process import Process
 
 MIN_LOG_SHARE = -600.0
 """Smallest ln of the stationary probability above a start energy, to which double precision relates
-1; four times as much if the start is a density (at −5000 errors exceed the stated ones)."""
+1; four times as much if the start is a density (at −5000 errors exceed the stated errors)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +54,8 @@ class Source:
         )
 
     def nodes(self, end: float, degree: int) -> Array:
-        """Return nodes up to ``end`` that resolve a source density; empty for one energy.
-
-        Above its extent elements of ``degree`` grow by ``LENGTH_RATIO``.
-        """
+        """Return nodes up to ``end`` that resolve a source density; empty for one energy. Above its
+        extent elements of ``degree`` grow by ``LENGTH_RATIO``."""
         if self.process is None:
             return np.zeros(0)
         last = min(end, self.extent)
@@ -134,15 +131,13 @@ class Transition:
         return certify(self.measured, tol=self.question.tol)
 
     def density(self, x: Array) -> tuple[Array, Array]:
-        """Return p and its error at energies ``x`` (points,): two arrays (times, points).
-
-        Below 0 both are 0; beyond the last element p is 0, with an error of at least p at the end.
-        """
+        """Return p and its error at energies ``x`` (points,): two arrays (times, points). Below 0
+        both are 0; beyond the last element p is 0, with an error of at least p at the end."""
         e = self.elements
         end = float(e.right[-1])
         inside, positive = e.process.on_mesh(x, end)
         p, size = self.solution.density(inside)
-        error = SAFETY * self.distance.max(axis=2)[:, e.within(inside)[0]]
+        error = DISTANCE_FACTOR * self.distance.max(axis=2)[:, e.within(inside)[0]]
         error = error + self.question.common_error(e, p, size, inside)
         # Far from the peak p is a difference of larger numbers.
         error += ROUNDINGS * EPS * self.top[:, None]
@@ -208,10 +203,8 @@ def pose_question(
 def solve_adaptively(
     question: Question, pair: Pair, solve: Callable[..., ChainDensity]
 ) -> Transition:
-    """Return the transition by ``solve(e=elements, more=points)`` on adapted meshes.
-
-    ``pair`` is the first mesh; ``more`` are further points of the contours.
-    """
+    """Return the transition by ``solve(e=elements, more=points)`` on adapted meshes. ``pair`` is
+    the first mesh; ``more`` are further points of the contours."""
     before, tol = math.inf, question.tol
 
     def solved(pair: Pair) -> tuple[Transition, Flags]:
@@ -219,7 +212,7 @@ def solve_adaptively(
         solutions = solve(e=pair[0], more=0), solve(e=pair[1], more=ENRICHMENT)
         answer, own, rounding = estimate_error(question, *solutions)
         marked = own > np.maximum(0.1 * tol / own.size, rounding)
-        small = SAFETY * own.sum() <= 0.5 * tol or not own.sum() < before
+        small = DISTANCE_FACTOR * own.sum() <= 0.5 * tol or not own.sum() < before
         before = own.sum()
         return answer, marked & (not small)
 
@@ -247,11 +240,13 @@ def estimate_error(
     tail = (beyond[:, :-1] @ far_w.ravel()).max()
     tail += probe_process(answer.process).tail_bound(last, float(beyond[:, -1].max()))
     common = question.common_error(answer, p, size + other, x.ravel())
-    pointwise = SAFETY * distance.reshape(p.shape) + common
+    pointwise = DISTANCE_FACTOR * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w
     top = p.max(axis=1)
     measured = Measured(
-        l1_error=float(((SAFETY * distance * w) + common).sum(axis=(1, 2)).max() + 2.0 * tail),
+        l1_error=float(
+            ((DISTANCE_FACTOR * distance * w) + common).sum(axis=(1, 2)).max() + 2.0 * tail
+        ),
         mass_defect=float(np.abs(p @ w.ravel() - 1.0).max()),
         minimum=float((p.min(axis=1) / top).min()),
         residual=own.residual,

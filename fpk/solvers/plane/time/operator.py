@@ -1,4 +1,4 @@
-"""The FPK operators of two energies in time on ever finer elements, with absorbing ends; starts.
+"""FPK operators of two energies in time on finer and finer elements, absorbing edges, and starts.
 
 With p = w g, w a weight near the stationary density, the weak forms of ∂p/∂t = L* p and of the
 backward ∂u/∂t = L u are ``M ∂g/∂t = A g`` and ``M ∂u/∂t = Aᵀ u`` with
@@ -28,21 +28,22 @@ from fpk.solvers.plane.weight import RISE, UNIT_WEIGHT, Weight, negligible_rise
 from fpk.system.process import Process
 
 PLANE_LEVELS = ((3, 7), (4, 9), (5, 11), (6, 13), (8, 14), (11, 15))
-"""Panels along each axis and degree: about two digits more from one to the next."""
+"""Panels along each axis and degree of successive levels; each gains about two digits."""
 DISTANCE_SHARE = 0.1
-"""Share of the largest difference of two levels, anywhere, in every error: it may cross zero."""
+"""Share of the largest difference of two levels in the error at every point: the local difference
+may cross zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneOperator:
-    """``M ∂g/∂t = A g`` with tensor elements of one ``degree`` between ``nodes`` of coordinates y.
+    """``M ∂g/∂t = A g`` on tensor elements of one ``degree`` between ``nodes`` of coordinates y.
 
-    y = (H1, H2), or, ``collapsed``, (H, H1/H) with H = H1 + H2: of the triangle H < H_f. At H = 0
-    that map is singular and the weak form is not, as b ~ H. ``balanced`` as of
-    ``flux_coefficients``. ``absorbing`` says at which last nodes, along y_1 and y_2, g = 0: first
-    passage. There one vertex function, that where w is largest, gives way to the sum of all of
-    them, 1 but beside the limit: its matrix entries, as small as the failure rate, are then no
-    difference of large ones.
+    y = (H1, H2), or, if ``collapsed``, (H, H1/H) with H = H1 + H2, for the triangle H < H_f; at
+    H = 0 this map is singular but the weak form is not, as b ~ H. ``balanced``: the ``weight``
+    without its floor is the density of zero flux. ``absorbing``: whether g = 0 at the last
+    nodes of y_1 and of y_2, for first passage. One vertex function, where w is largest, is then
+    replaced by the sum of all free vertex functions, which is 1 except next to the limit: its
+    matrix entries, as small as the failure rate, are then no differences of large numbers.
     """
 
     process: Process
@@ -54,22 +55,26 @@ class PlaneOperator:
     collapsed: bool = False
 
     def energies(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Return H1 and H2 at coordinates."""
+        """Return H1 and H2 at the coordinates y = (``first``, ``second``)."""
         return (first * second, first * (1.0 - second)) if self.collapsed else (first, second)
 
     def coordinates(self, H1: Array, H2: Array) -> tuple[Array, Array]:
-        """Return the coordinates of energies; a share of ½ at H = 0, where no function knows it."""
+        """Return the coordinates y of ``H1`` and ``H2``; at H = 0 H1/H has no effect, and is ½."""
         if not self.collapsed:
             return H1, H2
         H = H1 + H2
         return H, np.divide(H1, H, out=np.full(H.shape, 0.5), where=H > 0.0)
 
     def jacobian(self, first: Array, second: Array) -> Array:
-        """Return |∂H/∂y|."""
+        """Return |∂H/∂y| at y = (``first``, ``second``)."""
         return first + 0.0 * second if self.collapsed else np.ones_like(first + second)
 
     def pulled_back(self, first: Array, second: Array, of_energies: Array) -> Array:
-        """Return |∂H/∂y| times w, G w a and G w b Gᵀ (6, ...), G = ∂y/∂H: the weak form in y."""
+        """Return the coefficients of the weak form in y = (``first``, ``second``), (6, ...).
+
+        They are |∂H/∂y| times w, G w a and G w b Gᵀ, with G = ∂y/∂H and ``of_energies`` (6, ...)
+        as from ``flux_coefficients``.
+        """
         if not self.collapsed:
             return of_energies
         w, a1, a2, b11, b12, b22 = of_energies
@@ -83,31 +88,32 @@ class PlaneOperator:
 
     @property
     def points(self) -> int:
-        """Gauss points per panel."""
+        """Gauss points of an element along each axis."""
         return gauss_points(self.nodes, self.degree, self.weight)
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Elements along each axis."""
+        """Number of elements along each axis."""
         return self.nodes[0].size - 1, self.nodes[1].size - 1
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Shape functions along each axis: those of the vertices first."""
+        """Number of shape functions along each axis, vertex functions included."""
         return self.counts[0] * self.degree + 1, self.counts[1] * self.degree + 1
 
     @cached_property
     def _vertices(self) -> Integers:
-        """The shape functions (of all of them) that belong to a vertex, one row along H2 each."""
+        """Numbers of the vertex functions among all shape functions, (vertices, vertices)."""
         first, second = (np.arange(count + 1) for count in self.counts)
         return np.asarray(first[:, None] * self.sizes[1] + second)
 
     @cached_property
     def functions(self) -> tuple[csc_array, csc_array, int]:
-        """Trial and test functions as coefficients (all shape functions, unknowns), the pinned one.
+        """Coefficients (shape functions, unknowns) of trial and test functions, and an unknown.
 
-        The vertex functions add up to 1, and 1 tested by A is 0: the sum of the free ones is tested
-        as 1 less those held at zero by an absorbing end.
+        The unknown has the sum of all free vertex functions as its trial function. All vertex
+        functions add up to 1, and A tested with 1 is 0: its test function is this sum minus 1, the
+        negative sum of the functions that an absorbing edge sets to 0.
         """
         vertices, at_ends = self._vertices, np.zeros(self.sizes, dtype=bool)
         at_ends[self.counts[0]] |= self.absorbing[0]
@@ -129,7 +135,7 @@ class PlaneOperator:
 
     @cached_property
     def matrices(self) -> tuple[csc_array, csc_array, Array]:
-        """A and M of the free unknowns, and ∫ w φ of their functions."""
+        """Sparse A and M of the unknowns, and ∫ w φ of their functions φ."""
         (x, y), ((_, v), (_, u)) = gauss_grid(self.nodes, points=self.points)
         at, numbers = self.energies(x, y), local_numbers(self.nodes, self.degree)
         parts = flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
@@ -141,7 +147,7 @@ class PlaneOperator:
         S, N, k = self.functions
         A = N.T @ A @ N
         if any(self.absorbing):
-            # A times 1, ∫ w a·∇φ, is not taken as a sum that cancels.
+            # A times 1, ∫ w a·∇φ, is integrated directly: as a sum of entries of A it cancels.
             first, second = (self.along(axis, z.ravel()) for axis, z in enumerate((x, y)))
             slopes = [self.along(axis, z.ravel(), slope=True) for axis, z in enumerate((x, y))]
             area = v[:, None] * u
@@ -155,7 +161,8 @@ class PlaneOperator:
         return A.tocsc(), (S.T @ M @ S).tocsc(), S.T @ (M @ one)
 
     def along(self, axis: int, y: Array, *, slope: bool = False) -> Array:
-        """Return the shape functions of one axis, or their slopes, at coordinates y; 0 outside."""
+        """Return shape functions along ``axis``, or their slopes, at coordinates ``y``; 0 outside.
+        The result is (points, functions)."""
         nodes, k = self.nodes[axis], self.degree
         panel = np.clip(np.searchsorted(nodes, y, side="right") - 1, 0, nodes.size - 2)
         t = (y - nodes[panel]) / (nodes[panel + 1] - nodes[panel])
@@ -168,18 +175,18 @@ class PlaneOperator:
         return values
 
     def spread(self, g: Array) -> Array:
-        """Return the coefficients (..., *sizes) of all shape functions from free unknowns."""
+        """Return coefficients (..., *sizes) of all shape functions from unknowns ``g`` (..., n)."""
         return np.asarray(g @ self.functions[0].T).reshape(*g.shape[:-1], *self.sizes)
 
     def largest(self, g: Array) -> Array:
-        """Return the largest size (...) of functions at the vertices of the mesh."""
+        """Return the largest size (...), over all vertices, of functions with unknowns ``g``."""
         at_vertices = self.spread(g)[..., : self.counts[0] + 1, : self.counts[1] + 1]
         return np.asarray(np.abs(at_vertices).max(axis=(-2, -1)))
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneStart:
-    """Energies (2,) that begin, or the stationary ``density`` under ``factor`` times the noise."""
+    """Initial ``energies`` (2,), or the stationary ``density`` under ``factor`` times the noise."""
 
     energies: Array | None = None
     density: PlaneSolution | None = None
@@ -187,15 +194,16 @@ class PlaneStart:
 
     @property
     def l1_error(self) -> float:
-        """Estimate of the L1 error of the initial density, which no evolution increases."""
+        """Estimated L1 error of the initial density, which does not grow in time."""
         return 0.0 if self.density is None else self.density.l1_error
 
     def height(self, stationary: PlaneSolution) -> float:
-        """Return the rise of −ln w from its least value to the energies; 0 for a density."""
+        """Return −ln w at the initial energies, above its minimum; 0 for a density. w is the weight
+        of the ``stationary`` solution."""
         return 0.0 if self.energies is None else float(stationary.weight.exponent(*self.energies))
 
     def dual(self, op: PlaneOperator) -> Array:
-        """Return φ at the energies, or ∫ p_0 φ over the domain, of the free unknowns."""
+        """Return E φ of the initial density, for the functions φ of all unknowns of ``op``."""
         if self.density is None:
             assert self.energies is not None
             y, p = op.coordinates(*self.energies[:, None]), np.ones((1, 1))
@@ -216,10 +224,12 @@ def operators(
     absorbing: tuple[bool, bool] = (False, False),
     collapsed: bool = False,
 ) -> Iterator[PlaneOperator]:
-    """Yield operators, each finer than the last, on ``nodes(rise, panels)``.
+    """Yield operators on finer and finer meshes ``nodes(rise, panels)``, which end at −ln w = rise.
 
-    Their weight is the ``stationary`` one to the power ``share`` <= 1, and flat where −ln w would
-    exceed the rise by ``RISE``, as elements over which it rises by 40 have singular matrices.
+    The rise follows from ``tol`` and ``height`` by ``negligible_rise``. The weight is the one of
+    ``stationary`` to the power ``share`` <= 1, and constant where −ln w exceeds the rise by
+    ``RISE``, as elements over which it rises by 40 have singular matrices. For ``absorbing`` and
+    ``collapsed`` see ``PlaneOperator``.
     """
     weight, balanced = stationary.weight, not stationary.degree and share == 1.0
     weight = replace(weight, coefficients=share * weight.coefficients)

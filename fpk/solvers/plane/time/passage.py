@@ -1,7 +1,7 @@
 """First passage of two energies and their slowest relaxation rates.
 
-u(t) = P(T > t) of a start solves ∂u/∂t = L u with u = 0 on the limit, its mean L T = −1 and
-L E[T²] = −2 T: the transpose of the operator of the density.
+As functions of the start, u(t) = P(T > t) solves ∂u/∂t = L u with u = 0 on the limit, the mean time
+solves L E[T] = −1, and L E[T²] = −2 E[T]; L is the transpose of the operator of the density.
 """
 
 from dataclasses import dataclass
@@ -11,32 +11,34 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, eigs
 
+from fpk.answer.certificate import DISTANCE_FACTOR
 from fpk.answer.dynamics import BEYOND_RANGE, Passage, Rates, certify_passage, certify_rates
 from fpk.answer.names import number_text
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes
 from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.solvers.plane.elements import Nodes, lu_factors
-from fpk.solvers.plane.solution import SAFETY, PlaneSolution, root_spaced_nodes
+from fpk.solvers.plane.solution import PlaneSolution, root_spaced_nodes
 from fpk.solvers.plane.time.operator import DISTANCE_SHARE, PlaneOperator, PlaneStart, operators
 from fpk.solvers.plane.time.transient import KRYLOV_SHARE, krylov_exponential, relative_residual
 from fpk.solvers.plane.weight import negligible_rise
 
 FOLDS = 5.0
-"""Largest mean rise of −ln w over a panel: the elimination loses the root of its exponential."""
+"""Largest mean rise of −ln w over a panel: elimination amplifies round-off by e^(rise/2)."""
 MAX_LIMIT_RISE = 300.0
-"""Largest rise of −ln w up to a limit: E T² of the order of e^600 is within double precision."""
+"""Largest rise of −ln w up to a limit: E T² is then of the order of e^600, in double precision."""
 MAX_PLANE_UNKNOWNS = 300_000
-"""Unknowns of the largest level, of 3 GB; two levels are needed for an answer with an error."""
+"""Largest number of unknowns of a level: its matrices and factors take 3 GB."""
 VECTORS = (4, 30)
-"""Arnoldi vectors: so many times those sought, and more: few may miss one of several like rates."""
+"""Number of Arnoldi vectors: (factor, constant) on the number of eigenvalues sought. With few
+vectors one of several nearly equal rates may be missed."""
 RATES_HEIGHT = 8.0
-"""Rise of −ln w by which meshes are longer than for densities: modes grow with the energy."""
+"""Rise of −ln w by which meshes are longer than for densities, as eigenfunctions grow with H."""
 
 
 @dataclass(frozen=True)
 class PlaneLimit:
-    """Limits of H1, of H2 (None: none), whichever is passed first, or of H1 + H2."""
+    """Limits of H1 and H2, whichever is exceeded first, or of the ``total`` H1 + H2; None: none."""
 
     first: float | None = None
     second: float | None = None
@@ -44,16 +46,16 @@ class PlaneLimit:
 
     @property
     def collapsed(self) -> bool:
-        """Whether the limit is an edge of a rectangle in the coordinates (H, H1/H)."""
+        """Whether H1 + H2 is limited: an edge in the coordinates (H, H1/H) of the operator."""
         return self.total is not None
 
     @property
     def absorbing(self) -> tuple[bool, bool]:
-        """Which far edges are limits."""
+        """Which far edges of the mesh are limits."""
         return self.collapsed or self.first is not None, self.second is not None
 
     def edge(self, far: Array) -> tuple[Array, Array]:
-        """Return energies along the limit, up to ``far`` where there is none."""
+        """Return points (H1, H2) along the limit; ``far`` (2,) ends an axis without limit."""
         t = np.linspace(0.0, 1.0, 41)
         if self.total is not None:
             return self.total * t, self.total * (1.0 - t)
@@ -62,7 +64,11 @@ class PlaneLimit:
         return np.concatenate(lines[:, 0]), np.concatenate(lines[:, 1])
 
     def nodes(self, stationary: PlaneSolution, rise: float, panels: int) -> Nodes:
-        """Return nodes up to the limit, or to where −ln w exceeds ``rise``; more where it rises."""
+        """Return nodes up to the limit, or to −ln w = ``rise`` along an axis without limit.
+
+        There are ``panels`` along each axis, more if −ln w of ``stationary`` rises by more than
+        ``FOLDS`` on each.
+        """
         if self.total is not None:
             corners = stationary.weight.exponent(*(self.total * np.eye(2)))
             angles = max(panels, int(abs(corners[1] - corners[0]) / FOLDS))
@@ -76,7 +82,7 @@ class PlaneLimit:
 
 
 Level = tuple[PlaneOperator, Array, Array, float]
-"""An operator; mean, variance, rate, reliability at all times; their numerical errors; residual."""
+"""An operator; mean, variance, rate and reliability at all times; their round-off; a residual."""
 
 
 def plane_first_passage(
@@ -88,12 +94,12 @@ def plane_first_passage(
     tol: float,
     coefficients_error: float = 0.0,
 ) -> Passage:
-    """Return the first passage of ``limit``, with the reliability at ascending ``times`` >= 0.
+    """Return the first passage of ``limit`` from ``start``, with P(T > t) at ``times`` >= 0.
 
-    Levels rise until two agree to ``tol``, relative to mean, variance and rate, or more are
-    ``_hopeless``. What a density at the start has beyond the limit fails at 0.
-    ``coefficients_error`` is relative. Raises ``InvalidInput`` for a limit whose mean time is
-    beyond double precision, or that takes more than ``MAX_PLANE_UNKNOWNS``.
+    Meshes are refined until two levels agree to ``tol``, relative to mean, variance and rate, or
+    more are ``_hopeless``. The part of an initial density beyond the limit has failed at time 0.
+    ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
+    limit whose mean time is beyond double precision, or that takes too many unknowns.
     """
     height = start.height(stationary)
     far = stationary.far_ends(negligible_rise(tol, height))
@@ -119,12 +125,12 @@ def plane_first_passage(
     for left, (coarse, fine) in zip(reversed(range(len(every) - 1)), pairwise(levels), strict=True):
         op, values, own, residual = fine
         edge = limit.edge(np.array([x[-1] for x in op.nodes]))
-        # The relative error by coefficients, weight and start.
+        # Relative error by the coefficients, the weight and the initial density.
         model = coefficients_error * (2.0 + 2.0 * float(stationary.weight.exponent(*edge).min()))
         model += 2.0 * stationary.relative_error * (stationary.degree == 0) + start.l1_error
         size = np.append(np.abs(values[:3]), np.ones(times.size))
         errors = np.abs(values - coarse[1]) + own + model * size
-        # The variance is the difference of two moments, each with the error of the coefficients.
+        # Both moments in the variance have the error of the coefficients.
         errors[1] += model * 2.0 * values[0] ** 2
         mean, variance, rate = map(Number, values[:3].tolist(), errors[:3].tolist())
         answer = certify_passage(
@@ -144,9 +150,10 @@ def plane_first_passage(
 
 
 def _hopeless(distances: list[float], left: int, tol: float) -> bool:
-    """Whether ``left`` levels more gain nothing, or cannot come to ``tol``, by their distances.
+    """Whether ``left`` further levels gain nothing, or cannot reach ``tol``.
 
-    Even if each gained the square of what the last did: the last levels take a minute.
+    ``distances`` are between successive levels so far. A level is assumed to gain at most the
+    square of the factor that the last level gained. The finest levels take a minute.
     """
     if distances[-1] <= tol or len(distances) < 2 or not left:
         return distances[-1] <= 0.1 * tol
@@ -155,14 +162,14 @@ def _hopeless(distances: list[float], left: int, tol: float) -> bool:
 
 
 def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Level:
-    # Equal factors on all three change nothing; without them small energies underflow.
+    # A common factor on all three avoids underflow for small energies.
     A, M, shares = (part / op.matrices[2].max() for part in op.matrices)
     transposed, dual = (-A.T).tocsc(), start.dual(op)
     backward = lu_factors(transposed)
     sizes = abs(transposed)
 
     def solved(right: Array) -> tuple[Array, Array, float]:
-        """K⁻ᵀ of a vector, what one step of refinement changed, and the residual."""
+        """(−Aᵀ)⁻¹ ``right``, its change by one step of iterative refinement, and the residual."""
         first = backward.solve(right)
         change = backward.solve(right - transposed @ first)
         x = first + change
@@ -174,15 +181,15 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
     if not mean > 0.0:
         remedy = "the elements do not see so narrow a density; start from rest or louder noise"
         raise InvalidInput("start", "stationary", remedy)
-    # By the change of a step of iterative refinement, and 1e-14 always.
+    # Round-off: the change by one step of iterative refinement, and at least 1e-14.
     relative = ROUNDINGS * abs(float(dual @ change)) / mean + 1e-14
-    # The least λ of K u = λ M u is real and simple; 1/λ is of the order of the longest mean time.
-    # Of a rare failure, far below all other rates, two Arnoldi vectors would do.
+    # The smallest λ of −A u = λ M u is real and simple; 1/λ is of the order of the longest mean
+    # time. For a rare failure λ is far below all other rates.
     longest = np.max(np.abs(T))
     inverse = LinearOperator(A.shape, matvec=lambda u: backward.solve(M @ u) / longest, dtype=float)
     (largest,) = eigs(inverse, k=1, ncv=8, v0=T / longest, tol=0.0, return_eigenvectors=False)
     rate = 1.0 / (largest.real * longest)
-    # E T <= t + P(T > t) max E T: where failure is rare that is enough. At 0 it is not needed.
+    # E T <= t + P(T > t) max E T bounds P(T <= t), accurately enough if failure is rare.
     top, at_zero = float(op.largest(T)), times <= 0.0
     bound = np.where(at_zero, 0.0, (top - mean + times) / top + relative)
     late = bound > KRYLOV_SHARE * tol
@@ -202,12 +209,13 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
 def relaxation_rates(
     stationary: PlaneSolution, count: int, *, tol: float, relative: float = 0.0
 ) -> Rates:
-    """Return the ``count`` eigenvalues of −L with the least real parts but 0, Im λ >= 0.
+    """Return the ``count`` nonzero eigenvalues of −L with the smallest real parts, Im λ >= 0.
 
-    Levels rise until two of them agree to ``tol``, relative to each; ``relative`` is the error of
-    the coefficients. Raises ``NotCertified`` where the two finest have too few unknowns.
+    Meshes are refined until two levels agree to ``tol``, relative to each rate; ``relative`` is the
+    relative error of the coefficients. Raises ``NotCertified`` if fewer than two levels have more
+    unknowns than Arnoldi vectors.
     """
-    # A rate of the order of the slowest: the lesser b/H² of the energies at their scales.
+    # A rate of the order of the slowest: the smaller b/H² of the energies at their scales.
     scales = np.array(stationary.process.energy_scales)
     b = stationary.process.coefficients(scales[None, :]).diffusion[0]
     shift, sought, answer = float(np.min(np.diag(b) / scales**2)), 2 * count + 2, None
@@ -226,7 +234,7 @@ def relaxation_rates(
         start: Array = np.random.default_rng(0).normal(size=shares.size)
         s, X = eigs(inverse, k=sought, ncv=vectors, v0=start, tol=0.0)
         every = 1.0 / s - shift
-        # A double eigenvalue, which is real, splits by the root of round-off.
+        # Round-off splits a real double eigenvalue into a pair with small imaginary parts.
         every = np.where(np.abs(every.imag) <= 1e-9 * np.abs(every), every.real, every)
         defect = np.asarray(A @ X + (M @ X) * every)
         terms = np.asarray(abs(A) @ np.abs(X) + (M @ np.abs(X)) * np.abs(every))
@@ -238,8 +246,8 @@ def relaxation_rates(
             continue
         coarse, values = levels[-2], levels[-1][:count]
         size = np.abs(values)
-        errors = SAFETY * np.abs(coarse - values[:, None]).min(axis=1)
-        # Round-off of an eigenvalue of the shifted inverse, relative to its largest.
+        errors = DISTANCE_FACTOR * np.abs(coarse - values[:, None]).min(axis=1)
+        # Round-off of the largest eigenvalue of the shifted inverse, as an error of each rate.
         errors += 50.0 * EPS * (size + shift) ** 2 / shift
         errors += (relative + 2.0 * stationary.relative_error * (stationary.degree == 0)) * size
         settings = {"unknowns": shares.size, "degree": op.degree}

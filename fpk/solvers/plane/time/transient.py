@@ -1,6 +1,6 @@
-"""Densities of two energies at times after a start, as they are seen, with their errors.
+"""Densities of two energies, of one of them or of their sum at times after a start, with errors.
 
-The action of exp(t A) is that of shift-and-invert Krylov spaces, one for times of like size.
+exp(t A) is applied by shift-and-invert Krylov spaces, one for each group of similar times.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,28 +21,32 @@ from fpk.solvers.plane.time.operator import DISTANCE_SHARE, PlaneOperator, Plane
 from fpk.solvers.plane.weight import negligible_rise
 
 BOTH_AXES = (0, 1)
-"""The axes along which a density of both energies is seen; one of them alone, or none: the sum."""
+"""Axes of the joint density of both energies; (0,) or (1,): of one energy; (): of the sum."""
 MAX_START_HEIGHT = 12.0
-"""Largest rise of −ln w up to a start, by whose root errors grow: higher up w is flatter."""
+"""Largest rise of −ln w up to a start, with whose root errors grow; for higher starts a power of w
+is the weight."""
 GIVEN_UP = (13, 0.5)
-"""Degree from which on a larger L1 distance ends the search: the time is too short to resolve."""
+"""Degree of elements from which on an L1 distance above the second number ends the refinement: the
+time is too short to be resolved."""
 TIME_RATIO = 30.0
-"""Largest over smallest time of one Krylov space."""
-POLE = 0.03
-"""Shift γ over the largest time. A rational function of one such pole approximates e^(−x) on the
-whole half-axis with an error that falls by (√2 − 1) a degree (Andersson 1981), on any mesh."""
+"""Largest ratio of times that share one Krylov space, and ratio of the largest time to the shift γ
+of (M − γA)⁻¹. Rational functions with one such pole approximate e^(−x) on the half-axis, on any
+mesh, with an error that falls by √2 − 1 for each degree (Andersson 1981)."""
+
 KRYLOV_SHARE = 1e-2
-"""Fraction of the tolerance of an answer to which e^(tA) is computed."""
+"""Tolerance of e^(tA), over the tolerance of the answer."""
 KRYLOV_BLOCK = 8
-"""Dimensions by which a space grows; the answer without the last ones gives the error."""
+"""Dimensions added to a Krylov space at a time; the change by the last of them is the error."""
 MAX_KRYLOV = 160
-"""Largest dimension."""
+"""Largest dimension of a Krylov space."""
 
 
 class KrylovSolution(NamedTuple):
-    """g at times (times, unknowns), its change by the last ``KRYLOV_BLOCK`` dimensions, round-off.
+    """g at several times (times, unknowns), with its errors.
 
-    That is relative (times,) in the norm ∫ w g²; ``residual`` is the largest of the linear systems.
+    ``change`` (times, unknowns) is the change by the last ``KRYLOV_BLOCK`` dimensions, ``rounding``
+    (times,) the round-off relative to the norm ∫ w g², ``residual`` the largest relative residual
+    of the linear systems.
     """
 
     values: Array
@@ -52,7 +56,7 @@ class KrylovSolution(NamedTuple):
 
 
 def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Array) -> float:
-    """Return the largest entry of ``right − matrix x`` over the largest term, sizes |matrix|."""
+    """Return max |``right`` − ``matrix`` ``x``| over its largest term; ``sizes`` is |matrix|."""
     defect = np.abs(right - matrix @ x)
     return float(np.max(defect) / (np.max(np.abs(right)) + np.max(sizes @ np.abs(x))))
 
@@ -62,7 +66,8 @@ def krylov_exponential(
 ) -> KrylovSolution:
     """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of its norm ∫ w g².
 
-    The eigenvalues of (M − γA)⁻¹ M give slow rates to round-off/γ, at large times to their digits.
+    ``dual`` (unknowns,) is E φ of the initial density. The eigenvalues of (M − γA)⁻¹ M give the
+    rates with the error round-off/γ, which is small for the slow rates of large times.
     """
     start = lu_factors(M).solve(dual)
     residuals, parts, first = [relative_residual(M, abs(M), start, dual)], [], 0
@@ -76,7 +81,7 @@ def krylov_exponential(
 
 
 def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float) -> KrylovSolution:
-    gamma = POLE * float(times[-1])
+    gamma = float(times[-1]) / TIME_RATIO
     matrix = (M - gamma * A).tocsc()
     factors, sizes = lu_factors(matrix), abs(matrix)
     V, MV = np.empty((MAX_KRYLOV, start.size)), np.empty((MAX_KRYLOV, start.size))
@@ -115,37 +120,40 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
 
 
 def _small_exponential(H: Array, times: Array, gamma: float) -> tuple[Array, Array, Array]:
-    """e^(tA) of the first basis vector (times, m), A = (1 − S⁻¹)/γ, its round-off and norms."""
+    """e^(tA) e_1 (times, m) with A = (1 − ``H``⁻¹)/``gamma``, (m, m), its round-off and norms."""
     s, X = np.linalg.eig(H)
     condition, first = float(np.linalg.cond(X)), np.linalg.solve(X, np.eye(len(H))[0])
-    # Of s below 1e-3 the factor e^(t(1 − 1/s)/γ) is e^−1100 by t/γ > 1/(RATIO · POLE) = 1.1.
+    # For s below 1e-3 the factor e^(t(1 − 1/s)/γ) is below e^−999, as t >= γ.
     live = np.abs(s) > 1e-3
     rate = (1.0 - 1.0 / s[live]) / gamma
-    # No mode grows, but the numerical range of a small space leans into the right half plane.
+    # No mode grows, but a small space may have eigenvalues in the right half plane.
     rate = np.minimum(rate.real, 0.0) + 1j * rate.imag
     values = ((np.exp(np.outer(times, rate)) * first[live]) @ X[:, live].T).real
-    # What has decayed has no error of its own.
+    # A solution that has decayed has no round-off of its own.
     norms = np.maximum(np.linalg.norm(values, axis=1), 1e-200)
-    # Eigenvectors are known to ε over the gaps of s, those of slow modes γ/t.
+    # Eigenvectors have the error ε over the gaps of s, which are γ/t for slow modes.
     return values, EPS * condition * (1.0 + times / gamma), norms
 
 
 Level = tuple[PlaneOperator, KrylovSolution]
-"""An operator, and its free unknowns at all times."""
+"""An operator, and its unknowns at all times."""
 
 
-def marginal_at(op: PlaneOperator, seen: tuple[int, ...], g: Array, at: Sequence[Array]) -> Array:
-    """Return the densities (times, ...) of unknowns g (times, unknowns) at energies ``at``.
+def marginal_at(
+    op: PlaneOperator, observed: tuple[int, ...], g: Array, at: Sequence[Array]
+) -> Array:
+    """Return densities (times, ...) of unknowns ``g`` (times, unknowns) at energies ``at``.
 
-    These are points (points,), or of a pair also the axes (m, 1) and (1, n) of a grid.
+    ``observed`` are the axes of the density: both, one, or none for the sum of the energies. ``at``
+    has one array (points,) for each axis, or for both also the axes (m, 1) and (1, n) of a grid.
     """
-    if len(seen) == 1:
-        y, v = (a.ravel() for a in panel_rule(op.nodes[1 - seen[0]], op.points))
-        if seen == (0,):
+    if len(observed) == 1:
+        y, v = (a.ravel() for a in panel_rule(op.nodes[1 - observed[0]], op.points))
+        if observed == (0,):
             return np.asarray(marginal_at(op, BOTH_AXES, g, np.ix_(at[0], y)) @ v)
         return np.asarray(v @ marginal_at(op, BOTH_AXES, g, np.ix_(y, at[0])))
     g = op.spread(g)
-    if seen == BOTH_AXES:
+    if observed == BOTH_AXES:
         first, second = (op.along(k, H.ravel()) for k, H in enumerate(at))
         if at[0].ndim == 2:
             return np.asarray((first @ g @ second.T) * op.weight(*at))
@@ -164,52 +172,57 @@ def marginal_at(op: PlaneOperator, seen: tuple[int, ...], g: Array, at: Sequence
 
 
 def marginal_grid(
-    op: PlaneOperator, seen: tuple[int, ...]
+    op: PlaneOperator, observed: tuple[int, ...]
 ) -> tuple[Sequence[Array], Array, list[float]]:
-    """Return axes of energies, weights of an integral on their grid, and the last energies."""
+    """Return a grid of the ``observed`` energies, its quadrature weights, and the last energies."""
     ends = [float(x[-1]) for x in op.nodes]
-    if not seen:  # panels equidistant in √H
+    if not observed:  # panels equidistant in √H
         x, w = panel_rule(root_spaced_nodes((sum(ends), 1.0), 12)[0], 8)
         return (x.ravel(),), w.ravel(), [sum(ends)]
-    axes, grids = gauss_grid([op.nodes[k] for k in seen], points=op.degree + 2)
-    return axes, reduce(np.multiply.outer, [w for _, w in grids]).ravel(), [ends[k] for k in seen]
+    axes, grids = gauss_grid([op.nodes[k] for k in observed], points=op.degree + 2)
+    return (
+        axes,
+        reduce(np.multiply.outer, [w for _, w in grids]).ravel(),
+        [ends[k] for k in observed],
+    )
 
 
 def transient_densities(
     stationary: PlaneSolution,
     start: PlaneStart,
-    seen: tuple[int, ...],
+    observed: tuple[int, ...],
     times: Array,
     at: tuple[Array, ...],
     *,
     tol: float,
     coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
 ) -> tuple[Transient, tuple[Level, Level]]:
-    """Return the densities seen at ``times`` > 0, ascending, at points ``at`` (points,) each.
+    """Return the densities of ``observed`` energies at ascending ``times`` > 0 and points ``at``.
 
-    Levels rise until two agree to ``tol`` in L1 and in units of the largest density; their distance
-    is the error. A time too short for the last level is not certified. ``coefficients_error(t,
-    *at)`` is the relative error of p by the coefficients. The last two levels come with the answer.
+    For ``observed`` and ``at`` see ``marginal_at``. Meshes are refined until two levels agree to
+    ``tol``, in L1 and in units of the largest density; their distance is the error. A time too
+    short for the finest level is not certified. ``coefficients_error(t, *at)`` is the relative
+    error of p by the coefficients. Also returned are the last two levels.
     """
     for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
         (op, g), (other_op, other_g) = fine, coarse
-        axes, area, ends = marginal_grid(op, seen)
+        axes, area, ends = marginal_grid(op, observed)
         points = [x.ravel() for x in np.broadcast_arrays(*axes)]
         solutions = (op, g.values), (other_op, other_g.values), (op, g.change)
         p, other, change = (
-            marginal_at(op, seen, g, axes).reshape(times.size, -1) for op, g in solutions
+            marginal_at(op, observed, g, axes).reshape(times.size, -1) for op, g in solutions
         )
         lost = np.abs(p - other) + np.abs(change)
         largest, distance = np.max(np.abs(p), axis=1), lost @ area
         mass = g.values @ op.matrices[2]
-        # Up to 3 times the estimated round-off was measured.
+        # The true round-off was measured as up to 3 times the estimate.
         rounding = ROUNDINGS * g.rounding + 2.0 * np.abs(mass - 1.0)
         highest = np.max(lost, axis=1) + rounding * largest
-        values, coarser, change = (marginal_at(op, seen, g, at) for op, g in solutions)
-        # What lies beyond the mesh is less than what there is at its end.
+        values, coarser, change = (marginal_at(op, observed, g, at) for op, g in solutions)
+        # Beyond the mesh the density is less than at its end.
         within = tuple(np.clip(x, 0.0, end) for x, end in zip(at, ends, strict=True))
         outside = np.any([x != y for x, y in zip(at, within, strict=True)], axis=0)
-        beyond = np.abs(marginal_at(op, seen, g.values, within)) * outside
+        beyond = np.abs(marginal_at(op, observed, g.values, within)) * outside
         errors = (
             np.abs(values - coarser) + np.abs(change) + beyond + DISTANCE_SHARE * highest[:, None]
         )
@@ -220,7 +233,7 @@ def transient_densities(
         errors = np.where(unresolved[:, None], np.inf, errors)
         errors = np.where(np.min(np.broadcast_arrays(*at), axis=0) < 0.0, 0.0, errors) + SMALLEST
         l1 = distance + model + rounding + start.l1_error
-        farther = zip(points, marginal_grid(other_op, seen)[2], strict=True)
+        farther = zip(points, marginal_grid(other_op, observed)[2], strict=True)
         tail = np.abs(p * np.any([x > end for x, end in farther], axis=0)) @ area
         absolute = float(np.max(highest / largest))
         short = (f"the time {t:.4g} is too short for the mesh" for t in times[unresolved])
