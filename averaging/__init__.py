@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Exact", "Integrable", "Linear", "NonIntegrable", "PhaseSpace"]
 
-_MODULE_OF = {
+_HOME_OF = {
     "Exact": "averaging.theory",
     "Integrable": "averaging.integrable",
     "Linear": "averaging.gaussian",
@@ -29,6 +29,6 @@ _MODULE_OF = {
 
 def __getattr__(name: str) -> Any:
     """Import the method ``name``; raise ``AttributeError`` if there is none of that name."""
-    if name not in _MODULE_OF:
+    if name not in _HOME_OF:
         raise AttributeError(f"module 'averaging' has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
+    return getattr(import_module(_HOME_OF[name]), name)

@@ -43,7 +43,8 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         nodes = with_layers(solution.nodes, solution.process.nonsmooth, count=DEEP_LAYERS)
 
         def own(energy: Array) -> Array:
-            """Relative error of T, which next to a contact energy may exceed that on the mesh."""
+            """Relative error of T, which next to a contact energy may exceed the error on the
+            mesh."""
             x, _ = solution.process.on_mesh(energy, float(nodes[-1]))
             return shell_averages(system, x.ravel()).error.reshape(x.shape)
 
@@ -93,7 +94,7 @@ def marginal_of(
 
     The first two results map arrays of q and p, broadcast together, to the integral and to its
     whole error; the third maps the integral and the same arrays to the error of tables and
-    quadrature alone. If ``flux_of`` is the mass m of the one observed displacement, the integral is
+    quadrature alone. If ``flux_of`` is the mass m of the observed displacement, the integral is
     ∫_0^∞ (p/m) f dp, the upcrossings per unit time.
     """
     system, T = source.system, source.temperature
@@ -139,8 +140,8 @@ def reduction(
 
     2ν quadratic coordinates are integrated out exactly, which gives the factor (2π)^ν/(√det T_lin),
     returned as its logarithm; det is of their quadratic form, T_lin the density of states without
-    contact at the energy ``unit``. The conditional laws are those of the observed displacements in
-    the order of ``observable``, then of the contact masses ``hidden`` (0-based).
+    contact at the energy ``unit``. The conditional laws are of the observed displacements in the
+    order of ``observable``, then of the contact masses ``hidden`` (0-based).
     """
     q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
     laws = conditionals(system, [*q, *hidden])

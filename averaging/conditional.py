@@ -232,7 +232,7 @@ def stop_panels(
 def contact_levels(temperature: float, end: float) -> list[float]:
     """Return contact energies (levels,) at which panels end, ascending up to at least ``end``.
 
-    ``CONTACT_LEVELS`` times ``temperature``, then each twice the one before.
+    ``CONTACT_LEVELS`` times ``temperature``, then each twice its predecessor.
     """
     doublings = ceil(log2(max(end / temperature, DEPTH)))
     return [
@@ -241,5 +241,5 @@ def contact_levels(temperature: float, end: float) -> list[float]:
 
 
 def beyond_stop(stop: Contact, levels: Sequence[float]) -> Array:
-    """Return the displacement at which ``stop`` is touched, and those of energies ``levels``."""
+    """Return the displacements at which ``stop`` has the contact energies 0 and ``levels``."""
     return stop.sign * (stop.clearance + np.array([0.0, *map(stop.overlap_at, levels)]))

@@ -192,7 +192,7 @@ def exponential_density(
 
 
 def _round_off(exponent: Array, energy: Array) -> Array:
-    """Return the round-off of Σ_e exponent_e ``energy``^e, 2 ε times the sum of absolute values."""
+    """Return the round-off of Σ_e ``exponent``_e ``energy``^e, 2 ε Σ of absolute values."""
     return np.asarray(2.0 * EPS * polynomial.polyval(np.abs(energy), np.abs(exponent)))
 
 
@@ -202,7 +202,7 @@ def state_closed_form(
     """Return u = C exp(−∫_0^H h dH) of the full state, h(H) = Σ_e rate_e H^e, Eqs. (7), (22), (29).
 
     If ``rate`` has one entry, 1/C is the configuration integral; otherwise it is an integral over
-    the energy shells. ``residual`` is as for ``exponential_density``.
+    the energy shells. ``residual``: see ``exponential_density``.
     """
     process = system.fact(energy_process)
     if rate.size > 1:

@@ -308,8 +308,8 @@ class Linear(Theory):
         """Return the slowest eigenvalues Σ n_j μ_j of −L, n_j = 0, 1, … not all 0.
 
         μ_j are the eigenvalues of minus the drift matrix: products of linear eigenfunctions are
-        eigenfunctions of L up to terms of lower degree. Of a conjugate pair the eigenvalue with Im
-        >= 0 is returned. The error of μ_j is the round-off of the drift matrix times the condition
+        eigenfunctions of L up to terms of lower degree. A conjugate pair counts as one, with
+        Im >= 0. The error of μ_j is the round-off of the drift matrix times the condition
         number of μ_j, at most the square root of 1/round-off, which holds for a double eigenvalue.
         """
         system = asked.system

@@ -100,7 +100,7 @@ class NonIntegrable(EnergyTheory):
             # At temperature 1; K and M are not coupled.
             shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]
             return orbit_transient([(closed, energy, shape)], asked)
-        source, under = _source(asked), partial(_under, system)
+        source, under = _initial_density(asked), partial(_under, system)
         if modulation is None:
             solved = transition(process, source, times, tol=tol)
         elif of_energy:
@@ -118,7 +118,7 @@ class NonIntegrable(EnergyTheory):
 
     @answer
     def passage(self, asked: Asked) -> Passage:
-        """Return the first passage of a limit by the energy; tolerances as for ``transient``."""
+        """Return the first passage of a limit by the energy; tolerance: see ``transient``."""
         system, process = asked.system, asked.system.fact(energy_process)
         if asked.limit.kind != "H":
             words = "this theory knows the total energy only; give a limit H=.."
@@ -129,7 +129,7 @@ class NonIntegrable(EnergyTheory):
         if self.solver != "fem":
             closed, energies = square_root(system, self.solver), asked.start.known()
             return closed.passage(limit, float(energies[0]), times, tol=asked.tol)
-        source, modulation = _source(asked), system.modulation
+        source, modulation = _initial_density(asked), system.modulation
         if modulation is None:
             return fem_passage(process, limit, source, times, tol=asked.tol)
         under = partial(_under, system)
@@ -194,7 +194,7 @@ def _under(system: System, factor: float) -> Process:
     return energy_process(replace(system, noise_intensity=factor * system.noise_intensity))
 
 
-def _source(asked: Asked) -> Source:
+def _initial_density(asked: Asked) -> Source:
     """Return the initial density of the energy: a point, or a stationary density."""
     if asked.start.noise is None:
         return Source(float(asked.start.energies[0]))

@@ -267,7 +267,7 @@ def _over_hidden(
     parts = []
     for start in range(0, energy.size, size):
         E, m = energy[start : start + size], mean[start : start + size]
-        nodes = _panels(psi.nodes, law, E, m)
+        nodes = _hidden_nodes(psi.nodes, law, E, m)
         half = 0.5 * np.diff(nodes, axis=1)[..., None]
         answers = []
         for points in (*HIDDEN_RULES[1], ERROR_POINTS):
@@ -282,7 +282,7 @@ def _over_hidden(
     return values, errors + rule, rule
 
 
-def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Array:
+def _hidden_nodes(energies: Array, law: Conditional, energy: Array, mean: Array) -> Array:
     """Return nodes (points, nodes) of the hidden displacement where E + V is one of ``energies``.
 
     Further nodes are at the stops and in layers beyond. E is ``energy`` (points,), ``mean``

@@ -139,7 +139,7 @@ def density_of_energies(
 def solve_energies(
     process: Process, solver: str, *, tol: float
 ) -> StationarySolution | ZeroFluxDensity | PlaneSolution:
-    """Return the stationary density of the one or two energies of ``process``.
+    """Return the stationary density of the energy or the two energies of ``process``.
 
     ``solver`` is "fem", "scikit-fem", or for one energy "quadrature"; ``tol`` is the L1 tolerance.
     """
@@ -169,9 +169,9 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
         return np.stack([rate, log_density_slope_error(c)], axis=-1)
 
     def errors(lengths: Array, coefficients: Array) -> tuple[Array, Array]:
-        """Return the errors of the integral over panels of ``lengths`` (panels,).
+        """Return errors (panels,) of the integral over each panel.
 
-        The first is of truncating the series, the second of s and σ².
+        The first is of truncating the series ``coefficients``, the second of s and σ².
         """
         truncated = lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1)
         return truncated, lengths * coefficients[:, 0, 1]

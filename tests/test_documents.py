@@ -190,10 +190,10 @@ CONSTANTS = {
         f"the error is {refinement.DISTANCE_SAFETY:g} d",
         f"r at least {refinement.SLOWEST_FALL}",
         f"and {refinement.FIRST_SAFETY * refinement.DISTANCE_SAFETY:g} d after two solutions",
-        f"less than {refinement.CHANCE} of the one before",
+        f"less than {refinement.LEAST_RATIO} of the one before",
         f"a damping ratio below {refinement.LIGHT_DAMPING} it is not",
-        f"less than {refinement.LIGHT_CHANCE} of the one before",
-        f"{refinement.CHANCE} of the largest",
+        f"less than {refinement.LIGHT_RATIO} of the one before",
+        f"{refinement.LEAST_RATIO} of the largest",
         f"from {resolvent.BLOCK} random vectors",
         f"Velocities are followed {GAUSSIAN_REACH:.1f} kicks of noise",
         f"{first_passage.SAFETY:g} times the distance of the last two,"

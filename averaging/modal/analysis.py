@@ -67,8 +67,7 @@ class AveragedDamping:
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Groups of modes, ascending, coupled as the γ_m of one depends on the energy of
-        another."""
+        """Groups of modes, ascending, in which the γ_m of a mode depend on other energies."""
         n = self.values.shape[1]
         joined = np.eye(n, n + 1, 1)
         row, mode = np.nonzero(np.einsum("rmm->rm", self.values))

@@ -17,9 +17,9 @@ MIN_ORDER = 4
 and with damping quadratic in the state the order is 4."""
 MAX_NEGLECTED = 0.1
 """Largest correlation ρ of two modes, and largest relative oscillation of a modal energy, that
-averaging may neglect: the L1 error of p(q_i, p_j) is 2ρ/π, that of p(q_i) ρ bandwidth/detuning."""
+averaging may neglect: the L1 error of p(q_i, p_j) is 2ρ/π, of p(q_i) ρ bandwidth/detuning."""
 MAX_CANDIDATES = 500
-"""Largest number of resonances examined, those with the smallest detuning."""
+"""Largest number of resonances examined, in ascending order of the detuning."""
 
 
 def require_no_resonance(system: System, modes: ModalAnalysis) -> None:

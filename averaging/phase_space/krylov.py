@@ -34,8 +34,7 @@ def krylov(
     H = np.zeros((most + b, most), dtype=first.dtype)
 
     def extend(new: Array) -> Array:
-        """Add ``new`` to the space unless it lies in it; return its coefficients in the new
-        basis."""
+        """Add ``new`` to the space unless it lies in it; return its coefficients."""
         nonlocal rows
         along = np.zeros(rows + 1, dtype=first.dtype)
         for _ in range(2):

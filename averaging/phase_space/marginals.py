@@ -70,7 +70,7 @@ def _marginal_density(
 ) -> Callable[..., Array]:
     """Return the density of ``forms``, the contact displacement first if it is one of them.
 
-    ``share`` is as for ``marginal``.
+    ``marginal`` explains ``share``.
     """
     b = e.basis
     known = not np.any(forms[0][2])
@@ -88,7 +88,7 @@ def _marginal_density(
         return np.asarray(coefficients @ values.T * b.density(y))
 
     def summed(c: Array, y: Array, x: Sequence[Array]) -> Array:
-        """Return Σ c_nm He_n(t₁)/√n! He_m(t₂)/√m! N(t) with L t = ``x`` − o − s ``y``."""
+        """Return Σ ``c``_nm He_n(t₁)/√n! He_m(t₂)/√m! N(t) with L t = ``x`` − o − s ``y``."""
         t: list[Array] = []
         for a, ((offset, slope, _), value) in enumerate(zip(linear, x, strict=True)):
             rest = value - offset - slope * y - sum(L[a, k] * t[k] for k in range(a))

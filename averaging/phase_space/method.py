@@ -90,8 +90,7 @@ class PhaseSpace(Theory):
     colour = "#5e02e0"
 
     def __post_init__(self) -> None:
-        """Raise ``InvalidInput`` for an unknown solver or a tolerance or memory outside the
-        limits."""
+        """Raise ``InvalidInput`` for an unknown solver, or tolerance or memory out of range."""
         super().__post_init__()
         if not 0.0 < self.memory < inf:
             raise InvalidInput("memory", self.memory, "use a positive number of GB")
@@ -118,8 +117,7 @@ class PhaseSpace(Theory):
         )
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` if the expansion does not
-        apply."""
+        """Return the plan for ``system``; raise ``NotApplicable`` if it is not possible."""
         frame = self._frame(system)
 
         def refusal(observable: Observable) -> str | None:
@@ -210,11 +208,10 @@ class PhaseSpace(Theory):
         apart: questions.Apart = questions.largest,
         numbers: type = complex,
     ) -> Curve:
-        """Return the curve ``name`` that ``questions`` computes, judged against a relative
-        tolerance.
+        """Return the curve ``name`` of ``questions``, judged against a relative tolerance.
 
-        The tolerance is the one asked for or ``default``; ``apart`` measures the difference of two
-        answers, ``numbers`` is the type of the numbers of the elimination.
+        The tolerance is given in the question, or ``default``; ``apart`` measures the difference of
+        two answers, ``numbers`` is the type of the numbers of the elimination.
         """
         tol, row, frame = asked.tol or default, asked.row, self._frame(asked.system)
         measure = partial(getattr(questions, name), row=row, at=asked.at, tol=tol)
@@ -254,8 +251,7 @@ class PhaseSpace(Theory):
         return Options(self.memory, work, self.threads, self.reference, progress)
 
     def _frame(self, system: System) -> Frame:
-        """Return the frame of ``system``; raise ``NotApplicable`` if the expansion does not
-        apply."""
+        """Return the frame; raise ``NotApplicable`` if the expansion is not for ``system``."""
         if system.n > MOST_EXPANSION_MASSES:
             most = f"the expansion is for {2 * MOST_EXPANSION_MASSES} at the most"
             raise NotApplicable(f"{system.n} masses have {2 * system.n} coordinates; {most}")

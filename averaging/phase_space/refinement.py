@@ -29,14 +29,14 @@ was 1.9 times the estimate."""
 FIRST_SAFETY = 2.0
 """Further factor if there is one distance only: without both the largest of 400 true errors was 2.2
 times the estimate."""
-CHANCE = 0.25
+LEAST_RATIO = 0.25
 """Smallest credible ratio of a distance of two solutions to the distance of the two solutions
 before it, and to the largest distance of the densities of single coordinates: smaller is by
 chance."""
-LIGHT_DAMPING, LIGHT_CHANCE = 0.01, 0.6
-"""Damping ratio of a mode below which the second value replaces ``CHANCE``: with ratios of 0.0007
-to 0.005 the largest of 148 true errors was 1.7 times the estimate by ``CHANCE``, with 0.011 the
-largest of 88 was 0.73 times."""
+LIGHT_DAMPING, LIGHT_RATIO = 0.01, 0.6
+"""Damping ratio of a mode below which the second value replaces ``LEAST_RATIO``: with ratios of
+0.0007 to 0.005 the largest of 148 true errors was 1.7 times the estimate by ``LEAST_RATIO``, with
+0.011 the largest of 88 was 0.73 times."""
 SLOWEST_FALL = 1.25
 """Smallest factor by which distances of successive solutions are taken to fall."""
 DENSITY_ROUND_OFF = 1e-11
@@ -110,7 +110,7 @@ def credible_ratio(frame: Frame) -> float:
     squares, modes = np.linalg.eigh(frame.stiffness)
     own = np.sum(modes * (frame.damping @ modes), axis=0)
     light = not frame.system.damping_terms and np.any(own < 2.0 * LIGHT_DAMPING * np.sqrt(squares))
-    return LIGHT_CHANCE if light else CHANCE
+    return LIGHT_RATIO if light else LEAST_RATIO
 
 
 def error_by_distances(last: float, earlier: float | None, share: float) -> tuple[float, float]:
@@ -141,7 +141,7 @@ def ladder_of(
     least, share = least_distance(finest, coarser), credible_ratio(finest.basis.frame)
     ladder = Ladder(finest, coarser, {}, {}, {}, "", before.solutions + 1 if before else 2)
     for o in observables:
-        own = l1_distance(finest, coarser, o)
+        own = solution_distance(finest, coarser, o)
         earlier = before.believed[o] if before else None
         ladder.believed[o], error = error_by_distances(max(own, least), earlier, share)
         ladder.errors[o] = error + DENSITY_ROUND_OFF
@@ -190,10 +190,9 @@ def solution_ladder(
 
 
 def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
-    """Return ``earlier`` if its error is smaller and the later density within it, else
-    ``later``."""
+    """Return ``earlier`` if its error is smaller and the later density is within it."""
     a, b = (ladder.errors[observable] for ladder in (earlier, later))
-    agree = a <= b and l1_distance(earlier.finest, later.finest, observable) <= a
+    agree = a <= b and solution_distance(earlier.finest, later.finest, observable) <= a
     return earlier if agree else later
 
 
@@ -205,10 +204,10 @@ def least_distance(a: Expansion, b: Expansion) -> float:
     if not min(np.diag(moments(e)[1]).min() for e in (a, b)) > 0.0:
         raise np.linalg.LinAlgError("a variance found is not positive")
     single = [(Coordinate(kind, row),) for kind in ("q", "p") for row in range(a.basis.frame.n)]
-    return CHANCE * max(l1_distance(a, b, o) for o in single)
+    return LEAST_RATIO * max(solution_distance(a, b, o) for o in single)
 
 
-def l1_distance(a: Expansion, b: Expansion, observable: Observable) -> float:
+def solution_distance(a: Expansion, b: Expansion, observable: Observable) -> float:
     """Return ∫|p_a − p_b| of the densities of ``observable`` on the panels of both."""
     first, p = marginal(a, observable)
     second, q = marginal(b, observable)

@@ -62,8 +62,7 @@ class ShellAverages(NamedTuple):
 
 
 def log_linear_states(system: System, energy: Array | float) -> Array:
-    """Return ln of T_lin(H) = (2π)^n √(Π m/det K) H^(n−1)/Γ(n), no contacts, at ``energy`` H >
-    0."""
+    """Return ln T_lin at ``energy`` H > 0, T_lin = (2π)^n √(Π m/det K) H^(n−1)/Γ(n)."""
     n = system.n
     # det K of a chain that is fixed at one end is the product of its spring constants.
     prefactor = n * np.log(2.0 * pi) + 0.5 * np.sum(np.log(system.mass / system.stiffness))
@@ -105,7 +104,7 @@ def shell_columns(system: System, energy: Array) -> Array:
         elif by_lines(system):
             columns[touching] = system.fact(PartitionLines)(above, shell_columns)
         else:
-            columns[touching] = system.fact(_table)(above)
+            columns[touching] = system.fact(_table_columns)(above)
     columns[:, 1, 3:] += MOMENT_ROUND_OFF * parts.scale
     return columns
 
@@ -146,12 +145,12 @@ def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
     Both are (energies, 3 + 2 degrees): T, phase volume, H T', then for each degree T g_d + 2 b,
     where b bounds |T g_d|, so that the sum is positive, then the b. All are sums over directions of
     integrals along rays. The error of H T' is relative to the larger of H T' and T. Rules are
-    refined until errors are below ``TARGET``, those of the power below ``POWER_TARGETS``.
+    refined until errors are below ``TARGET``, of the power below ``POWER_TARGETS``.
     """
     shell, parts = system.fact(EnergyShell), system.fact(parts_of)
     n, c = system.n, len(system.contact_masses)
     add_rays = ray_integrals(shell.laws, 2 * n - c - 2 <= 0)
-    cuts = _cut_angles(shell, energy) if c == 2 else np.empty((energy.size, 0))
+    cuts = _angles_of_cuts(shell, energy) if c == 2 else np.empty((energy.size, 0))
     mirror = system.fact(looks_the_same_mirrored)
 
     def sums(i: Integers, rules: range) -> Array:
@@ -203,7 +202,7 @@ def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
     return fine, np.where(np.isnan(error), np.inf, error)
 
 
-def _cut_angles(shell: EnergyShell, energy: Array) -> Array:
+def _angles_of_cuts(shell: EnergyShell, energy: Array) -> Array:
     """Return the angles (energies, cuts) at which a stop begins or ceases to meet the shell.
 
     An entry is 0 if the stop is not met at this ``energy``, and for the fixed angle 0.
@@ -256,7 +255,7 @@ def _rays(cuts: Array, nodes: int, *, mirror: bool) -> tuple[Integers, Array, Ar
     return np.nonzero(keep)[0], directions, weight[keep] * (2.0 * pi / period)
 
 
-def _table(system: System) -> Callable[[Array], Array]:
+def _table_columns(system: System) -> Callable[[Array], Array]:
     """Return the columns for two contact masses as a function of the energies (energies,).
 
     They are smooth between contact energies. One energy takes milliseconds, and a solver needs

@@ -63,7 +63,7 @@ rule."""
 ROWS = 32
 """Points of one mass at which the integral over the next mass is evaluated at once, for the cache:
 all at once takes three times as long."""
-WINDOW = (0.3, 3.6)
+LINE_WINDOW = (0.3, 3.6)
 """Share of a line on which the window is 1, and steepness of its fall to 0 at the end."""
 MOST_RAY_MASSES = 10
 """Largest number of masses, plus a quarter of the highest degree of damping terms, for which two
@@ -181,7 +181,7 @@ class PartitionLines:
             # Windows that end the line, and end it earlier. A window that is flat at Im β = 0
             # changes T only by parts that are not smooth on the scale 1/(its end).
             ends = 1.0 - np.array([0.0, *SHORTER])[:, None] / (2.0 * self.n)
-            flat, steepness = WINDOW
+            flat, steepness = LINE_WINDOW
             share = (np.linspace(0.0, 1.0, beta.size) / ends - flat) / (1.0 - flat)
             window = 0.5 * erfc(steepness * (2.0 * share - 1.0))
             window[:, 0] *= 0.5
@@ -217,8 +217,7 @@ class PartitionLines:
         return float(min(LINE_ENDS[0] * (MISSING * ratio) ** (-1.0 / order), LINE_ENDS[1]))
 
     def _line(self, real: float) -> tuple[Complexes, Complexes, Array, float]:
-        """Return the points β of the line Re β = ``real``, the functions to invert, errors,
-        ``known``.
+        """Return the points of the line Re β = ``real``, functions to invert, errors, ``known``.
 
         Functions and errors are (rows, points), of R and the transforms of the damping power, from
         which ``known`` (0 or 1) times the values without contact is subtracted.

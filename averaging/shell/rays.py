@@ -27,9 +27,9 @@ from fpk.system.compiled_laws import compile_laws, law_files, of_law
 from fpk.system.system import System, looks_the_same_mirrored
 
 SAME_ENERGY = 1e-11
-"""Relative difference below which two contact energies count as one: those of mirror images differ
+"""Relative difference below which two contact energies count as equal: mirror images differ
 by round-off, minima by the tolerance of their search."""
-SMALL_STEP = 0.01
+SMALL_GAIN = 0.01
 """Change of the overlap over the overlap below which a change of the contact energy is computed
 from the force: the difference of two energies would cancel."""
 NEWTON_STEPS = 100
@@ -53,8 +53,7 @@ class Stops(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EnergyShell:
-    """Geometry of the energy shells of ``system``, computed once as
-    ``system.fact(EnergyShell)``."""
+    """Geometry of the energy shells of ``system``, to be had as ``system.fact(EnergyShell)``."""
 
     system: System
 
@@ -81,8 +80,7 @@ class EnergyShell:
         return Stops(reach, touch, stiffness, exponent, law.astype(int))
 
     def nearest(self, directions: Array) -> Stops:
-        """Return the stops (rays, stops) in the order in which rays along ``directions`` meet
-        them."""
+        """Return the stops (rays, stops) in the order in which rays of ``directions`` meet them."""
         reach = directions @ self.stops.reach.T
         touch = np.full(reach.shape, np.inf)
         np.divide(self.stops.touch, reach, out=touch, where=reach > 0.0)
@@ -268,7 +266,7 @@ def _gain(low: float, width: float, top: float, ray: Stops, s: int, U: Any, g: A
     If ``width`` is small against the overlap ``low``, it is width times the mean force by three
     Gauss points, whose error is below round-off then.
     """
-    if width > SMALL_STEP * low:
+    if width > SMALL_GAIN * low:
         difference: float = top - _of_stop(U, ray, s, low)
         return difference
     middle, shift = low + 0.5 * width, 0.5 * np.sqrt(0.6) * width

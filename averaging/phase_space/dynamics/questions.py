@@ -33,8 +33,8 @@ class Answer:
 
     Errors follow from the difference of two answers in ``compared``, (kinds, points) or all rates,
     plus ``added``; tolerances are relative to ``scale``. ``residual`` is the relative residual of
-    equations beside the stationary ones. ``missing`` says which values are uncertain, ``limit`` why
-    there is no finer answer; both are "" if there is nothing to say.
+    further equations beside the stationary equation. ``missing`` says which values are uncertain,
+    ``limit`` why there is no finer answer; both are "" if there is nothing to say.
     """
 
     values: Array | Complexes

@@ -36,7 +36,7 @@ Step = Callable[[float], None]
 def generator(e: Expansion, *, odd: bool, closed: bool = False) -> Chain:
     """Return A on functions that change sign under reflection if ``odd``, else on the others.
 
-    ``closed`` is as for ``chain_of``.
+    ``chain_of`` explains ``closed``.
     """
     b = e.basis
     return chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
@@ -83,8 +83,7 @@ def displacement_vectors(e: Expansion, row: int, A: Chain) -> tuple[Array, Array
 
 
 def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:
-    """Return c·(iω − A)⁻¹ b at the ascending frequencies ω >= 0 of ``at``, and the largest
-    residual.
+    """Return c·(iω − A)⁻¹ b at ascending frequencies ω >= 0, ``at``, and the largest residual.
 
     ``b`` and ``c`` are vectors of all unknowns. One elimination, at a shift s, serves the
     frequencies about it: with B = (s − A)⁻¹ the equation (1 + (iω − s) B) u = B b is solved in the

@@ -46,8 +46,7 @@ class Panel:
     recurrence: Array
 
     def parts(self, count: int) -> Array:
-        """Return the ends of ``count`` parts of the panel, graded towards its stop if it has
-        one."""
+        """Return the ends of ``count`` parts of the panel, graded towards its stop."""
         share = np.linspace(0.0, 1.0, count + 1)
         length = (self.high - self.low) * (share**4 if self.direction else share)
         return self.high - length if self.direction < 0 else self.low + length
@@ -97,8 +96,7 @@ class Basis:
     counts: tuple[tuple[int, ...], tuple[int, ...]]
 
     def of_level(self, n: int) -> Array:
-        """Return the coefficients of the functions of level ``n``: broken if odd, else
-        continuous."""
+        """Return the coefficients of the functions of level ``n``, broken if n is odd."""
         return self.broken if n % 2 else self.continuous
 
     @cached_property
@@ -118,8 +116,7 @@ class Basis:
         return self.functions(self.points)
 
     def functions(self, y: Array) -> tuple[Array, Array]:
-        """Return the polynomials of all panels at ``y`` (points,) in the support, and d/dy of
-        them."""
+        """Return the polynomials of all panels at ``y`` (points,), and their derivatives in y."""
         starts = np.cumsum([0, *(p.degree for p in self.panels)])
         values, slopes = (np.zeros((y.size, starts[-1])) for _ in range(2))
         which = np.clip(np.searchsorted(self.nodes, y, side="right") - 1, 0, len(self.panels) - 1)
@@ -138,7 +135,7 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
     ``odd``: for densities that change sign under reflection, with the two parities exchanged.
     """
     panels, points, weights = [], [], []
-    for panel in _panels(frame, reference):
+    for panel in _support_panels(frame, reference):
         width = float((panel.high - panel.low) * np.sqrt(reference.weight[1]))
         touched = panel.direction != 0
         degree = degrees.outer if panel.last else degrees.between(width, beyond=touched)
@@ -182,7 +179,7 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
                     only.append(row((k, unit), (last - k, -image * unit)))
     sets = [*rows, *parity[odd]], parity[not odd]
     (continuous, broken), counts = zip(
-        *(_nested_functions(panels, degrees, own, fewer=k) for k, own in enumerate(sets)),
+        *(_function_sets(panels, degrees, own, fewer=k) for k, own in enumerate(sets)),
         strict=True,
     )
     nodes = np.array([panels[0].low, *(p.high for p in panels)])
@@ -191,7 +188,7 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
     return Basis(*given, continuous, broken, counts)
 
 
-def _nested_functions(
+def _function_sets(
     panels: Sequence[Panel], degrees: Degrees, rows: Sequence[Array], *, fewer: int
 ) -> tuple[Array, tuple[int, ...]]:
     """Return orthonormal functions that meet the conditions ``rows``, and numbers of functions.
@@ -240,7 +237,7 @@ def _log_weight(frame: Frame, reference: Reference, y: Array) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _panels(frame: Frame, reference: Reference) -> tuple[Panel, ...]:
+def _support_panels(frame: Frame, reference: Reference) -> tuple[Panel, ...]:
     """Return the panels without polynomials, on the support of w (``SUPPORT_DEPTH``)."""
 
     def root(f: Callable[[Array], Array], value: float, a: float, b: float) -> float:

@@ -62,8 +62,7 @@ class Chain:
         return np.asarray(starts[(starts > span.start) & (starts < span.stop)] - span.start)
 
     def within(self, n: int, *, shift: complex = 0.0, kind: type = np.float64) -> Array:
-        """Return the diagonal block of stage ``n`` minus ``shift``, dense, in numbers of
-        ``kind``."""
+        """Return the dense diagonal block of stage ``n`` minus ``shift``, of type ``kind``."""
         A = self.matrix[self.span(n), self.span(n)].toarray()
         A = A.astype(np.result_type(kind, shift), copy=False)
         if shift:
@@ -83,8 +82,7 @@ class Chain:
         return out[:-1]
 
     def unpack(self, u: Array) -> list[Array]:
-        """Return the levels (degrees, functions) of ``u``, all unknowns; 0 for missing
-        functions."""
+        """Return the levels (degrees, functions) of the vector ``u``; 0 for missing functions."""
         every, used = np.append(u, np.zeros(1, u.dtype))[self.places], self.places >= 0
         spans = map(self.space.span, range(self.space.level[-1] + 1))
         return [every[at, : np.sum(used[at].any(axis=0))] for at in spans]
@@ -93,7 +91,7 @@ class Chain:
 def places(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers]:
     """Return the number of functions of each degree of ``space``, its first unknown, and the ends.
 
-    The ends are those of ``Chain``. Degrees of ``space`` beyond the degrees of the basis have no
+    ``Chain`` defines the ends. Degrees of ``space`` beyond the degrees of the basis have no
     functions. At the highest levels the largest degree in the other masses falls by two for each
     level, which saves a fifth of the work.
     """
@@ -228,8 +226,7 @@ def _entries(to: Integers, of: Integers, factor: Array, F: Array) -> Entries:
 
 
 def damping_degree(frame: Frame) -> int:
-    """Return r, the highest degree in z of a damping term without its factor v_j; 0 without
-    terms."""
+    """Return r, the highest degree in z of a damping term without its factor v_j, or 0."""
     contact = frame.contact + 1
     return max(
         (t.degree - dict(t.q).get(contact, 0) for t in frame.system.damping_terms), default=0
@@ -237,8 +234,7 @@ def damping_degree(frame: Frame) -> int:
 
 
 def levels_per_stage(frame: Frame) -> int:
-    """Return the levels s of a stage above level 0: s >= r and 2 s >= r + 2, ``damping_degree``
-    r."""
+    """Return the number s of levels of a stage: s >= r, 2 s >= r + 2, r = ``damping_degree``."""
     return max(damping_degree(frame), (damping_degree(frame) + 3) // 2)
 
 

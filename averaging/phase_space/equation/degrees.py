@@ -127,8 +127,7 @@ class Space:
 
     @cached_property
     def up(self) -> tuple[Matrix, ...]:
-        """a_j⁺ of each variable, the contact velocity first, truncated to the degrees; a_j = its
-        transpose."""
+        """a_j⁺ of each variable, contact velocity first, truncated; the transpose is a_j."""
         size, up = self.level.size, []
         spans = [self.span(n) for n in range(int(self.level[-1]) + 1)]
         for A in (None, *self.raising_others):
@@ -158,7 +157,7 @@ class Space:
 
 
 def combination(matrices: Sequence[Matrix], factors: Array) -> Matrix:
-    """Return Σ_j factors_j matrices_j."""
+    """Return the sum of ``matrices``, each times one of ``factors``."""
     terms = (c * A for c, A in zip(factors, matrices, strict=True) if c)
     return sum(terms, Matrix(matrices[0].shape))
 

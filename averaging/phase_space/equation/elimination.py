@@ -44,7 +44,7 @@ Solve = Callable[[Array], Array]
 class Expansion:
     """Coefficients of a solution: ``levels[n]`` (degrees, functions) of level n.
 
-    ``basis``, ``factor`` and ``space`` are those of its ``Chain``; ``residual`` is the largest
+    ``basis``, ``factor`` and ``space`` are the fields of its ``Chain``; ``residual`` is the largest
     residual of an equation relative to the terms that cancel in it.
     """
 
@@ -122,7 +122,7 @@ def expand(
 def _refine(chain: Chain, solve: Solve, scale: float, *, paired: bool) -> tuple[Array, float]:
     """Return the solution of mass 1 by iterative refinement with ``solve``, and its residual.
 
-    ``scale`` is the factor of the equation of the mass and ``paired`` is as for ``eliminate``.
+    ``scale`` is the factor of the equation of the mass and ``paired`` as in ``eliminate``.
     """
     matrix, one = chain.matrix, chain.basis.of_one
     given = scale * one

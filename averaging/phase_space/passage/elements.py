@@ -51,8 +51,9 @@ class Elements:
     ``K`` and ``M`` are the matrices of −L and of 1 in L²(exp(−c H/D)). Functions are continuous in
     s, may jump between panels of x (upwind fluxes), and are divided by their norms. Vectors are
     (unknowns,): ``one`` the coefficients of the function 1, ``load`` the scalar products of 1,
-    ``exit`` those of −L 1, the flux through the limit, which computed as K ``one`` would be
-    round-off if failure is rare. ``free`` are the indices of the unknowns among all functions.
+    ``exit`` the scalar products of −L 1, the flux through the limit, which computed as K ``one``
+    would be round-off if failure is rare. ``free`` are the indices of the unknowns among all
+    functions.
     """
 
     mesh: Mesh
@@ -64,8 +65,7 @@ class Elements:
     free: Integers
 
     def at(self, q: Array, v: Array, weights: Array) -> Array:
-        """Return the vector of the functional Σ ``weights`` u(``q``, ``v``), states within the
-        limit."""
+        """Return the vector of the functional Σ ``weights`` u(``q``, ``v``) within the limit."""
         m, n = self.mesh, self.mesh.degree + 1
         places, values = [], []
         for nodes, t in zip((m.x, m.s), m.coordinates(q, v), strict=True):
@@ -112,8 +112,7 @@ class Elements:
         return mean, second, abs(factor - 1.0)
 
     def rate(self) -> float:
-        """Return the smallest eigenvalue of −L, the outflow over the mass of its left
-        eigenvector."""
+        """Return the smallest eigenvalue of −L: outflow over mass of its left eigenvector."""
         inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
         options: dict[str, Any] = {"v0": self.load, "ncv": min(12, self.load.size - 1)}
         _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
@@ -122,8 +121,7 @@ class Elements:
 
     @cached_property
     def shifted(self) -> tuple[float, Any]:
-        """σ, at most four times the frequency (two to eight times serve as well), factors of K +
-        σM."""
+        """σ, about four times the frequency (two to eight serve as well), factors of K + σM."""
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
         sigma = 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
@@ -144,8 +142,8 @@ class Elements:
 
         ``start`` is the functional of the initial state. M F' = −K F + exit, F(0) = 0, is solved by
         Galerkin's method on the Krylov space of (K + σM)⁻¹M and the function 1, orthonormal in M,
-        which grows until the last change is below ``KRYLOV_SHARE`` times the tolerance ``tol``. At H = E,
-        where there are no unknowns, F = 1, which adds a constant.
+        which grows until the last change is below ``KRYLOV_SHARE`` times the tolerance ``tol``. At
+        H = E, where there are no unknowns, F = 1, which adds a constant.
         """
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)
@@ -186,7 +184,7 @@ def shapes(degree: int, t: Array) -> tuple[Array, Array]:
     return legvander(t, degree) @ inverse, legval(t, legder(np.eye(degree + 1))).T @ inverse
 
 
-def assemble(mesh: Mesh) -> Elements:
+def assemble_backward(mesh: Mesh) -> Elements:
     """Return the matrices and vectors on ``mesh``.
 
     They are of the backward operator in the coordinates (q, s), v = s w, times −w:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from averaging.phase_space.passage.elements import Elements, assemble
+from averaging.phase_space.passage.elements import Elements, assemble_backward
 from averaging.phase_space.passage.mesh import (
     Oscillator,
     displacement_mesh,
@@ -40,8 +40,7 @@ three; and named arguments for ``certify_passage``."""
 
 
 def phase_space_passage(asked: Asked) -> Passage:
-    """Return mean, variance and rate of the first passage ``asked`` for, and P(T <= t) at its
-    times.
+    """Return mean, variance, rate of the first passage ``asked`` for, and P(T <= t) at times.
 
     Meshes are refined until two successive levels agree to the tolerance, relative for mean,
     variance and rate, absolute for probabilities. Raises as ``fpk.answer.question`` says, and
@@ -90,7 +89,7 @@ def phase_space_passage(asked: Asked) -> Passage:
             break
         if on_orbit:
             state = orbit(o, energy, None if of_energy else most, 4 * (mesh.degree + 1))
-        results = _level_results(assemble(mesh), state, probes, times, tol)
+        results = _level_results(assemble_backward(mesh), state, probes, times, tol)
         if previous is not None:
             answer = _compare_levels(previous, results, times, tol)
             if answer.certificate.certified:

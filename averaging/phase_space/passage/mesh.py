@@ -119,8 +119,7 @@ def oscillator_of(system: System) -> Oscillator:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Panels in x and s with nodes ``x`` and ``s``, q = q(x), v = s w(q), polynomials of
-    ``degree``.
+    """Panels in x and s, nodes ``x`` and ``s``, q = q(x), v = s w(q); polynomials of ``degree``.
 
     Within |q| < b (``energy`` None) q = x and w = 1. Within H < E = ``energy``, q is ``centre`` +
     ``radius`` sin x and w = √(2 (E − V)/m), so that the limit is s = ±1. ``folded``: x >= 0 only,

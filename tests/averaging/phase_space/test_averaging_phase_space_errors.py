@@ -49,7 +49,8 @@ def understated(coarser, finest):
         (ladder.finest.basis.degrees, o, error / ladder.errors[o])
         for ladder in coarser
         for o in finest.errors
-        if (error := refinement.l1_distance(ladder.finest, finest.finest, o)) > ladder.errors[o]
+        if (error := refinement.solution_distance(ladder.finest, finest.finest, o))
+        > ladder.errors[o]
     ]
 
 
@@ -144,7 +145,7 @@ def test_a_smaller_tolerance_gives_no_larger_error_and_none_below_the_true_one(
 
 def test_an_earlier_density_is_kept_unless_a_later_one_contradicts_it(monkeypatch):
     coarse, fine = islice(solutions(SYSTEM, 1e11, observables=SINGLE[:1]), 2)
-    (o,), distance = SINGLE[:1], refinement.l1_distance
+    (o,), distance = SINGLE[:1], refinement.solution_distance
     own = distance(coarse.finest, fine.finest, o)
     for error, kept in ((1.01 * own, coarse), (0.99 * own, fine)):
         first = replace(coarse, errors={o: error})
