@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace, theory
-from averaging.gaussian import GAUSSIAN_REACH
 from averaging.phase_space import method as phase_space
 from averaging.phase_space import refinement
 from averaging.phase_space.dynamics import resolvent
@@ -195,7 +194,7 @@ CONSTANTS = {
         f"less than {refinement.LIGHT_RATIO} of the one before",
         f"{refinement.LEAST_RATIO} of the largest",
         f"from {resolvent.BLOCK} random vectors",
-        f"Velocities are followed {GAUSSIAN_REACH:.1f} kicks of noise",
+        f"Velocities are followed {math.sqrt(-2.0 * math.log(EPS)):.1f} kicks of noise",
         f"{first_passage.SAFETY:g} times the distance of the last two,"
         f" or {first_passage.SAFETY * first_passage.CHANCE_SHARE:g} times the largest relative one",
         f"A mean time beyond e^{-math.log(EPS):.0f} units",

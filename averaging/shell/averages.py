@@ -15,7 +15,7 @@ from scipy.special import beta
 from averaging.shell.laplace import MOMENT_ROUND_OFF, PartitionLines, by_lines, parts_of
 from averaging.shell.rays import EnergyShell, gauss_rules, ray_integrals
 from averaging.zero_flux import ENERGY_RULES
-from fpk.numeric.arrays import EPS, Array, Integers
+from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Integers
 from fpk.numeric.piecewise import Piecewise, fit
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 from fpk.system.system import System, looks_the_same_mirrored
@@ -30,8 +30,6 @@ TARGET = 3e-12
 POWER_TARGETS = (8e-13, 3e-14)
 """The same for the power of damping terms with one contact mass, for n = 1 and for n > 1: close to
 round-off, because the power cancels against the noise and its errors accumulate in ln p."""
-SUM_ROUND_OFF = 2e-15
-"""Relative round-off of a sum of some dozens of positive terms."""
 ROOT_ROUND_OFF = 4e-13
 """Relative round-off of the sum for one mass, ε points²: the integrand is 1/√v, v = 1 − V/H, and at
 the Gauss point next to the turning point v ~ 1/points²."""
@@ -87,8 +85,8 @@ def shell_columns(system: System, energy: Array) -> Array:
     """Return T/T_lin, Φ/Φ_lin, H T'/T and the g_d at ``energy`` (energies,), and their errors.
 
     The array is (energies, 2, 3 + degrees), values before errors. Σ_d g_d H^(1 + d/2) is the power
-    of the damping terms. The errors of the first two are relative and equal, the error of H T'/T is
-    not estimated and 0, the errors of g_d are absolute.
+    of the damping terms. The errors of the first two are relative and equal, the errors of g_d are
+    absolute; the error of H T'/T is not estimated.
     """
     shell, parts = system.fact(EnergyShell), system.fact(parts_of)
     columns = np.zeros((energy.size, 2, 3 + parts.degrees.size))
@@ -185,7 +183,7 @@ def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
     def error_of(coarse: Array, fine: Array) -> Array:
         size = np.abs(fine)
         size[:, 2] = np.maximum(size[:, 2], fine[:, 0])
-        return np.abs(coarse - fine) / size + (SUM_ROUND_OFF if n > 1 else ROOT_ROUND_OFF)
+        return np.abs(coarse - fine) / size + (ROUNDINGS * EPS if n > 1 else ROOT_ROUND_OFF)
 
     # With one contact mass the rays are the same for both rules; with two each rule has its own.
     first = [range(2)] if c == 1 else [range(1), range(1, 2)]

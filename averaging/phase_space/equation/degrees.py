@@ -67,7 +67,7 @@ class Degrees:
     def fewer(self, most: int, beyond: int) -> int:
         """Return the odd number of polynomials between stops for ``beyond`` beyond a stop.
 
-        ``most`` is the number for ``beyond`` = ``outer``, which falls to half at most.
+        Half of ``most``, the number for ``outer``, is in proportion to ``beyond``.
         """
         return 2 * int(0.25 * most * (1.0 + beyond / self.outer)) + 1
 

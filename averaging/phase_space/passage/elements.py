@@ -16,7 +16,6 @@ from averaging.phase_space.passage.mesh import Mesh
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
-from fpk.solvers.plane.time.transient import KRYLOV_SHARE
 
 EXTRA_POINTS = 12
 """Gauss points per panel beyond the degree, since the weight falls by e⁴⁰ over the mesh: with 4
@@ -27,6 +26,9 @@ elimination order, but let entries grow."""
 LARGEST_RESIDUAL = 1e-10
 """Residual of a solution, relative to the terms that cancel in it, above which the elimination is
 repeated with the next of ``PIVOTS``: small pivots have let the entries of the factors grow."""
+RELIABILITY_SHARE = 0.05
+"""Largest change of the reliability by the last Krylov vectors over the tolerance; 0.01 takes a
+third longer."""
 
 
 def factorise_sparse(matrix: csc_array) -> Any:
@@ -142,8 +144,8 @@ class Elements:
 
         ``start`` is the functional of the initial state. M F' = −K F + exit, F(0) = 0, is solved by
         Galerkin's method on the Krylov space of (K + σM)⁻¹M and the function 1, orthonormal in M,
-        which grows until the last change is below ``KRYLOV_SHARE`` times the tolerance ``tol``. At
-        H = E, where there are no unknowns, F = 1, which adds a constant.
+        which grows until the last change is below ``RELIABILITY_SHARE`` times the tolerance
+        ``tol``. At H = E, where there are no unknowns, F = 1, which adds a constant.
         """
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)
@@ -168,9 +170,9 @@ class Elements:
                 values[k] = at_limit + g @ F[:m]
             before, change, last = change, np.abs(values - last), values
             enough = tol * min(1.0, float(np.max(np.abs(values))))
-            if np.max(change) <= KRYLOV_SHARE * enough and np.max(before) <= enough:
+            if np.max(change) <= RELIABILITY_SHARE * enough and np.max(before) <= enough:
                 break
-        return last, np.maximum(change, KRYLOV_SHARE * before)
+        return last, np.maximum(change, RELIABILITY_SHARE * before)
 
 
 def shapes(degree: int, t: Array) -> tuple[Array, Array]:

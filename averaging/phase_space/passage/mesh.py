@@ -3,15 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from math import asin, ceil, inf, pi, sqrt
+from math import asin, ceil, inf, log, pi, sqrt
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import brentq
 
-from averaging.gaussian import GAUSSIAN_REACH
 from averaging.phase_space.equation.frame import contact_frame
-from fpk.numeric.arrays import SMALLEST, Array
+from fpk.numeric.arrays import EPS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.system.modulation import require_constant_noise
 from fpk.system.system import System
@@ -164,8 +163,9 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
     It is graded towards the glancing points (±b, 0), next to which T rises as v^½ and (b − |q|)^⅙,
     and ends at turning points.
     """
+    # Velocities end where a Gaussian of the width of a kick falls to ε: farther out pivots fail.
     kick, step, ends = o.kick(b), PANEL * FINER**level * o.kick(b), np.array([-b, b])
-    height, beyond = o.potential(ends), (GAUSSIAN_REACH + 0.7 * level) * kick
+    height, beyond = o.potential(ends), (sqrt(-2.0 * log(EPS)) + 0.7 * level) * kick
     swift = max(sqrt(2.0 * float(height.min()) / o.mass), fastest)
     farthest = 0.5 * o.mass * (swift + beyond) ** 2
     met = height <= farthest
