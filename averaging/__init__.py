@@ -1,9 +1,9 @@
 """System to Density by theory: stochastic averaging, exact and Gaussian solutions.
 
-``NonIntegrable`` averages the total energy, ``Integrable`` the energies of the modes; ``Exact`` and
-``Linear`` solve the full system where its damping and noise, or the lack of contacts, allow it,
-``PhaseSpace`` up to three masses with stops on one of them.
-Each is loaded, and its routes registered, when it is first used.
+``NonIntegrable`` averages the total energy, ``Integrable`` the energies of the modes. ``Exact``,
+``Linear`` and ``PhaseSpace`` solve the FPK equation of the full system: ``Exact`` if damping and
+noise meet condition (8), ``Linear`` if there are no contacts, ``PhaseSpace`` for up to three masses
+with stops on one of them. A method is imported, and its routes registered, at its first use.
 """
 
 from importlib import import_module
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Exact", "Integrable", "Linear", "NonIntegrable", "PhaseSpace"]
 
-_HOME = {
+_HOME_OF = {
     "Exact": "averaging.theory",
     "Integrable": "averaging.integrable",
     "Linear": "averaging.gaussian",
@@ -28,7 +28,7 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
-    """Load a method when it is first used."""
-    if name not in _HOME:
+    """Import the method ``name``; raise ``AttributeError`` if there is none of that name."""
+    if name not in _HOME_OF:
         raise AttributeError(f"module 'averaging' has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
+    return getattr(import_module(_HOME_OF[name]), name)

@@ -1,4 +1,4 @@
-"""From a density of the energy to q, p and the flux of q, Eqs. (23), (30)."""
+"""Densities of q and p, and the flux of q through a level, from u(H), Eqs. (23), (30)."""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,7 +7,7 @@ from math import ceil, pi
 import numpy as np
 
 from averaging.conditional import (
-    RULES,
+    HIDDEN_RULES,
     Conditional,
     conditionals,
     contact_levels,
@@ -24,16 +24,17 @@ from fpk.numeric.arrays import DEPTH, Array
 from fpk.solvers.line.mesh import DEEP_LAYERS, with_layers
 from fpk.system.system import System
 
-TIED = 0.2
-"""Width of a displacement given another one, relative to its own, below which the joint density is
-a ridge that panels of one thermal displacement do not resolve."""
+RIDGE_WIDTH = 0.2
+"""Conditional over unconditional thermal width of a displacement given another displacement, below
+which their joint density is a ridge that panels of one thermal displacement do not resolve."""
 
 
 def back_transformed(source: StateDensity, observable: Observable, *, tol: float) -> Density:
-    """Return the density of ``observable``, H or one or two of (q, p), from u(H), judged by tol.
+    """Return the density of ``observable``, H or one or two of (q, p), from u(H) = ``source``.
 
-    Momenta and masses without contact are quadratic in H and integrated out exactly (Weyl
-    integrals of u), hidden contact masses by quadrature, two at the most unless u is exponential.
+    Momenta and masses without contact are quadratic in H and integrated out exactly, by Weyl
+    integrals of u; contact masses that are not observed by quadrature (``energy_only_refusal`` says
+    how many). The certificate compares the L1 error with ``tol``.
     """
     system = source.system
     if observable[0].kind == "H":
@@ -42,7 +43,8 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         nodes = with_layers(solution.nodes, solution.process.nonsmooth, count=DEEP_LAYERS)
 
         def own(energy: Array) -> Array:
-            """Relative error of T, at a contact energy perhaps worse than on the mesh of u."""
+            """Relative error of T, which next to a contact energy may exceed the error on the
+            mesh."""
             x, _ = solution.process.on_mesh(energy, float(nodes[-1]))
             return shell_averages(system, x.ravel()).error.reshape(x.shape)
 
@@ -55,19 +57,19 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
     def panels(c: Coordinate) -> Array:
         if c.kind == "q":
             return displacement_panels(system, c.row, temperature=T, end=end)
-        # At the most two thermal momenta each, 16 or more.
+        # Panels of at most two thermal momenta, at least 16.
         reach = np.sqrt(2.0 * system.mass[c.row] * end)
         return np.linspace(-reach, reach, max(16, ceil(np.sqrt(2.0 * end / T))) + 1)
 
     frame = None
     q = tuple(c.row for c in observable if c.kind == "q")
     if len(q) == 2:
-        # Two displacements that are tied: one, and the distance of the other from its mean given
-        # that. The one has stops where only one has: none of them lies across the panels then.
+        # On a ridge: one displacement, and the deviation of the other from its conditional mean. If
+        # only one mass has stops it comes first, so that no stop runs across the panels.
         swapped = q[0] not in system.contact_masses
         first, second = conditionals(system, q[::-1] if swapped else q)
         width = float(np.sqrt(T / second.precision))
-        if width <= TIED * np.sqrt(T * system.compliance[second.mass, second.mass]):
+        if width <= RIDGE_WIDTH * np.sqrt(T * system.compliance[second.mass, second.mass]):
             reach = float(np.sqrt(2.0 * end / second.precision))
             apart = np.linspace(-reach, reach, ceil(2.0 * reach / width) + 1)
             matrix = np.array([[1.0, 0.0], [second.weights[0], 1.0]])
@@ -88,25 +90,26 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
 def marginal_of(
     source: StateDensity, observable: Observable, *, flux_of: float | None = None
 ) -> tuple[Callable[..., Array], Callable[..., Array], Callable[..., Array]]:
-    """Return the integral of u(H) over all but the observed (q, p), its error, and a part of that.
+    """Return the integral of u(H) over all but the observed (q, p), and two functions of its error.
 
-    The first two are functions of q and p, broadcast together; the part by tables and quadrature
-    is a function of the integral and the same points. ``flux_of``, a mass: the momentum of the one
-    displacement is integrated over its velocity > 0.
+    The first two results map arrays of q and p, broadcast together, to the integral and to its
+    whole error; the third maps the integral and the same arrays to the error of tables and
+    quadrature alone. If ``flux_of`` is the mass m of the observed displacement, the integral is
+    ∫_0^∞ (p/m) f dp, the upcrossings per unit time.
     """
     system, T = source.system, source.temperature
     q = [c.row for c in observable if c.kind == "q"]
     hidden = [i for i in system.contact_masses if i not in q]
-    order, log_factor, laws = reduced(system, observable, hidden, source.unit)
-    if flux_of is not None:  # dx of x = p²/2m in the place of dp
+    order, log_factor, laws = reduction(system, observable, hidden, source.unit)
+    if flux_of is not None:  # (p/m) dp = dx, x = p²/2m
         order, log_factor = order + 0.5, log_factor - 0.5 * np.log(2.0 * pi * flux_of)
-    coarse, fine = RULES[min(len(hidden), len(RULES) - 1)]
+    coarse, fine = HIDDEN_RULES[min(len(hidden), len(HIDDEN_RULES) - 1)]
     laws_hidden, weyl = laws[len(q) :], source.weyl(order)
     widths = np.prod([np.sqrt(2.0 * pi * T / law.precision) for law in laws_hidden])
 
     def marginal(*x: Array, part: Part = "value", points: int = fine) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
-        Q, energy = observed_energy(system, observable, laws, [a.ravel() for a in arrays])
+        Q, energy = energy_of_observed(system, observable, laws, [a.ravel() for a in arrays])
         if source.gibbs:
             factor, error = gibbs_integral(system, q, Q, temperature=T, points=points)
             own = error * weyl(energy) if part == "table" else factor * weyl(energy, part)
@@ -117,26 +120,28 @@ def marginal_of(
                 f, energy, Q, laws_hidden, temperature=T, end=end, points=points
             )
             if part == "table":
-                # The grids leave out V above the end, and ``DEPTH`` above E. Contact only adds to
-                # V: the rest is below Ψ at that energy times a width for each mass.
+                # The grids omit E + V above ``top``. Contact only adds to V, so the omitted
+                # integral is at most Ψ(top) times the Gaussian width of each mass.
                 top = np.maximum(end, energy + DEPTH * T)
                 result = result + len(hidden) * widths * weyl(top)
         return np.asarray(np.exp(log_factor) * result).reshape(arrays[0].shape)
 
     def added(values: Array, *x: Array) -> Array:
-        error = marginal(*x, part="table", points=coarse)  # enough for an error
+        error = marginal(*x, part="table", points=coarse)
         return error + np.abs(values - marginal(*x, points=coarse)) if hidden else error
 
     return marginal, lambda *x: marginal(*x, part="error") + added(marginal(*x), *x), added
 
 
-def reduced(
+def reduction(
     system: System, observable: Observable, hidden: list[int], unit: float
 ) -> tuple[float, float, tuple[Conditional, ...]]:
-    """Return ν and ln of (2π)^ν/(√det T_lin) of the quadratic coordinates integrated out, and laws.
+    """Return the order ν of the Weyl integral of u that the marginal density is, its factor, laws.
 
-    The laws are of the observed displacements, then of the ``hidden``. T_lin is the density of
-    states without contact at ``unit``.
+    2ν quadratic coordinates are integrated out exactly, which gives the factor (2π)^ν/(√det T_lin),
+    returned as its logarithm; det is of their quadratic form, T_lin the density of states without
+    contact at the energy ``unit``. The conditional laws are of the observed displacements in the
+    order of ``observable``, then of the contact masses ``hidden`` (0-based).
     """
     q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
     laws = conditionals(system, [*q, *hidden])
@@ -149,10 +154,14 @@ def reduced(
     return order, float(log_factor - log_linear_states(system, unit)), laws
 
 
-def observed_energy(
+def energy_of_observed(
     system: System, observable: Observable, laws: tuple[Conditional, ...], at: list[Array]
 ) -> tuple[Array, Array]:
-    """Return the observed displacements (observed, N), and the energy (N,) that they and p have."""
+    """Return the observed displacements (displacements, N) and the energy (N,) of all observed.
+
+    ``at`` are the arrays (N,) of q and p in the order of ``observable``; masses that are not
+    observed are at their conditional minimum, at rest. ``laws`` begin with the observed masses'.
+    """
     momenta = [(c.row, x) for c, x in zip(observable, at, strict=True) if c.kind == "p"]
     displacements = [x for c, x in zip(observable, at, strict=True) if c.kind == "q"]
     Q = np.array(displacements).reshape(len(displacements), at[0].size)
@@ -163,9 +172,11 @@ def observed_energy(
 
 
 def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:
-    """Return panel nodes of q_mass (from 0) up to ``end``, a thermal displacement wide.
+    """Return panel nodes of q_mass (0-based) at energies up to ``end``, a thermal width apart.
 
-    Layers lie beyond every stop of the mass, and around where another, tied to it, begins to touch.
+    The thermal width is the standard deviation at ``temperature`` without contact. Panels are
+    graded beyond every stop of the mass, and about the displacements at which another mass, whose
+    width given q_mass is smaller, has its conditional mean at one of its stops.
     """
     compliance = system.compliance
     own = float(compliance[mass, mass])
@@ -176,7 +187,7 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
     for stop in system.stops:
         if stop.index == mass:
             continue
-        # Where the mean of the other mass, given this one, is at its stop.
+        # The displacement at which the conditional mean of the other mass is at its stop.
         share = float(compliance[stop.index, mass]) / own
         touch = stop.sign * stop.clearance / share
         (other,) = conditionals(system, [mass, stop.index])[1:]

@@ -1,7 +1,8 @@
-"""Laws of displacements of a chain given those of some other masses, and integrals over them.
+"""Conditional laws of displacements of a chain given other displacements, and integrals over them.
 
-A mass depends on its nearest neighbours among these alone, through the springs in between in
-series: nothing in its law ½ a (q − μ)² + U(q) cancels at any ratio of the springs.
+Given some masses, a mass depends on the nearest of these on either side alone, through the springs
+in between in series. So no two terms of its potential ½ a (q − μ)² + U(q) cancel, however different
+the springs are.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,31 +11,34 @@ from math import ceil, exp, log2
 
 import numpy as np
 
-from fpk.numeric.arrays import DEPTH, Array
+from fpk.numeric.arrays import DEPTH, ROUND_OFF, Array
 from fpk.numeric.piecewise import Piecewise, fit
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.contact import Contact
 from fpk.system.system import System
 
 WIDTHS_PER_PANEL = 1.8
-"""Longest panel, in √(T/a), T the temperature: ten Gauss points meet ∫exp(−½x²) to 1e-15."""
-LEVELS = (1e-5, 1e-3, 0.1, 1.0)
-"""Contact energies in units of T between which panels lie beyond a stop, then twice the one before:
-over [x, 2x] a Gauss rule of ten points misses at most 2e-12 of exp(−x), at x = 16."""
-FIT_TOLERANCE = 1e-13
-"""Largest error of the integral over all masses beyond one, 0 to 1; round-off is a tenth of it."""
-RULES = ((1, 1), (10, 14), (8, 10), (14, 18))
-"""Gauss points per panel over 0, 1, 2 or more hidden contact masses, and of the finer rule of the
-answer: the distance is its error. The errors of passes along a chain add up."""
-CHUNK = 50_000
-"""Points of the innermost integral evaluated at once: their arrays stay in the cache."""
+"""Longest panel in √(T/a), T the temperature: ten Gauss points give ∫exp(−½x²) dx to 1e-15."""
+CONTACT_LEVELS = (1e-5, 1e-3, 0.1, 1.0)
+"""Contact energies in units of T at which panels beyond a stop end; each further energy is twice
+the last: over [x, 2x] ten Gauss points integrate exp(−x) to 2e-12, the worst case being x = 16."""
+HIDDEN_RULES = ((1, 1), (10, 14), (8, 10), (14, 18))
+"""Gauss points per panel of the comparison rule and of the answer, by the number of hidden contact
+masses: 0, 1, 2, more. The difference of the two integrals is the stated error; more masses need
+more points, as the errors of the passes along a chain add up."""
+CACHED_POINTS = 50_000
+"""Points of the innermost integral evaluated at once, so that their arrays stay in the cache."""
+MOST_POINTS = 4000
+"""Largest number of quadrature points along one displacement, as many as two masses need that are
+tied by 1e5 times the other stiffness; a pass along a chain then takes seconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Conditional:
-    """Law of q_mass (from 0) given others: ½ a (q − Σ w_k q_k)² + U(q), a = ``precision``.
+    """Potential of q_mass (0-based) given other displacements q_k: ½ a (q − Σ w_k q_k)² + U(q).
 
-    a is the stiffness of the springs to the neighbours among the others; ``weights`` w (others,).
+    ``precision`` a is the stiffness of the springs to the nearest of the given masses, ``weights``
+    w (given masses,) the effect of each on the mean.
     """
 
     system: System
@@ -48,12 +52,12 @@ class Conditional:
         return tuple(stop for stop in self.system.stops if stop.index == self.mass)
 
     def energy(self, q: Array, mean: Array) -> Array:
-        """½ a (q − mean)² + U(q)."""
+        """Return ½ a (``q`` − ``mean``)² + U(``q``)."""
         return 0.5 * self.precision * (q - mean) ** 2 + self.system.contact_energy(self.mass, q)
 
 
 def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
-    """Return the law of q_mass given the displacements of ``given`` (masses from 0)."""
+    """Return the law of q of ``mass`` given the displacements of the masses ``given`` (0-based)."""
     flexibility, weights = 1.0 / system.stiffness, np.zeros(len(given))
     below = max((k for k in given if k < mass), default=-1)
     above = min((k for k in given if k > mass), default=None)
@@ -66,7 +70,7 @@ def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
 
 
 def conditionals(system: System, masses: Sequence[int]) -> tuple[Conditional, ...]:
-    """Return the law of each displacement given those before it: Π √a_k² is det K_red."""
+    """Return the law of each of ``masses`` given the masses before it; Π a_k is det K_red."""
     return tuple(conditional(system, mass, masses[:k]) for k, mass in enumerate(masses))
 
 
@@ -83,20 +87,21 @@ def hidden_integral(
 ) -> Array:
     """Return ∫ f(E + V(hidden | observed)) over up to two hidden displacements, (N,).
 
-    E = ``energy`` (N,) and ``given`` (observed, N) are of the observed masses, each of the ``laws``
-    is given these and the hidden ones before it. f falls by 1/e over ``temperature`` and vanishes
-    beyond ``end``. Panels have ``points``. ``beyond`` of the last displacement multiplies f.
+    E = ``energy`` (N,) and the displacements ``given`` (observed, N) are of the observed masses;
+    each of ``laws`` is the law of a hidden mass given these and the hidden masses before it. f
+    falls by 1/e over ``temperature`` and is 0 beyond ``end``. ``points`` Gauss points are taken on
+    each panel. ``beyond``, a function of the last hidden displacement, multiplies f; None: 1.
     """
     if not laws:
         return f(energy)
-    # Opposite momenta have the same energy: each distinct point is integrated once.
+    # Opposite momenta have the same energy: each distinct column is integrated once.
     distinct, index = np.unique(np.vstack([energy, given]), axis=1, return_inverse=True)
     count = ceil(np.sqrt(2.0 * max(end / temperature, DEPTH)) / WIDTHS_PER_PANEL)
     shares, (t, w) = np.linspace(-1.0, 1.0, 2 * count + 1), gauss_legendre(points)
     levels = contact_levels(temperature, end)
     stops = [[beyond_stop(stop, levels)[None] for stop in law.stops] for law in laws]
-    # About 30 panels of each hidden mass are not empty.
-    chunks = distinct.shape[1] * (30 * points) ** len(laws) // CHUNK + 1
+    # Estimate of the size: about 30 panels of each hidden mass have a positive length.
+    chunks = distinct.shape[1] * (30 * points) ** len(laws) // CACHED_POINTS + 1
     parts = []
     for E, *Q in np.array_split(distinct, min(chunks, distinct.shape[1]), axis=1):
         size = E.size
@@ -105,7 +110,7 @@ def hidden_integral(
             mean, height = law.weights @ q, np.maximum(end - E, DEPTH * temperature)
             layers = [_first_touch(law, other, q, height, temperature) for other in laws[k + 1 :]]
             layers += [] if beyond is None else [beyond.nodes[None]]
-            # Panels are uniform as far as the springs alone let the mass go from its mean.
+            # Uniform panels cover the deviations from the mean that the springs alone allow.
             reach = np.sqrt(2.0 * height / law.precision)[:, None]
             uniform = mean[:, None] + reach * shares
             ends = [np.clip(x, uniform[:, :1], uniform[:, -1:]) for x in layers + stops[k]]
@@ -125,12 +130,13 @@ def hidden_integral(
 def gibbs_integral(
     system: System, observed: Sequence[int], at: Array, *, temperature: float, points: int
 ) -> tuple[Array, float]:
-    """Return ∫exp(−V(hidden | observed)/T) Π √(a_k/2πT) over all contact masses not ``observed``.
+    """Return ∫exp(−V(hidden | observed)/T) Π √(a_k/2πT) (N,) over the contact masses not observed.
 
-    With it comes the error of interpolation, to which that of the rule of ``points`` adds. ``at``
-    (observed, N) are displacements. Up to two hidden masses between them are integrated at once, a
-    chain on either side from the last mass to the first: the integral over all that lies beyond a
-    mass is a smooth function of its displacement, 0 to 1.
+    The second result bounds the error of interpolation, without the error of the Gauss rule of
+    ``points`` on each panel. ``at`` (observed, N) are the displacements of the masses ``observed``
+    (0-based), T is ``temperature``. Up to two hidden masses between observed masses are integrated
+    at once; masses outside are integrated one after another, from the farthest inwards, as the
+    integral over all masses beyond a mass is a smooth function of its displacement, from 0 to 1.
     """
 
     def over(laws: Sequence[Conditional], given: Array, beyond: Piecewise | None = None) -> Array:
@@ -151,7 +157,7 @@ def gibbs_integral(
     low, high = min(observed, default=-1), max(observed, default=-1)
     between = [i for i in hidden if low < i < high]
     value = over(conditionals(system, [*observed, *between])[len(observed) :], at)
-    total = len(hidden) * exp(-DEPTH)  # what the grids leave out
+    total = len(hidden) * exp(-DEPTH)  # bounds the integral outside the grids
     for first, others in (
         (low, [i for i in reversed(hidden) if i < low]),
         (high, [i for i in hidden if i > high]),
@@ -161,12 +167,12 @@ def gibbs_integral(
         x = at[observed.index(first)] if observed else np.zeros(at.shape[1])
         x, index = np.unique(x, return_inverse=True)
         reach = np.cumsum([np.sqrt(2.0 * DEPTH * temperature / law.precision) for law in laws])
-        beyond, error, scale = None, 0.0, 1.0  # the error in units of the scale
+        beyond, error, scale = None, 0.0, 1.0  # ``error`` is in units of ``scale``
         for law, most in reversed(list(zip(laws[1:], np.max(np.abs(x)) + reach, strict=False))):
-            # In units of its value at rest: along many masses it becomes very small.
+            # In units of the value at rest, since the product along many masses becomes very small.
             top = float(over([law], np.zeros((1, 1)), beyond)[0])
-            # The total weight of ``beyond``, and with it of its error, is 1 at the most. It is
-            # largest where the mean is between the stops, or far beyond where there is one alone.
+            # Largest factor by which the next integral multiplies the error of ``beyond``: it
+            # occurs with the mean between two stops, or far away from a single stop.
             free = [stop.sign * min(stop.clearance, most) for stop in law.stops]
             means = [np.linspace(-most, most, 33), np.linspace(min(free), max(free), 9)]
             weight = float(over([law], np.concatenate(means)[None]).max())
@@ -176,7 +182,7 @@ def gibbs_integral(
             ) -> Array:
                 return np.asarray(over([law], x[None], rest) / top)
 
-            beyond = fit(in_units, np.linspace(-most, most, 9), FIT_TOLERANCE)
+            beyond = fit(in_units, np.linspace(-most, most, 9), ROUND_OFF)
             assert beyond.error is not None
             error, scale = error * weight / top + float(beyond.error.max()), scale * top
         given = x[None] if observed else np.zeros((0, x.size))
@@ -188,10 +194,14 @@ def gibbs_integral(
 def _first_touch(
     law: Conditional, other: Conditional, given: Array, height: Array, temperature: float
 ) -> Array:
-    """Layers (N, layers) around where the next hidden mass, at its mean, begins to touch."""
+    """Return panel ends (N, ends) about the q at which ``other`` has its mean at one of its stops.
+
+    ``law`` is of q, ``other`` of the next hidden mass; ``given`` (masses, N) are the displacements
+    before q, ``height`` (N,) the largest energy of q, ``temperature`` the scale of energy.
+    """
     share = other.weights[-1]
     if share == 0.0 or not other.stops:
-        return np.empty((given.shape[1], 0))  # an observed mass lies in between
+        return np.empty((given.shape[1], 0))  # an observed mass lies between the two
     width = float(np.sqrt(temperature / other.precision))
     reach = share * float(np.sqrt(2.0 * height.max() / law.precision))
     steps = width * 2.0 ** (np.arange(max(ceil(log2(reach / width)), 0) + 2) - 1.0)
@@ -203,9 +213,10 @@ def _first_touch(
 def stop_panels(
     system: System, mass: int, *, width: float, end: float, levels: Sequence[float]
 ) -> Array:
-    """Return nodes of q_mass (from 0) up to the energy ``end``, at most ``width`` apart.
+    """Return panel nodes of the displacement of ``mass`` (0-based), at most ``width`` apart.
 
-    Panels also end where a stop takes up the energies ``levels``.
+    They reach up to the potential energy ``end``. Panels also end at the stops of the mass and at
+    the displacements at which a stop has the contact energies ``levels``.
     """
     most = float(np.sqrt(2.0 * system.compliance[mass, mass] * end))
     stops = [stop for stop in system.stops if stop.index == mass]
@@ -219,11 +230,16 @@ def stop_panels(
 
 
 def contact_levels(temperature: float, end: float) -> list[float]:
-    """Return contact energies at which panels end, from ``LEVELS`` of T to ``end``, ascending."""
+    """Return contact energies (levels,) at which panels end, ascending up to at least ``end``.
+
+    ``CONTACT_LEVELS`` times ``temperature``, then each twice its predecessor.
+    """
     doublings = ceil(log2(max(end / temperature, DEPTH)))
-    return [temperature * level for level in (*LEVELS, *2.0 ** np.arange(1.0, doublings + 1.0))]
+    return [
+        temperature * level for level in (*CONTACT_LEVELS, *2.0 ** np.arange(1.0, doublings + 1.0))
+    ]
 
 
 def beyond_stop(stop: Contact, levels: Sequence[float]) -> Array:
-    """Return displacements at the stop and where its contact energy is one of ``levels``."""
+    """Return the displacements at which ``stop`` has the contact energies 0 and ``levels``."""
     return stop.sign * (stop.clearance + np.array([0.0, *map(stop.overlap_at, levels)]))

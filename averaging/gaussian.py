@@ -1,6 +1,6 @@
-"""Gaussian states, and linear scenes: their density by the Lyapunov equation, and their motion.
+"""Gaussian states, and the linear system: density by the Lyapunov equation, motion in time.
 
-The energy of a Gaussian state is a sum of independent gamma variables.
+The energy of a Gaussian state is a weighted sum of independent gamma variables.
 """
 
 import heapq
@@ -25,30 +25,34 @@ from fpk.numeric.errors import NotApplicable
 from fpk.system.linear import linear_covariance, stationary_covariance
 from fpk.system.system import System
 
-EXPM = 160.0
-"""Round-off of e^(At) in units of that of t A, and of the masses: against 50 digits, of 800 lags of
-270 systems, one to three masses, up to 1e4 radians, 80 was the most."""
-REACH = 8.5
-"""Half-width of the support in standard deviations."""
-WIDTH = 3.0
+EXPM_ROUND_OFF = 160.0
+"""Stated round-off of e^(At) over ε n (1 + t‖A‖)‖e^(At/2)‖, n masses: twice the largest ratio to
+the true error, from computations with 50 digits, of 800 lags of 270 systems of one to three
+masses."""
+GAUSSIAN_REACH = (2.0 * DEPTH) ** 0.5
+"""Half-width of the support of a Gaussian density in standard deviations: there the density is
+e^−``DEPTH`` of its maximum."""
+PANEL_WIDTH = 3.0
 """Largest width of a panel in standard deviations of one coordinate given the other."""
-PANELS = (17, 120)
-"""Least and largest number of panels along an axis; correlations above 0.999 would need more."""
-NODES = (30, 40)
-"""Nodes on half of the contour, of the coarser sum and of the answer: 32 reach round-off."""
+GAUSSIAN_PANELS = (17, 120)
+"""Smallest and largest number of panels along an axis; correlations above 0.999 would need more."""
+CONTOUR_NODES = (30, 40)
+"""Nodes on half of the contour, of the comparison sum and of the answer: 32 reach round-off."""
 MIN_CROSSING = 2.0
-"""Least product of x and the point where the contour crosses the real axis: nearer to the
+"""Smallest product of x and the point at which the contour crosses the real axis: nearer to the
 singularity the sum needs more nodes, farther from it large terms cancel."""
 SADDLE_STEPS = 12
-"""Fixed-point steps to the saddle; any point between it and the first guess serves."""
+"""Fixed-point steps to the saddle point; every iterate may serve as the crossing point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
     """Gaussian state (q, p) = F ξ, ξ independent standard normal, whose energy is Σ λ_j G_j.
 
-    ``factor`` F (2n, k): F Fᵀ is the covariance, known to ``relative_error`` as a quadratic form.
-    ``scales`` λ, ``shape`` and ``scale_errors`` as in ``gamma_sum``; ``residual`` of the equation.
+    ``factor`` is F (2n, k), F Fᵀ the covariance; ``relative_error`` bounds the relative error of
+    the variance xᵀ F Fᵀ x of any x. ``scales`` λ (k,) and ``scale_errors`` (k,) are energies, G_j
+    has the gamma distribution of ``shape`` and scale 1 (``gamma_sum``). ``residual`` is the
+    relative residual of the equation that the state solves.
     """
 
     factor: Array
@@ -59,7 +63,7 @@ class Gaussian:
     residual: float
 
     def refusal(self, observable: Observable) -> str | None:
-        """Return why there is no density: two of (q, p) are in one proportion at all times."""
+        """Return why there is no joint density, one coordinate being a multiple of the other."""
         if len(observable) < 2:
             return None
         rows, _, L = self._standardised(observable)
@@ -69,25 +73,28 @@ class Gaussian:
         return f"{name}: one is a multiple of the other at all times: there is no joint density"
 
     def _standardised(self, observable: Observable) -> tuple[Array, Array, Array]:
-        """Rows of F, their scales, and L with x/scale = L y and independent standard y."""
+        """Return rows of F, standard deviations and L: x = deviation L y with cov y = 1."""
         rows = self.factor[state_rows(observable, self.factor.shape[0] // 2)]
         scale = np.linalg.norm(rows, axis=1)
         L = qr((rows / scale[:, None]).T, mode="r")[0][: len(observable)].T
         return rows, scale, np.asarray(L)
 
     def density(self, observable: Observable, *, tol: float) -> Density:
-        """Return the density of H, or of one or two of (q, p); raise as ``refusal`` says."""
+        """Return the density of H, or of one or two of (q, p), certified against ``tol``.
+
+        Raises ``NotApplicable`` with the reason that ``refusal`` gives.
+        """
         if observable[0].kind == "H":
             return self._energy_density(observable, tol)
         if reason := self.refusal(observable):
             raise NotApplicable(reason)
         count = len(observable)
         rows, scale, L = self._standardised(observable)
-        # Round-off of the rows counts by the condition of L.
+        # The round-off of the rows is multiplied by the condition number of L.
         relative = self.relative_error + 8.0 * EPS * rows.shape[1] * float(np.linalg.cond(L))
         height = (2.0 * np.pi) ** (-0.5 * count) / abs(float(np.prod(np.diag(L)) * np.prod(scale)))
-        width = WIDTH * float(np.min(np.abs(np.diag(L))))
-        panels = int(np.clip(np.ceil(2.0 * REACH / width), *PANELS))
+        width = PANEL_WIDTH * float(np.min(np.abs(np.diag(L))))
+        panels = int(np.clip(np.ceil(2.0 * GAUSSIAN_REACH / width), *GAUSSIAN_PANELS))
 
         def half_square(x: Sequence[Array]) -> Array:
             z = np.stack(np.broadcast_arrays(*x))
@@ -99,21 +106,24 @@ class Gaussian:
             exponent = half_square(x)
             return np.asarray(relative * (exponent + 0.5 * count) * height * np.exp(-exponent))
 
-        tail = count * erfc(REACH * 0.5**0.5)
+        tail = count * erfc(GAUSSIAN_REACH * 0.5**0.5)
         return certify_density(
             observable,
-            tuple(np.linspace(-REACH * s, REACH * s, panels + 1) for s in scale),
+            tuple(np.linspace(-GAUSSIAN_REACH * s, GAUSSIAN_REACH * s, panels + 1) for s in scale),
             lambda *x: height * np.exp(-half_square(x)),
             pointwise,
             measured=Measured(count * relative + tail, np.nan, np.inf, self.residual, tail),
             tol=tol,
-            # The mass is measured at x = scale L y, where no correlation makes a ridge.
-            frame=(scale[:, None] * L, (np.linspace(-REACH, REACH, PANELS[0] + 1),) * count),
+            # The mass is integrated in y, x = scale L y: in x a correlation makes a ridge.
+            frame=(
+                scale[:, None] * L,
+                (np.linspace(-GAUSSIAN_REACH, GAUSSIAN_REACH, GAUSSIAN_PANELS[0] + 1),) * count,
+            ),
         )
 
     def _energy_density(self, observable: Observable, tol: float) -> Density:
         largest, tail = float(np.max(self.scales)), float(np.exp(-DEPTH))
-        # Chernoff's bound at s = 7/8 of the least rate: P(X > E) <= e^(−sE) Π (1 − s λ_j)^−shape.
+        # Chernoff's bound with s = 7/8 of 1/max λ: P(X > E) <= e^(−sE) Π (1 − s λ_j)^−shape.
         s = 0.875 / largest
         end = (DEPTH - self.shape * float(np.sum(np.log1p(-s * self.scales)))) / s
         nodes, least = [0.0], max(float(np.min(self.scales)), EPS * end)
@@ -126,8 +136,10 @@ class Gaussian:
         return certify_density(
             observable,
             (np.array([*nodes[:-1], end]),),
-            # A third of the cost of its error.
-            lambda energy: _contour(self.scales, self.shape, energy, NODES[1])[0].real.sum(axis=-1),
+            # Without the error, whose evaluation takes twice as long as that of the density.
+            lambda energy: _contour(self.scales, self.shape, energy, CONTOUR_NODES[1])[0].real.sum(
+                -1
+            ),
             error,
             measured=Measured(tail, np.nan, np.inf, self.residual, tail),
             tol=tol,
@@ -136,7 +148,7 @@ class Gaussian:
 
 
 def state_rows(observable: Observable, n: int) -> list[int]:
-    """Return where the coordinates of ``observable`` stand in (q, p) of n masses."""
+    """Return the indices of the coordinates of ``observable`` in (q, p) (2n,) of ``n`` masses."""
     return [c.row + (n if c.kind == "p" else 0) for c in observable]
 
 
@@ -144,17 +156,18 @@ def gamma_sum(scales: Array, shape: float, errors: Array, x: Array) -> tuple[Arr
     """Return the density of Σ λ_j G_j at ``x`` of any shape, and an estimate of its error.
 
     G_j are independent gamma variables of the given ``shape`` and scale 1, λ_j >= 0 the ``scales``
-    (k,), known to ``errors`` (k,). It is the inverse Laplace transform of Π (1 + λ_j s)^−shape:
-    with z = 1 + λ_max s the trapezoidal rule on the parabola z = c (1 + iu)², through the saddle c
-    or to its right, converges geometrically for any ratios of the scales, to a relative accuracy
-    (Weideman and Trefethen, Math. Comp. 76 (2007) 1341). Partial fractions cancel for near scales.
+    (k,), whose errors are ``errors`` (k,). The density is the inverse Laplace transform of
+    Π (1 + λ_j s)^−shape: with z = 1 + λ_max s the trapezoidal rule on the parabola z = c (1 + iu)²,
+    c at the saddle point or to its right, converges geometrically and with relative accuracy for
+    any ratios of the scales (Weideman and Trefethen, Math. Comp. 76 (2007) 1341); partial fractions
+    cancel if scales are nearly equal.
 
-    The error holds the distance to a coarser contour, the round-off of the terms, and the
-    derivatives of the density with respect to the scales, ∂ ln p^/∂λ_j = −shape s/(1 + λ_j s).
+    The error is the sum of the difference to a coarser contour, the round-off of the terms, and the
+    effect of ``errors`` by ∂ ln p^/∂λ_j = −shape s/(1 + λ_j s), p^ the Laplace transform.
     """
-    terms, exponent, z = _contour(scales, shape, x, NODES[1])
+    terms, exponent, z = _contour(scales, shape, x, CONTOUR_NODES[1])
     density: Array = terms.real.sum(axis=-1)
-    error = np.abs(density - _contour(scales, shape, x, NODES[0])[0].real.sum(axis=-1))
+    error = np.abs(density - _contour(scales, shape, x, CONTOUR_NODES[0])[0].real.sum(axis=-1))
     largest = np.max(scales)
     for r, of_scale in zip(scales / largest, errors, strict=True):
         slope = np.sum(terms * (z - 1.0) / (1.0 - r + r * z), axis=-1).real
@@ -164,9 +177,11 @@ def gamma_sum(scales: Array, shape: float, errors: Array, x: Array) -> tuple[Arr
 
 
 def _contour(scales: Array, shape: float, x: Array, nodes: int) -> tuple[Array, Array, Array]:
-    """Terms of the sum, their exponents and z, (*shape of x, nodes).
+    """Return the terms of the sum of ``gamma_sum`` on ``nodes`` nodes, their exponents, and z.
 
-    The terms are 0 for x < 0, and at 0 those of the limit from above.
+    All three are (*shape of ``x``, nodes). The density is the sum of the real parts of the terms;
+    ``scales`` (k,) and ``shape`` are as there. For x < 0 the terms are 0, for x = 0 their limits
+    from above.
     """
     largest = float(np.max(scales))
     t = np.maximum(x / largest, SMALLEST**0.5)[..., None]
@@ -180,7 +195,7 @@ def _contour(scales: Array, shape: float, x: Array, nodes: int) -> tuple[Array, 
     z = crossing * (1.0 + u) ** 2
     exponent = t * (z - 1.0)
     for r in ratio:
-        factor = 1.0 - r + r * z  # whose complex logarithm takes three times as long
+        factor = 1.0 - r + r * z  # np.log of a complex array takes three times as long
         exponent -= shape * (np.log(np.abs(factor)) + 1j * np.angle(factor))
     length = np.where(x[..., None] >= 0.0, 2.0 * crossing * step / (np.pi * largest), 0.0)
     return np.exp(exponent) * (1.0 + u) * length, exponent, z
@@ -188,15 +203,15 @@ def _contour(scales: Array, shape: float, x: Array, nodes: int) -> tuple[Array, 
 
 @dataclass(frozen=True)
 class Linear(Theory):
-    """Gaussian density with the covariance of the Lyapunov equation, for a scene without contact.
+    """Gaussian density with the covariance of the Lyapunov equation, for a system without contact.
 
-    It is the exact stationary density of the full linear system, Eq. (6); averaging does not
-    reproduce it unless (8) holds, and the difference is the averaging error. ::
+    It is the exact stationary density of the full linear system, Eq. (6). The averaged equations
+    have the same density only if (8) holds; the difference is the averaging error. ::
 
         free = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
         fpk.solve(free, ["q2"], methods=[Linear()])
 
-    Of the second mass crossings of levels, spectrum and autocovariance::
+    Crossings of levels, spectrum and autocovariance of the second mass, and relaxation rates::
 
         Linear().crossings(free, parse_observable("q2", 2), np.array([0.0, 0.5])).values
         Linear().spectrum(free, parse_observable("q2", 2), np.linspace(0.0, 2.0, 5)).values
@@ -209,7 +224,7 @@ class Linear(Theory):
     colour = "#b86cfa"
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` where it is not Gaussian."""
+        """Return the plan for ``system``; raise ``NotApplicable`` if it is not Gaussian."""
         if system.contacts:
             raise NotApplicable("the system has contacts, so its density is not Gaussian")
         modes = system.fact(linear_covariance)
@@ -229,14 +244,14 @@ class Linear(Theory):
         )
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            densities = tuple(gaussian.density(o, tol=self.wanted(system)) for o in observables)
+            densities = tuple(gaussian.density(o, tol=self.tol_for(system)) for o in observables)
             return Result(self, densities, settings={"equation": "Lyapunov"})
 
         return Plan(lambda o: energy_only_refusal(system, o) or gaussian.refusal(o), solve)
 
     @answer
     def crossings(self, asked: Asked) -> Curve:
-        """Return Rice's rates σ_v/(2πσ_q) exp(−a²/2σ_q²) of a Gaussian at the levels a."""
+        """Return the upcrossing rates σ_v/(2πσ_q) exp(−a²/2σ_q²) of the levels a (Rice)."""
         scale, std, certified = self._curve(asked, "crossings")
         relative = asked.system.fact(linear_covariance).relative_error + 4.0 * EPS
         square = (asked.at / std) ** 2
@@ -245,10 +260,11 @@ class Linear(Theory):
 
     @answer
     def spectrum(self, asked: Asked) -> Curve:
-        """Return (1/π) [h f D fᵀ h*]_ii of q, h(ω) = (K − ω² M + iω c)⁻¹ the transfer functions.
+        """Return the spectral density (1/π) [h f D fᵀ h*]_ii of q_i at the angular frequencies ω.
 
-        White noise of E[W W'] = 2 D δ has the two-sided spectral density D/π. The error is that of
-        a perturbation of all entries of h⁻¹ by their round-off.
+        h(ω) = (K − ω² M + iω c)⁻¹ is the matrix of transfer functions. The spectral density is
+        two-sided: white noise with E[W W'] = 2 D δ has D/π. The error follows, to first order, from
+        the round-off of all entries of h⁻¹.
         """
         system, row, w = asked.system, asked.row, asked.at[:, None, None]
         _, _, certified = self._curve(asked, "spectrum")
@@ -263,10 +279,12 @@ class Linear(Theory):
 
     @answer
     def correlation(self, asked: Asked) -> Curve:
-        """Return the autocovariance (e^(At) Σ)_ii of q, with Σ of the Lyapunov equation.
+        """Return the autocovariance (e^(At) Σ)_ii of q_i at the lags t, Σ the covariance.
 
-        In (ω Q, P) of the modes |e^(At)| <= 1: round-off of A changes e^(At) by no more than t
-        times itself and |e^(At/2)|. An error of Σ, a quadratic form, is felt by q and its forecast.
+        A is the drift matrix in the modal coordinates (ω Q, P), in which ‖e^(At)‖ <= 1, so that a
+        perturbation dA changes e^(At) by at most t ‖dA‖ ‖e^(At/2)‖. With w the row of q_i there,
+        an error of relative size ε of Σ changes the answer by at most ε times the product of the
+        standard deviations of q_i and of its forecast wᵀ e^(At).
         """
         scale, _, certified = self._curve(asked, "correlation")
         modes = asked.system.fact(linear_covariance)
@@ -275,23 +293,24 @@ class Linear(Theory):
         size, own = float(np.linalg.norm(A, 2)), float(w @ Sigma @ w)
         values, errors = np.empty((2, asked.at.size))
         for k, t in enumerate(asked.at):
-            # Of more radians than 1/EPS no digit is known, but that nothing is left.
+            # After 1/EPS radians no digit is known; the values are 0 within their errors.
             half = expm(0.5 * min(t, 1.0 / (EPS * size)) * A)
             forecast = w @ half @ half
             values[k] = forecast @ Sigma @ w
-            rounding = EXPM * n * EPS * (1.0 + t * size) * float(np.linalg.norm(half, 2))
-            felt = np.sqrt(own * max(float(forecast @ Sigma @ forecast), 0.0))
+            rounding = EXPM_ROUND_OFF * n * EPS * (1.0 + t * size) * float(np.linalg.norm(half, 2))
+            deviations = np.sqrt(own * max(float(forecast @ Sigma @ forecast), 0.0))
             errors[k] = rounding * float(np.linalg.norm(w) * np.linalg.norm(Sigma @ w))
-            errors[k] += modes.relative_error * felt
+            errors[k] += modes.relative_error * deviations
         return certified(values, errors, positive=scale - np.abs(values))
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
-        """Return the eigenvalues Σ n_j μ_j, n_j = 0, 1, …, of −L, μ of minus the drift matrix.
+        """Return the slowest eigenvalues Σ n_j μ_j of −L, n_j = 0, 1, … not all 0.
 
-        Products of left eigenvectors with the state are eigenfunctions of L but for terms of lower
-        degree. One of a conjugate pair stands for both. The error is that of a change of the drift
-        matrix by its round-off, by the condition of each eigenvalue, of a double one the root.
+        μ_j are the eigenvalues of minus the drift matrix: products of linear eigenfunctions are
+        eigenfunctions of L up to terms of lower degree. A conjugate pair counts as one, with
+        Im >= 0. The error of μ_j is the round-off of the drift matrix times the condition
+        number of μ_j, at most the square root of 1/round-off, which holds for a double eigenvalue.
         """
         system = asked.system
         self.planned(system, ())
@@ -299,7 +318,7 @@ class Linear(Theory):
         decomposed: Any = eig(-covariance.drift, left=True, right=True)
         mu, left, right = decomposed
         first, second = np.flatnonzero(mu.imag > 0.0), np.flatnonzero(mu.imag < 0.0)
-        partner = np.arange(mu.size)  # LAPACK has conjugate pairs side by side
+        partner = np.arange(mu.size)  # index of the conjugate; LAPACK puts the two side by side
         partner[first], partner[second] = second, first
         order = np.argsort(mu.real)
         mu, partner = mu[order], np.argsort(order)[partner[order]]
@@ -307,8 +326,8 @@ class Linear(Theory):
         rounding = EPS * mu.size
         change = rounding / np.maximum(overlap, np.sqrt(rounding))
         error = float(np.linalg.norm(covariance.drift, 2)) * change
-        # Sums in the order of their real parts: a longer one has one more eigenvalue, none before
-        # its last.
+        # Sums of eigenvalues in ascending order of their real parts: each is extended by every
+        # eigenvalue from its last one on.
         heap: list[tuple[float, list[int]]] = [(x, [j]) for j, x in enumerate(mu.real.tolist())]
         sums: list[list[int]] = []
         while len(sums) < asked.count:
@@ -321,13 +340,14 @@ class Linear(Theory):
                 heapq.heappush(heap, (real + float(mu[j].real), [*terms, j]))
         values = np.array([mu[terms].sum() for terms in sums])
         errors = np.array([error[terms].sum() for terms in sums])
-        tol = asked.tol or self.wanted(system)
+        tol = asked.tol or self.tol_for(system)
         return certify_rates(values, errors, tol=tol, residual=covariance.residual)
 
     def _curve(self, asked: Asked, question: str) -> tuple[float, float, Callable[..., Curve]]:
-        """Scale of the question, standard deviation of q, and ``certify_curve`` but for values.
+        """Return the scale of errors, the standard deviation of q, and ``certify_curve``.
 
-        Neither number is 0.
+        Both numbers are positive; ``certify_curve`` still needs values and errors. Raises
+        ``NotApplicable`` if no noise reaches the mass.
         """
         system, row = asked.system, asked.row
         (density,) = self.solve(system, [(Coordinate("q", row),)]).densities
@@ -336,7 +356,7 @@ class Linear(Theory):
         if not np.min(variances) > 0.0:
             raise NotApplicable(f"no noise reaches mass {row + 1}, which is at rest")
         q, p = np.sqrt(variances).tolist()
-        tol = asked.tol or self.wanted(system)
+        tol = asked.tol or self.tol_for(system)
         scale = QUESTIONS[question].scale(q, p / float(system.mass[row]))
         return scale, q, partial(certify_curve, scale=scale, of=density, tol=tol)
 

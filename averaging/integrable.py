@@ -7,11 +7,11 @@ from typing import TypeVar
 import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
-from averaging.modal.observables import gaussian_modes, modal_densities, unsolved
+from averaging.modal.observables import coupling_refusal, gaussian_modes, modal_densities
 from averaging.modal.resonance import correlations, nearest_resonance, require_no_resonance
 from averaging.modal.time import closed_form, elements
 from averaging.theory import Theory
-from averaging.time import TOL, settled_energies
+from averaging.time import MODAL_TOL, with_energy_start
 from fpk.answer.contacts import CLEARANCE_RULE
 from fpk.answer.density import Density
 from fpk.answer.dynamics import Curve, Passage, Rates, Transient, certify_curve, upcrossings
@@ -30,20 +30,21 @@ Answer = TypeVar("Answer", Transient, Passage, Rates)
 class Integrable(Theory):
     """Averaged modal energies, Eqs. (17), (33), their stationary density, Eqs. (34)-(36).
 
-    Contacts are left out: ``neglected`` says so, with the rule clearance > 2 rms of section 6.3
-    evaluated. ``solver``: "closed-form" is (34), Π e^(−H_i/θ_i)/θ_i with the modal temperatures
-    θ_i = d_i/c*_ii, whose back-transform is Gaussian; "quadrature" evaluates (11), "fem" and
-    "scikit-fem" (on meshes refined uniformly) solve the FPK equation, for the modal energies alone.
-    The theory needs light damping and is refused where a resonance matters; without contacts it is
-    exact where damping and noise meet (8).
+    Contacts are neglected; the result's ``neglected`` says so and evaluates the rule of section
+    6.3, clearance > 2 rms. ``solver``: "closed-form" is (34), Π e^(−H_i/θ_i)/θ_i with the modal
+    temperatures θ_i = d_i/c*_ii, whose displacements and momenta are Gaussian; "quadrature"
+    evaluates (11), "fem" and "scikit-fem" (on uniformly refined meshes) solve the FPK equation;
+    with constant damping these three give modal energies only. The theory assumes light damping, is
+    refused near an internal resonance, and is exact if there are no contacts and (8) holds.
 
-    Damping that depends on the state is averaged over the phases; it may couple the energies of
-    two modes, which "fem" and "scikit-fem" solve for together, and no more. Every solver then gives
-    every observable: displacements and momenta by the characteristic function of the energies. ::
+    Damping that depends on the state is averaged over the phases. It may couple the energies of two
+    modes, whose joint density "fem" and "scikit-fem" solve for; three coupled energies are refused.
+    Every solver then gives every observable, displacements and momenta by the characteristic
+    function of the energies. ::
 
         fpk.solve(system, ["H1,H2"], methods=[Integrable("fem", tol=1e-9)])
 
-    First passage and the density in time, of a modal energy::
+    First passage, density in time, relaxation rates and crossings::
 
         times, at = np.array([10.0]), (np.array([0.1, 0.5]),)
         free = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
@@ -64,10 +65,10 @@ class Integrable(Theory):
     colour = "#00a688"
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
+        """Return the plan for ``system``; raise ``NotApplicable`` if the theory does not hold."""
         modes = system.fact(modal_analysis)
         require_no_resonance(system, modes)
-        if reason := unsolved(modes, self.solver):
+        if reason := coupling_refusal(modes, self.solver):
             raise NotApplicable(reason)
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
@@ -75,12 +76,12 @@ class Integrable(Theory):
             of_state = "" if modes.constant else ", damping of the state averaged"
             settings: dict[str, str | float | int] = {
                 "equation": self.route.equation + of_state,
-                "tol": self.wanted(system),
+                "tol": self.tol_for(system),
                 "nearest resonance": nearest_resonance(system, modes),
             }
             if modes.n > 1:
                 settings["neglected correlation of modes"] = float(correlations(modes).max())
-            densities = modal_densities(modes, observables, self.solver, tol=self.wanted(system))
+            densities = modal_densities(modes, observables, self.solver, tol=self.tol_for(system))
             neglected = "".join(left_out.values())
             return Result(self, densities, settings=settings | left_out, neglected=neglected)
 
@@ -88,7 +89,7 @@ class Integrable(Theory):
 
     @answer
     def crossings(self, asked: Asked) -> Curve:
-        """Return the upcrossings per unit time of q from its joint density with p."""
+        """Return the upcrossings per unit time of levels by q, from the joint density of (q, p)."""
         system, row = asked.system, asked.row
         q, p = Coordinate("q", row), Coordinate("p", row)
         of_both, of_q = self.solve(system, [(q, p), (q,)], progress=asked.progress).densities
@@ -97,17 +98,17 @@ class Integrable(Theory):
         values, errors = upcrossings(of_both, mass, asked.at)
         velocity = float(np.sqrt(of_both.moment(0, 2).value)) / mass
         scale = QUESTIONS["crossings"].scale(of_q.rms().value, velocity)
-        tol = asked.tol or self.wanted(system)
+        tol = asked.tol or self.tol_for(system)
         return certify_curve(values, errors, scale=scale, of=of_q, tol=tol)
 
     @answer
     def transient(self, asked: Asked) -> Transient:
-        """Return the densities of modal energies, or of one or two of (q, p), at times."""
+        """Return densities of modal energies, or of one or two of (q, p), at the given times."""
         return self._in_time(Transient, "transient", asked)
 
     @answer
     def passage(self, asked: Asked) -> Passage:
-        """Return the first passage of modal energies or of their sum."""
+        """Return the first passage of limits by modal energies or by their sum."""
         return self._in_time(Passage, "passage", asked)
 
     @answer
@@ -116,8 +117,11 @@ class Integrable(Theory):
         return self._in_time(Rates, "relaxation", asked)
 
     def _in_time(self, kind: type[Answer], question: str, asked: Asked) -> Answer:
-        """The answer, a ``kind``, by the solver; ``NotApplicable`` if solver or theory fails."""
-        system, tol = asked.system, asked.tol or TOL
+        """Return the answer to ``question``, an instance of ``kind``, by this solver.
+
+        Raises ``NotApplicable`` if the theory does not hold or the solver does not answer it.
+        """
+        system, tol = asked.system, asked.tol or MODAL_TOL
         if question != "passage":
             require_held(system)
         if question != "transient":
@@ -126,17 +130,17 @@ class Integrable(Theory):
         require_no_resonance(system, modes)
         if self.solver in ("quadrature", "scikit-fem"):
             raise NotApplicable(f"{self.solver} gives stationary densities; use closed-form or fem")
-        if reason := unsolved(modes, self.solver):
+        if reason := coupling_refusal(modes, self.solver):
             raise NotApplicable(reason)
         by = closed_form if self.solver == "closed-form" else elements
         if question == "relaxation":
             answer: Answer = by.relaxation(modes, asked.count, tol=tol)
         else:
-            answer = getattr(by, question)(modes, settled_energies(asked, tol, modes))
+            answer = getattr(by, question)(modes, with_energy_start(asked, tol, modes))
         return replace(answer, settings={**answer.settings, **_contacts_left_out(system, modes)})
 
     def _refusal(self, observable: Observable, modes: ModalAnalysis) -> str | None:
-        """Why the solver does not give this observable."""
+        """Return why the solver does not give ``observable``, None if it does."""
         name, kinds = observable_name(observable), [c.kind for c in observable]
         total = any(c.kind == "H" and c.index is None for c in observable)
         if len(set(kinds) - {"q", "p"}) and (total or set(kinds) != {"H"}) and len(kinds) > 1:
@@ -147,7 +151,10 @@ class Integrable(Theory):
 
 
 def _contacts_left_out(system: System, modes: ModalAnalysis) -> dict[str, str]:
-    """The setting that names the contacts, with the least clearance in rms of the free motion."""
+    """Return the setting "contacts left out": their number and the smallest clearance in rms.
+
+    The rms is of the displacement without contact. Empty if there are no stops.
+    """
     if not system.stops:
         return {}
     rms = np.linalg.norm(gaussian_modes(modes).factor[: system.n], axis=1)

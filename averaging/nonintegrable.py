@@ -7,17 +7,17 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from averaging.energy_process import (
-    averaged_rate,
     damping_and_noise,
     energy_process,
+    rate_by_energy,
     state_closed_form,
 )
 from averaging.gaussian import state_rows
 from averaging.modal.time.closed_form import orbit_transient
 from averaging.theory import EnergyTheory, energy_only_refusal
-from averaging.time import limited_modes, settled_energies, state_transient
-from averaging.weyl import StateDensity, tabulated
-from averaging.zero_flux import solved_energies
+from averaging.time import modal_limits, state_transient, with_energy_start
+from averaging.weyl import StateDensity, density_by_tables
+from averaging.zero_flux import solve_energies
 from fpk.answer.dynamics import Passage, Rates, Transient, require_times
 from fpk.answer.names import Coordinate
 from fpk.answer.question import Asked, answer
@@ -36,23 +36,22 @@ from fpk.system.process import Process
 from fpk.system.system import System
 
 MODULATED_TOL = 1e-6
-"""Least tolerance by finite elements under modulated noise where none is given: it takes a second;
-1e-10 takes ten, of which noise that sets in or ends at 0 may need more than there are steps."""
+"""Smallest default tolerance by finite elements under modulated noise, which takes a second; 1e-10
+takes ten, and may need more time steps than allowed if the noise begins or ends at 0."""
 
 
 @dataclass(frozen=True)
 class NonIntegrable(EnergyTheory):
-    """Averaged energy, Eqs. (24)-(28), its stationary density and what follows from it, Eq. (30).
+    """Averaged total energy, Eqs. (24)-(28): its stationary density, and the marginals by Eq. (30).
 
     ``solver``: "fem" solves the FPK equation of the process by finite elements, "scikit-fem" by
-    elements of one degree on meshes refined uniformly; "quadrature" evaluates (11); "closed-form"
+    elements of one degree on uniformly refined meshes; "quadrature" evaluates (11); "closed-form"
     is (29) in its general form, for damping that is constant or depends on the energy only. The
-    theory is exact where the damping and noise meet (8), an approximation otherwise, and the better
-    the more the contacts matter. ::
+    theory is exact if (8) holds; otherwise its error falls as contacts mix the modes more. ::
 
         fpk.solve(system, ["q2", "H"], methods=[NonIntegrable("fem", tol=1e-8)])
 
-    First passage, the density in time, and the slowest rates::
+    First passage, density in time, relaxation rates and crossings::
 
         times, at = np.array([10.0]), (np.array([0.1, 0.5]),)
         NonIntegrable().passage(system, parse_limit("H=1", 2), REST, times).mean
@@ -73,16 +72,16 @@ class NonIntegrable(EnergyTheory):
     colour = "#e07500"
 
     def exponential(self, system: System) -> bool:
-        """Return whether u is exp(−αH) in closed form; raise ``NotApplicable`` as (24) does."""
+        """Return whether u is C exp(−αH); raise ``NotApplicable`` as ``energy_process`` does."""
         system.fact(energy_process)
-        return self.solver == "closed-form" and averaged_rate(system).size == 1
+        return self.solver == "closed-form" and rate_by_energy(system).size == 1
 
     @answer
     def transient(self, asked: Asked) -> Transient:
-        """Return the densities of the energy, or of one or two of (q, p), at ``times``.
+        """Return the densities of the energy, or of one or two of (q, p), at the given times.
 
-        ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
-        under modulated noise. Raises ``InvalidInput`` at the time 0 of an energy.
+        Without a tolerance the method's holds, by finite elements under modulated noise at least
+        ``MODULATED_TOL``. Raises ``InvalidInput`` for the time 0 if the start is a known energy.
         """
         system, observable, modulation = asked.system, asked.observable, asked.system.modulation
         require_held(system)
@@ -102,7 +101,7 @@ class NonIntegrable(EnergyTheory):
             # At temperature 1; K and M are not coupled.
             shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]
             return orbit_transient([(closed, energy, shape)], asked)
-        source, under = _source(asked), partial(_under, system)
+        source, under = _initial_density(asked), partial(_under, system)
         if modulation is None:
             solved = transition(process, source, times, tol=tol)
         elif of_energy:
@@ -120,22 +119,18 @@ class NonIntegrable(EnergyTheory):
 
     @answer
     def passage(self, asked: Asked) -> Passage:
-        """Return the first passage of the energy through a limit.
-
-        ``tol`` None: that of the method, but no less than ``MODULATED_TOL`` by finite elements
-        under modulated noise.
-        """
+        """Return the first passage of a limit by the energy; tolerance: see ``transient``."""
         system, process = asked.system, asked.system.fact(energy_process)
         if asked.limit.kind != "H":
             words = "this theory knows the total energy only; give a limit H=.."
             raise NotApplicable(f"{asked.limit}: {words}")
         asked = self._settled(asked)
-        limited_modes(asked.limit, asked.start)
+        modal_limits(asked.limit, asked.start)
         limit, times = asked.limit.value, require_times(asked.times)
         if self.solver != "fem":
             closed, energies = square_root(system, self.solver), asked.start.known()
             return closed.passage(limit, float(energies[0]), times, tol=asked.tol)
-        source, modulation = _source(asked), system.modulation
+        source, modulation = _initial_density(asked), system.modulation
         if modulation is None:
             return fem_passage(process, limit, source, times, tol=asked.tol)
         under = partial(_under, system)
@@ -143,8 +138,8 @@ class NonIntegrable(EnergyTheory):
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
-        """Return the slowest rates at which the energy forgets its past."""
-        system, tol = asked.system, asked.tol or self.wanted(asked.system)
+        """Return the slowest relaxation rates of the energy."""
+        system, tol = asked.system, asked.tol or self.tol_for(asked.system)
         require_held(system)
         process = system.fact(energy_process)
         require_constant_noise(system.modulation)
@@ -153,17 +148,17 @@ class NonIntegrable(EnergyTheory):
         return square_root(system, self.solver).rates(asked.count, tol=tol)
 
     def _settled(self, asked: Asked) -> Asked:
-        """The question from the total energy at time 0, to the tolerance asked for or default."""
+        """Return the question with an ``EnergyStart`` and a tolerance, by default the method's."""
         modulated = asked.system.modulation is not None and self.solver == "fem"
-        default = max(self.wanted(asked.system), MODULATED_TOL if modulated else 0.0)
-        return settled_energies(asked, asked.tol or default)
+        default = max(self.tol_for(asked.system), MODULATED_TOL if modulated else 0.0)
+        return with_energy_start(asked, asked.tol or default)
 
     def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
-        """Return u = p/T, p the density of the averaged energy, and how it was solved for."""
+        """Return u = p/T, p the density of the averaged energy, and the settings of the solver."""
         if self.solver == "closed-form":
-            return state_closed_form(system, averaged_rate(system)), {"equation": "(29)"}
-        tol = self.wanted(system)
-        solution = solved_energies(system.fact(energy_process), self.solver, tol=tol)
+            return state_closed_form(system, rate_by_energy(system)), {"equation": "(29)"}
+        tol = self.tol_for(system)
+        solution = solve_energies(system.fact(energy_process), self.solver, tol=tol)
         assert not isinstance(solution, PlaneSolution)
         settings: dict[str, str | float | int] = {"equation": "FPK of (24)"}
         if isinstance(solution, StationarySolution):
@@ -172,13 +167,14 @@ class NonIntegrable(EnergyTheory):
         else:
             settings = {"equation": "(11)", "panels": solution.nodes.size - 1}
         settings |= {"last energy": float(solution.nodes[-1]), "tol": tol}
-        return tabulated(system, solution), settings
+        return density_by_tables(system, solution), settings
 
 
 def square_root(system: System, solver: str) -> SquareRoot:
-    """Return the energy without contact, dH = (n d − c H) dt + √(2 d H) dB, of ``energy_process``.
+    """Return the averaged energy without contact, dH = (n d − c H) dt + √(2 d H) dB.
 
-    Raises ``NotApplicable`` where it is no such process, or the ``solver`` answers none in time.
+    Raises ``NotApplicable`` if the system has contacts or damping terms, or if ``solver`` is not
+    "closed-form".
     """
     if solver != "closed-form":
         raise NotApplicable(
@@ -193,14 +189,14 @@ def square_root(system: System, solver: str) -> SquareRoot:
 
 
 def _under(system: System, factor: float) -> Process:
-    """The averaged energy under ``factor`` times the noise intensity."""
-    if factor == 1.0:  # the system keeps what follows from it
+    """Return the process of the averaged energy under ``factor`` times the noise intensity."""
+    if factor == 1.0:  # computed once and stored in the system
         return system.fact(energy_process)
     return energy_process(replace(system, noise_intensity=factor * system.noise_intensity))
 
 
-def _source(asked: Asked) -> Source:
-    """Where the density of the energy begins."""
+def _initial_density(asked: Asked) -> Source:
+    """Return the initial density of the energy: a point, or a stationary density."""
     if asked.start.noise is None:
         return Source(float(asked.start.energies[0]))
     return Source(process=_under(asked.system, asked.start.noise))

@@ -20,23 +20,26 @@ from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 
 SMALLEST, LARGEST = 1e-12, 0.1
-"""Tolerances that can be asked for: double precision meets none smaller, none larger says much."""
+"""Smallest and largest L1 tolerance that is accepted: double precision meets no smaller one, and a
+density with a larger error says little."""
 
 DEFAULT, DEFAULT_BY_LINES = 1e-10, 1e-5
-"""Tolerance that is met where none is asked for, and over more than two contact masses: there the
-density of states was known to 1e-6 at the worst (three masses, stops 1e6 times their springs)."""
+"""L1 tolerance if none is given, and if the density of states is computed ``by_lines``: its largest
+error found was 1e-6 (three masses, stops 1e6 times as stiff as the springs)."""
 
-UNIFORM = 1e-4
-"""Tolerance by scikit-fem where none is asked for: met in all shipped scenes within seconds."""
+UNIFORM_TOL = 1e-4
+"""L1 tolerance by scikit-fem if none is given: all shipped scenes meet it within seconds."""
 
 
 @dataclass(frozen=True)
 class Theory(Method):
-    """Method that answers to the L1 tolerance ``tol``, or that of ``wanted``, by a solver.
+    """Method that solves an equation by one of several solvers, to an L1 tolerance.
 
-    A subclass gives its name and colour on the command line and in pictures, and its ``solvers``,
-    the default first: (name, words for legends, equation). Each is a route. Raises ``InvalidInput``
-    for an unknown solver or a tolerance below ``SMALLEST`` or above ``LARGEST``.
+    ``solver`` is the name of the solver, ``tol`` the largest L1 error of a density; None stands for
+    the tolerance of ``tol_for``. A subclass defines ``method``, its name on the command line, its
+    ``colour`` in pictures and its ``solvers``, the default first, as (name, words for legends,
+    equation); each solver is a route. Raises ``InvalidInput`` for an unknown solver, or a tolerance
+    below ``SMALLEST`` or above ``LARGEST``.
     """
 
     solver: str = "closed-form"
@@ -47,7 +50,7 @@ class Theory(Method):
     colour: ClassVar[str]
 
     def __post_init__(self) -> None:
-        """Refuse an unknown solver, or a tolerance that cannot be met."""
+        """Raise ``InvalidInput`` for an unknown solver or a tolerance outside the limits."""
         if self.solver not in (names := sorted(name for name, *_ in self.solvers)):
             raise InvalidInput("solver", self.solver, f"use one of {names}")
         if self.tol is not None and not SMALLEST <= self.tol <= LARGEST:
@@ -55,22 +58,22 @@ class Theory(Method):
 
     @property
     def route(self) -> Route:
-        """The route that the method follows."""
+        """The registered route of this method by this solver."""
         return ROUTES[self.method, self.solver]
 
     def refined(self) -> Self:
         """Return the method with a tolerance ten times smaller, down to ``SMALLEST``."""
-        default = UNIFORM if self.route.named else DEFAULT
+        default = UNIFORM_TOL if self.route.named else DEFAULT
         return replace(self, tol=max(0.1 * tolerance(self.tol, default), SMALLEST))
 
-    def wanted(self, system: System) -> float:
-        """Return the tolerance asked for, or else one that the density of states allows."""
+    def tol_for(self, system: System) -> float:
+        """Return ``tol``, or a default that the density of states of ``system`` allows."""
         default = DEFAULT_BY_LINES if by_lines(system) else DEFAULT
-        return tolerance(self.tol, UNIFORM if self.route.named else default)
+        return tolerance(self.tol, UNIFORM_TOL if self.route.named else default)
 
     @classmethod
     def register(cls, **options: Any) -> None:
-        """Register a route for each solver, with further ``options`` of the ``Route``."""
+        """Register a ``Route`` for each solver; ``options`` are further fields of the ``Route``."""
         for solver, words, equation in cls.solvers:
             make, named = partial(cls, solver=solver), solver == "scikit-fem"
             names = cls.method, solver, words, equation, cls.solves
@@ -79,21 +82,21 @@ class Theory(Method):
 
 @dataclass(frozen=True)
 class EnergyTheory(Theory):
-    """Theory of a state whose density is u(H): marginals of u and crossing rates follow from it."""
+    """Theory whose density of the full state is u(H); other densities are marginals of u."""
 
     def exponential(self, system: System) -> bool:
-        """Return whether u is exp(−αH); raise ``NotApplicable`` where the theory does not hold."""
+        """Return whether u is C exp(−αH); raise ``NotApplicable`` if the theory does not hold."""
         raise NotImplementedError
 
     def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
-        """Return u, solved for, and the settings of the result."""
+        """Return u, solved for, and the settings of the result, as names and values."""
         raise NotImplementedError
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` where it does not hold."""
+        """Return the plan for ``system``; raise ``NotApplicable`` if the theory does not hold."""
 
         def solve(observables: Sequence[Observable], progress: Progress) -> Result:
-            (source, settings), tol = self.state(system), self.wanted(system)
+            (source, settings), tol = self.state(system), self.tol_for(system)
             densities = tuple(back_transformed(source, o, tol=tol) for o in observables)
             return Result(self, densities, settings=settings)
 
@@ -102,12 +105,12 @@ class EnergyTheory(Theory):
 
     @answer
     def crossings(self, asked: Asked) -> Curve:
-        """Return the upcrossings per unit time of q, by Rice's formula.
+        """Return the upcrossings per unit time of levels by q, Rice's formula.
 
-        ∫_0^∞ v f(q, p) dp, v = p/m, is an integral over p²/2m: a Weyl integral of half an order
-        above the Weyl integral of p(q).
+        ∫_0^∞ v f(q, p) dp, v = p/m, is an integral over p²/2m, and so a Weyl integral of u whose
+        order is greater by ½ than that for p(q).
         """
-        system, tol = asked.system, asked.tol or self.wanted(asked.system)
+        system, tol = asked.system, asked.tol or self.tol_for(asked.system)
         (source, _), mass = self.state(system), float(system.mass[asked.row])
         q = back_transformed(source, asked.observable, tol=tol)
         p = back_transformed(source, (Coordinate("p", asked.row),), tol=tol)
@@ -119,10 +122,11 @@ class EnergyTheory(Theory):
 def energy_only_refusal(
     system: System, observable: Observable, *, exponential: bool = False
 ) -> str | None:
-    """Return why ``observable`` does not follow from a density u(H), or None where it does.
+    """Return why the density of ``observable`` does not follow from u(H), None if it does.
 
-    Where u is ``exponential`` contact masses on either side of the observed ones are integrated out
-    by passes along the chain; otherwise all of them at once.
+    At most two contact masses are integrated out by quadrature at once. If u is ``exponential``,
+    these are the masses between the first and the last observed mass, since the others are
+    integrated out one after another along the chain; otherwise they are all masses not observed.
     """
     kinds = {c.kind for c in observable}
     if "H" in kinds and (len(observable) > 1 or observable[0].index is not None):
@@ -146,12 +150,12 @@ def energy_only_refusal(
 class Exact(EnergyTheory):
     """Exact stationary density C exp(−∫h dH) of the full system, Eqs. (7), (22), (23).
 
-    It exists where (8) holds; with constant damping h is a constant, and the normalisation the
-    configuration integral over the contact masses; otherwise it is an integral over the shells. ::
+    It exists if (8) holds. With constant damping h is a constant, and 1/C is the configuration
+    integral over the contact masses; otherwise 1/C is an integral over the energy shells. ::
 
         fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=[Exact()])
 
-    Upcrossings per unit time of levels by the second mass::
+    Upcrossings per unit time of two levels by the second mass::
 
         system, levels = fpk.load("fig3a").system, np.array([0.0, 0.5])
         Exact().crossings(system, parse_observable("q2", 2), levels).values
@@ -162,19 +166,22 @@ class Exact(EnergyTheory):
     colour = "#056c66"
 
     def exponential(self, system: System) -> bool:
-        """Return whether h is a constant; raise ``NotApplicable`` where (8) does not hold."""
+        """Return whether h is a constant; raise ``NotApplicable`` if (8) does not hold."""
         h = compatibility(system)
         system.fact(energy_process)
         return h.size == 1
 
     def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
-        """Return u, which solves the full equation, and h; the residual is what is left of (8)."""
+        """Return u and the settings: equation and coefficients of h in ascending powers of H.
+
+        With constant damping the residual is max |c − h D|/max |h D|, c symmetric; see (8).
+        """
         h = compatibility(system)
         settings: dict[str, str | float | int] = {"equation": "(7), (22)", "h": float(h[0])}
         settings |= {f"h, H^{power}": x for power, x in enumerate(h[1:].tolist(), start=1)}
         constant, D = 0.5 * (system.damping + system.damping.T), h[0] * system.noise_matrix
-        left = float(np.max(np.abs(constant - D)) / np.max(np.abs(D)))
-        return state_closed_form(system, h, residual=None if h.size > 1 else left), settings
+        residual = float(np.max(np.abs(constant - D)) / np.max(np.abs(D)))
+        return state_closed_form(system, h, residual=None if h.size > 1 else residual), settings
 
 
 Exact.register()

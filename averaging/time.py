@@ -1,10 +1,9 @@
-"""Energies, displacements and momenta after a start, by the averaged equations.
+"""Transients by the averaged equations: starts and limits of energies, densities of q and p.
 
-Where energies begin, and the observables and limits of modal energies; densities of displacements
-and momenta from that of the total energy, Eqs. (23), (30). Given the energy the state is
-distributed over its shell as in the stationary state, so that ρ(q, p, t) = u(H, t),
-u = p(H, t)/T(H). Soon after the start u is as narrow as the noise has made it by then: all
-integrals have panels that end where the elements of p(H, t) end.
+Densities of displacements and momenta follow from the density p(H, t) of the total energy, Eqs.
+(23), (30): given H the state is distributed over its energy shell as in the stationary state, so
+that ρ(q, p, t) = u(H, t), u = p(H, t)/T(H). Soon after the start u is a narrow peak; so the panels
+of all integrals end at the ends of the elements of p(H, t).
 """
 
 import math
@@ -14,10 +13,11 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from averaging.back_transformation import observed_energy, reduced
-from averaging.conditional import Conditional
+from averaging.back_transformation import energy_of_observed, reduction
+from averaging.conditional import HIDDEN_RULES, Conditional
 from averaging.modal.analysis import ModalAnalysis
 from averaging.weyl import weyl_integral
+from averaging.zero_flux import ENERGY_RULES
 from fpk.answer.certificate import DISTANCE_FACTOR, certify
 from fpk.answer.dynamics import Transient
 from fpk.answer.names import Limit, Observable, number_text, observable_name
@@ -29,40 +29,38 @@ from fpk.numeric.quadrature import gauss_legendre, panel_rule
 from fpk.solvers.line.mesh import with_layers
 from fpk.solvers.line.time.transition import Transition
 
-TOL = 1e-8
-"""Error of answers in time of modal energies where none is named."""
-RULES = (10, 14)
-"""Gauss points a panel over a hidden contact mass; the distance of the two is the error."""
+MODAL_TOL = 1e-8
+"""Tolerance of answers in time of modal energies if none is given."""
 ERROR_POINTS = 4
-"""Gauss points a panel of the integral of the error of Ψ, an estimate."""
-LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
-"""Ends of panels beyond a stop, as shares of the way to the end: (H − V) ~ overlap^2.5 there."""
-POINTS = (20, 24)
-"""Gauss points an element of the coarser table of Ψ, and of the answer."""
+"""Gauss points on each panel of the integral of the error of Ψ, which is an estimate."""
+STOP_LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
+"""Ends of panels beyond a stop over the distance to the end of the range: the integrand contains
+overlap^2.5 next to a Hertz stop."""
 
 
 @dataclass(frozen=True, eq=False)
 class EnergyStart:
-    """The ``energies`` at time 0, or the multiple ``noise`` of D under which they are stationary.
+    """The energies at time 0: known values, or random with a stationary density.
 
-    ``energies`` are those of the modes (n,), or the total energy (1,); 0 where ``noise`` is given.
+    ``energies`` are the modal energies (n,) or the total energy (1,). If ``noise`` is given, they
+    are zeros, and the start has the stationary density under ``noise`` times the noise matrix D.
     """
 
     energies: Array
     noise: float | None = None
 
     def known(self) -> Array:
-        """Return the energies; raise ``NotApplicable`` where the start is a stationary state."""
+        """Return the energies; raise ``NotApplicable`` if the start is a stationary state."""
         if self.noise is not None:
             raise NotApplicable("from a stationary state first passage has no closed form; use fem")
         return self.energies
 
 
-def settled_energies(asked: Asked, tol: float, modes: ModalAnalysis | None = None) -> Asked:
-    """Return the question to ``tol``, its ``start`` an ``EnergyStart``, of the ``modes`` if given.
+def with_energy_start(asked: Asked, tol: float, modes: ModalAnalysis | None = None) -> Asked:
+    """Return the question with the tolerance ``tol`` and an ``EnergyStart`` as its start.
 
-    Raises ``NotApplicable`` for energies of modes where there are none, and for a total energy that
-    several modes share in an unknown way.
+    The start holds modal energies if ``modes`` are given, otherwise the total energy. Raises
+    ``NotApplicable`` for modal energies without ``modes``, and for a total energy of several modes.
     """
     start, system, n = asked.start, asked.system, 1 if modes is None else modes.n
     values, noise = start.values, None
@@ -87,8 +85,11 @@ def settled_energies(asked: Asked, tol: float, modes: ModalAnalysis | None = Non
     return replace(asked, start=EnergyStart(energies, noise), tol=tol)
 
 
-def observed_modes(observable: Observable) -> list[int]:
-    """Return the modes whose energies are asked for, none for the sum; raise for q or p."""
+def modes_of_observable(observable: Observable) -> list[int]:
+    """Return the modes (0-based) of the energies in ``observable``, empty for their sum H.
+
+    Raises ``NotApplicable`` if it contains q or p, or H beside other quantities.
+    """
     rows = [c.row for c in observable if c.index is not None]
     if any(c.kind != "H" for c in observable) or len(observable) != max(len(rows), 1):
         name = observable_name(observable)
@@ -99,16 +100,16 @@ def observed_modes(observable: Observable) -> list[int]:
     return rows
 
 
-def limited_modes(limit: Limit, start: EnergyStart) -> dict[int, float]:
-    """Return the limits of modes, none for a limit of the sum of all.
+def modal_limits(limit: Limit, start: EnergyStart) -> dict[int, float]:
+    """Return the limit of each limited mode (0-based), empty for a limit of the sum H.
 
-    Raises ``NotApplicable`` for displacements, ``InvalidInput`` for a start at or beyond the limit.
+    Raises ``NotApplicable`` for a displacement, ``InvalidInput`` for a start at or above the limit.
     """
     if limit.kind == "q":
         raise NotApplicable(f"{limit}: averaged modal energies know no displacement; use H, H1, …")
-    reached = {f"H{m + 1}": float(H) for m, H in enumerate(start.energies)}
-    reached["H"] = sum(reached.values())
-    if any(reached[name] >= value for name, value in limit.values.items()):
+    energies = {f"H{m + 1}": float(H) for m, H in enumerate(start.energies)}
+    energies["H"] = sum(energies.values())
+    if any(energies[name] >= value for name, value in limit.values.items()):
         given = ",".join(map(number_text, start.energies.tolist()))
         raise InvalidInput("start", given, f"must be below the limit {limit}")
     return {int(name[1:]) - 1: a for name, a in limit.values.items() if name != "H"}
@@ -116,38 +117,49 @@ def limited_modes(limit: Limit, start: EnergyStart) -> dict[int, float]:
 
 @dataclass(frozen=True, eq=False)
 class WeylInTime:
-    """Ψ(E) = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH at all times, ν = ``order`` = 0, ½, 1, …; Ψ_0 is u."""
+    """Ψ(E, t) = ∫_E u(H, t) (H − E)^(ν−1)/Γ(ν) dH at the times of ``solved``; Ψ of order 0 is u.
+
+    ν is ``order`` = 0, ½, 1, …. Arrays are (elements, times) unless said otherwise.
+    """
 
     solved: Transition
     order: float
 
     @cached_property
     def nodes(self) -> Array:
-        """Ends of halves of the enriched solution's elements, with layers at contact energies."""
+        """Ends and middles of the enriched solution's elements, layers at contact energies."""
         e = self.solved.enriched.elements
         halves = np.sort(np.append(e.nodes, 0.5 * (e.nodes[1:] + e.nodes[:-1])))
         return with_layers(halves, e.process.nonsmooth)
 
     def __call__(self, energy: Array) -> Array:
-        """Return Ψ at ``energy``, (*shape, times)."""
+        """Return Ψ at ``energy`` of any shape, (*shape, times)."""
         return self.tables[-1](energy)
 
     def error(self, energy: Array) -> Array:
-        """Return the error of Ψ; beyond the last element Ψ is less than its error before."""
+        """Return the error of Ψ at ``energy``, (*shape, times).
+
+        Beyond the last element, where Ψ is given as 0, it is the error in the last element.
+        """
         last = 0.5 * float(self.nodes[-2] + self.nodes[-1])
         E = np.minimum(energy, last).ravel()
         k = np.searchsorted(self.nodes, E, side="right") - 1
-        total = self.moved[k]
+        total = self.table_error[k]
         if self.order == 0.0:
-            total = total + self._of_u[k]
+            total = total + self._error_of_u[k]
         else:
             with np.errstate(invalid="ignore"):
                 powers = np.maximum(self.nodes - E[:, None], 0.0) ** self.order
-            total = total + np.diff(powers, axis=1) @ self._of_u / math.gamma(self.order + 1.0)
+            total = total + np.diff(powers, axis=1) @ self._error_of_u / math.gamma(
+                self.order + 1.0
+            )
         return np.asarray(total.reshape(*np.shape(energy), -1))
 
     def _answer(self, x: Array) -> tuple[Array, Array]:
-        """u and the size of its terms (points, times); 0 beyond the last element of the answer."""
+        """Return u at ``x`` (points,) and the sum of its terms' absolute values, (points, times).
+
+        Both are 0 beyond the last element of the solution.
+        """
         u, size = self.solved.solution.density(x, of_states=True)
         inside = x <= self.solved.elements.right[-1]
         return (u * inside).T, (size * inside).T
@@ -158,27 +170,27 @@ class WeylInTime:
 
     @cached_property
     def tables(self) -> tuple[Piecewise, Piecewise, Piecewise]:
-        """u at all times; Ψ by a coarser table, and the answer."""
-        u = self._table(lambda x: self._answer(x)[0], POINTS[1])
+        """Tables of u, of Ψ by fewer points for comparison, and of Ψ, the answer."""
+        u = self._table(lambda x: self._answer(x)[0], ENERGY_RULES[1])
         if self.order == 0.0:
-            return u, self._table(u, POINTS[0]), u
+            return u, self._table(u, ENERGY_RULES[0]), u
         integral = partial(weyl_integral, self.order, self.nodes, u)
-        coarse, fine = (self._table(partial(integral, points=k), k) for k in POINTS)
+        coarse, fine = (self._table(partial(integral, points=k), k) for k in ENERGY_RULES)
         return u, coarse, fine
 
     @cached_property
-    def _of_u(self) -> Array:
-        """The largest error of u in each element (elements, times)."""
+    def _error_of_u(self) -> Array:
+        """The largest error of u in each element."""
         solved, e = self.solved, self.solved.elements
-        # None of the points is one of the table of u.
-        points = panel_rule(self.nodes, POINTS[0] + 1)[0]
+        # Points that are not interpolation points of the table of u.
+        points = panel_rule(self.nodes, ENERGY_RULES[0] + 1)[0]
         x = points.ravel()
         u, size = self._answer(x)
         better, other = solved.enriched.density(x, of_states=True)
         error = DISTANCE_FACTOR * (np.abs(u - better.T) + np.abs(u - self.tables[0](x)))
         within = np.minimum(x, e.right[-1])
         error += solved.question.common_error(e, u.T, size.T + other, within).T
-        # Far from the peak u and p = T u are differences of larger numbers.
+        # Far from the peak u and p = T u are differences of larger numbers, hence the round-off.
         c = e.process.coefficients(x)
         with np.errstate(over="ignore"):
             of_p = np.multiply.outer(np.exp(-c.log_density_of_states), solved.top)
@@ -186,19 +198,20 @@ class WeylInTime:
         return np.asarray(error.reshape(*points.shape, -1).max(axis=1))
 
     @cached_property
-    def moved(self) -> Array:
-        """Largest distance of two tables in each element (elements, times)."""
-        x = panel_rule(self.nodes, sum(POINTS))[0]
+    def table_error(self) -> Array:
+        """The largest difference of the two tables of Ψ in each element, plus round-off."""
+        x = panel_rule(self.nodes, sum(ENERGY_RULES))[0]
         _, coarse, fine = (table(x) for table in self.tables)
         distance = np.abs(coarse - fine).max(axis=1)
         return np.asarray(distance + ROUNDINGS * EPS * np.abs(fine).max(axis=1))
 
 
 def state_transient(solved: Transition, asked: Asked) -> Transient:
-    """Return the densities of one or two of (q, p), up to one hidden contact mass by quadrature.
+    """Return the densities ``asked`` for, of one or two of (q, p), from p(H, t) = ``solved``.
 
-    The L1 error is that of the energy, as integrating out increases none, and what tables and
-    quadrature add. Raises ``NotApplicable`` for more hidden contact masses.
+    The L1 error is the sum of the L1 error of p(H, t), which integrating out does not increase, and
+    the errors of tables and quadrature. At most one contact mass that is not observed is integrated
+    out, by quadrature; raises ``NotApplicable`` for more.
     """
     system, observable, at = asked.system, asked.observable, asked.at
     seen = [c.row for c in observable if c.kind == "q"]
@@ -208,24 +221,25 @@ def state_transient(solved: Transition, asked: Asked) -> Transient:
             f"{observable_name(observable)}: in time one contact mass at the most is integrated "
             f"out, here {len(hidden)} are not observed"
         )
-    # u is in the unit of T of the process.
+    # The energy at which the process takes T relative to that without contact.
     unit = solved.elements.process.energy_scale
-    order, log_factor, laws = reduced(system, observable, hidden, unit)
+    order, log_factor, laws = reduction(system, observable, hidden, unit)
     psi = WeylInTime(solved, order)
-    Q, energy = observed_energy(system, observable, laws, list(at))
+    Q, energy = energy_of_observed(system, observable, laws, list(at))
     if hidden:
         values, errors, rule_error = _over_hidden(psi, laws[-1], energy, Q)
     else:
         values, errors, rule_error = psi(energy), psi.error(energy), np.zeros(1)
     factor = float(np.exp(log_factor))
     highest = max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
-    # The largest error of the rule over hidden masses, everywhere that the last energy allows.
+    # Volume of the observed coordinates up to the last energy; times the largest error of the rule
+    # over the hidden mass it bounds that error's integral.
     own = [
         (np.diag(system.compliance) if c.kind == "q" else system.mass)[c.row] for c in observable
     ]
     volume = float(np.prod(2.0 * np.sqrt(2.0 * psi.nodes[-1] * np.array(own))))
-    # The error of the table, relative to the largest Ψ.
-    added = float(np.max(psi.moved / np.abs(psi.tables[-1].coefficients[:, 0]).max(axis=0)))
+    # Error of the table, relative to the largest Ψ.
+    added = float(np.max(psi.table_error / np.abs(psi.tables[-1].coefficients[:, 0]).max(axis=0)))
     measured = replace(
         solved.measured,
         l1_error=solved.measured.l1_error + added + factor * volume * float(rule_error.max()),
@@ -240,18 +254,22 @@ def state_transient(solved: Transition, asked: Asked) -> Transient:
 def _over_hidden(
     psi: WeylInTime, law: Conditional, energy: Array, given: Array
 ) -> tuple[Array, Array, Array]:
-    """∫Ψ(E + V(hidden | observed)), its error, and that of the rule: (points, times) each."""
+    """Return ∫Ψ(E + V(hidden | observed)), its whole error, and its error by the Gauss rule alone.
+
+    Each is (points, times). E is ``energy`` (points,), ``law`` the law of the hidden displacement
+    given the observed displacements ``given`` (observed, points).
+    """
     mean = law.weights @ given if given.size else np.zeros(energy.size)
-    # Beyond the panels V is above the last energy, where Ψ is less than this error and falls.
+    # Bounds the integral beyond the panels, where E + V is above the last energy.
     beyond = np.sqrt(2.0 * psi.nodes[-1] / law.precision) * psi.error(psi.nodes[-1:])
     size = max(1, BLOCK_SIZE // (2 * psi.nodes.size**2 * ERROR_POINTS))
     parts = []
     for start in range(0, energy.size, size):
         E, m = energy[start : start + size], mean[start : start + size]
-        nodes = _panels(psi.nodes, law, E, m)
+        nodes = _hidden_nodes(psi.nodes, law, E, m)
         half = 0.5 * np.diff(nodes, axis=1)[..., None]
         answers = []
-        for points in (*RULES, ERROR_POINTS):
+        for points in (*HIDDEN_RULES[1], ERROR_POINTS):
             t, w = gauss_legendre(points)
             q = nodes[:, :-1, None] + half * (1.0 + t)
             total = E[:, None, None] + law.energy(q, m[:, None, None])
@@ -263,10 +281,11 @@ def _over_hidden(
     return values, errors + rule, rule
 
 
-def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Array:
-    """Nodes (points, nodes) of the hidden mass, at stops and where E + V is one of ``energies``.
+def _hidden_nodes(energies: Array, law: Conditional, energy: Array, mean: Array) -> Array:
+    """Return nodes (points, nodes) of the hidden displacement where E + V is one of ``energies``.
 
-    Panels that would be beyond the last energy have no length.
+    Further nodes are at the stops and in layers beyond. E is ``energy`` (points,), ``mean``
+    (points,) the mean of ``law``. Panels beyond the last of ``energies`` have length 0.
     """
     halvings = math.ceil(-math.log2(EPS))
     reach = np.sqrt(2.0 * np.maximum(energies[-1] - energy, 0.0) / law.precision)
@@ -275,7 +294,7 @@ def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Ar
         third = (high - low) / 3.0
         falls = law.energy(low + third, mean) > law.energy(high - third, mean)
         low, high = np.where(falls, low + third, low), np.where(falls, high, high - third)
-    # To the left of the least V and to its right: (sides, points, energies).
+    # On the left and on the right of the minimum of V: (sides, points, energies).
     outside = np.stack([mean - reach, mean + reach])[..., None] + np.zeros(energies.size)
     inside = 0.5 * (low + high)[:, None] + np.zeros(outside.shape)
     for _ in range(halvings):
@@ -286,6 +305,6 @@ def _panels(energies: Array, law: Conditional, energy: Array, mean: Array) -> Ar
     layers = [np.empty((energy.size, 0))]
     for stop in law.stops:
         at = stop.sign * stop.clearance
-        beyond = at + (ends[int(stop.sign > 0.0)] - at) * LAYERS
+        beyond = at + (ends[int(stop.sign > 0.0)] - at) * STOP_LAYERS
         layers.append(np.clip(beyond, *ends))
     return np.sort(np.hstack([*outside, *layers]), axis=1)

@@ -108,7 +108,7 @@ def masses() -> str:
         " out, which leaves one integral of (H - V)^(n - 3/2) for any n, cut where it has died out,"
         " so that a few Gauss points serve any n. What grows is the closed form up to the stop, n"
         " products, and where neither the first nor the second rule is fine enough"
-        " (`RULES` of `averaging/shell/averages.py`).\n\n"
+        " (`RAY_RULES` of `averaging/shell/averages.py`).\n\n"
     )
     head = ["masses", "process, factorisation included, ms", "coefficients at 350 energies, ms"]
     return "## Masses: averaging with one contact\n" + words + markdown_table(head, rows)

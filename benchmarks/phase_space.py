@@ -17,7 +17,7 @@ from time import perf_counter
 from report import markdown_table, medians, write_page
 
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.refinement import MEMORY
+from averaging.phase_space.refinement import SOLUTION_MEMORY
 from averaging.theory import Exact
 from cases.compare.compare import chance_l1, join_bins
 from fpk.answer.density import Density, l1_distance
@@ -80,7 +80,7 @@ def three_masses() -> list[list[str]]:
     stop = Contact(2, "both", 10.0, 0.5)
     system = System([1, 1, 1], [1, 1, 1], damping, noise, contacts=(stop,))
     rows = []
-    for memory in (0.4, 1.0, MEMORY, 16.0):
+    for memory in (0.4, 1.0, SOLUTION_MEMORY, 16.0):
         start = perf_counter()
         result = PhaseSpace(tol=1e-8, accepted=1.0, memory=memory).solve(
             system, (parse_observable("q2", 3),)

@@ -1,6 +1,7 @@
 """Files, names, commands and constants that the documents mention are those of the program."""
 
 import ast
+import math
 import re
 import runpy
 import shlex
@@ -12,8 +13,8 @@ from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace, theo
 from averaging.phase_space import method as phase_space
 from averaging.phase_space import refinement
 from averaging.phase_space.dynamics import resolvent
-from averaging.phase_space.passage import first_passage, mesh
-from averaging.time import TOL
+from averaging.phase_space.passage import first_passage
+from averaging.time import MODAL_TOL
 from cases.api import PresentedAnswers
 from cases.command import studies
 from cases.command.app import app
@@ -26,6 +27,7 @@ from cases.study import converge_page, cost_page, levels, orders
 from cases.study.orders import grid_convergence
 from cases.study.sweep import answering as sweep_answering
 from fpk.answer import bins, contacts, quantities
+from fpk.numeric.arrays import EPS
 from fpk.numeric.errors import InvalidInput
 from fpk.solvers.line.time.resolvent import CONTOUR_TIMES
 from fpk.system import damping
@@ -132,31 +134,31 @@ CONSTANTS = {
     "choose.md": (
         f"| tolerance of deterministic densities | {short(theory.SMALLEST)} to {theory.LARGEST} |",
         f"| masses of a scene | {schema.MAX_MASSES} |",
-        f"| masses in `phase-space` | {phase_space.MOST_MASSES}, stops on 1 of them,",
+        f"| masses in `phase-space` | {phase_space.MOST_EXPANSION_MASSES}, stops on 1 of them,",
         f"| degree of a damping term | {damping.MOST_POWERS}, an energy counting 2 |",
         f"by plain simulation | {answering.LEAST_FAILURES:g} failures of the paths expected |",
         f"clearance > {contacts.CLEARANCE_RULE:g} rms",
-        f"({refinement.MEMORY:g} GB, `--memory`)",
-        f"up to {phase_space.MOST_MASSES} masses, stops on one",
+        f"({refinement.SOLUTION_MEMORY:g} GB, `--memory`)",
+        f"up to {phase_space.MOST_EXPANSION_MASSES} masses, stops on one",
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}.",
     ),
     "command-line.md": (
         f"at a false-alarm rate of {short(diagnostics.FALSE_ALARMS)} an observable",
         f"Where that is off by more than {doubt.ACCEPTABLE_L1}, a stop",
         "quantiles of {0:.0%} and {2:.0%}".format(*quantity.QUANTILES.values()).replace("%", " %"),
-        f"{short(phase_space.UNASKED_TOL)} or better where that is met",
-        f"Where less than {short(phase_space.UNASKED_ACCEPTED)} is out of reach",
-        f"`--tol` below {short(phase_space.UNASKED_TOL)} does not reach it",
+        f"{short(PhaseSpace.tol)} or better where that is met",
+        f"Where less than {short(0.1 * theory.LARGEST)} is out of reach",
+        f"`--tol` below {short(PhaseSpace.tol)} does not reach it",
         f"applies to at most {WORDS[phase_space.UNASKED_MASSES]} masses",
-        f"up to {WORDS[phase_space.MOST_MASSES]} masses, stops on one of them",
+        f"up to {WORDS[phase_space.MOST_EXPANSION_MASSES]} masses, stops on one of them",
         f"With more than {WORDS[facts.MASSES]} masses",
         f"simulation {PARTS[round(settings.RELAXATIONS / studies.USUAL)]} as long",
         f"to {short(PhaseSpace().tol)} by default",
-        f"as long as a solution needs at most {refinement.MEMORY:g} GB",
+        f"as long as a solution needs at most {refinement.SOLUTION_MEMORY:g} GB",
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
         f"to {short(first_passage.TOL)} (H) or"
         f" {short(first_passage.GLANCING_TOL)} (a displacement)",
-        f"of `fem` {short(theory.DEFAULT)}, with two energies {short(TOL)},",
+        f"of `fem` {short(theory.DEFAULT)}, with two energies {short(MODAL_TOL)},",
         f"judged by an L1 error of {short(theory.DEFAULT)}, of systems with",
         f"stops on more than two masses by {short(theory.DEFAULT_BY_LINES)}.",
         f"solved to {short(sweep_answering.REFERENCE_TOL)}",
@@ -164,7 +166,7 @@ CONSTANTS = {
         f"is at least {short(quantities.FIELD_CUT)} of its maximum",
     ),
     "cluster.md": (f"Every {workers.INTERVAL:g} seconds of a simulation",),
-    "faq.md": (f"gives it to {short(phase_space.UNASKED_TOL)} or better",),
+    "faq.md": (f"gives it to {short(PhaseSpace.tol)} or better",),
     "scene.md": (
         f"within {doubt.ACCEPTABLE_L1} in L1 of the full system",
         f"(a false-alarm rate of {short(diagnostics.FALSE_ALARMS)}, over all times)",
@@ -184,18 +186,18 @@ CONSTANTS = {
         f"clearance > {contacts.CLEARANCE_RULE:g} rms",
         f"one serves all times within a factor {CONTOUR_TIMES:g}",
         f"Above {100 * splitting.RESOLVED:g} % no error is stated",
-        f"the error is {refinement.SAFETY:g} d",
-        f"r at least {refinement.SLOWEST}",
-        f"and {refinement.FIRST * refinement.SAFETY:g} d after two solutions",
-        f"less than {refinement.KEPT} of the one before",
-        f"a damping ratio below {refinement.LIGHT} it is not",
-        f"less than {refinement.KEPT_WHERE_LIGHT} of the one before",
-        f"{refinement.COMMON} of the largest",
+        f"the error is {refinement.DISTANCE_SAFETY:g} d",
+        f"r at least {refinement.SLOWEST_FALL}",
+        f"and {refinement.FIRST_SAFETY * refinement.DISTANCE_SAFETY:g} d after two solutions",
+        f"less than {refinement.LEAST_RATIO} of the one before",
+        f"a damping ratio below {refinement.LIGHT_DAMPING} it is not",
+        f"less than {refinement.LIGHT_RATIO} of the one before",
+        f"{refinement.LEAST_RATIO} of the largest",
         f"from {resolvent.BLOCK} random vectors",
-        f"Velocities are followed {mesh.BEYOND} kicks of noise",
-        f"{first_passage.SAFETY:g} times the distance of the last two,"
-        f" or {first_passage.SAFETY * first_passage.SHARE:g} times the largest relative one",
-        f"A mean time beyond e^{first_passage.HIGHEST:g} units",
+        f"Velocities are followed {math.sqrt(-2.0 * math.log(EPS)):.1f} kicks of noise",
+        f"{first_passage.DISTANCE_FACTOR:g} times the distance of the last two,"
+        f" or {first_passage.DISTANCE_FACTOR * first_passage.CHANCE_SHARE:g} times the largest relative one",
+        f"A mean time beyond e^{-math.log(EPS):.0f} units",
         f"with fewer than {passage.LEAST_FAILURES} failures in the tail",
         f"jackknife of {passage.GROUPS} groups",
         f"one Hann window of {curves.WINDOW:g} decay times",
@@ -279,7 +281,7 @@ def test_messages_and_help_state_the_limits_of_the_code():
     least, most = re.search(r"\{(\d+),(\d+)\}", schema.UNIT["pattern"]).groups()
     assert f"must be {least} to {most} letters" in refusal.value.remedy
     (memory,) = (o for o in app.commands["density"].params if o.name == "memory")
-    assert f"{refinement.MEMORY:g} if left out" in memory.help
+    assert f"{refinement.SOLUTION_MEMORY:g} if left out" in memory.help
 
 
 def test_tolerances_of_the_methods_are_their_defaults():

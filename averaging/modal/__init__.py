@@ -1,1 +1,1 @@
-"""Modes of the chain without contacts, their averaged energies and their resonances."""
+"""Modes of the chain without contacts, their averaged energies and internal resonances."""

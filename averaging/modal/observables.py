@@ -1,6 +1,7 @@
-"""Densities of all observables of the modes from their energies', Eqs. (11), (19), (34)-(36).
+"""Densities of all observables from densities of modal energies, Eqs. (11), (19), (34)-(36).
 
-The modal energies fall into groups that the damping couples; each is solved once.
+The modal energies fall into groups that the damping couples; the density of a group is solved for
+once.
 """
 
 from collections.abc import Iterable, Sequence
@@ -10,10 +11,10 @@ from math import prod
 import numpy as np
 from scipy.special import j0
 
-from averaging.energy_process import closed_form
+from averaging.energy_process import exponential_density
 from averaging.gaussian import Gaussian, state_rows
 from averaging.modal.analysis import ModalAnalysis
-from averaging.zero_flux import density_of_energies, flux_residual, solved_energies
+from averaging.zero_flux import density_of_energies, flux_residual, solve_energies
 from fpk.answer.certificate import Measured, largest_measured
 from fpk.answer.density import Density, certify_density
 from fpk.answer.names import Coordinate, Observable
@@ -23,24 +24,24 @@ from fpk.numeric.quadrature import panel_rule
 
 Group = tuple[int, ...]
 BY_ELEMENTS = ("fem", "scikit-fem")
-"""Solvers of two energies at once."""
-POINTS = 24
-"""Gauss points per panel where an energy is integrated out: over three e-folds they miss 1e-30."""
-FIRST_BAND = 8.0
-"""Highest wave number of the first attempt, in units of 1/rms: φ of a Gaussian is e^-32 there."""
-WIDER = 2.0**0.5
-"""Factor from one highest wave number s to the next. The norm of φ beyond s is taken for
-1/(√2 − 1) of that between s/√2 and s, as where |φ| falls as s^-2."""
+"""Solvers that give the joint density of two coupled energies."""
+CONVOLUTION_POINTS = 24
+"""Gauss points per panel of integrals over an energy: they integrate e^(−x), 0 < x < 3, to
+1e-30."""
+BAND_GROWTH = 2.0**0.5
+"""Factor from one highest wave number s to the next. The norm of φ beyond s is estimated by 1/(√2 −
+1) times its norm between s/√2 and s, which holds if |φ| falls as s^-2."""
 MAX_WAVES = 40_000
-"""Largest number of waves; the estimate of what further ones would add goes into the error."""
-PHASE = {1: 30.0, 2: 16.0}
-"""Largest phase over a panel by the number of coordinates: 20 and 12 points integrate to 1e-9."""
+"""Largest number of waves; the estimated contribution of further waves is part of the error."""
+PANEL_PHASE = {1: 30.0, 2: 16.0}
+"""Largest phase of a wave over a panel, in radians, by the number of coordinates: 20 and 12 Gauss
+points integrate it to 1e-9."""
 HALF_PANELS = (4.0, 400.0)
-"""Least and largest number of panels of an axis on either side of 0."""
+"""Smallest and largest number of panels of an axis on either side of 0."""
 
 
-def unsolved(modes: ModalAnalysis, solver: str) -> str | None:
-    """Return why the energies of the modes cannot be solved for, or None where they can."""
+def coupling_refusal(modes: ModalAnalysis, solver: str) -> str | None:
+    """Return why ``solver`` cannot give the density of the coupled energies, None if it can."""
     largest = max(modes.averaged.groups, key=len)
     names = " and ".join(f"H{m + 1}" for m in largest)
     if len(largest) > 2:
@@ -53,10 +54,11 @@ def unsolved(modes: ModalAnalysis, solver: str) -> str | None:
 def modal_densities(
     modes: ModalAnalysis, observables: Sequence[Observable], solver: str, *, tol: float
 ) -> tuple[Density, ...]:
-    """Return the densities of modal energies, their sum, displacements and momenta.
+    """Return the densities of ``observables``: modal energies, their sum, displacements, momenta.
 
-    Groups of modes are solved to a share of ``tol`` such that an observable of all of them meets
-    it. With constant damping the closed forms are Gaussian.
+    Each group of modes is solved to a share of the L1 tolerance ``tol`` such that an observable
+    that depends on all groups meets it. With constant damping and ``solver`` "closed-form"
+    displacements and momenta are Gaussian.
     """
     closed, groups = modes.constant and solver == "closed-form", modes.averaged.groups
     energies, behind = list[bool](), list[list[Group]]()
@@ -67,42 +69,43 @@ def modal_densities(
             behind.append([tuple(index)])  # (19) in two energies, though the density factors
         else:
             behind.append(list(dict.fromkeys(g for m in index for g in groups if m in g)))
-    # An observable of all groups adds errors of its own.
+    # An observable of all groups has the errors of all, and as much from its own computation.
     parts = max((len(b) * (2 - own) for own, b in zip(energies, behind, strict=True)), default=1)
 
-    solved = cache(partial(solved_group, modes, solver=solver, share=tol / parts, tol=tol))
+    solved = cache(partial(group_density, modes, solver=solver, share=tol / parts, tol=tol))
 
     def density(observable: Observable, of_energies: bool, behind: list[Group]) -> Density:
         if closed and not of_energies:
             return gaussian_modes(modes).density(observable, tol=tol)
         of_groups = [solved(group) for group in behind]
         if of_energies:
-            return _product(observable, of_groups, tol)
+            return _product_density(observable, of_groups, tol)
         if observable[0].kind == "H":
             # p(H) = ∫p(H1, H − H1) dH1 within a group, and convolutions between groups.
-            of_sum = partial(_of_sum, observable, share=tol / (2 * len(of_groups)), tol=tol)
+            of_sum = partial(_sum_density, observable, share=tol / (2 * len(of_groups)), tol=tol)
             return reduce(of_sum, (p if len(p.panels) == 1 else of_sum(p) for p in of_groups))
         return state_density(modes, of_groups, observable, tol=tol)
 
     return tuple(map(density, observables, energies, behind))
 
 
-def solved_group(
+def group_density(
     modes: ModalAnalysis, group: Group, *, solver: str, share: float, tol: float
 ) -> Density:
-    """Return the density of the energies of one or two modes on which no other acts.
+    """Return the density of the energies of a coupled ``group`` of one or two modes (0-based).
 
-    To the L1 error ``share``, judged by ``tol``. The round-off of γ θ/d counts by 1 + H/θ each.
+    It is solved for by ``solver`` to the L1 error ``share``; the certificate compares with ``tol``.
+    The relative error ε of γ θ/d of a mode changes p by up to ε (1 + H/θ).
     """
     process, theta = modes.process(group), modes.temperature[list(group)]
     if solver != "closed-form":
-        p = solved_energies(process, solver, tol=share)
+        p = solve_energies(process, solver, tol=share)
     else:
         factors, (m,) = modes.averaged.factors, group  # γ/d in ascending powers of H_m
         alone = np.isin(factors, [0, m + 1]).all(axis=1)
         degree = np.count_nonzero(factors[alone], axis=1)
         rate = np.bincount(degree, modes.averaged.values[alone, m, m])
-        p = closed_form(process, rate / modes.noise[m])
+        p = exponential_density(process, rate / modes.noise[m])
     observable = tuple(Coordinate("H", m) for m in group)
     panels = p.panels if isinstance(p.panels, tuple) else (p.panels,)
     return density_of_energies(
@@ -115,21 +118,24 @@ def solved_group(
     )
 
 
-def _product(observable: Observable, parts: Sequence[Density], tol: float) -> Density:
-    """The density of one or two modal energies, a product over independent groups of modes."""
+def _product_density(observable: Observable, parts: Sequence[Density], tol: float) -> Density:
+    """Return the density of modal energies as a product of the densities ``parts`` of groups.
+
+    The certificate compares the L1 error with ``tol``.
+    """
     if parts[0].observable == observable:
         return parts[0]
     panels = {c: x for part in parts for c, x in zip(part.observable, part.panels, strict=True)}
 
     def both(*energies: Array) -> tuple[Array, Array]:
-        """The density and its error, the groups integrated over energies not asked for."""
+        """Return density and error; energies that are not in ``observable`` are integrated out."""
         given, factors = dict(zip(observable, energies, strict=True)), []
         for part in parts:
             hidden = [c for c in part.observable if c not in given]
             if not hidden:
                 factors.append(part.at(*(given[c] for c in part.observable)))
             else:
-                x, w = (a.ravel() for a in panel_rule(panels[hidden[0]], 2 * POINTS))
+                x, w = (a.ravel() for a in panel_rule(panels[hidden[0]], 2 * CONVOLUTION_POINTS))
                 at = (given[c][..., None] if c in given else x for c in part.observable)
                 p, error = part.at(*at)
                 factors.append((p @ w, error @ w))
@@ -140,26 +146,30 @@ def _product(observable: Observable, parts: Sequence[Density], tol: float) -> De
         tuple(panels[c] for c in observable),
         lambda *energies: both(*energies)[0],
         lambda *energies: both(*energies)[1],
-        measured=joined(parts),
+        measured=combine_measured(parts),
         tol=tol,
     )
 
 
-def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -> Density:
-    """The density of H1 + H2 from p(H1, H2), or from those of two independent energies.
+def _sum_density(observable: Observable, *parts: Density, share: float, tol: float) -> Density:
+    """Return the density of H1 + H2 from p(H1, H2), or from p(H1) and p(H2) if independent.
 
-    Its panels are halved until the last coefficients fall below the L1 ``share``.
+    Panels are halved until the last Legendre coefficients sum to less than the L1 error ``share``;
+    the certificate compares the error with ``tol``.
     """
     panels = tuple(x for part in parts for x in part.panels)
     end = panels[0][-1] + panels[1][-1]
     nodes = np.unique(np.concatenate([*panels, np.linspace(0.0, end, 9), [end]]))
     nodes = nodes[np.append(True, np.diff(nodes) > 1e-12 * end)]
-    t, w = panel_rule(np.array([0.0, 1.0]), POINTS)
+    t, w = panel_rule(np.array([0.0, 1.0]), CONVOLUTION_POINTS)
 
     def along(energy: Array) -> Array:
-        """∫p(x, H − x) dx over 0 < x < H, cut where x or H − x passes from panel to panel."""
+        """Return ∫p(x, H − x) dx, 0 < x < H, and its error at ``energy`` H (points,).
+
+        Panels end where x or H − x is a panel node.
+        """
         sums = []
-        size = energy.size * POINTS * (panels[0].size + panels[1].size)
+        size = energy.size * CONVOLUTION_POINTS * (panels[0].size + panels[1].size)
         for part in np.array_split(energy, 1 + 2 * size // BLOCK_SIZE):
             H = part[:, None]
             ends = np.hstack([np.minimum(panels[0], H), np.maximum(H - panels[1], 0.0)])
@@ -190,13 +200,13 @@ def _of_sum(observable: Observable, *parts: Density, share: float, tol: float) -
         (both.nodes,),
         lambda energy: both(energy)[..., 0],
         pointwise,
-        measured=joined(parts, 2.0 * float(both.error.sum())),
+        measured=combine_measured(parts, 2.0 * float(both.error.sum())),
         tol=tol,
     )
 
 
 def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
-    """Return (34) as the Gaussian state that it is, of independent ω Q_i and P_i of variance θ_i.
+    """Return (34) as a Gaussian state: independent ω Q_i and P_i of variance θ_i.
 
     With M* = 1: ``cov q = T diag(θ_i/ω_i²) Tᵀ``, ``cov p = M T diag(θ_i) Tᵀ M``, Eqs. (20), (35).
     The residual is the largest flux of e^(−H/θ)/θ in the energy process (19) of a mode.
@@ -218,10 +228,10 @@ def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
 
 
 def fourier_sum(phases: Array, coefficients: Array, x: Array, y: Array | float = 0.0) -> Array:
-    """Return Σ_km coefficients_km exp(i (k a_0 + m a_1)) where |a| <= π, else 0, a = ``phases`` x.
+    """Return Re Σ_km coefficients_km exp(i (k a_0 + m a_1)), a = ``phases`` (x, y); 0 if |a| > π.
 
-    ``phases`` (2, 2) is lower triangular; ``coefficients`` (functions, k = 0 .. K, m = −M .. M)
-    have k and −k in one. Points broadcast together; the answer is (functions, ...).
+    ``phases`` (2, 2) is lower triangular. ``coefficients`` (functions, k = 0 .. K, m = −M .. M)
+    include the terms of −k. ``x`` and ``y`` broadcast together; the result is (functions, ...).
     """
     K, M = np.array(coefficients.shape[1:]) // [1, 2] - [1, 0]
     (u, i), (v, j) = (np.unique(z, return_inverse=True) for z in (x, y))
@@ -241,12 +251,14 @@ def fourier_sum(phases: Array, coefficients: Array, x: Array, y: Array | float =
 def state_density(
     modes: ModalAnalysis, groups: Sequence[Density], observable: Observable, *, tol: float
 ) -> Density:
-    """Return the density of one or two displacements and momenta from that of the energies.
+    """Return the density of one or two displacements and momenta from densities of modal energies.
 
-    An observed x is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m), X = T Q (14) and p_i = m_i Ẋ_i, with
-    independent uniform phases: ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``. A
-    Fourier series on the bounded support has no aliasing error; what lies beyond the band is
-    estimated from its outermost ring. The transform does not increase an L1 error.
+    ``groups`` are the densities of independent groups of energies. A coordinate x of ``observable``
+    is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m) by X = T Q (14) and p_i = m_i Ẋ_i, with independent
+    uniform phases, so that ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``. The density
+    is a Fourier series on its bounded support, without aliasing error; the omitted waves are
+    estimated from the outermost ring of the band. The transform does not increase an L1 error. The
+    certificate compares with ``tol``.
     """
     count = len(observable)
     rows = np.sqrt(2.0) * modes.state_shapes[state_rows(observable, modes.n)]
@@ -260,29 +272,34 @@ def state_density(
     box = np.hypot(whitened @ U, whitened @ W) @ largest
     phases = np.pi * whitened / box[:, None]
     scale = float(np.prod(np.diag(whitened) / (2.0 * box)))
-    band, beyond = FIRST_BAND, 1.0 / (WIDER - 1.0)
+    # φ of a Gaussian, exp(−½ s²) at the wave number s in units of 1/rms, meets the tolerance below
+    # in the outermost ring, which begins at band/BAND_GROWTH.
+    band, beyond = BAND_GROWTH * np.sqrt(-2.0 * np.log(0.1 * tol)), 1.0 / (BAND_GROWTH - 1.0)
     while True:  # until the waves beyond the band add less than a tenth of the tolerance
         K, M = np.pad(np.ceil(band * box / np.pi).astype(int), (0, 2 - count))
         k, m = np.mgrid[0 : K + 1, -M : M + 1]
         waves = np.stack([k.ravel(), m.ravel()][:count], axis=1) @ phases
-        # E Π_m J0(√H_m size_m), and the transform of its error: that of each group times p of the
-        # others.
+        # E Π_m J0(√H_m size_m), and the transform of its error: the error of each group times the
+        # transforms of the others.
         size = np.hypot(waves @ U, waves @ W)
         p, error = np.ones(len(size)), np.zeros(len(size))
         for group in groups:
-            own, own_error = _transformed(group, size[:, [c.row for c in group.observable]])
+            own, own_error = _bessel_transform(group, size[:, [c.row for c in group.observable]])
             p, error = p * own, error * own + p * own_error
         both_signs = np.where(k == 0, 1.0, 2.0)
         ring = np.abs(p.reshape(k.shape))
-        ring *= np.maximum(k / K, np.abs(m) / max(M, 1)) > 1.0 / WIDER
+        ring *= np.maximum(k / K, np.abs(m) / max(M, 1)) > 1.0 / BAND_GROWTH
         # ∫|·| over the box is at most √Σ|φ|², by Parseval and Cauchy-Schwarz.
         l1_beyond = beyond * float(np.sqrt(np.sum(both_signs * ring**2)))
-        if l1_beyond <= 0.1 * tol or np.prod(2.0 * WIDER * np.array([K, M]) + 1.0) > MAX_WAVES:
+        if (
+            l1_beyond <= 0.1 * tol
+            or np.prod(2.0 * BAND_GROWTH * np.array([K, M]) + 1.0) > MAX_WAVES
+        ):
             break
-        band *= WIDER
+        band *= BAND_GROWTH
     coefficients = scale * both_signs * np.stack([p, error]).reshape(2, *k.shape)
     both = partial(fourier_sum, np.pad(phases, (0, 2 - count)), coefficients)
-    from_modes = modes.relative_error * 2.0 * count  # of T and ω, in the coordinates
+    from_modes = modes.relative_error * 2.0 * count  # from errors of T and ω
     relative = sum(group.l1_error for group in groups) + from_modes
     round_off = 8.0 * EPS * float(k.size) ** 0.5
     floor = beyond * scale * float(np.sum(both_signs * ring))
@@ -293,22 +310,25 @@ def state_density(
         return np.asarray(np.abs(error) + relative * np.abs(p) + floor)
 
     extent = np.hypot(U, W) @ largest
-    # Panels over which the phase at the edge of the band, where next to nothing is left, turns by
-    # ``PHASE``, and no more of them than are affordable.
-    turns = extent * (np.array([K, M])[:count] @ np.abs(phases)) / PHASE[count]
+    # Panels over which the phase of the highest wave turns by ``PANEL_PHASE``, within limits: φ is
+    # nearly 0 at the edge of the band.
+    turns = extent * (np.array([K, M])[:count] @ np.abs(phases)) / PANEL_PHASE[count]
     halves = np.ceil(np.clip(turns, *HALF_PANELS)).astype(int)
     return certify_density(
         observable,
         tuple(np.linspace(-e, e, 1 + 2 * half) for e, half in zip(extent, halves, strict=True)),
         lambda *x: both(*x)[0],
         pointwise,
-        measured=joined(groups, from_modes + l1_beyond + round_off),
+        measured=combine_measured(groups, from_modes + l1_beyond + round_off),
         tol=tol,
     )
 
 
-def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
-    """Return what was measured on independent densities, for one that depends on them all."""
+def combine_measured(parts: Sequence[Density], added: float = 0.0) -> Measured:
+    """Return errors and checks of a density that depends on all of the independent ``parts``.
+
+    ``added`` is its own L1 error.
+    """
     checks = [part.certificate for part in parts]
     return Measured(
         l1_error=sum(part.l1_error for part in parts) + added,
@@ -322,19 +342,22 @@ def joined(parts: Sequence[Density], added: float = 0.0) -> Measured:
 
 
 def product_of(factors: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Return the product of numbers with errors, and its error."""
+    """Return the product of ``factors``, pairs of a value and its error, and its error."""
     value, error = np.ones(()), np.zeros(())
     for x, e in factors:
         value, error = value * x, error * (np.abs(x) + e) + np.abs(value) * e
     return value, error
 
 
-def _transformed(group: Density, size: Array) -> Array:
-    """E Π J0(√H_m size_m) and its error, (2, waves), by Gauss rules that follow the phase."""
+def _bessel_transform(group: Density, size: Array) -> Array:
+    """Return E Π_m J0(√H_m ``size``_m) and its error, (2, waves), for ``size`` (waves, modes).
+
+    The Gauss rules on the panels of ``group`` have more points the larger the phase is.
+    """
     rules = []
     for nodes, z in zip(group.panels, size.T, strict=True):
         phase = float(np.max(np.diff(np.sqrt(nodes)))) * float(z.max(initial=0.0))
-        rules.append(panel_rule(nodes, POINTS + 4 * int(np.ceil(0.15 * phase))))
+        rules.append(panel_rule(nodes, CONVOLUTION_POINTS + 4 * int(np.ceil(0.15 * phase))))
     energies, weights = ([a.ravel() for a in part] for part in zip(*rules, strict=True))
     shares = reduce(np.multiply.outer, weights) * group.at(
         *np.meshgrid(*energies, indexing="ij", sparse=True)

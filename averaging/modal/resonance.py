@@ -1,4 +1,4 @@
-"""Internal resonance: what averaging over the phases of the modes neglects, section 5."""
+"""Internal resonance: when averaging over independent phases of the modes fails, section 5."""
 
 from collections.abc import Container
 from itertools import combinations_with_replacement
@@ -12,20 +12,22 @@ from fpk.numeric.errors import NotApplicable
 from fpk.system.damping import gaussian_moment
 from fpk.system.system import System
 
-ORDER = 4
-"""Largest Σ|l_i| searched: v_i v_j holds ω_i ± ω_j, order 2; quadratic damping makes it 4."""
+MIN_ORDER = 4
+"""Smallest limit of the order Σ|l_i| of resonances: v_i v_j oscillates with ω_i ± ω_j, of order 2,
+and with damping quadratic in the state the order is 4."""
 MAX_NEGLECTED = 0.1
-"""Largest correlation of two modes, and largest relative swing of an energy, that averaging may
-neglect: p(q_i, p_j) is off by 2/π of it in L1, p(q_i) by its product with bandwidth/detuning."""
+"""Largest correlation ρ of two modes, and largest relative oscillation of a modal energy, that
+averaging may neglect: the L1 error of p(q_i, p_j) is 2ρ/π, of p(q_i) ρ bandwidth/detuning."""
 MAX_CANDIDATES = 500
-"""Largest number of resonances that are examined, those of least detuning."""
+"""Largest number of resonances examined, in ascending order of the detuning."""
 
 
 def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
-    """Raise ``NotApplicable`` where a resonance forbids to average over the phases of the modes.
+    """Raise ``NotApplicable`` if a resonance forbids to average over the phases of the modes.
 
-    With constant damping the neglected correlation of two modes matters. With damping terms a
-    flow of amplitude A into mode m at the phase Σ l_i φ_i makes H_m swing by 2 A/detuning.
+    With constant damping the criterion is the neglected correlation of two modes. With damping
+    terms a power of amplitude A into mode m with the phase Σ l_i φ_i makes H_m oscillate by 2
+    A/detuning.
     """
     correlation = correlations(modes)
     i, j = np.unravel_index(np.argmax(correlation), correlation.shape)
@@ -41,7 +43,7 @@ def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
     sizes = {size for term in terms for size in range(term.factors, 0, -2)} - {2}
     if not sizes or modes.n == 1:
         return
-    # Farther off a swing is smaller, even where what oscillates is twice as large as the average.
+    # At larger detunings the oscillation is allowed even if its amplitude is twice the mean power.
     fastest = float(np.max(np.diag(modes.averaged.mean(modes.temperature)[1])))
     far, order = 4.0 * fastest / MAX_NEGLECTED, resonance_order(system)
     for integers, detuning in resonances(modes.natural_frequency, order, sizes, far):
@@ -50,20 +52,20 @@ def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
         if not swing[m] <= MAX_NEGLECTED * detuning:
             relative = swing[m] / detuning if detuning else np.inf
             raise NotApplicable(
-                f"internal resonance: |Σ l ω| = {detuning:.4g} for l = {_words(integers)} is not "
-                "large against the flow of energy that the damping terms excite there; averaging "
-                f"would neglect a swing of {relative:.2g} of the energy of "
+                f"internal resonance: |Σ l ω| = {detuning:.4g} for l = {_integers(integers)} "
+                "is not large against the flow of energy that the damping terms excite there; "
+                f"averaging would neglect a swing of {relative:.2g} of the energy of "
                 f"mode {m + 1}, at most {MAX_NEGLECTED:g} is allowed"
             )
 
 
 def correlations(modes: ModalAnalysis) -> Array:
-    """Return the largest correlation (n, n) of two modes, in Q or V = Q̇, that averaging neglects.
+    """Return for each two modes the largest correlation of Q or V = Q̇ that averaging neglects.
 
     With S = 2 D_ij − c_ij θ_j − c_ji θ_i, Δ = ω_i² − ω_j², w = c_ii ω_j² + c_jj ω_i² and
     N = Δ² + (c_ii + c_jj) w the cross terms of the Lyapunov equation are, to first order in S,
-    E Q_i V_j = S Δ/N, E Q_i Q_j = S (c_ii + c_jj)/N and E V_i V_j = S w/N. Where damping and noise
-    meet (8) S vanishes and a resonance is harmless.
+    E Q_i V_j = S Δ/N, E Q_i Q_j = S (c_ii + c_jj)/N and E V_i V_j = S w/N. If (8) holds, S vanishes
+    and a resonance is harmless. The result (n, n) is 0 on and below the diagonal.
     """
     c, theta, omega = modes.modal_damping, modes.temperature, modes.natural_frequency
     rate = np.diag(c)
@@ -77,31 +79,32 @@ def correlations(modes: ModalAnalysis) -> Array:
 
 
 def nearest_resonance(system: System, modes: ModalAnalysis) -> str:
-    """Return, for readers, the integers l of least detuning |Σ l_i ω_i| that averages may hold."""
+    """Return a text: the integers l of smallest detuning |Σ l_i ω_i|, and the bandwidth."""
     order = resonance_order(system)
     integers, detuning = resonances(modes.natural_frequency, order, range(1, order + 1))[0]
     return (
-        f"|Σ l ω| = {detuning:.4g} for l = {_words(integers)}, against the bandwidth "
+        f"|Σ l ω| = {detuning:.4g} for l = {_integers(integers)}, against the bandwidth "
         f"{np.abs(integers) @ modes.half_bandwidth:.4g}"
     )
 
 
-def _words(integers: Integers) -> str:
+def _integers(integers: Integers) -> str:
     return f"({', '.join(map(str, integers))})"
 
 
 def resonance_order(system: System) -> int:
-    """Return the even Σ|l_i| up to which the averages of ``system`` hold frequencies Σ l_i ω_i."""
-    return max([ORDER, *(2 * ((term.factors + 1) // 2) for term in system.damping_terms)])
+    """Return the largest order Σ|l_i|, even, of frequencies Σ l_i ω_i in the averaged terms."""
+    return max([MIN_ORDER, *(2 * ((term.factors + 1) // 2) for term in system.damping_terms)])
 
 
 def resonances(
     omega: Array, order: int, sizes: Container[int], limit: float = 0.0
 ) -> list[tuple[Integers, float]]:
-    """Return integers l and detunings |Σ l_i ω_i| <= ``limit``, least first, and the least anyhow.
+    """Return integers l and detunings |Σ l_i ω_i|, smallest detuning first, for ``omega`` ω (n,).
 
-    Σ|l_i| is one of ``sizes``, at most the even ``order``: every such l is the difference of two
-    vectors of half that order with sorted frequencies, so that many modes cost little.
+    These are all detunings up to ``limit`` with Σ|l_i| in ``sizes``, at most the even ``order``,
+    and the smallest detuning if it is above. Every l is the difference of two vectors of half the
+    order; sorting their frequencies makes the search cheap for many modes.
     """
     unit = np.eye(omega.size, dtype=np.int64)
     units = np.vstack([unit, -unit, 0 * unit[:1]])
@@ -125,15 +128,16 @@ def resonances(
 
 
 def flow_amplitudes(system: System, modes: ModalAnalysis, integers: Integers) -> Array:
-    """Return the real amplitudes (n,) of the flows F_m Q̇_m that go with e^{i Σ l_k φ_k}.
+    """Return the amplitudes (n,) of the powers F_m Q̇_m that oscillate as e^{i Σ l_k φ_k}.
 
-    Of Gaussian modes, ``Q_k = √(2θ_k)/ω_k Re z_k`` and ``Q̇_k = −√(2θ_k) Im z_k`` with E|z_k|² = 1,
-    it is E[F_m Q̇_m Π z̄_k^l_k]/√(Π |l_k|!), for l_k < 0 with z. With i Q̇ in the place of Q̇ all
-    second moments are real and Isserlis' theorem holds as it stands; H is taken at its mean.
+    ``integers`` are the l_k (n,). For Gaussian modes ``Q_k = √(2θ_k)/ω_k Re z_k``, ``Q̇_k =
+    −√(2θ_k) Im z_k``, E|z_k|² = 1, the amplitude is |E[F_m Q̇_m Π z̄_k^l_k]|/√(Π |l_k|!), with z
+    for z̄ if l_k < 0. With i Q̇ in the place of Q̇ all second moments are real, so that Isserlis'
+    theorem applies unchanged. H in a damping term is replaced by its mean.
     """
     n, T, root = modes.n, modes.mode_shapes, np.sqrt(modes.temperature)
     zero = np.zeros((n, n))
-    # Rows: displacements and velocities of the masses, velocities of the modes, the waves z.
+    # Rows: displacements and velocities of the masses, velocities of the modes, the z_k.
     q, v = T * root / modes.natural_frequency, np.vstack([T, np.eye(n)]) * root
     with_waves = np.vstack([q, -v * np.sign(integers)]) * np.sqrt(0.5)
     covariance = np.block([[q @ q.T, zero, zero], [np.vstack([zero, zero]), -v @ v.T]])
@@ -147,10 +151,10 @@ def flow_amplitudes(system: System, modes: ModalAnalysis, integers: Integers) ->
         velocities = list(term.powers("v", n))
         velocities[term.column] += 1
         level = term.coefficient * float(np.sum(modes.temperature)) ** term.energy
-        # i^(number of velocities) makes a flow real or imaginary, and its sign.
-        turned = (1j) ** -(sum(velocities) + 1)
+        # Undo the factor i of each velocity.
+        unit = (1j) ** -(sum(velocities) + 1)
         for m in np.flatnonzero(T[term.row]):
             mode = tuple(int(k == m) for k in range(n))
             powers = (*term.powers("q", n), *velocities, *mode, *waves)
-            flow[m] += turned * level * T[term.row, m] * gaussian_moment(covariance, powers)
+            flow[m] += unit * level * T[term.row, m] * gaussian_moment(covariance, powers)
     return np.asarray(np.abs(flow) / np.sqrt(prod(factorial(k) for k in waves)))

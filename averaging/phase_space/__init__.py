@@ -1,8 +1,8 @@
 """The FPK equation of the full system, solved in phase space without sampling.
 
 ``equation`` has the expansion at given degrees: the system relative to the mass that meets stops
-(``frame``), functions of its displacement (``basis``), ``degrees`` in all else, the equations
-(``chain``) and their ``elimination``. ``refinement`` adapts degrees and reference to a
-tolerance; ``marginals`` and ``densities`` follow from a solution, and questions in time by the
-resolvent (``dynamics``). ``passage`` is first passage of one mass, by finite elements.
+(``frame``), functions of its displacement (``basis``), ``degrees`` in the other variables, the
+equations (``chain``) and their ``elimination``. ``refinement`` adapts degrees and reference to a
+tolerance; ``marginals`` and ``densities`` evaluate a solution, ``dynamics`` answers questions in
+time by the resolvent. ``passage`` is first passage of one mass, by finite elements.
 """

@@ -1,49 +1,58 @@
-"""Densities of q and p from an expansion in Hermite functions, and identities, with their errors.
+"""Densities of q and p from an expansion in Hermite functions, and moment identities, with errors.
 
-The identities are moment equations that hold exactly in any stationary state. An expansion has most
-of them to round-off at any degree: a miss shows wrong equations, not too low a degree.
+The identities hold exactly in any stationary state, and most of them to round-off for an expansion
+of any degree: a violation shows that the equations are wrong, not that the degree is too low.
 """
 
 import numpy as np
 from scipy.ndimage import map_coordinates, maximum_filter
 
-from averaging.phase_space.equation.chain import Polynomial, by_y, product, reach, state
+from averaging.gaussian import GAUSSIAN_REACH
+from averaging.phase_space.equation.chain import (
+    Polynomial,
+    by_y,
+    damping_degree,
+    polynomial_product,
+    state_polynomials,
+)
 from averaging.phase_space.equation.degrees import Matrix, space_to
 from averaging.phase_space.equation.elimination import Expansion
-from averaging.phase_space.marginals import SPAN, marginal, moments
-from averaging.phase_space.refinement import ROUND_OFF, SAFETY, Ladder
+from averaging.phase_space.marginals import marginal, moments
+from averaging.phase_space.refinement import DENSITY_ROUND_OFF, DISTANCE_SAFETY, Ladder
 from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certify_density
 from fpk.answer.method import Identity
 from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.numeric.arrays import Array
 
-GRID = {1: 721, 2: 181}
-"""Points of an axis at which the distance to the coarser solution is sampled, by the axes. Its
-largest value over a standard deviation counts: the error does not vanish where it does."""
-FEWER = 0.8
-"""Share of the points at which the contact displacement is integrated out, to see their error."""
+DISTANCE_POINTS = {1: 721, 2: 181}
+"""Points along an axis at which the difference to the coarser solution is sampled, by the number of
+axes. Errors use its maximum within a standard deviation: at its zeros the error is not 0."""
+COMPARISON_SHARE = 0.8
+"""Points of the comparison rule over points of the answer in integrals over the contact
+displacement."""
 
 
-def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
-    """Return the density of ``observable``; what ended the ladder fails beyond ``tol``.
+def expansion_density(ladder: Ladder, observable: Observable, tol: float) -> Density:
+    """Return the density of ``observable`` by the finest solution of ``ladder``, judged by ``tol``.
 
-    Its error at a point is the scaled distance to the coarser solution about it, and what fewer
-    points of integration change.
+    The error at a point is the scaled maximum of the difference to the coarser solution nearby plus
+    the error of quadrature. If the ladder ended with an L1 error above ``tol``, the certificate
+    fails and gives the reason.
     """
     factor, error = ladder.factors[observable], ladder.errors[observable]
     panels, pdf = marginal(ladder.finest, observable)
     _, coarser = marginal(ladder.coarser, observable)
-    _, fewer = marginal(ladder.finest, observable, share=FEWER)
-    count = GRID[len(panels)]
+    _, fewer = marginal(ladder.finest, observable, share=COMPARISON_SHARE)
+    count = DISTANCE_POINTS[len(panels)]
     axes = [np.linspace(nodes[0], nodes[-1], count) for nodes in panels]
     mesh = np.meshgrid(*axes, indexing="ij", sparse=True)
     values = np.asarray(pdf(*mesh))
     distance = np.abs(values - np.asarray(coarser(*mesh)))
-    local = maximum_filter(distance, count // SPAN + 1, mode="nearest")
-    floor = ROUND_OFF * values.max()
-    # Mass beyond the panels: the density at their ends times the length of the last ones, over
-    # which it falls by more than e at the end of the support.
+    local = maximum_filter(distance, int(0.5 * count / GAUSSIAN_REACH) + 1, mode="nearest")
+    floor = DENSITY_ROUND_OFF * values.max()
+    # Bound of the mass outside the panels: the density at their ends times the length of the last
+    # panel, over which it falls by more than a factor e.
     tail = 0.0
     for axis, nodes in enumerate(panels):
         step = float(np.prod([x[1] - x[0] for k, x in enumerate(axes) if k != axis]))
@@ -74,8 +83,8 @@ def density_of(ladder: Ladder, observable: Observable, tol: float) -> Density:
     )
 
 
-def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
-    """Return degrees, what ended the ladder, second moments and the power into each mass."""
+def expansion_settings(ladder: Ladder) -> dict[str, str | float | int]:
+    """Return degrees, why the ladder ended, second moments and the power into each mass."""
     e = ladder.finest
     frame, d, (mean, covariance) = e.basis.frame, e.basis.degrees, moments(e)
     settings: dict[str, str | float | int] = {
@@ -91,8 +100,8 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
         for c in (Coordinate("q", i), Coordinate("p", i)):
             at, unit = frame.place(c)
             settings[f"E {observable_name((c,))}²"] = float(second[at, at] * unit**2)
-    # D_ii/m_i − Σ_j E c_ij v_i v_j: what the noise gives a mass less what its damping takes. The
-    # springs carry it to the others, and the sum of all vanishes.
+    # D_ii/m_i − Σ_j E c_ij v_i v_j: power from the noise less power of the damping. The springs
+    # carry it to the other masses; the sum over all masses is 0.
     n = frame.n
     heat = np.diag(frame.noise) - np.sum(frame.damping * second[n:, n:], axis=1)
     heat -= force_means(e)[0]
@@ -102,25 +111,25 @@ def settings_of(ladder: Ladder) -> dict[str, str | float | int]:
 
 
 def force_means(e: Expansion) -> tuple[Array, Array, Array]:
-    """Return E v_i f_i and E r_i f_i (n,) of the forces f of damping terms, in the frame's order.
+    """Return E v_i f_i and E r_i f_i (n,) of the damping terms' forces f, in the frame's order.
 
-    The third is E(f | y) times the density of y and the weights (n, points).
+    The third result is E(f_i | y) at the points y times the weights of the basis, (n, points).
     """
     b = e.basis
-    n, top = b.frame.n, 2 + reach(b.frame)
+    n, top = b.frame.n, 2 + damping_degree(b.frame)
     if not b.frame.system.damping_terms:
         return np.zeros(n), np.zeros(n), np.zeros((n, b.points.size))
     space = space_to(top, top, 2 * n - 1)
-    r, v, forces = state(b, e.factor, space)
+    r, v, forces = state_polynomials(b, e.factor, space)
     inside = np.flatnonzero(space.counted <= b.degrees.others)
     levels = np.concatenate([e.functions(n, b.points) for n in range(top + 1)])
     first: Polynomial = {(0, 0): Matrix(([1.0], ([0], [0])), shape=(1, len(space.level)))}
 
     def given(*factors: Polynomial) -> Array:
-        """Mean of a product given y, in the weights of the points."""
+        """Return the mean of the product of ``factors`` given y, times the basis's weights."""
         row, total = first, np.zeros(b.points.size)
         for factor in factors:
-            row = product(row, factor)
+            row = polynomial_product(row, factor)
         for powers, X in row.items():
             total += by_y(b, powers) * (X.toarray()[0, inside] @ levels)
         return total
@@ -132,27 +141,28 @@ def force_means(e: Expansion) -> tuple[Array, Array, Array]:
 
 
 def identities(ladder: Ladder) -> tuple[Identity, ...]:
-    """Return the balance of power, the virials, and two with f(y) outside the trial space.
+    """Return the power balance, the virial identities, and two with a test function sin(y/s).
 
-    f is the sine of y in standard deviations. Errors follow from the coarser solution.
+    s is the standard deviation of y; the sine is no function of the expansion. Errors follow from
+    the coarser solution.
     """
     finest, coarser = _sides(ladder.finest), _sides(ladder.coarser)
     scale, out = float(np.trace(ladder.finest.basis.frame.noise)), []
     for (name, value, expected), (_, *before) in zip(finest, coarser, strict=True):
         distance = abs((value - expected) - (before[0] - before[1]))
         size = max(abs(value), abs(expected), scale)
-        error = SAFETY * distance + max(ladder.errors.values()) * size
+        error = DISTANCE_SAFETY * distance + max(ladder.errors.values()) * size
         out.append(Identity(name, value, expected, error))
     return tuple(out)
 
 
 def _sides(e: Expansion) -> list[tuple[str, float, float]]:
-    """Names of the identities, and both sides of each."""
+    """Return the name and both sides of each identity."""
     (mean, covariance), b, frame = moments(e), e.basis, e.basis.frame
     n, y, w, K, c = frame.n, b.points, b.weights, frame.stiffness, frame.damping
     second = covariance + np.outer(mean, mean)
     power, virial, force = force_means(e)
-    # Means given y, in the weights: of (y, r, v), of v₁² and of the contact force.
+    # Means given y times the weights: of (y, r, v), of v₁² and of the contact force.
     u0, u1, u2 = (w * e.functions(level, y) for level in range(3))
     (one, two), (to, shift) = e.space.first_and_second, b.reference.to_state
     given = to @ np.vstack([y * u0, e.factor @ one @ u1]) + shift[:, None] * u0

@@ -1,4 +1,4 @@
-"""Orthonormal Krylov spaces by Arnoldi's method: of polynomials, resolvents and reliabilities."""
+"""Arnoldi's method: orthonormal Krylov spaces, for polynomials, resolvents and first passage."""
 
 from collections.abc import Callable, Iterator
 
@@ -7,10 +7,11 @@ import numpy as np
 from fpk.numeric.arrays import Array
 
 VECTORS, EVERY = 160, 10
-"""Most vectors of a space that solves equations, beyond which another elimination takes less time;
-and after how many more it is looked at."""
+"""Largest dimension of a space that solves equations, beyond which another elimination is faster;
+and the number of vectors after which convergence is tested again."""
 RESIDUAL = 1e-13
-"""Residual of equations, or part of a vector outside a space, relative to it, that is round-off."""
+"""Relative residual of equations, and relative part of a vector outside a space, taken for
+round-off."""
 
 
 def krylov(
@@ -22,18 +23,18 @@ def krylov(
 ) -> Iterator[tuple[Array, Array, bool]]:
     """Yield orthonormal V (m, size) and H (rows, m) of Arnoldi's method, up to m = ``most``.
 
-    V spans the b columns of ``first`` (size, b), beginning with the first one, then those of
-    B ``first``, …, with B = ``apply`` of columns, b more in each step. H[:m] is B in V, the rows
-    behind lead out of V; the last item is whether none does, and ends the space. Vectors are made
-    orthogonal twice, in the inner product x·M y with ``metric`` M, None: 1.
+    V spans the columns of ``first`` (size, b), then of B ``first``, B² ``first``, …, b more in each
+    step; ``apply`` multiplies columns by B. H[:m] represents B in V, the rows after them lead out
+    of V; the last item says that there are none: V is invariant, and the iteration ends. Vectors
+    are orthogonalised twice, in the inner product x·M y, ``metric`` multiplying by M; None: M = 1.
     """
     b, rows, m = first.shape[1], 0, 0
     V = np.zeros((most + b, len(first)), dtype=first.dtype)
     MV = V if metric is None else np.zeros_like(V)
     H = np.zeros((most + b, most), dtype=first.dtype)
 
-    def added(new: Array) -> Array:
-        """Add a vector unless it is in the space; return its parts along all before and itself."""
+    def extend(new: Array) -> Array:
+        """Add ``new`` to the space unless it lies in it; return its coefficients."""
         nonlocal rows
         along = np.zeros(rows + 1, dtype=first.dtype)
         for _ in range(2):
@@ -48,10 +49,10 @@ def krylov(
         return along[:rows]
 
     for new in first.T:
-        added(new)
+        extend(new)
     while m < min(rows, most):
         for new in apply(V[m : min(rows, most)].T).T:
-            along = added(new)
+            along = extend(new)
             H[: along.size, m] = along
             m += 1
         yield V[:m], H[:rows, :m], m == rows

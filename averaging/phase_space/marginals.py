@@ -5,28 +5,26 @@ from math import ceil
 
 import numpy as np
 
-from averaging.phase_space.equation.degrees import combined
+from averaging.conditional import MOST_POINTS
+from averaging.gaussian import GAUSSIAN_REACH
+from averaging.phase_space.equation.degrees import combination
 from averaging.phase_space.equation.elimination import Expansion
 from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import Array
 from fpk.numeric.quadrature import GAUSS_RULES
 
-SPAN = 18
-"""Width of the support of a density in its standard deviations: 2e-19 of a Gaussian is out."""
-PANELS = {1: 16, 2: 10}
-"""Panels of an axis that no stop divides, by the number of axes; half as many beside stops."""
+AXIS_PANELS = {1: 16, 2: 10}
+"""Panels of an axis without stops, by the number of axes; each side of a stop has half as many."""
 POINTS_PER_WIDTH = 4.0
-"""Gauss points for each standard deviation of what the contact displacement is integrated out of,
-beside one a degree: 137 integrate a Gaussian on 34 of its widths to round-off."""
-MOST_POINTS = 4000
-"""Most of them, as a spring 1e5 times as stiff needs; the certificate holds what is left."""
+"""Gauss points per conditional standard deviation of the contact displacement, beside a point for
+each degree: 137 points integrate a Gaussian over 34 standard deviations to round-off."""
 
 
 def moments(e: Expansion) -> tuple[Array, Array]:
     """Return the mean (2n,) and covariance (2n, 2n) of (y, r, v), from the three lowest levels."""
     b, C, y, (one, two) = e.basis, e.factor, e.basis.points, e.space.first_and_second
     u0, u1, u2 = (b.weights * e.functions(level, y) for level in range(3))
-    # Means of (y, v, x) and of their products; then of (y, r, v).
+    # First and second moments of (y, v, x); then of (y, r, v).
     mean = np.concatenate([u0 @ y, C @ one @ u1.sum(axis=1)])
     second = np.zeros(2 * mean.shape)
     second[0, 0], second[0, 1:] = u0[0] @ y**2, C @ one @ (u1 @ y)
@@ -37,8 +35,8 @@ def moments(e: Expansion) -> tuple[Array, Array]:
     return to @ mean + shift, 0.5 * (covariance + covariance.T)
 
 
-def form_of(e: Expansion, c: Coordinate) -> tuple[float, float, Array]:
-    """Return a displacement or momentum as offset + slope y + direction·ζ, ζ = C⁻¹ z."""
+def linear_form(e: Expansion, c: Coordinate) -> tuple[float, float, Array]:
+    """Return offset, slope and direction with ``c`` = offset + slope y + direction·ζ, ζ = C⁻¹ z."""
     at, unit = e.basis.frame.place(c)
     to, shift = e.basis.reference.to_state
     return unit * shift[at], unit * to[at, 0], unit * (to[at, 1:] @ e.factor)
@@ -49,28 +47,31 @@ def marginal(
 ) -> tuple[tuple[Array, ...], Callable[..., Array]]:
     """Return panels and the density of one or two of (q, p), a function of one array per axis.
 
-    ``share``: of the points at which the contact displacement is integrated out.
+    ``share`` multiplies the number of points of the integral over the contact displacement.
     """
     (mean, covariance), panels = moments(e), list[Array]()
-    forms = [form_of(e, c) for c in observable]
+    forms = [linear_form(e, c) for c in observable]
     for (_, slope, direction), c in zip(forms, observable, strict=True):
         at, unit = e.basis.frame.place(c)
-        reach = 0.5 * SPAN * np.sqrt(covariance[at, at])
-        nodes = unit * (mean[at] + np.linspace(-reach, reach, PANELS[len(forms)] + 1))
+        reach = GAUSSIAN_REACH * np.sqrt(covariance[at, at])
+        nodes = unit * (mean[at] + np.linspace(-reach, reach, AXIS_PANELS[len(forms)] + 1))
         if contact := not np.any(direction):
-            parts = [panel.parts(PANELS[1] // 2) for panel in e.basis.panels]
+            parts = [panel.parts(AXIS_PANELS[1] // 2) for panel in e.basis.panels]
             nodes = slope * np.unique(np.concatenate(parts))
         panels.append(nodes)
     if contact and len(forms) == 2:
-        pdf = _density(e, forms[::-1], share)
+        pdf = _marginal_density(e, forms[::-1], share)
         return tuple(panels), lambda a, b: pdf(b, a)
-    return tuple(panels), _density(e, forms, share)
+    return tuple(panels), _marginal_density(e, forms, share)
 
 
-def _density(
+def _marginal_density(
     e: Expansion, forms: list[tuple[float, float, Array]], share: float
 ) -> Callable[..., Array]:
-    """Return the density of forms; the contact displacement, if among them, comes first."""
+    """Return the density of ``forms``, the contact displacement first if it is one of them.
+
+    ``marginal`` explains ``share``.
+    """
     b = e.basis
     known = not np.any(forms[0][2])
     linear = forms[1:] if known else forms
@@ -79,20 +80,20 @@ def _density(
     Q, R = np.linalg.qr(along.T)
     signs = np.sign(np.diag(R))
     directions, L = (Q * signs).T, (R * signs[:, None]).T
-    coefficients, scale = _projected(e, directions), float(np.prod(np.diag(L)))
+    coefficients, scale = _projections(e, directions), float(np.prod(np.diag(L)))
 
     def given(y: Array) -> Array:
-        """Coefficients of the polynomials in t, given y (points,), times w(y)."""
+        """Return the coefficients of the polynomials in t given ``y`` (points,), times w(y)."""
         values, _ = b.functions(y)
         return np.asarray(coefficients @ values.T * b.density(y))
 
     def summed(c: Array, y: Array, x: Sequence[Array]) -> Array:
-        """Σ c_nm He_n(t₁)/√n! He_m(t₂)/√m! N(t), L t = x − o − s y."""
+        """Return Σ ``c``_nm He_n(t₁)/√n! He_m(t₂)/√m! N(t) with L t = ``x`` − o − s ``y``."""
         t: list[Array] = []
         for a, ((offset, slope, _), value) in enumerate(zip(linear, x, strict=True)):
             rest = value - offset - slope * y - sum(L[a, k] * t[k] for k in range(a))
             t.append(rest / L[a, a])
-        # The sum over n is taken where t₁ is, before it meets the axes of t₂.
+        # The sum over n is taken first, on the shape of t₁, before that of t₂ enters.
         for s in t:
             before, now = np.zeros_like(s), np.exp(-0.5 * s**2) / np.sqrt(2.0 * np.pi)
             total = c[0] * now
@@ -131,17 +132,18 @@ def _density(
     return integrated
 
 
-def _projected(e: Expansion, directions: Array) -> Array:
-    """Coefficients of He_n(e₁·ζ)/√n! (He_m(e₂·ζ)/√m!), (n + 1, …, functions of all panels).
+def _projections(e: Expansion, directions: Array) -> Array:
+    """Return the coefficients of He_n(e₁·ζ)/√n! (times He_m(e₂·ζ)/√m!), the e's ``directions``.
 
-    A polynomial of level n is a combination v of its k, v = Σ_i e_i a_i⁺ v/√n of the level below.
+    The array is (levels, [levels,] functions of all panels). The polynomial of level n is a
+    combination v_n of the He_k with |k| = n, v_n = Σ_i e_i a_i⁺ v_(n−1)/√n.
     """
     in_panels = [e.of_panels(n) for n in range(len(e.levels))]
-    raising = [combined(e.space.up, direction) for direction in directions]
+    raising = [combination(e.space.up, direction) for direction in directions]
     out = np.zeros((*[len(e.levels)] * len(raising), in_panels[0].shape[1]))
 
     def add(place: tuple[int, ...], v: Array) -> None:
-        """Fill in what follows from the combination v of the orders in ``place``."""
+        """Fill ``out`` for all orders that begin with ``place``, whose combination is ``v``."""
         n, axis = sum(place), len(place)
         if axis == len(raising):
             out[place] = v[e.space.span(n)] @ in_panels[n]

@@ -10,23 +10,23 @@ from typing import Self
 import numpy as np
 
 from averaging.gaussian import Linear
-from averaging.phase_space.densities import density_of, identities, settings_of
+from averaging.phase_space.densities import expansion_density, expansion_settings, identities
 from averaging.phase_space.dynamics import questions
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.degrees import finer, lowest
-from averaging.phase_space.equation.elimination import cost
+from averaging.phase_space.equation.degrees import lowest, next_degrees
+from averaging.phase_space.equation.elimination import solution_cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
-from averaging.phase_space.passage.first_passage import first_passage
+from averaging.phase_space.passage.first_passage import phase_space_passage
 from averaging.phase_space.refinement import (
-    MEMORY,
-    WORK,
+    SOLUTION_MEMORY,
+    SOLUTION_WORK,
     Ladder,
     Options,
     better,
     ladder_of,
-    ladders,
+    solution_ladder,
 )
-from averaging.theory import Exact, Theory
+from averaging.theory import LARGEST, Exact, Theory
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Curve, Passage, Rates, certify_curve
 from fpk.answer.method import Plan, Progress, Result, silent
@@ -36,39 +36,38 @@ from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.escape import require_held
 from fpk.system.system import System
 
-MOST_MASSES = 3
-"""Masses beyond which the lowest degrees that say anything fill the memory."""
+MOST_EXPANSION_MASSES = 3
+"""Largest number of masses; for more even the lowest useful degrees exceed the memory."""
 UNASKED_MASSES = 2
-"""Masses beyond which it is taken only where it is named: three take minutes."""
-UNASKED_TOL = 1e-4
-"""Least L1 error that is aimed at unasked."""
-UNASKED_ACCEPTED = 1e-2
-"""Largest L1 error of a judge: a tenth of that up to which a theory is called acceptable."""
+"""Largest number of masses for which the method is used without being named: three take minutes."""
 UNASKED_WORK = 6.6e11
-"""Multiplications that a solution may need unasked: some 12 s on one core, with all before it."""
+"""Largest number of multiplications of a solution without being named: with the coarser solutions
+about 12 s on one core."""
 CROSSINGS_TOL, SPECTRUM_TOL, CORRELATION_TOL, RELAXATION_TOL = 1e-3, 1e-2, 1e-2, 5e-2
-"""Relative errors wanted where none is asked for; spectra and rates converge most slowly."""
+"""Default relative tolerances; spectra and rates converge most slowly."""
 
 
 @dataclass(frozen=True)
 class PhaseSpace(Theory):
     """Densities of displacements and momenta from the stationary FPK equation of Eq. (6) itself.
 
-    An expansion in Hermite functions of all velocities and displacements but that of the mass that
-    meets the stops, and in polynomials on panels of that one, solved by elimination of levels of
-    equal degree (``averaging.phase_space.equation``). Up to three masses, stops on one of them, any
-    noise and damping, damping terms as far as memory and work allow. ``tol`` is the L1 error
-    wanted of each density; degrees rise until the estimate meets it; where memory or the highest
-    degree ends them first, the certificate says so. ``accepted`` is the largest error that is
-    certified where it ends them, None: ``tol``. ``memory`` bounds one solution, in GB, and
-    ``work`` its operations, None: what goes with the memory, a minute on two cores for 4 GB.
-    ``threads`` of linear algebra, None: all cores; where others use them, too, threads wait for
-    each other and take ten times as long.
-    ``reference`` is where the expansion starts, for tests of its independence; None: ``start``. ::
+    The density is expanded in polynomials on panels of the displacement of the mass that meets the
+    stops, and in Hermite functions of all velocities and other displacements. The equations are
+    solved by elimination of levels of equal degree (``averaging.phase_space.equation``). There may
+    be three masses, stops on one of them, any noise and damping, and damping terms as far as memory
+    and work allow.
+
+    ``tol`` is the L1 tolerance of each density: degrees rise until the estimated error meets it, or
+    until memory, work or the highest degree ends the refinement, which the certificate then says.
+    ``accepted`` is the largest error that is certified in that case, None: ``tol``. ``memory``
+    limits one solution, in GB, ``work`` its operations, None: in proportion to the memory, a minute
+    on two cores for 4 GB. ``threads`` are for linear algebra, None: all cores; if other processes
+    use these, the threads wait for each other and take ten times as long. ``reference`` is the
+    state that the expansion starts from, for tests; None: ``gaussian_start``. ::
 
         fpk.solve(system, ["q2", "q2,p2"], methods=[PhaseSpace(tol=1e-3)])
 
-    Crossings, spectrum, autocovariance, rates and first passage of one mass, whose row is 0::
+    Crossings, spectrum, autocovariance, rates and first passage of one mass::
 
         stop = fpk.Contact(mass=1, side="both", stiffness=4.0, clearance=0.5)
         one = fpk.System([1.0], [1.0], [0.6], [0.3], contacts=(stop,))
@@ -82,7 +81,7 @@ class PhaseSpace(Theory):
     solver: str = "hermite"
     tol: float = 1e-4
     accepted: float | None = None
-    memory: float = MEMORY
+    memory: float = SOLUTION_MEMORY
     work: float | None = None
     threads: int | None = None
     reference: Reference | None = None
@@ -91,13 +90,16 @@ class PhaseSpace(Theory):
     colour = "#5e02e0"
 
     def __post_init__(self) -> None:
-        """Refuse an unknown solver, a tolerance that cannot be met, and no memory."""
+        """Raise ``InvalidInput`` for an unknown solver, or tolerance or memory out of range."""
         super().__post_init__()
         if not 0.0 < self.memory < inf:
             raise InvalidInput("memory", self.memory, "use a positive number of GB")
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
-        """Return the method with work for seconds; refuse where the full density is known."""
+        """Return the method limited to work of seconds, ``share`` of ``UNASKED_WORK``.
+
+        Raises ``NotApplicable`` if it would take longer or the exact density is known.
+        """
         self.planned(system, ())
         if system.n > UNASKED_MASSES:
             raise NotApplicable(f"{system.n} masses may take minutes; ask for it by its name")
@@ -108,14 +110,14 @@ class PhaseSpace(Theory):
                 raise NotApplicable(f"{closed.method} has the same density to more digits")
         return replace(
             self,
-            tol=max(self.tol, UNASKED_TOL),
-            accepted=max(self.tol, UNASKED_ACCEPTED),
+            tol=max(self.tol, PhaseSpace.tol),
+            accepted=max(self.tol, 0.1 * LARGEST),
             work=min(self._options().work, share * UNASKED_WORK),
             threads=self.threads or 1,
         )
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` where the expansion is not."""
+        """Return the plan for ``system``; raise ``NotApplicable`` if it is not possible."""
         frame = self._frame(system)
 
         def refusal(observable: Observable) -> str | None:
@@ -127,10 +129,10 @@ class PhaseSpace(Theory):
         def solve(
             observables: Sequence[Observable], progress: Progress, beside: Sequence[Observable] = ()
         ) -> Result:
-            # For each observable the solution of the least error.
+            # For each observable the solution with the smallest error.
             best: dict[Observable, Ladder] = {}
             with _breakdowns():
-                for ladder in ladders(frame, observables, self._options(progress)):
+                for ladder in solution_ladder(frame, observables, self._options(progress)):
                     best = {o: better(best.get(o, ladder), ladder, o) for o in observables}
                     worst = max(own.errors[o] for o, own in best.items())
                     if worst <= self.tol:
@@ -141,17 +143,19 @@ class PhaseSpace(Theory):
             others = ladder_of(ladder.finest, ladder.coarser, beside) if beside else ladder
             return Result(
                 self,
-                tuple(density_of(replace(best[o], limit=limit), o, tol) for o in observables),
+                tuple(
+                    expansion_density(replace(best[o], limit=limit), o, tol) for o in observables
+                ),
                 identities=identities(ladder),
-                settings=settings_of(ladder),
-                beside=tuple(density_of(others, o, inf) for o in beside),
+                settings=expansion_settings(ladder),
+                beside=tuple(expansion_density(others, o, inf) for o in beside),
             )
 
         return Plan(refusal, solve, beside=True)
 
     @answer
     def crossings(self, asked: Asked) -> Curve:
-        """Return the upcrossings per unit time of q from the joint density of (q, p)."""
+        """Return the upcrossings per unit time of levels by q, from the joint density of (q, p)."""
         levels = partial(questions.about_levels, row=asked.row, at=asked.at)
         return self._curve(asked, "crossings", CROSSINGS_TOL, apart=levels)
 
@@ -167,13 +171,13 @@ class PhaseSpace(Theory):
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
-        """Return the slowest eigenvalues of the expansion's FPK operator."""
+        """Return the slowest eigenvalues of −L, L the FPK operator in the expansion."""
         require_held(asked.system)
         frame, wanted = self._frame(asked.system), asked.tol or RELAXATION_TOL
         options, momentum = self._options(asked.progress), (Coordinate("p", frame.contact),)
         measure = partial(questions.relaxation, count=asked.count, work=options.work)
         with _breakdowns():
-            ladder, answer = questions.adapted(
+            ladder, answer = questions.adapt(
                 frame,
                 [momentum],
                 measure,
@@ -183,7 +187,7 @@ class PhaseSpace(Theory):
                 what="relaxation",
             )
         values = np.asarray(answer.values, dtype=complex)
-        stationary = density_of(ladder, momentum, wanted).certificate
+        stationary = expansion_density(ladder, momentum, wanted).certificate
         measured = Measured(
             l1_error=answer.relative,
             mass_defect=stationary.mass_defect,
@@ -193,7 +197,7 @@ class PhaseSpace(Theory):
             failures=tuple(words for words in (answer.missing, answer.limit) if words),
         )
         certificate = certify(measured, tol=wanted)
-        return Rates(values, np.asarray(answer.errors), certificate, settings_of(ladder))
+        return Rates(values, np.asarray(answer.errors), certificate, expansion_settings(ladder))
 
     def _curve(
         self,
@@ -204,14 +208,18 @@ class PhaseSpace(Theory):
         apart: questions.Apart = questions.largest,
         numbers: type = complex,
     ) -> Curve:
-        """Return the answer that ``questions`` measures, to the tolerance asked or ``default``."""
+        """Return the curve ``name`` of ``questions``, judged against a relative tolerance.
+
+        The tolerance is given in the question, or ``default``; ``apart`` measures the difference of
+        two answers, ``numbers`` is the type of the numbers of the elimination.
+        """
         tol, row, frame = asked.tol or default, asked.row, self._frame(asked.system)
         measure = partial(getattr(questions, name), row=row, at=asked.at, tol=tol)
-        # A momentum, so that all levels of the stationary state are computed.
+        # With a momentum, since the tolerance then holds for the whole stationary state.
         q, p = (Coordinate("q", row),), (Coordinate("p", row),)
         options = self._options(asked.progress)
         with _breakdowns():
-            ladder, answer = questions.adapted(
+            ladder, answer = questions.adapt(
                 frame, [q, p], measure, options, apart, tol=tol, what=name, numbers=numbers
             )
         values, scale = np.asarray(answer.values, dtype=float), float(answer.scale)
@@ -219,11 +227,11 @@ class PhaseSpace(Theory):
             values,
             np.asarray(answer.errors),
             scale=scale,
-            of=density_of(ladder, q, inf),
+            of=expansion_density(ladder, q, inf),
             tol=tol,
             residual=answer.residual,
             failures=(answer.limit,) if answer.limit else (),
-            settings=settings_of(ladder),
+            settings=expansion_settings(ladder),
             # An autocovariance is within ± its scale.
             positive=scale - np.abs(values) if name == "correlation" else None,
         )
@@ -231,23 +239,27 @@ class PhaseSpace(Theory):
     @answer
     def passage(self, asked: Asked) -> Passage:
         """Return the first passage of one mass, by finite elements of the backward equation."""
-        return first_passage(asked)
+        return phase_space_passage(asked)
 
     def _options(self, progress: Progress = silent) -> Options:
-        # The work that goes with a memory is as N³ to N² of dense blocks.
-        work = WORK * (self.memory / MEMORY) ** 1.5 if self.work is None else self.work
+        # For dense blocks of order N work is N³ and memory N².
+        work = (
+            SOLUTION_WORK * (self.memory / SOLUTION_MEMORY) ** 1.5
+            if self.work is None
+            else self.work
+        )
         return Options(self.memory, work, self.threads, self.reference, progress)
 
     def _frame(self, system: System) -> Frame:
-        """Return the frame; raise ``NotApplicable`` where the expansion is not for the system."""
-        if system.n > MOST_MASSES:
-            most = f"the expansion is for {2 * MOST_MASSES} at the most"
+        """Return the frame; raise ``NotApplicable`` if the expansion is not for ``system``."""
+        if system.n > MOST_EXPANSION_MASSES:
+            most = f"the expansion is for {2 * MOST_EXPANSION_MASSES} at the most"
             raise NotApplicable(f"{system.n} masses have {2 * system.n} coordinates; {most}")
         frame = contact_frame(system)
         about = gibbs_reference(frame)
         if system.damping_terms:
-            second = finer(frame, lowest(frame), 0)
-            if words := self._options().refusal(*cost(basis(frame, about, second))):
+            second = next_degrees(frame, lowest(frame), 0)
+            if words := self._options().refusal(*solution_cost(basis(frame, about, second))):
                 raise NotApplicable(f"the damping terms are of too high a degree: {words}")
         return frame
 

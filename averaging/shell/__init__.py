@@ -1,1 +1,1 @@
-"""Shells of constant energy: reduced potential, rays, directions, density of states."""
+"""Energy shells: reduced potential, integrals along rays and along the chain, averages."""

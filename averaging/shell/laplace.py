@@ -1,15 +1,15 @@
 """Density of states of many contact masses: inverse Laplace transform of the partition function.
 
 The chain couples neighbours only, so that Z(β) = ∫exp(−βH) dq dp is one pass of integral operators
-from its end to the wall, at a cost linear in the number of contact masses. With R = Z/Z_lin, Z_lin
-that of the chain without contact, and any β₀ > 0
+from its end to the wall, at a cost linear in the number of contact masses. With R = Z/Z_lin, where
+Z_lin is Z of the chain without contact, and any β₀ > 0
 
 ``T/T_lin = 1 + Γ(n) H^(1−n)/(2πi) ∫ e^(βH) β^(−n) (R(β) − 1) dβ`` along Re β = β₀,
 
-the phase volume the same with n + 1 and T' with n − 1 in the place of n; the power of damping terms
-is the same of moments of the displacements, with weights in the pass, and n + 1 or more in the
-place of n. The integrand falls like |β|^(−n) (R − 1): well conditioned near β₀ = n/H. ``parts_of``
-gives these moments, which the integrals along rays take, too.
+the phase volume the same with n + 1, T' with n − 1 in the place of n. The power of damping terms is
+the same integral of moments of the displacements, by weights in the pass, with n + 1 or more in the
+place of n. The integrand falls as |β|^(−n) (R − 1); the sum is well conditioned near β₀ = n/H.
+``parts_of`` gives these moments, for integrals along rays as well.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ import numpy as np
 from scipy.special import erfc, gammaln
 from threadpoolctl import threadpool_limits
 
-from averaging.conditional import WIDTHS_PER_PANEL, conditionals, stop_panels
+from averaging.conditional import MOST_POINTS, WIDTHS_PER_PANEL, conditionals, stop_panels
 from averaging.shell.rays import EnergyShell
 from fpk.numeric.arrays import DEPTH, EPS, Array, Complexes, Integers
 from fpk.numeric.errors import NotApplicable
@@ -30,74 +30,78 @@ from fpk.system.damping import gaussian_moment
 from fpk.system.equivalent import power_given
 from fpk.system.system import System
 
-MOMENTS = 1e-14
-"""Relative error, to the sum of absolute values, of some dozens of Gaussian moments and factors."""
-POINTS = (15, 16)
-"""Gauss points per panel, of the rule that estimates the error and of the answer."""
+MOMENT_ROUND_OFF = 1e-14
+"""Round-off of a sum of products of some dozens of Gaussian moments and factors, relative to the
+sum of their absolute values."""
+CHAIN_RULES = (15, 16)
+"""Gauss points per panel of the comparison, which gives the error, and of the answer."""
 RADIANS, RISE = 1.8, 16.0
-"""Most radians of exp(−i Im β V) between two points of the answer where V of springs or a stop is
-up to ``RISE``/β₀: sixteen points integrate 29 radians to about 1e-13 of the integrand there."""
+"""Largest phase of exp(−i Im β V) between two points of the answer, in radians, at energies V of
+the springs or a stop up to ``RISE``/β₀: sixteen points integrate 29 radians to 1e-13."""
 MISSING = 1e-13
-"""Share of R by which the nearest alias of the trapezoidal rule is down, T(H + 2π/step)
-e^(−2πβ₀/step) or the same of the power times T, and by which a line ends."""
-ENDS = (1.6, 16.0)
-"""A line ends at Im β = 1.6 (``MISSING`` R)^(−1/m) β₀, R at its beginning, at most at 16 β₀: about
-(1.6/end)^m was measured to be missing, with Hertz stops and n = 4 to 30 masses; m is 2n, and
-2n + 3 where the systems with one contact mass are taken off."""
-LONG = 10.0
-"""End of a line over β₀ beyond which the systems with one contact mass are taken off."""
-NATS = (0.4, 3.5)
-"""Loss of digits, in nats, at the least and the highest energy of a line: where none are lost the
-end of the line misses most."""
+"""Relative size of the nearest alias of the trapezoidal rule, T(H + 2π/step) e^(−2πβ₀/step) or the
+same of the power times T, and of the integrand at the end of a line."""
+LINE_ENDS = (1.6, 16.0)
+"""A line ends at Im β = 1.6 (``MISSING`` R)^(−1/m) β₀, R at its beginning, at most at 16 β₀.
+Measured with Hertz stops and n = 4 to 30 masses, the rest of the integral is about (1.6/end)^m,
+with m = 2n, and m = 2n + 3 if the systems with one contact mass are subtracted."""
+LONG_LINE = 10.0
+"""End of a line over β₀ beyond which the systems with one contact mass are subtracted."""
+CANCELLATION = (0.4, 3.5)
+"""ln of the largest term over the sum, at the lowest and the highest energy of a line. Without any
+cancellation the end of the line would omit most."""
 SHORTER = (0.6, 1.2, 1.8)
-"""Nats by which shorter ends of the same line miss more: their answers estimate what it misses."""
-SAFETY = 1.5
-"""Factor on both: the error is at the most 0.8 of their sum in 25 random chains of two contact
-masses, 3 to 20 masses, stops 1e-2 to 1e5 of the springs, against integrals along rays."""
+"""ln of the factors by which three shorter lines omit more; their answers give the error of the
+end."""
+LINE_SAFETY = 1.5
+"""Factor on the sum of this error and the error of the rule: in 25 random chains with two contact
+masses, 3 to 20 masses and stops of 1e-2 to 1e5 of the springs' stiffness the true error, against
+integrals along rays, was at most 0.8 of the sum."""
 CHECKED = 4
-"""Parts of a line at whose ends the rule over displacements is checked by a lower one."""
-MOST_POINTS = 4000
-"""Largest number of points along one displacement: a pass takes seconds then."""
+"""Equal parts of a line, at whose ends the rule over displacements is compared with a lower
+rule."""
 ROWS = 32
-"""Points of one mass at which the integral over the next one is evaluated at once, in the cache."""
-WINDOW = (0.3, 3.6)
-"""Share of a line up to which nothing is taken off, and steepness of the fall to nothing."""
-MOST_MASSES = 10
-"""Masses, and a quarter of the highest degree of damping terms, up to which two contact masses are
-integrated along rays: beyond, v^a r^k is so narrow that the 24 points along a ray miss more than is
-stated (3 times of 12 masses and of 9 with a term of degree 8, 0.5 times of 8 with it)."""
+"""Points of one mass at which the integral over the next mass is evaluated at once, for the cache:
+all at once takes three times as long."""
+LINE_WINDOW = (0.3, 3.6)
+"""Share of a line on which the window is 1, and steepness of its fall to 0 at the end."""
+MOST_RAY_MASSES = 10
+"""Largest number of masses, plus a quarter of the highest degree of damping terms, for which two
+contact masses are integrated along rays. Beyond, v^a r^k is so narrow that the error of 24 points
+along a ray exceeds the stated error: 3 times for 12 masses, and for 9 with a term of degree 8."""
 
 
 class Parts(NamedTuple):
     """Σ c_ij v_i v_j of the damping terms, averaged given the contact displacements q_c.
 
-    With momenta and the other displacements Gaussian at the temperature 1/β, a part is
-    H^energy · coefficient · β^(−j) · Π q_c^powers. The order is Σ powers + 2 j, the same for all
+    With momenta and the other displacements Gaussian at the temperature 1/β it is a sum of parts
+    H^energy · coefficient · β^(−j) · Π q_c^powers. The order Σ powers + 2 j is the same for all
     parts of a term, whose degree is order − 2 + 2 energy. Without contact the power is
-    Σ_d g_d H^(1 + d/2), d one of ``degrees``.
+    Σ_d g_d H^(1 + d/2) over the ``degrees`` d.
     """
 
     powers: Integers  # (parts, c)
     coefficient: Array  # (parts,)
-    size: Array  # (parts,), the sum of the absolute values that the coefficient is a sum of
-    orders: Integers  # (groups,), of the terms of one degree and order
-    of_group: Array  # (parts, groups), 1 where a part is of a group and 0 elsewhere
+    size: Array  # (parts,), sum of the absolute values of the terms of each coefficient
+    orders: Integers  # (groups,); a group is all parts of one degree and order
+    of_group: Array  # (parts, groups), 1 if the part is in the group, else 0
     mean: Array  # (groups,), the mean without contact at β = 1
-    spread: Array  # (groups,), a bound of the size of the mean
+    spread: Array  # (groups,), a bound of |mean|
     degrees: Integers  # of the damping terms, ascending
-    of_degree: Array  # (groups, degrees), Γ(n)/Γ(n + order/2) where a group is of a degree, else 0
-    free: Array  # (degrees,), g_d
-    scale: Array  # (degrees,), the same of the spread: the size of g_d
-    along: Integers  # (integrals, 2), the pairs (Σ powers, j) of all parts
-    column: Integers  # (parts,), which of the pairs a part has
+    of_degree: Array  # (groups, degrees), Γ(n)/Γ(n + order/2) if the group is of the degree, else 0
+    free: Array  # (degrees,), g_d without contact
+    scale: Array  # (degrees,), a bound of |g_d| from the spread
+    along: Integers  # (integrals, 2), distinct pairs (Σ powers, j) of the parts
+    column: Integers  # (parts,), index of each part's pair
     rest: Array  # (parts,), Γ(N/2)/Γ(N/2 + j), N = 2n − c, see ``parts_of``
 
 
 def parts_of(system: System) -> Parts:
-    """Return the parts of all damping terms.
+    """Return the parts of all damping terms of ``system``.
 
-    Given y the N numbers (√m v, K^½ ξ) are uniform on the sphere ½|x|² = H − V_red: a moment of
-    degree 2j is (H − V_red)^j Γ(N/2)/Γ(N/2 + j) times that of Gaussian numbers.
+    On an energy shell, given the contact displacements, the N = 2n − c numbers x = (√m v, K^½ ξ), ξ
+    the other displacements, are uniform on the sphere ½|x|² = H − V_red: a moment of degree 2j is
+    (H − V_red)^j Γ(N/2)/Γ(N/2 + j) times the moment of standard normal numbers.
     """
     if not system.damping_terms:
         no, none, square = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0))
@@ -108,8 +112,8 @@ def parts_of(system: System) -> Parts:
     groups, group = np.unique(keys[:, :2], axis=0, return_inverse=True)
     of_group = np.eye(len(groups))[group.ravel()]
     powers, (coefficient, size) = keys[:, 2:], values.T
-    # What is left where terms cancel is their round-off, which ``size`` still states.
-    coefficient = np.where(np.abs(coefficient) > MOMENTS * size, coefficient, 0.0)
+    # Terms that cancel leave round-off: set to 0, with its size still in ``size``.
+    coefficient = np.where(np.abs(coefficient) > MOMENT_ROUND_OFF * size, coefficient, 0.0)
     L = system.fact(EnergyShell).L
     mean, square = (
         np.array([gaussian_moment(L @ L.T, tuple(row)) for row in (k * powers).tolist()])
@@ -121,7 +125,7 @@ def parts_of(system: System) -> Parts:
     rest = np.exp(gammaln(system.n) - gammaln(system.n + 0.5 * orders))
     of_degree = rest[:, None] * (degree[:, None] == degrees)
     free, scale = mean @ of_degree, spread @ of_degree
-    free = np.where(np.abs(free) > MOMENTS * scale, free, 0.0)
+    free = np.where(np.abs(free) > MOMENT_ROUND_OFF * scale, free, 0.0)
     total, half_n = powers.sum(axis=1), system.n - 0.5 * powers.shape[1]
     j = (of_group @ orders - total).astype(int) // 2
     along, column = np.unique(np.stack([total, j], axis=1), axis=0, return_inverse=True)
@@ -131,22 +135,22 @@ def parts_of(system: System) -> Parts:
 
 
 class PartitionLines:
-    """T, phase volume, T' and damping power of the shell, by lines of Z(β) on demand.
+    """T, phase volume, T' and damping power of the shell, from values of Z(β) on lines Re β = β₀.
 
-    A line serves energies above n/β₀, where up to ``NATS`` digits are lost. Where it would be long,
-    with few masses, the systems with one contact mass alone are taken off: their ratios follow
-    along rays, and the rest of R falls much faster.
+    A line is evaluated when an energy first needs it, and serves a range of energies above n/β₀ set
+    by ``CANCELLATION``. If a line would be long, with few masses, the systems with the contacts of
+    one mass alone are subtracted: their averages follow along rays, and the rest falls faster.
     """
 
     def __init__(self, system: System) -> None:
-        """Prepare the lines; none is evaluated yet."""
+        """Compute the step and the range of a line; evaluates no line."""
         self.system, self.n, self.masses = system, system.n, system.contact_masses
         self.springs = np.array([law.precision for law in conditionals(system, self.masses)])
         self.unit = max(system.fact(EnergyShell).contact_energies) or 1.0
-        # The loss of digits at H = ρ n/β₀ is n (ρ − 1 − ln ρ) nats.
+        # At H = ρ n/β₀ the largest term exceeds the sum by the factor exp(n (ρ − 1 − ln ρ)).
         shares = np.linspace(1.0, 80.0, 8000)
         loss = self.n * (shares - 1.0 - np.log(shares))
-        self.first, last = np.interp(NATS, loss, shares).tolist()
+        self.first, last = np.interp(CANCELLATION, loss, shares).tolist()
         self.factor = last / self.first
         self.parts = parts = system.fact(parts_of)
         most = self.n + 0.5 * max(parts.orders, default=0)
@@ -154,30 +158,30 @@ class PartitionLines:
         self.step = 2.0 * np.pi / float(shares[np.argmax(alias > -log(MISSING))])
         self.free, self.size = np.append(1.0, parts.mean), np.append(1.0, parts.spread)
         self.alone: list[System] = []
-        if self._end(1.0) > LONG:
+        if self._end(1.0) > LONG_LINE:
             touching = ([c for c in system.contacts if c.index == i] for i in self.masses)
             self.alone = [replace(system, contacts=tuple(own)) for own in touching]
         self.lines: dict[int, tuple[Complexes, Complexes, Array, float]] = {}
 
     def __call__(self, energy: Array, alone: Callable[[System, Array], Array]) -> Array:
-        """Return the columns (energies, 2, 3 + degrees) of ``averaging.shell.averages``.
+        """Return the columns (energies, 2, 3 + degrees) of ``shell_columns`` at ``energy``.
 
-        ``alone`` returns them for a system with one contact mass.
+        ``alone`` computes the same for a system with one contact mass.
         """
-        # Rows of the lines and their orders m: T/T_lin, the same of the phase volume and of T', the
-        # power times T/T_lin; an inverse is relative to H^(n − 1 + m/2)/Γ(n + m/2).
+        # (row of the line, m) of T/T_lin, Φ/Φ_lin, T'/T_lin' and the power times T/T_lin of each
+        # group: the inverse transform is relative to H^(n − 1 + m/2)/Γ(n + m/2).
         rows = [(0, 0), (0, 2), (0, -2), *enumerate(self.parts.orders.tolist(), start=1)]
         both = np.empty((energy.size, 2, len(rows)))  # values and errors
         index = np.floor(np.log(energy / self.unit) / np.log(self.factor)).astype(int)
         for k in np.unique(index).tolist():
             if k not in self.lines:
-                with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small
+                with threadpool_limits(limits=1, user_api="blas"):  # the matrices are small
                     self.lines[k] = self._line(self.first * self.n / (self.unit * self.factor**k))
             (beta, change, error, known), here = self.lines[k], index == k
-            # Windows that end the line, and end it earlier. One that is flat at 0 moves T only by
-            # what is not smooth over 1/(its end).
+            # Windows that end the line, and end it earlier. A window that is flat at Im β = 0
+            # changes T only by parts that are not smooth on the scale 1/(its end).
             ends = 1.0 - np.array([0.0, *SHORTER])[:, None] / (2.0 * self.n)
-            flat, steepness = WINDOW
+            flat, steepness = LINE_WINDOW
             share = (np.linspace(0.0, 1.0, beta.size) / ends - flat) / (1.0 - flat)
             window = 0.5 * erfc(steepness * (2.0 * share - 1.0))
             window[:, 0] *= 0.5
@@ -189,7 +193,7 @@ class PartitionLines:
                 by_window = (terms * change[row]).real @ window.T
                 missing = np.abs(by_window[:, 1:] - by_window[:, :1]).max(axis=1)
                 both[here, 0, at] = known * self.free[row] + by_window[:, 0]
-                both[here, 1, at] = SAFETY * (missing + np.abs(terms) @ error[row])
+                both[here, 1, at] = LINE_SAFETY * (missing + np.abs(terms) @ error[row])
         both = np.concatenate([both[..., :3], both[..., 3:] @ self.parts.of_degree], axis=-1)
         values, errors = np.swapaxes(both, 0, 1)
         free = np.array([1.0, 1.0, 1.0, *(self.parts.mean @ self.parts.of_degree)])
@@ -208,15 +212,15 @@ class PartitionLines:
         return both
 
     def _end(self, ratio: float) -> float:
-        """End of a line over its real part, where R is ``ratio`` at its beginning."""
+        """Return Im β at the end of a line over β₀; ``ratio`` is R at its beginning."""
         order = 2.0 * self.n + (3.0 if self.alone else 0.0)
-        return float(min(ENDS[0] * (MISSING * ratio) ** (-1.0 / order), ENDS[1]))
+        return float(min(LINE_ENDS[0] * (MISSING * ratio) ** (-1.0 / order), LINE_ENDS[1]))
 
     def _line(self, real: float) -> tuple[Complexes, Complexes, Array, float]:
-        """Points of the line Re β = ``real``, the function inverted there, its error, ``known``.
+        """Return the points of the line Re β = ``real``, functions to invert, errors, ``known``.
 
-        Function and error (rows, points) are of R and the transforms of damping power, less
-        ``known`` times the chain without contact.
+        Functions and errors are (rows, points), of R and the transforms of the damping power, from
+        which ``known`` (0 or 1) times the values without contact is subtracted.
         """
         end = self._end(1.0)
         both = np.array([real, complex(real, real * end)])
@@ -231,7 +235,7 @@ class PartitionLines:
         every = np.arange(count + 1)
         each = np.abs(self._transforms(self.system, beta[checked], lower) - change[:, checked])
         error = np.array([np.interp(every, every[checked], row) for row in each])
-        # The smaller of R and of its difference to a chain without contact is inverted.
+        # Of R and R − 1 the smaller is inverted.
         known = 1.0 if self.alone or least > 0.5 else 0.0
         largest = np.maximum(np.abs(change), self.size[:, None] * np.abs(change[0]))
         error += EPS * (count * largest + known * self.size[:, None])
@@ -243,9 +247,9 @@ class PartitionLines:
     def _transforms(
         self, system: System, beta: Complexes, grids: Sequence[tuple[Array, Array]]
     ) -> Complexes:
-        """R and R times the mean damping powers, (rows, points), at equidistant β.
+        """Return R and R times the mean damping powers, (rows, points), at equidistant ``beta``.
 
-        ``grids`` are displacements and weights of each contact mass of ``system``.
+        ``grids`` are displacements and weights (points,) of each contact mass of ``system``.
         """
         parts, masses = system.fact(parts_of), system.contact_masses
         both = np.vstack([np.zeros((1, len(masses)), dtype=np.int64), parts.powers])
@@ -274,28 +278,28 @@ class PartitionLines:
         return np.vstack([first[None], parts.of_group.T @ of_parts])
 
     def _grids(self, real: float, end: float) -> list[list[tuple[Array, Array]]]:
-        """Displacements and weights by both rules of each mass, for β to ``real`` (1 + i ``end``).
+        """Return displacements and weights of each mass by both ``CHAIN_RULES``.
 
-        Next to a stop they are Gauss points of the root of the overlap, a variable in which the
-        contact energy of a Hertz law is a polynomial.
+        They serve β from ``real`` to ``real`` (1 + i ``end``). Next to a stop they are Gauss points
+        in the root of the overlap, in which the contact energy of a Hertz law is a polynomial.
         """
-        turns = POINTS[1] * RADIANS / end
+        turns = CHAIN_RULES[1] * RADIANS / end
         longest = min(WIDTHS_PER_PANEL, turns / (2.0 * RISE) ** 0.5)
-        levels = [1.0]  # of the contact energies at which panels end, in units of 1/real
+        levels = [1.0]  # contact energies at which panels end, in units of 1/real
         while levels[-1] < DEPTH:
             levels.append(levels[-1] + min(levels[-1], turns if levels[-1] < RISE else DEPTH))
         energies = [level / real for level in levels]
-        grids: list[list[tuple[Array, Array]]] = [[] for _ in POINTS]
+        grids: list[list[tuple[Array, Array]]] = [[] for _ in CHAIN_RULES]
         for j, mass in enumerate(self.masses):
             width = longest / (real * float(self.springs[j : j + 2].sum())) ** 0.5
             nodes = stop_panels(self.system, mass, width=width, end=DEPTH / real, levels=energies)
-            count = ceil((nodes[-1] - nodes[0]) / width) * POINTS[1]
+            count = ceil((nodes[-1] - nodes[0]) / width) * CHAIN_RULES[1]
             if count > MOST_POINTS:
                 raise NotApplicable(
                     f"mass {mass + 1} is tied too stiffly to another contact mass: the passes along"
                     f" the chain would take {count} points of it, {MOST_POINTS} at the most"
                 )
-            for of_mass, points in zip(grids, POINTS, strict=True):
+            for of_mass, points in zip(grids, CHAIN_RULES, strict=True):
                 q, weights = panel_rule(nodes, points)
                 for stop in self.system.stops:
                     if stop.index != mass:
@@ -311,7 +315,7 @@ class PartitionLines:
 
 
 def by_lines(system: System) -> bool:
-    """Whether averages over the shell follow from the partition function, not along rays."""
+    """Return whether shell averages are computed from the partition function, not along rays."""
     count = len(system.contact_masses)
     degree = max((term.degree for term in system.damping_terms), default=0)
-    return count > 2 or (count == 2 and system.n + 0.25 * degree > MOST_MASSES)
+    return count > 2 or (count == 2 and system.n + 0.25 * degree > MOST_RAY_MASSES)

@@ -3,10 +3,11 @@
 Masses without contact are integrated out exactly, which leaves V_red = ½ q_cᵀ K_red q_c + Σ U_i of
 the c masses that have contact. With q_c = L y and L Lᵀ = K_red⁻¹ the springs become ½|y|².
 
-Along a ray y = r e of whitened coordinates V rises strictly, so the shell is 0 <= r <= R. Between
-stops lie panels. X is the distance from the beginning of one to the turning point that the engaged
-stops alone would leave. Beyond the first stop x = X sin²φ removes the root there and the half-
-integer powers of Hertz contact at the beginning, and stays smooth when the next stop comes before.
+Along a ray y = r e of whitened coordinates V rises strictly, so the shell is 0 <= r <= R. Panels
+end where a stop is first touched. X is the distance from the beginning of a panel to the turning
+point if no further stop followed. Beyond the first stop x = X sin²φ removes the root at the turning
+point and the half-integer powers of a Hertz contact at the beginning; it is smooth up to the next
+stop.
 """
 
 from collections.abc import Callable
@@ -25,20 +26,22 @@ from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.compiled_laws import compile_laws, law_files, of_law
 from fpk.system.system import System, looks_the_same_mirrored
 
-SAME = 1e-11
-"""Relative distance below which two energies are one: mirror images differ by roundings, minima
-by what their search leaves; a mesh between them would have no room."""
-NEAR = 0.01
-"""Difference of overlap, relative to the overlap, below which that of the contact energy is taken
-from the force, as it would cancel: beyond a second stop, and next to the turning point."""
+SAME_ENERGY = 1e-11
+"""Relative difference below which two contact energies count as equal: mirror images differ
+by round-off, minima by the tolerance of their search."""
+SMALL_GAIN = 0.01
+"""Change of the overlap over the overlap below which a change of the contact energy is computed
+from the force: the difference of two energies would cancel."""
 NEWTON_STEPS = 100
+"""Limit of the steps to a turning point: the convergence is monotone, and some ten steps
+suffice."""
 
 
 class Stops(NamedTuple):
     """One-sided stops along rays, nearest first: the overlap at r is ``reach`` (r − ``touch``).
 
-    Arrays are (rays, stops), of one ray (stops,). ``touch`` is ∞ where the ray meets no such stop
-    in its shell; ``law`` counts the laws in the order of their names.
+    Arrays are (rays, stops), for one ray (stops,). ``touch`` is ∞ if the ray never meets the stop.
+    ``law`` is the index of the contact law among the names in alphabetical order.
     """
 
     reach: Array
@@ -50,20 +53,20 @@ class Stops(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EnergyShell:
-    """Shells of constant energy of one system, held by it as ``system.fact(EnergyShell)``."""
+    """Geometry of the energy shells of ``system``, to be had as ``system.fact(EnergyShell)``."""
 
     system: System
 
     @cached_property
     def L(self) -> Array:
-        """L (c, c): y are the extensions of the springs in series between the contact masses, times
-        the root of their stiffness; nothing cancels at any ratio of the springs."""
+        """L (c, c), q_c = L y: y are the extensions of the springs in series between contact masses
+        times √stiffness. No two terms cancel, however different the springs are."""
         laws = conditionals(self.system, self.system.contact_masses)
         return np.asarray(np.tri(len(laws)) * [law.precision**-0.5 for law in laws])
 
     @cached_property
     def laws(self) -> tuple[str, ...]:
-        """The names of the laws of the stops, in order."""
+        """The names of the contact laws of the stops, in alphabetical order."""
         return tuple(sorted({stop.law for stop in self.system.stops}))
 
     @cached_property
@@ -77,7 +80,7 @@ class EnergyShell:
         return Stops(reach, touch, stiffness, exponent, law.astype(int))
 
     def nearest(self, directions: Array) -> Stops:
-        """The stops (rays, stops) in the order in which rays along ``directions`` meet them."""
+        """Return the stops (rays, stops) in the order in which rays of ``directions`` meet them."""
         reach = directions @ self.stops.reach.T
         touch = np.full(reach.shape, np.inf)
         np.divide(self.stops.touch, reach, out=touch, where=reach > 0.0)
@@ -88,12 +91,12 @@ class EnergyShell:
 
     @cached_property
     def sides(self) -> Stops:
-        """The stops of one contact mass on both its sides, or on one where they are alike."""
+        """The stops of one contact mass, one row a side; one row if both sides are equal."""
         alike = self.system.fact(looks_the_same_mirrored)
         return self.nearest(np.array([[1.0]] if alike else [[1.0], [-1.0]]))
 
     def potential(self, y: Array) -> Array:
-        """V_red at whitened coordinates of shape (..., c)."""
+        """Return V_red at whitened coordinates ``y`` (..., c)."""
         value: Array = 0.5 * np.sum(y * y, axis=-1)
         for stop, row in zip(self.system.stops, self.stops.reach, strict=True):
             value = value + stop.energy(np.maximum(y @ row - stop.clearance, 0.0))
@@ -101,7 +104,7 @@ class EnergyShell:
 
     @cached_property
     def corners(self) -> Array:
-        """Points where two stops are just touched, (points, c), of two contact masses."""
+        """Points y (points, c) at which stops of two different contact masses are just touched."""
         rows, stops = self.stops.reach, self.system.stops
         corners = [
             np.linalg.solve(rows[list(pair)], self.stops.touch[list(pair)])
@@ -112,12 +115,12 @@ class EnergyShell:
 
     @cached_property
     def first_touch(self) -> Array:
-        """Points where V_red is least among those that just touch one stop, (stops, c)."""
+        """For each stop the point y of least V_red among all that just touch it, (stops, c)."""
         rows = self.stops.reach
         points: Array = (self.stops.touch / (rows * rows).sum(axis=1))[:, None] * rows
         if rows.shape[1] == 1:
             return points
-        springs = 0.5 * (points * points).sum(axis=1) * (1.0 + SAME)
+        springs = 0.5 * (points * points).sum(axis=1) * (1.0 + SAME_ENERGY)
         for k in np.flatnonzero(self.potential(points) > springs):
             plane, foot = np.linalg.svd(rows[k][None])[2][1:].T, points[k].copy()
 
@@ -132,19 +135,21 @@ class EnergyShell:
     def contact_energies(self) -> tuple[float, ...]:
         """The energies, ascending, at which T(H) loses smoothness.
 
-        They are the minima of V_red where one stop is just touched, H_c = ½ k_eff δ² with no other
-        in the way, and for two contact masses also where two are: each more adds half a derivative.
+        They are V_red at ``first_touch``, ½ k_eff δ² if no other stop is met before, and for two
+        contact masses also at ``corners``; each further contact mass raises T's smoothness there by
+        half a derivative.
         """
         energies = sorted([*self.potential(self.first_touch), *self.potential(self.corners)])
         both = zip([-1.0, *energies], energies, strict=False)
-        return tuple(float(H) for before, H in both if H - before > SAME * H)
+        return tuple(float(H) for before, H in both if H - before > SAME_ENERGY * H)
 
 
 @lru_cache
 def gauss_rules(counts: tuple[int, ...]) -> tuple[Array, Integers]:
-    """Return rules of so many Gauss points of [0, 1], one after the other, and where each begins.
+    """Return Gauss rules on [0, 1] of ``counts`` points, one after another, and their boundaries.
 
-    Rows are the points, their weights, and sin φ, cos φ at φ = π/2 of the point.
+    The first array (4, points) holds points, weights, and sin φ and cos φ, φ = π/2 times the point;
+    rule k is columns boundaries[k] to boundaries[k + 1].
     """
     t, w = np.hstack([gauss_legendre(count) for count in counts])
     phi = 0.25 * np.pi * (1.0 + t)
@@ -154,9 +159,9 @@ def gauss_rules(counts: tuple[int, ...]) -> tuple[Array, Integers]:
 
 @lru_cache
 def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
-    """Return the compiled integrals for the laws ``names``.
+    """Return the compiled integrals ``add_rays`` for the contact laws ``names``.
 
-    ``singular`` says that a = n − c/2 − 1 is not positive; the laws' slopes are needed then.
+    ``singular`` says that a = n − c/2 − 1 <= 0; the laws' slopes are needed then.
     """
     sources = checksum(law_files(names))
     U: Any = compile_laws(names, "energy")
@@ -174,14 +179,14 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         ends: Integers,
         out: Array,
     ) -> int:
-        """Add the integrals along rays by each rule to ``out``, (rules, rays, 3 + orders).
+        """Add the integrals along rays by each rule to ``out`` (rules, rays, 3 + orders), in place.
 
-        ``energy`` (rays,), of ``c`` masses with contact. ``rule`` and ``ends`` as ``gauss_rules``
-        returns them. With v = 1 − V/H and lengths in units of √H the integrals are
-        v^a r^(c−1) (1, v, w), which belong to T, the phase volume and H T', then
-        v^(a+j) r^(c−1+k) for the rows (k, j) of ``orders``. For a > 0, w = a/v is the derivative
-        under the integral; otherwise that diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²)
-        comes from differentiating with V as the variable. Returns the checksum of the sources.
+        ``energy`` H is (rays,), ``n`` the number of masses, ``c`` of masses with contact; ``rule``
+        and ``ends`` are as ``gauss_rules`` returns them. With v = 1 − V/H and lengths in units of
+        √H the integrands are v^a r^(c−1) (1, v, w), for T, phase volume and H T', then v^(a+j)
+        r^(c−1+k) for the rows (k, j) of ``orders``. For a > 0, w = a/v is the derivative in H; for
+        a <= 0 that integral diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²) results from
+        differentiating with V as the variable. Returns the checksum of the laws' sources.
         """
         a = n - 0.5 * c - 1.0
         whole, half = int(np.ceil(a)), a % 1.0 > 0.0
@@ -189,7 +194,7 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         for i in range(energy.size):
             H, scale = energy[i], 1.0 / np.sqrt(energy[i])
             reach, touch, stiffness, exponent, law = stops
-            m = i % len(reach)  # rays of one contact mass go to its sides in turn
+            m = i % len(reach)  # with one contact mass rays go to either side in turn
             ray = Stops(reach[m], touch[m], stiffness[m], exponent[m], law[m])
             for k in range(ray.touch.size + 1):  # stops engaged
                 start = ray.touch[k - 1] if k > 0 else 0.0
@@ -203,8 +208,8 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                     continue
                 X = _turning_point(height, start, k, ray, U, g)
                 span, top = min(length, X), np.sqrt(X)
-                # Before the first stop only the root at X is removed, by √(X − x) as the variable:
-                # that takes no sine at each point.
+                # Before the first stop only the root at X is to be removed, by the variable √(X −
+                # x), which needs no sine at each point.
                 width = span / (top + np.sqrt(X - span))
                 end = 0.5 * np.pi if span == X else np.arctan2(np.sqrt(span), np.sqrt(X - span))
                 for j in range(r.size):
@@ -218,7 +223,7 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
                             sine, cosine = np.sin(end * rule[0, j]), np.cos(end * rule[0, j])
                         x, left = X * sine * sine, X * cosine * cosine
                         dx[j] = 2.0 * X * end * sine * cosine * rule[1, j]
-                    # v H is the fall of springs and stops between X and x.
+                    # v H is the fall of the energy of springs and stops from X to x.
                     fall = left * (start + 0.5 * (X + x))
                     for s in range(k):
                         begun = ray.reach[s] * (start - ray.touch[s])
@@ -249,18 +254,19 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
 
 @njit_inline
 def _of_stop(part: Any, ray: Stops, s: int, overlap: float) -> float:
-    """Energy, force or slope, by ``part`` of the laws, of stop s of the ray."""
+    """Return energy, force or slope (``part`` of the laws) of stop ``s`` at ``overlap``."""
     value: float = ray.stiffness[s] * of_law(part, ray.law[s], overlap, ray.exponent[s])
     return value
 
 
 @njit_inline
 def _gain(low: float, width: float, top: float, ray: Stops, s: int, U: Any, g: Any) -> float:
-    """U(low + width) − U(low) of stop s without cancellation, ``top`` being the first of the two.
+    """Return U(low + width) − U(low) of stop ``s`` without cancellation; ``top`` is U(low + width).
 
-    A small width is that times the mean force, for which three Gauss points are exact.
+    If ``width`` is small against the overlap ``low``, it is width times the mean force by three
+    Gauss points, whose error is below round-off then.
     """
-    if width > NEAR * low:
+    if width > SMALL_GAIN * low:
         difference: float = top - _of_stop(U, ray, s, low)
         return difference
     middle, shift = low + 0.5 * width, 0.5 * np.sqrt(0.6) * width
@@ -271,10 +277,11 @@ def _gain(low: float, width: float, top: float, ray: Stops, s: int, U: Any, g: A
 
 @njit_inline
 def _turning_point(height: float, start: float, k: int, ray: Stops, U: Any, g: Any) -> float:
-    """The x > 0 where V has risen by ``height`` from ``start`` on; NaN where the iteration fails.
+    """Return x > 0 with V(start + x) − V(start) = ``height``, with the first ``k`` stops engaged.
 
-    Newton's method in logarithms: the rise is a sum of positive powers of x, its logarithm convex
-    in log x, and the iteration comes down on the root from that of the springs alone.
+    NaN if the iteration does not converge. Newton's method in logarithms: the rise of V is a sum of
+    positive powers of x, so its logarithm is convex in ln x, and the iterates descend to the root
+    from the root without stops.
     """
     x: float = 2.0 * height / (start + np.sqrt(start * start + 2.0 * height))
     if k == 0:
@@ -285,16 +292,17 @@ def _turning_point(height: float, start: float, k: int, ray: Stops, U: Any, g: A
             begun, gained = ray.reach[s] * (start - ray.touch[s]), ray.reach[s] * x
             rise += _gain(begun, gained, _of_stop(U, ray, s, begun + gained), ray, s, U, g)
             steepness += ray.reach[s] * _of_stop(g, ray, s, begun + gained)
-        # Where the rise is x^m, x (height/rise)^(1/m) is the root: near it by a Padé approximant.
+        # If the rise were x^m, the root were x (height/rise)^(1/m); near 1 a Padé approximant of
+        # it.
         ratio, m = height / rise, x * steepness / rise
         if ratio > 0.5:
             factor = ((m - 1.0) + (m + 1.0) * ratio) / ((m + 1.0) + (m - 1.0) * ratio)
         elif np.isfinite(m) and ratio > 0.0:
             factor = ratio ** (1.0 / m)
-        else:  # so far beyond that a high power of x overflows
+        else:  # a high power of x has overflowed
             factor = 0.125
         x *= factor
-        # Quadratic convergence: the next step would be of the order of the square of this.
+        # Quadratic convergence: the next step would be about the square of this step.
         if abs(factor - 1.0) < 1e-8:
             return x
     return np.nan
@@ -302,7 +310,10 @@ def _turning_point(height: float, start: float, k: int, ray: Stops, U: Any, g: A
 
 @njit_inline
 def _bent(r: float, k: int, c: int, ray: Stops, U: Any, g: Any, bend: Any) -> float:
-    """V ((c−1)/(r V_r) − V_rr/V_r²) at the distance r, V not as H (1 − v): that cancels at rest."""
+    """Return V ((c−1)/(r V_r) − V_rr/V_r²) at the distance ``r``, ``k`` stops engaged.
+
+    V is summed here: H (1 − v) would cancel near rest.
+    """
     V, steepness, curvature = 0.5 * r * r, r, 1.0
     for s in range(k):
         reach, overlap = ray.reach[s], ray.reach[s] * (r - ray.touch[s])

@@ -15,7 +15,7 @@ from coupled import Mixture
 from numpy.typing import NDArray
 from vanderpol import Averaged, afresh
 
-from averaging.energy_process import averaged_density
+from averaging.energy_process import closed_form_density
 from averaging.modal.analysis import modal_analysis
 from averaging.weyl import Solution
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
@@ -88,7 +88,8 @@ class Line:
     @cached_property
     def closed_form(self) -> Solution:
         """The closed form (29)."""
-        return averaged_density(self.system)
+        system = self.system
+        return closed_form_density(system)
 
     def exact(self, points: Array) -> Array:
         """p(H) of (29) at points (1, ...)."""

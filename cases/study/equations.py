@@ -7,13 +7,13 @@ from math import exp
 
 import numpy as np
 
-from averaging.energy_process import averaged_density, energy_process
+from averaging.energy_process import closed_form_density, energy_process
 from averaging.integrable import Integrable
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import modal_densities
 from averaging.modal.resonance import require_no_resonance
 from averaging.nonintegrable import NonIntegrable
-from averaging.zero_flux import solve_by_quadrature, solved_energies
+from averaging.zero_flux import solve_by_quadrature, solve_energies
 from cases.study.levels import Discretisation, Solution, TimedCoefficients, density_of
 from fpk.answer.density import Density
 from fpk.answer.method import Route
@@ -135,7 +135,7 @@ def energy_equation(system: System, solver: str = "fem") -> Equation:
     process, observable = energy_process(system), parse_observable("H", system.n)
     clock = TimedCoefficients(process.coefficients)
     try:
-        solution: Solution = averaged_density(system)
+        solution: Solution = closed_form_density(system)
         words = "closed form (29)"
     except NotApplicable:
         tol = REFERENCE_TOL[1]
@@ -150,7 +150,7 @@ def energy_equation(system: System, solver: str = "fem") -> Equation:
         reference_words=words,
         ends=[probe_process(process).extent(BEYOND[1])],
         by_tolerance={
-            NonIntegrable(solver).route: partial(solved_energies, solver=solver),
+            NonIntegrable(solver).route: partial(solve_energies, solver=solver),
             NonIntegrable("quadrature").route: solve_by_quadrature,
         },
         solver=solver,
@@ -198,7 +198,7 @@ def modal_equation(system: System, solver: str = "fem") -> Equation:
         reference=reference,
         reference_words=words,
         ends=list(ends),
-        by_tolerance={Integrable(solver).route: partial(solved_energies, solver=solver)},
+        by_tolerance={Integrable(solver).route: partial(solve_energies, solver=solver)},
         solver=solver,
         words=UNIFORM
         if solver == "scikit-fem"

@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from averaging.zero_flux import POINTS, ZeroFluxDensity, density_of_energies
+from averaging.zero_flux import ENERGY_RULES, ZeroFluxDensity, density_of_energies
 from fpk.answer.density import Density
 from fpk.answer.names import Observable
 from fpk.numeric.arrays import Array
@@ -149,7 +149,9 @@ def refined_levels(
         p = density_of(reference.observable, solution)
         norms, moments, elements = errors(p, reference), errors(p), p.panels[0].size - 1
         unknowns = (
-            POINTS[0] * elements if isinstance(solution, ZeroFluxDensity) else solution.unknowns
+            ENERGY_RULES[0] * elements
+            if isinstance(solution, ZeroFluxDensity)
+            else solution.unknowns
         )
         plain = isinstance(solution, PlaneSolution) and solution.weight.plain
         words = f"{setting.settings}, w = 1" if plain else setting.settings

@@ -12,7 +12,7 @@ from averaging.conditional import (
     gibbs_integral,
     hidden_integral,
 )
-from averaging.energy_process import averaged_density, energy_process, log_gibbs_norm
+from averaging.energy_process import closed_form_density, energy_process, log_gibbs_norm
 from averaging.nonintegrable import NonIntegrable
 from averaging.theory import Exact
 from averaging.zero_flux import flux_residual
@@ -210,7 +210,7 @@ def test_the_norm_over_three_contact_masses():
 def test_the_residual_of_a_closed_form_sees_a_wrong_temperature():
     system = exact_system((Contact(2, "both", 10.0, 0.5),))
     process = energy_process(system)
-    right = averaged_density(system)
+    right = closed_form_density(system)
     assert right.measured.residual < 1e-13
 
     def wrong(energy):

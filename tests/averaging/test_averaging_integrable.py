@@ -13,7 +13,7 @@ from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import gaussian_modes
 from averaging.modal.resonance import (
     MAX_NEGLECTED,
-    ORDER,
+    MIN_ORDER,
     correlations,
     nearest_resonance,
     require_no_resonance,
@@ -369,11 +369,11 @@ def test_neglected_correlation_is_that_of_the_lyapunov_equation():
 @pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
 def test_nearest_resonance_by_going_through_all(system):
     modes = modal_analysis(system)
-    reach = np.arange(-ORDER, ORDER + 1)
+    reach = np.arange(-MIN_ORDER, MIN_ORDER + 1)
     grid = np.stack(np.meshgrid(*[reach] * system.n), axis=-1).reshape(-1, system.n)
     size = np.abs(grid).sum(axis=1)
-    grid = grid[(size > 0) & (size <= ORDER)]
-    integers, detuning = resonances(modes.natural_frequency, ORDER, range(1, ORDER + 1))[0]
+    grid = grid[(size > 0) & (size <= MIN_ORDER)]
+    integers, detuning = resonances(modes.natural_frequency, MIN_ORDER, range(1, MIN_ORDER + 1))[0]
     detunings = np.abs(grid @ modes.natural_frequency)
     assert detuning == pytest.approx(detunings.min(), abs=1e-13)
     assert abs(np.dot(integers, modes.natural_frequency)) == pytest.approx(detuning)
@@ -401,7 +401,7 @@ def test_resonance_is_refused_only_where_it_matters():
     # The same frequencies, damping and noise in proportion: averaging is exact.
     harmless = near(4.0 * noise, noise)
     modes = modal_analysis(harmless)
-    integers, detuning = resonances(modes.natural_frequency, ORDER, range(1, ORDER + 1))[0]
+    integers, detuning = resonances(modes.natural_frequency, MIN_ORDER, range(1, MIN_ORDER + 1))[0]
     assert np.abs(integers) @ modes.half_bandwidth > 0.5 * detuning
     require_no_resonance(harmless, modes)
     np.testing.assert_allclose(

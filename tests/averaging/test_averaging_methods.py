@@ -13,11 +13,11 @@ from scipy.integrate import quad
 from scipy.linalg import eigvalsh
 from scipy.special import gamma as gamma_function
 
-from averaging.energy_process import averaged_density, compatibility, energy_process
+from averaging.energy_process import closed_form_density, compatibility, energy_process
 from averaging.gaussian import Linear
 from averaging.nonintegrable import NonIntegrable
 from averaging.theory import Exact
-from averaging.weyl import WeylIntegrals, continued, weyl_table
+from averaging.weyl import WeylIntegrals, weyl_table, weyl_tail
 from cases.scene.scene import load_scene
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
@@ -335,7 +335,7 @@ def test_all_that_u_was_continued_by_is_in_the_error_of_the_table(varying: bool)
     energy = nodes[-1] * (1.0 - np.array([1e-8, 1e-5, 1e-3, 1e-2]))
     rate = np.log(u(nodes[-2]) / u(nodes[-1]))
     share = 1.0 if varying else relative * (1.0 + 2.0 * 0.5 / rate)
-    beyond = continued(0.5, energy, weyl.nodes[1], u)
+    beyond = weyl_tail(0.5, energy, weyl.nodes[1], u)
     assert np.all(weyl(energy, "table") >= (1.0 - 1e-12) * share * beyond)
 
 
@@ -423,7 +423,7 @@ def test_refinement_tightens_the_tolerance():
     )
     assert fine.l1_error < coarse.l1_error
     system = fig6(both(10.0))
-    reference = averaged_density(system)
+    reference = closed_form_density(system)
     (exact,) = solved(NonIntegrable(solver="closed-form"), system, "H")
     assert l1_distance(fine, exact) <= fine.l1_error + reference.l1_error
 

@@ -6,7 +6,7 @@ from averaging_systems import SKEW, TWO_MASSES, both, chain, fig6, integral
 from scipy.integrate import dblquad, quad
 from scipy.optimize import brentq
 
-from averaging.energy_process import averaged_density, damping_and_noise, energy_process
+from averaging.energy_process import closed_form_density, damping_and_noise, energy_process
 from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.zero_flux import solve_by_quadrature
 from fpk.numeric.errors import NotApplicable, NotCertified
@@ -155,7 +155,7 @@ def test_units_do_not_matter():
         np.testing.assert_allclose(d.drift, c.drift * E / t, rtol=1e-10)
         np.testing.assert_allclose(d.diffusion, c.diffusion * E**2 / t, rtol=1e-10)
         np.testing.assert_allclose(d.divergence, c.divergence * E / t, rtol=1e-10)
-        u, v = averaged_density(one), averaged_density(two)
+        u, v = closed_form_density(one), closed_form_density(two)
         np.testing.assert_allclose(v.density(E * energy) * E, u.density(energy), rtol=1e-10)
 
 
@@ -179,7 +179,7 @@ def test_the_printed_sign_of_eq_11_fails(name):
     process = energy_process(system)
     nodes = process.energy_scale * np.geomspace(1e-3, 10.0, 1500)
     nodes = np.union1d(nodes, process.nonsmooth)
-    reference = averaged_density(system).density(nodes)
+    reference = closed_form_density(system).density(nodes)
     reference = reference / np.trapezoid(reference, nodes)
     # Gauss panels of 0.6 % width: 1e-12 each, graded to contact by the density of the nodes.
     np.testing.assert_allclose(eq_11(process, nodes, +1.0), reference, rtol=1e-8)
@@ -203,7 +203,7 @@ def test_the_printed_sign_of_eq_28_is_not_confined():
 def test_eq_29_needs_the_masses():
     system = SYSTEMS["masses"]
     process = energy_process(system)
-    reference = averaged_density(system)
+    reference = closed_form_density(system)
     solution = solve_stationary(process, tol=1e-10)
     printed = np.trace(system.damping) / np.trace(system.noise_intensity)
 
@@ -222,7 +222,7 @@ def test_eq_29_needs_the_masses():
 def test_quadrature_of_eq_11_meets_its_estimate(name):
     system = SYSTEMS[name]
     process = energy_process(system)
-    reference = averaged_density(system)
+    reference = closed_form_density(system)
     # Two contact masses take seconds at the tight tolerance.
     for tol in (1e-6,) if name in ("skew", "two contact masses") else (1e-6, 1e-10):
         solution = solve_by_quadrature(process, tol=tol)
@@ -239,7 +239,7 @@ def test_quadrature_of_eq_11_meets_its_estimate(name):
 @pytest.mark.parametrize("name", FAST)
 def test_the_closed_form_has_mass_one(name):
     system = SYSTEMS[name]
-    density = averaged_density(system)
+    density = closed_form_density(system)
     low, *cuts = density.nodes
     mass = sum(
         quad(lambda H: float(density.density(np.array(H))), a, b, epsrel=1e-11, epsabs=1e-13)[0]

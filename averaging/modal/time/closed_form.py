@@ -1,11 +1,11 @@
 """Modal energies in time in closed form: independent square-root processes, Eqs. (17), (33).
 
-It holds without contact, where the damping is constant. Displacements and momenta follow, Eqs.
-(30), (35): a square-root process of the shape n, from H_0, is ½|z|² of z = a e + √θ_t ξ in 2n
-dimensions, e uniform on the unit sphere, ξ standard normal, a² = 2 H_0 e^(−ct) and θ_t = θ (1 −
-e^(−ct)). With the state at a given energy uniform on its sphere, as both averagings say, the linear
-coordinates x = V z have E e^(i s·x) = Π exp(−½ θ_t s·C s) Λ_n(a √(s·C s)), C = V Vᵀ, over
-independent energies, Λ_n(z) = Γ(n) (2/z)^(n−1) J_(n−1)(z). For n = 1 that is J0 of a uniform phase.
+It holds without contact and with constant damping. Densities of displacements and momenta, Eqs.
+(30), (35): a square-root process of the shape n that starts at H_0 is ½|z|² of z = a e + √θ_t ξ in
+2n dimensions, e uniform on the unit sphere, ξ standard normal, a² = 2 H_0 e^(−ct), θ_t = θ (1 −
+e^(−ct)). Both averaging theories take the state at a given energy as uniform on its sphere. So
+linear coordinates x = V z have E e^(i s·x) = Π exp(−½ θ_t s·C s) Λ_n(a √(s·C s)), C = V Vᵀ, a
+product over independent energies, Λ_n(z) = Γ(n) (2/z)^(n−1) J_(n−1)(z); Λ_1 = J0.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,10 +16,10 @@ from math import pi, prod
 import numpy as np
 from scipy.special import hyp0f1, j0
 
-from averaging.gaussian import state_rows
+from averaging.gaussian import GAUSSIAN_REACH, state_rows
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.observables import fourier_sum, product_of
-from averaging.time import limited_modes, observed_modes
+from averaging.time import modal_limits, modes_of_observable
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import (
     Passage,
@@ -38,29 +38,28 @@ from fpk.solvers.square_root import SquareRoot
 from fpk.system.modulation import Modulation
 
 SUM_PANELS, SUM_POINTS = 16, (20, 24)
-"""Panels and Gauss points of each along H1 + H2 = H: answer and error."""
+"""Panels along H1 + H2 = H, and Gauss points on each, of the comparison and of the answer."""
 DECAY_PANELS, DECAY_POINTS = 80, (14, 18)
-"""Panels, equidistant in ln t, and Gauss points of each of ∫ P(T > t) dt: answer and error."""
+"""Panels of ∫ P(T > t) dt, equal in ln t, and Gauss points on each, of the comparison and of the
+answer."""
 EARLY, SETTLED = 1e-13, 60.0
-"""The first and the last of these times, in units of the mean time of rare failures."""
-REACH = 9.0
-"""Standard deviations, of coordinates and waves, beyond which a Gaussian is below round-off."""
+"""Beginning and end of these panels over 1/rate, the mean time of rare failures."""
 MOST_WAVES = {1: 400_000, 2: 1_000_000}
-"""Largest number of waves, by the number of coordinates: seconds for each time."""
+"""Largest number of waves, by the number of coordinates; they take seconds for each time."""
 DensityOf = Callable[[Array], tuple[Array, Array]]
 Passing = tuple[SquareRoot, float, float]
-"""The process of an energy, its limit, and where it begins."""
+"""The process of an energy, its limit, and its initial value."""
 Orbit = tuple[SquareRoot, float, Array]
-"""An independent energy, where it begins, and the covariance C (count, count) of its share of the
-coordinates in the stationary state of temperature 1."""
+"""The process of an independent energy, its initial value, and the covariance C (count, count) of
+its contribution to the coordinates in the stationary state of temperature 1."""
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
-    """Return the densities ``asked`` for, Eq. (35); ``settled_energies`` has settled the start."""
+    """Return the densities ``asked`` for, Eq. (35); the start is an ``EnergyStart``."""
     observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
     modulation = asked.system.modulation
     if {c.kind for c in observable} <= {"q", "p"}:
-        # The shares of the modes in displacements and momenta: (q, p) = S (ω Q, P).
+        # Covariances of the contributions of the modes to (q, p) = S (ω Q, P).
         S = modes.state_shapes[state_rows(observable, modes.n)].reshape(len(observable), 2, modes.n)
         shares = np.einsum("ixm,jxm->mij", S, S)
         orbits = zip(start.energies.tolist(), shares, strict=True)
@@ -68,26 +67,26 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
             [(_mode(modes, m, modulation), *of) for m, of in enumerate(orbits)], asked
         )
     require_times(times, positive=start.noise is None)
-    rows = observed_modes(observable)
+    rows = modes_of_observable(observable)
     parts = [
         (_mode(modes, m, modulation), float(start.energies[m])) for m in rows or range(modes.n)
     ]
-    if not rows and (alike := _alike(modes, modulation)):
-        parts = [(alike, float(start.energies.sum()))]
+    if not rows and (total := _equal_modes(modes, modulation)):
+        parts = [(total, float(start.energies.sum()))]
     if len(parts) > max(len(rows), 2):
         raise NotApplicable(
             "the sum of more than two modal energies that are not alike is not given"
         )
     values, errors = np.empty((2, times.size, at[0].size))
-    worst = np.zeros(2)  # of the L1 errors and of the departures of the mass from 1
+    worst = np.zeros(2)  # largest L1 error and largest defect of the mass
     for k, t in enumerate(times.tolist()):
         each = [partial(mode.density, H, start.noise, t) for mode, H in parts]
         if len(parts) == len(at):
             values[k], errors[k] = product_of(part(x) for part, x in zip(each, at, strict=True))
         else:
-            values[k], errors[k] = _convolved(each, at[0])
-        judged = [mode.judged(H, start.noise, t) for mode, H in parts]
-        worst = np.maximum(worst, np.sum(judged, axis=0)[:2])
+            values[k], errors[k] = _convolution(each, at[0])
+        own = [mode.judged(H, start.noise, t) for mode, H in parts]
+        worst = np.maximum(worst, np.sum(own, axis=0)[:2])
     highest = np.max(errors / np.max(values, axis=1, initial=SMALLEST, keepdims=True), initial=0.0)
     l1, defect = float(np.max([worst[0], highest])), float(worst[1])
     measured = Measured(l1, defect, float(values.min(initial=0.0)), None, None)
@@ -96,29 +95,29 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
 
 
 def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
-    """Return the first passage of one modal energy, of any of several, or of their sum."""
+    """Return the first passage of one modal energy, of the first of several, or of their sum."""
     start, times, tol = asked.start, require_times(asked.times), asked.tol
-    limits, energies = limited_modes(asked.limit, start), start.known()
+    limits, energies = modal_limits(asked.limit, start), start.known()
     if not limits:
-        if (alike := _alike(modes)) is None:
+        if (total := _equal_modes(modes)) is None:
             raise NotApplicable(
                 "of modes of unequal decay or temperature H has no closed form in time; use fem"
             )
-        return alike.passage(asked.limit.value, float(energies.sum()), times, tol=tol)
+        return total.passage(asked.limit.value, float(energies.sum()), times, tol=tol)
     parts = [(_mode(modes, m), a, float(energies[m])) for m, a in limits.items()]
     if len(parts) == 1:
         ((mode, a, H),) = parts
         return mode.passage(a, H, times, tol=tol)
     rates = [mode.rate(a) for mode, a, _ in parts]
     rate = Number(sum(r.value for r in rates), sum(r.error for r in rates))
-    survival, lost = _surviving(parts, times, tol)
+    survival, lost = _survival(parts, times, tol)
     return certify_passage(
         (*_first_of(parts, rate.value, tol), rate), times, 1.0 - survival, lost, tol=tol
     )
 
 
 def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
-    """Return the ``count`` slowest rates but 0: sums of multiples of c*_ii."""
+    """Return the ``count`` slowest rates above 0, sums of multiples of c*_ii, judged by ``tol``."""
     rates = np.zeros(1)
     for m in range(modes.n):
         multiples = _mode(modes, m).c * np.arange(count + 1.0)
@@ -127,7 +126,7 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
 
 
 def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) -> SquareRoot:
-    """The energy of one mode; raises ``NotApplicable`` where its damping is not constant."""
+    """Return the energy of mode ``m`` (0-based); raise ``NotApplicable`` for other damping."""
     if not modes.constant:
         raise NotApplicable("damping that depends on the state has no closed form in time; use fem")
     c, d = float(modes.modal_damping[m, m]), float(modes.noise[m])
@@ -135,8 +134,11 @@ def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) ->
     return SquareRoot(1, c, d, error, modulation)
 
 
-def _alike(modes: ModalAnalysis, modulation: Modulation | None = None) -> SquareRoot | None:
-    """The sum of modes of equal decay and temperature but for 1e-12, which counts as an error."""
+def _equal_modes(modes: ModalAnalysis, modulation: Modulation | None = None) -> SquareRoot | None:
+    """Return the sum of the energies if all modes have equal damping and noise, else None.
+
+    A relative difference up to 1e-12 is accepted and counts as an error.
+    """
     one, c, d = _mode(modes, 0, modulation), np.diag(modes.modal_damping), modes.noise
     unlike = float(max(np.ptp(c) / c[0], np.ptp(d) / d[0]))
     if unlike > 1e-12 + 4.0 * modes.relative_error:
@@ -144,8 +146,8 @@ def _alike(modes: ModalAnalysis, modulation: Modulation | None = None) -> Square
     return replace(one, n=modes.n, relative_error=one.relative_error + unlike)
 
 
-def _convolved(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Array]:
-    """∫p_1(x) p_2(H − x) dx, and its error, by panels graded to both ends."""
+def _convolution(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Array]:
+    """Return ∫p_1(x) p_2(H − x) dx and its error at ``energy`` H (points,), by graded panels."""
     H = np.maximum(energy, 0.0)[:, None]
     nodes = np.sin(np.linspace(0.0, 0.5 * np.pi, SUM_PANELS + 1)) ** 2
     totals = []
@@ -157,16 +159,20 @@ def _convolved(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Array]
     return fine, own + np.abs(fine - coarse)
 
 
-def _surviving(parts: Sequence[Passing], times: Array, tol: float) -> tuple[Array, Array]:
-    """P(T > t) of the first of independent passages, and its error."""
+def _survival(parts: Sequence[Passing], times: Array, tol: float) -> tuple[Array, Array]:
+    """Return P(T > t) at ``times``, T the first of independent passages, and its error.
+
+    ``tol`` is the tolerance of each passage.
+    """
     failures = (mode.failure(a, H, times, tol=tol) for mode, a, H in parts)
     return product_of((1.0 - p, e) for p, e in failures)
 
 
 def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number, Number]:
-    """Mean and variance of the least of independent times: ∫S dt and ∫2t S dt, S the product.
+    """Return mean and variance of the first of independent passages from ∫S dt and ∫2t S dt.
 
-    Before the first time S lies between its value and 1; after the last S ~ e^(−rate t).
+    S is the product of the survival probabilities, each to ``tol``. Before the panels begin S is
+    between its value there and 1; after their end S ~ e^(−``rate`` t).
     """
     ends = np.array([EARLY, SETTLED]) / rate
     nodes = np.log(np.geomspace(ends[0], ends[1], DECAY_PANELS + 1))
@@ -174,11 +180,11 @@ def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number
     for points in DECAY_POINTS:
         t, w = panel_rule(nodes, points)
         order = np.exp(t.ravel())
-        S, lost = _surviving(parts, order, tol)
+        S, lost = _survival(parts, order, tol)
         weights = w.ravel()[:, None] * order[:, None] ** [1, 2] * [1.0, 2.0]
         answers.append((S @ weights, lost @ weights))
     (coarse, _), (fine, own) = answers
-    (first, last), _ = _surviving(parts, ends, tol)
+    (first, last), _ = _survival(parts, ends, tol)
     beyond = abs(last) / rate * np.array([1.0, 2.0 * (ends[1] + 1.0 / rate)])
     before = ends[0] ** np.array([1, 2])
     mean, square = fine + 0.5 * (1.0 + first) * before
@@ -188,16 +194,16 @@ def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number
 
 
 def orbit_transient(parts: Sequence[Orbit], asked: Asked) -> Transient:
-    """Return the densities at times > 0 of one or two coordinates, the sum of ``parts``.
+    """Return the densities at times > 0 of one or two coordinates, each a sum over ``parts``.
 
-    Raises ``NotApplicable`` where an orbit is too thin for ``MOST_WAVES``.
+    Raises ``NotApplicable`` if a density is too narrow for ``MOST_WAVES`` waves.
     """
     noise, times, at = asked.start.noise, asked.times, asked.at
     require_times(times, positive=noise is None)
-    each = [_density(parts, noise, t, at) for t in times.tolist()]
+    each = [_coordinate_density(parts, noise, t, at) for t in times.tolist()]
     values = np.array([p for p, _, _ in each]).reshape(times.size, at[0].size)
     errors = np.zeros(values.shape) + np.array([floor for _, floor, _ in each])[:, None]
-    # Of waves on a box the mean is 1 exactly: the mass is that of the box, but for what is beyond.
+    # The wave of number 0 makes the mass of the box exactly 1; the mass outside it is ``tail``.
     tail, largest = 2.0 * len(at) * EPS, max((floor / top for _, floor, top in each), default=0.0)
     least = min((float(p.min(initial=0.0)) / top for p, _, top in each), default=0.0)
     measured = Measured(largest + tail, tail, least, None, tail, absolute_error=largest)
@@ -206,13 +212,15 @@ def orbit_transient(parts: Sequence[Orbit], asked: Asked) -> Transient:
     return Transient(times, values, errors + SMALLEST, "numerical", certificate, settings)
 
 
-def _density(
+def _coordinate_density(
     parts: Sequence[Orbit], noise: float | None, t: float, at: tuple[Array, ...]
 ) -> tuple[Array, float, float]:
-    """p at the points, its error, and the height of the Gaussian of the same covariance.
+    """Return p at the points ``at`` at time ``t``, its error, and the height of a Gaussian.
 
-    As a Fourier series on a box of coordinates whose Gaussian part is standard normal: copies of it
-    and waves beyond ``REACH`` are below round-off.
+    The Gaussian has the same covariance. p is a Fourier series on a box of coordinates whose
+    Gaussian part is standard normal; periodic copies, and waves beyond ``GAUSSIAN_REACH``, are
+    below round-off. ``noise`` is the factor on the noise of a stationary start, None: a known
+    start.
     """
     count = len(at)
     scales = [process.scales(start, noise, t) for process, start, _ in parts]
@@ -225,8 +233,8 @@ def _density(
         for (_, left), (process, _, C) in zip(scales, parts, strict=True)
     ]
     radii = np.sqrt([np.diag(orbit) for _, orbit in orbits])
-    box = radii.sum(axis=0) + REACH
-    K, M = np.pad(np.ceil(REACH * box / pi).astype(int), (0, 2 - count))
+    box = radii.sum(axis=0) + GAUSSIAN_REACH
+    K, M = np.pad(np.ceil(GAUSSIAN_REACH * box / pi).astype(int), (0, 2 - count))
     if np.prod([2.0 * K + 1.0, 2.0 * M + 1.0]) > 2.0 * MOST_WAVES[count]:
         raise NotApplicable(
             f"at the time {t:g} the density is too narrow: the first orbit is "

@@ -1,6 +1,6 @@
-"""Two modal energies in time, coupled by damping or not, by finite elements, Eqs. (17), (33).
+"""Two modal energies in time by finite elements, coupled by damping or not, Eqs. (17), (33).
 
-Displacements and momenta follow from their joint density, Eqs. (35), (36).
+Densities of displacements and momenta follow from their joint density, Eqs. (35), (36).
 """
 
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ import numpy as np
 
 from averaging.modal.analysis import ModalAnalysis
 from averaging.modal.observables import state_density
-from averaging.time import EnergyStart, limited_modes, observed_modes
+from averaging.time import EnergyStart, modal_limits, modes_of_observable
 from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certify_density
 from fpk.answer.dynamics import LARGEST_ERROR, Passage, Rates, Transient, require_times
@@ -33,9 +33,9 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     start, times, at, tol = asked.start, asked.times, asked.at, asked.tol
     require_times(times, positive=True)
     if {c.kind for c in asked.observable} <= {"q", "p"}:
-        return _state_transient(modes, asked)
-    rows = observed_modes(asked.observable)
-    pair, stationary, begins = _posed(modes, rows or range(modes.n), start, tol)
+        return _pair_state_transient(modes, asked)
+    rows = modes_of_observable(asked.observable)
+    pair, stationary, begins = _pair_problem(modes, rows or range(modes.n), start, tol)
     if rows == pair[::-1]:
         at = at[::-1]
     seen = tuple(sorted(map(pair.index, rows)))
@@ -49,25 +49,30 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
 def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
     """Return the first passage of one or two modal energies, or of the sum of two."""
     limit, times, tol = asked.limit, require_times(asked.times), asked.tol
-    limits = limited_modes(limit, asked.start)
-    pair, stationary, start = _posed(modes, limits or range(modes.n), asked.start, tol)
+    limits = modal_limits(limit, asked.start)
+    pair, stationary, start = _pair_problem(modes, limits or range(modes.n), asked.start, tol)
     first, second = map(limits.get, pair)
     plane, error = PlaneLimit(first, second, None if limits else limit.value), modes.relative_error
     return plane_first_passage(stationary, start, plane, times, tol=tol, coefficients_error=error)
 
 
 def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
-    """Return the ``count`` slowest rates but 0 of two modal energies."""
+    """Return the ``count`` slowest rates above 0 of two modal energies, judged by ``tol``."""
     if modes.n != 2:
         raise NotApplicable("relaxation rates by fem are those of two modal energies")
-    _, stationary, _ = _posed(modes, range(2), EnergyStart(np.zeros(2)), tol)
+    _, stationary, _ = _pair_problem(modes, range(2), EnergyStart(np.zeros(2)), tol)
     return relaxation_rates(stationary, count, tol=tol, relative=modes.relative_error)
 
 
-def _posed(
+def _pair_problem(
     modes: ModalAnalysis, rows: Iterable[int], start: EnergyStart, tol: float
 ) -> tuple[list[int], PlaneSolution, PlaneStart]:
-    """The two modes to solve for, on which no other acts, their stationary density, the start."""
+    """Return the two modes to solve for, their stationary density and their start.
+
+    They are the modes ``rows`` (0-based), the modes that damping couples to these, and if these are
+    fewer than two an uncoupled mode. ``tol`` is the tolerance of the answer. Raises
+    ``NotApplicable`` if they are not two.
+    """
     behind = {m for group in modes.averaged.groups if set(group) & set(rows) for m in group}
     alone = [g[0] for g in modes.averaged.groups if len(g) == 1 and g[0] not in behind]
     pair = sorted([*behind, *alone[: max(0, 2 - len(behind))]])
@@ -84,8 +89,11 @@ def _posed(
 def _by_modes(
     modes: ModalAnalysis, pair: list[int], rows: list[int], start: EnergyStart, t: float, *H: Array
 ) -> Array:
-    """Relative error of p from the relative error of the modes, at energies of modes ``rows``, or
-    of the sum if there are none, in units of the means that noise fed in from rest by ``t``."""
+    """Return the relative error of p at the time ``t`` from the relative error of the modes.
+
+    ``H`` are energies of the modes ``rows`` of ``pair``, or their sum if ``rows`` is empty; they
+    count relative to the mean energies at ``t`` of a start at rest.
+    """
     spread = modes.temperature * -np.expm1(-2.0 * modes.half_bandwidth * t)
     each = spread[rows] if rows else [spread[pair].min()]
     reach = 1.0 + sum(np.abs(x) / s for x, s in zip(H, each, strict=True))
@@ -93,14 +101,15 @@ def _by_modes(
     return np.asarray(2.0 * modes.relative_error * (reach + from_start))
 
 
-def _state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
-    """Return the densities of one or two of (q, p) of two modes, of independent uniform phases.
+def _pair_state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
+    """Return the densities of one or two of (q, p) of two modes with independent uniform phases.
 
-    The energies are solved for to half of the tolerance, with the distance of two levels as their
-    error. A time too short for the operator is not certified, its errors infinite.
+    The energies are solved for to half of the tolerance; their error is the difference of two mesh
+    levels. At a time that is too short for the operator the errors are infinite and the density is
+    not certified.
     """
     times, at, tol = asked.times, asked.at, asked.tol
-    pair, stationary, start = _posed(modes, range(modes.n), asked.start, tol)
+    pair, stationary, start = _pair_problem(modes, range(modes.n), asked.start, tol)
     answer, ((other_op, other), (op, g)) = transient_densities(
         stationary, start, BOTH_AXES, times, (np.zeros(0), np.zeros(0)), tol=0.5 * tol
     )
@@ -108,7 +117,7 @@ def _state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     measured = Measured(start.l1_error + 2.0 * tail, None, None, g.residual, tail)
 
     def energies(k: int, t: float) -> Density:
-        """The joint density of both energies at the time ``t``."""
+        """Return the joint density of both energies at ``t``, the time of index ``k``."""
         mass_defect = abs(float(g.values[k] @ op.matrices[2]) - 1.0)
         rounding = float(np.max(ROUNDINGS * g.rounding)) + 2.0 * mass_defect
 

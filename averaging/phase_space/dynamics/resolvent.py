@@ -1,8 +1,8 @@
-"""The FPK operator of an expansion off its stationary state: its resolvent and its eigenvalues.
+"""The time-dependent FPK equation in the expansion: resolvent and eigenvalues of its operator.
 
-A vector of the expansion changes as du/dt = A u, A the matrix of the chain of levels, in
-orthonormal functions. Where mirror images are equally likely, what changes its sign under them, as
-displacements do, and what keeps it have a chain each, of half the size.
+The coefficients u of the expansion obey du/dt = A u, A the matrix of the chain of levels in
+orthonormal functions. If mirror images are equally likely, functions that change sign under
+reflection, as displacements do, and functions that do not have separate chains of half the size.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,41 +11,43 @@ import numpy as np
 
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.chain import Chain, chain_of
-from averaging.phase_space.equation.degrees import combined
-from averaging.phase_space.equation.elimination import Expansion, factored
+from averaging.phase_space.equation.degrees import combination
+from averaging.phase_space.equation.elimination import Expansion, eliminate
 from averaging.phase_space.krylov import EVERY, RESIDUAL, VECTORS, krylov
-from averaging.phase_space.marginals import form_of, moments
+from averaging.phase_space.marginals import linear_form, moments
 from fpk.answer.names import Coordinate
 from fpk.numeric.arrays import EPS, Array, Complexes
 
-CONVERGED = 1e-8
-"""Relative residual of an eigenvalue that counts as one of A."""
 BLOCK = 4
-"""Random vectors of the first block: eigenvalues are found up to as often as this."""
-SAME = 1e-6
-"""Relative distance of two eigenvalues that are one of a multiplicity."""
+"""Random vectors of the first block; an eigenvalue of higher multiplicity is found this often
+only."""
+SAME_RATE = 1e-6
+"""Relative difference below which two eigenvalues count as a multiple eigenvalue."""
 OVERLAP = 0.9
-"""Share of the radius about a shift within which eigenvalues count as found, and of the step to the
-next: the unconverged one that ends the radius is known to some digits only."""
+"""Share of the distance of a shift to the nearest eigenvalue that has not converged, within which
+all eigenvalues are taken for found, and of the step to the next shift."""
 DISCS = 40
-"""Most shifts at which eigenvalues are sought: a minute where eliminations are fast."""
+"""Largest number of shifts at which eigenvalues are sought: a minute if eliminations are fast."""
 
 Step = Callable[[float], None]
-"""Called with the share of an elimination that is done."""
+"""Called with the completed share of an elimination."""
 
 
 def generator(e: Expansion, *, odd: bool, closed: bool = False) -> Chain:
-    """Return A on the functions of one parity; ``closed`` as of ``chain_of``."""
+    """Return A on functions that change sign under reflection if ``odd``, else on the others.
+
+    ``chain_of`` explains ``closed``.
+    """
     b = e.basis
     return chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
 
 
-def resolvent(A: Chain, shift: complex, step: Step) -> Callable[[Array], Array]:
-    """Return b → (s − A)⁻¹ b for s = ``shift``, b a vector or columns; none of them has mass.
+def solve_shifted(A: Chain, shift: complex, step: Step) -> Callable[[Array], Array]:
+    """Return the function b → (s − A)⁻¹ b, s = ``shift``, for vectors or columns b of mass 0.
 
-    A is singular at s = 0: the mass that round-off left is taken from b and from the solution.
+    A is singular; so the mass that round-off leaves is removed from b and from the solution.
     """
-    (solve, _), one = factored(A, shift=shift, step=step), A.basis.of_one
+    (solve, _), one = eliminate(A, shift=shift, step=step), A.basis.of_one
 
     def massless(u: Array) -> Array:
         level, rest = u[: one.size], u[one.size :]
@@ -54,17 +56,18 @@ def resolvent(A: Chain, shift: complex, step: Step) -> Callable[[Array], Array]:
     return lambda b: -massless(solve(massless(b)))
 
 
-def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
-    """Return q' = q − E q of a mass times the reference, 1 in level 0, and times p, in A.
+def displacement_vectors(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
+    """Return the coefficients in A of q' times the reference density, and of q' p, q' = q − E q.
 
-    A product with the first is ∫ q' …. ζ_j He_k = √k_j He_(k−e_j) + √(k_j + 1) He_(k+e_j); what the
-    products have beyond the functions of A is orthogonal to them and left out.
+    q is of mass ``row`` (0-based). The scalar product of u with the first vector is ∫ q' u. By
+    ζ_j He_k = √k_j He_(k−e_j) + √(k_j + 1) He_(k+e_j); terms outside the functions of A are
+    orthogonal to these and omitted.
     """
     b, space = e.basis, e.space
     q = Coordinate("q", row)
-    (offset, slope, direction), (at, unit) = form_of(e, q), b.frame.place(q)
+    (offset, slope, direction), (at, unit) = linear_form(e, q), b.frame.place(q)
     offset -= unit * moments(e)[0][at]
-    values, up = b.at_points[0], combined(space.up, direction)
+    values, up = b.at_points[0], combination(space.up, direction)
     by_y = values.T @ ((b.weights * (offset + slope * b.points))[:, None] * values)
     density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])
     reference = np.zeros_like(density)
@@ -74,24 +77,26 @@ def displaced(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
         range(len(e.levels)),
     )
     first, second = (
-        A.packed([u[space.span(n)] @ A.basis.of_level(n) for n in levels]) for u in products
+        A.pack([u[space.span(n)] @ A.basis.of_level(n) for n in levels]) for u in products
     )
     return first, second
 
 
 def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:
-    """Return c·(iω − A)⁻¹ b at the ascending frequencies ω >= 0 of ``at``, and the residual.
+    """Return c·(iω − A)⁻¹ b at ascending frequencies ω >= 0, ``at``, and the largest residual.
 
-    One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the solution
-    of (1 + (iω − s) B) u = B b is taken from the Krylov space of B and B b by Galerkin's method.
-    The first s is 0, the next in the middle of those left. The residual is relative to u.
+    ``b`` and ``c`` are vectors of all unknowns. One elimination, at a shift s, serves the
+    frequencies about it: with B = (s − A)⁻¹ the equation (1 + (iω − s) B) u = B b is solved in the
+    Krylov space of B and B b by Galerkin's method. The first s is 0, each further s in the middle
+    of frequencies not yet solved for. The residual is relative to u. Raises ``LinAlgError`` if an
+    elimination fails.
     """
     values, worst = np.zeros(at.size, dtype=complex), 0.0
     groups, shift = [np.arange(at.size)], 0.0
     while groups:
         group = groups.pop()
         away = np.asarray(1j * (at[group] - shift))
-        solve = resolvent(A, 1j * shift if shift else 0.0, step)
+        solve = solve_shifted(A, 1j * shift if shift else 0.0, step)
         first = solve(b)
         size = float(np.linalg.norm(first))
         found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)
@@ -119,14 +124,15 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
 def decays(
     A: Chain, c: Array, b: Array, at: Array, rate: float, step: Step, *, tol: float
 ) -> tuple[Array, float]:
-    """Return C(t) = c·e^(At) b and its derivative over ``rate`` at the lags ``at``, (2, lags).
+    """Return C(t) = c·e^(At) b and C'/``rate`` at the lags t of ``at``, (2, lags), and their error.
 
-    e^(At) b is taken from the Krylov space of b and (s − A)⁻¹, s = ``rate``, in which A is s − H⁻¹;
-    it grows until the last two changes, by ``EVERY`` vectors each, are within ``tol`` C(0): the
-    larger one is the error, the second item. Raises ``LinAlgError`` where C grows without bound.
+    ``b`` and ``c`` are vectors of all unknowns. e^(At) b is computed in the Krylov space of b and
+    (s − A)⁻¹, s = ``rate``, in which A is s − H⁻¹. The space grows until the last two changes of C,
+    by ``EVERY`` vectors each, are within ``tol`` C(0); the larger change is the error. Raises
+    ``LinAlgError`` if C grows with t.
     """
     values, changes = np.zeros((2, at.size)), [np.inf, np.inf]
-    for V, H, closed in krylov(resolvent(A, rate, step), b[:, None], VECTORS):
+    for V, H, closed in krylov(solve_shifted(A, rate, step), b[:, None], VECTORS):
         m = len(V)
         if not (m % EVERY == 0 or closed):
             continue
@@ -147,8 +153,11 @@ def decays(
 
 
 def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
-    """Eigenvalues λ of −A, up to ``BLOCK`` times each; radius about i ``at`` that lacks none."""
-    solve = resolvent(A, 1j * at if at else 0.0, step)
+    """Return eigenvalues λ of −A near i ``at``, and the radius within which they are complete.
+
+    A multiple eigenvalue is returned up to ``BLOCK`` times.
+    """
+    solve = solve_shifted(A, 1j * at if at else 0.0, step)
     random = np.random.default_rng(0).normal(size=(A.ends[-1], BLOCK))
     *_, (V, H, _) = krylov(solve, solve(random), VECTORS)
     theta, W = np.linalg.eig(H[: len(V)])
@@ -156,7 +165,7 @@ def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
     known = np.abs(theta) > rounding
     theta, residual = theta[known], np.linalg.norm(H[len(V) :] @ W, axis=0)[known] + rounding
     away = 1.0 / np.abs(theta)
-    radius = OVERLAP * float(np.min(away[residual * away > CONVERGED], initial=np.inf))
+    radius = OVERLAP * float(np.min(away[residual * away > EPS**0.5], initial=np.inf))
     # θ is 1/(iω + λ); the conjugate of each λ is an eigenvalue of −A, too.
     return np.asarray(1.0 / theta - 1j * at, dtype=complex).conj()[away < radius], radius
 
@@ -164,33 +173,34 @@ def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
 def slowest_rates(
     parts: Sequence[Chain], count: int, fastest: float, *, most: int, step: Step
 ) -> tuple[Complexes, str]:
-    """Return eigenvalues λ of −A of all ``parts``, Im λ >= 0, in ascending order of Re λ.
+    """Return eigenvalues λ of −A of all ``parts`` with Im λ >= 0, Re λ ascending, and a text.
 
-    The first ``count`` are the slowest, unless the words behind say what is missing. Discs, at most
-    ``most``, follow each other up the imaginary axis to the largest natural frequency ``fastest``
-    and until no rate as slow can lie above: Im λ/Re λ of none is more than the largest found.
+    The first ``count`` are the slowest; if eigenvalues may be missing the text says which, else it
+    is "". At most ``most`` discs follow each other up the imaginary axis, at least to the largest
+    natural frequency ``fastest``, and until no rate as slow can lie above, if no Im λ/Re λ exceeds
+    the largest found. Raises ``LinAlgError`` if no eigenvalue is found.
     """
     rates, discs, at = np.zeros(0, dtype=complex), list[tuple[float, float]](), 0.0
     while True:
         near = [eigenvalues(A, at, step) for A in parts]
         new, radius = np.concatenate([x for x, _ in near]), min(r for _, r in near)
-        inside = (np.abs(new - 1j * at) < radius) & (new.imag >= -SAME * np.abs(new))
+        inside = (np.abs(new - 1j * at) < radius) & (new.imag >= -SAME_RATE * np.abs(new))
         apart = [np.abs(new - 1j * w) >= r for w, r in discs]
         new = new[np.all([inside, *apart], axis=0)]
         rates = np.concatenate([rates, new.real + 1j * np.abs(new.imag)])
-        # Sums of rates often have equal real parts, but for round-off.
-        scale = SAME * float(np.min(np.abs(rates), initial=np.inf))
+        # Round the real parts, as those of sums of rates are often equal except for round-off.
+        scale = SAME_RATE * float(np.min(np.abs(rates), initial=np.inf))
         rates = rates[np.lexsort((rates.imag, np.round(rates.real / scale)))]
         discs.append((at, radius))
         slowest = float(np.max(rates.real[:count], initial=0.0))
-        # Half the lengths of the line Re λ = slowest within the discs, and its end without a gap.
+        # Half the length of the line Re λ = slowest in each disc, and how far discs cover the line.
         halves = [np.sqrt(max(r**2 - slowest**2, 0.0)) for _, r in discs]
         end = 0.0
         for (w, _), half in sorted(zip(discs, halves, strict=True)):
             end = max(end, w + half) if w - half <= end else end
         steepest = float(np.max(rates.imag / rates.real, initial=0.0))
         if rates.size >= count and end >= max(fastest, slowest * steepest):
-            same = np.abs(rates[:count, None] - rates) <= SAME * np.abs(rates)
+            same = np.abs(rates[:count, None] - rates) <= SAME_RATE * np.abs(rates)
             often = rates[:count][np.sum(same, axis=1) >= BLOCK]
             missing = f"the rate {often[0]:.3g} occurs {BLOCK} times or more" if often.size else ""
             return rates, missing

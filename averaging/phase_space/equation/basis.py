@@ -15,21 +15,24 @@ from averaging.phase_space.krylov import krylov
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.quadrature import gauss_legendre
 
-DEEP = 75.0
-"""−ln w at the ends of the support: w is 3e-33 of its largest value there."""
+SUPPORT_DEPTH = 75.0
+"""Fall of ln w from its maximum to the ends of the support, a factor of 3e-33."""
 RULE_POINTS = 160
-"""Gauss points of a panel: products of polynomials of degree 60 with w and the contact force."""
-SAME = 1e-3
-"""Distance of two stops, in widths of the support, without a panel between: 3e-8 is lost."""
+"""Gauss points of a panel, for products of polynomials of degree 60 with w and the contact
+force."""
+SAME_STOP = 1e-3
+"""Distance of two stops over the width of the support below which there is no panel between them,
+which changes densities by 3e-8."""
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Polynomials in t(y) between ``low`` and ``high``, orthonormal with the weight of the basis.
+    """Polynomials in t(y), ``low`` < y < ``high``, orthonormal with the weight of the basis.
 
-    Between stops (``direction`` 0) t is y. Beyond a stop at ``anchor``, on the right (1) or left
-    (−1), t² = |y − anchor|/``length`` + 2 w₃ (U(y) − U(anchor)). ``last``: no other stop follows.
-    P_0 = ``first`` and t P_j = Σ_i recurrence[i, j] P_i, ``recurrence`` (degree + 1, degree).
+    Between stops (``direction`` 0) t = y. Beyond a stop at ``anchor``, on the right (1) or left
+    (−1), t² = |y − anchor|/``length`` + 2 w₃ (U(y) − U(anchor)). ``last``: no further stop follows.
+    ``degree`` is the number of polynomials, P_0 = ``first`` and t P_j = Σ_i recurrence[i, j] P_i,
+    ``recurrence`` (degree + 1, degree).
     """
 
     low: float
@@ -43,13 +46,13 @@ class Panel:
     recurrence: Array
 
     def parts(self, count: int) -> Array:
-        """Ends of ``count`` parts, graded towards a stop, where y is not smooth."""
+        """Return the ends of ``count`` parts of the panel, graded towards its stop."""
         share = np.linspace(0.0, 1.0, count + 1)
         length = (self.high - self.low) * (share**4 if self.direction else share)
         return self.high - length if self.direction < 0 else self.low + length
 
     def rule(self, count: int) -> tuple[Array, Array]:
-        """``count`` Gauss points y, in |y − anchor|^½ beyond a stop, and weights of dy."""
+        """Return ``count`` Gauss points y and weights of dy; beyond a stop in |y − anchor|^½."""
         x, weight = gauss_legendre(count)
         x, weight, length = 0.5 * (1.0 + x), 0.5 * weight, self.high - self.low
         if self.direction == 0:
@@ -57,7 +60,7 @@ class Panel:
         return self.anchor + self.direction * length * x**2, 2.0 * length * weight * x
 
     def polynomials(self, t: Array) -> tuple[Array, Array]:
-        """P_j(t) and dP_j/dt, shapes (points, degree)."""
+        """Return P_j and dP_j/dt at ``t`` (points,), each (points, degree)."""
         P, dP = np.zeros((t.size, self.degree)), np.zeros((t.size, self.degree))
         P[:, 0] = self.first
         for j in range(1, self.degree):
@@ -69,14 +72,14 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Orthonormal functions of y in L²(w): continuous ones and their derivatives.
+    """Orthonormal functions of y in L²(w): continuous functions, and functions with jumps at stops.
 
-    ``points`` and ``weights`` (q,) integrate f(y) w(y) dy, ∫ w = 1, w being divided by
-    e^``log_norm``. ``nodes`` are the ends of the panels. The functions are columns (functions of
-    all panels, functions): the ``continuous`` ones of levels of even degree, without a term in t
-    itself beyond a stop, and the ``broken`` ones of odd degree, which may jump at the stops.
-    ``counts[s][c]`` is how many functions of set s, in front, have c polynomials beyond a stop, 0
-    for fewer than any degree has. ``mirrored``: one set is even and the other odd.
+    ``points`` and ``weights`` (q,) integrate f(y) w(y) dy with ∫ w = 1, w being divided by
+    e^``log_norm``; ``nodes`` are the ends of ``panels``. Both sets are matrices (polynomials of all
+    panels, functions) of coefficients: ``continuous`` for levels of even degree, with zero slope in
+    t at a stop, and ``broken`` for levels of odd degree, whose functions contain the derivatives of
+    the others. The first ``counts[s][c]`` functions of set s (0 continuous, 1 broken) use at most c
+    polynomials beyond a stop, 0 for c below any used. ``mirrored``: one set is even, the other odd.
     """
 
     frame: Frame
@@ -93,27 +96,27 @@ class Basis:
     counts: tuple[tuple[int, ...], tuple[int, ...]]
 
     def of_level(self, n: int) -> Array:
-        """The functions of level n by their coefficients, (functions of all panels, functions)."""
+        """Return the coefficients of the functions of level ``n``, broken if n is odd."""
         return self.broken if n % 2 else self.continuous
 
     @cached_property
     def of_one(self) -> Array:
-        """Coefficients of the function 1 in the continuous functions; 0 where these are odd."""
+        """Coefficients of the function 1 in the continuous functions; all 0 if these are odd."""
         return np.asarray(self.continuous.T @ (self.at_points[0].T @ self.weights))
 
     def density(self, y: Array) -> Array:
-        """w(y), 0 outside the support."""
+        """Return w at ``y``, 0 outside the support."""
         inside = (y >= self.nodes[0]) & (y <= self.nodes[-1])
         log_w = _log_weight(self.frame, self.reference, np.clip(y, *self.nodes[[0, -1]]))
         return np.where(inside, np.exp(log_w - self.log_norm), 0.0)
 
     @cached_property
     def at_points(self) -> tuple[Array, Array]:
-        """Functions of all panels and their derivatives at the points."""
+        """Polynomials of all panels and their derivatives at the points."""
         return self.functions(self.points)
 
     def functions(self, y: Array) -> tuple[Array, Array]:
-        """Functions of all panels at y (points,) inside the support, and their derivatives in y."""
+        """Return the polynomials of all panels at ``y`` (points,), and their derivatives in y."""
         starts = np.cumsum([0, *(p.degree for p in self.panels)])
         values, slopes = (np.zeros((y.size, starts[-1])) for _ in range(2))
         which = np.clip(np.searchsorted(self.nodes, y, side="right") - 1, 0, len(self.panels) - 1)
@@ -127,9 +130,12 @@ class Basis:
 
 
 def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = False) -> Basis:
-    """Return the functions of y; ``odd``: of all that changes its sign with the mirror image."""
+    """Return the functions of y about ``reference`` at ``degrees``.
+
+    ``odd``: for densities that change sign under reflection, with the two parities exchanged.
+    """
     panels, points, weights = [], [], []
-    for panel in _panels(frame, reference):
+    for panel in _support_panels(frame, reference):
         width = float((panel.high - panel.low) * np.sqrt(reference.weight[1]))
         touched = panel.direction != 0
         degree = degrees.outer if panel.last else degrees.between(width, beyond=touched)
@@ -147,14 +153,14 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
     starts, last = np.cumsum([0, *(p.degree for p in panels)]), len(panels) - 1
 
     def row(*parts: tuple[int, Array]) -> Array:
-        """Row on the functions of all panels, by the numbers of panels and its entries there."""
+        """Return a row on the polynomials of all panels; ``parts`` are (panel, entries)."""
         out = np.zeros(starts[-1])
         for k, entries in parts:
             out[starts[k] : starts[k + 1]] += entries
         return out
 
-    # Rows that vanish on functions that are continuous and have no slope in t at a stop: panels
-    # meet at a stop of at least one of them, where t of that one is 0.
+    # Conditions for continuous functions with zero slope in t at stops. Where two panels meet there
+    # is the stop of at least one of them, at which its t is 0.
     slopes = [(k, p.polynomials(np.zeros(1))[1][0]) for k, p in enumerate(panels) if p.direction]
     rows = [row(slope) for slope in slopes]
     for k, pair in enumerate(pairwise(panels)):
@@ -164,7 +170,7 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
     mirrored = frame.symmetric and not reference.weight[0]
     parity: list[list[Array]] = [[], []]
     if mirrored:
-        # Rows that vanish on even and on odd functions: P_j(−t) = (−1)^j P_j(t) in the middle;
+        # Conditions for even and for odd functions: P_j(−t) = (−1)^j P_j(t) on the middle panel;
         # beyond stops t is the same on both sides.
         for only, sign in zip(parity, (1.0, -1.0), strict=True):
             for k, p in enumerate(panels[: (len(panels) + 1) // 2]):
@@ -173,7 +179,8 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
                     only.append(row((k, unit), (last - k, -image * unit)))
     sets = [*rows, *parity[odd]], parity[not odd]
     (continuous, broken), counts = zip(
-        *(_nested(panels, degrees, own, fewer=k) for k, own in enumerate(sets)), strict=True
+        *(_function_sets(panels, degrees, own, fewer=k) for k, own in enumerate(sets)),
+        strict=True,
     )
     nodes = np.array([panels[0].low, *(p.high for p in panels)])
     y, w = np.concatenate(points), np.concatenate(weights) / total
@@ -181,13 +188,14 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
     return Basis(*given, continuous, broken, counts)
 
 
-def _nested(
+def _function_sets(
     panels: Sequence[Panel], degrees: Degrees, rows: Sequence[Array], *, fewer: int
 ) -> tuple[Array, tuple[int, ...]]:
-    """Return orthonormal functions on which ``rows`` vanish, and how many come with each count.
+    """Return orthonormal functions that meet the conditions ``rows``, and numbers of functions.
 
-    Sets of fewer polynomials are the front of the whole. ``fewer`` derivatives in y lower the
-    degree in t by one between stops, by two beyond a stop.
+    The functions are columns (polynomials of all panels, functions); the first numbers[c] of them
+    use at most c polynomials beyond a stop. Sets of derivatives have ``fewer`` = 1: their degree in
+    t is lower by one between stops, by two beyond a stop.
     """
     degree = np.concatenate([np.arange(p.degree) for p in panels])
     every = np.array([row for row in rows if row.any()]).reshape(-1, degree.size)
@@ -211,7 +219,7 @@ def _nested(
 
 
 def _coordinate(frame: Frame, reference: Reference, panel: Panel, y: Array) -> tuple[Array, Array]:
-    """t at y of a panel, and dt/dy; 0 at a stop, where no function has a slope in t."""
+    """Return t at ``y`` (points,) of ``panel``, and dt/dy, set to 0 at a stop."""
     if panel.direction == 0:
         return y, np.ones(y.size)
     contact, sign = 2.0 * reference.weight[2], panel.direction
@@ -223,30 +231,30 @@ def _coordinate(frame: Frame, reference: Reference, panel: Panel, y: Array) -> t
 
 
 def _log_weight(frame: Frame, reference: Reference, y: Array) -> Array:
-    """Return ln w(y) of the reference, up to a constant."""
+    """Return ln w at ``y`` (points,) of the reference, up to a constant."""
     linear, square, contact = reference.weight
     return np.asarray(-(linear * y + 0.5 * square * y**2 + contact * frame.contact_energy(y)))
 
 
 @lru_cache(maxsize=4)
-def _panels(frame: Frame, reference: Reference) -> tuple[Panel, ...]:
-    """Panels without polynomials, between the ends at which ln w is ``DEEP`` below its maximum."""
+def _support_panels(frame: Frame, reference: Reference) -> tuple[Panel, ...]:
+    """Return the panels without polynomials, on the support of w (``SUPPORT_DEPTH``)."""
 
     def root(f: Callable[[Array], Array], value: float, a: float, b: float) -> float:
         return float(brentq(lambda y: float(f(np.array([y]))[0]) - value, a, b, xtol=SMALLEST))
 
     linear, square, contact = reference.weight
-    # Stops only narrow the Gaussian that is left without them.
-    reach = 2.0 * (np.sqrt(2.0 * DEEP / square) + abs(linear / square))
+    # The support without stops, which stops only make narrower.
+    reach = 2.0 * (np.sqrt(2.0 * SUPPORT_DEPTH / square) + abs(linear / square))
     y = np.linspace(-reach, reach, 4001)
     log_w = _log_weight(frame, reference, y)
-    top, lowest = y[log_w.argmax()], log_w.max() - DEEP
+    top, lowest = y[log_w.argmax()], log_w.max() - SUPPORT_DEPTH
     low, high = (
         root(partial(_log_weight, frame, reference), lowest, *ends)
         for ends in ((-reach, top), (top, reach))
     )
-    near = SAME * (high - low)
-    # Where contact begins: left stops, and right stops; two that are nearly one have no panel.
+    near = SAME_STOP * (high - low)
+    # Displacements at which contact begins, on the left and on the right.
     stops = [(s.sign, s.sign * s.clearance * frame.root) for s in frame.system.stops]
     left, right = (
         np.unique([y for side, y in stops if side == s and low < y < high]) for s in (-1.0, 1.0)
@@ -257,11 +265,11 @@ def _panels(frame: Frame, reference: Reference) -> tuple[Panel, ...]:
     nodes = nodes[np.concatenate([[True], np.diff(nodes) > near])]
     panels = []
     for a, b in pairwise(map(float, nodes)):
-        # A left stop anchors what is left of it, a right stop what is right of it.
+        # A left stop is the anchor of the panel on its left, a right stop of that on its right.
         direction = int(np.any(np.abs(right - a) <= near)) or -int(np.any(np.abs(left - b) <= near))
         anchor, end = (b, a) if direction < 0 else (a, b)
         if direction:
-            # Where 2 w₃ (U − U(anchor)) is 1, at the most at the other end: there t² is 2.
+            # ``length`` ends where 2 w₃ (U − U(anchor)) = 1, so that t² = 2, or with the panel.
             most = 0.5 / contact + frame.contact_energy(np.array([anchor]))[0]
             if frame.contact_energy(np.array([end]))[0] > most:
                 end = root(frame.contact_energy, most, anchor, end)

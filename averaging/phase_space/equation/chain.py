@@ -1,4 +1,4 @@
-"""The FPK equation in Hermite functions: the matrix of its equations, level by level.
+"""The FPK equation in Hermite functions: the matrix of its equations between levels.
 
 The equations, F', G', h' and C are as in docs/theory.md ("The full equation"): the density is
 p = w(y) N(z; 0, S) Σ_k u_k(y) He_k(C⁻¹ z)/√k!, S = C Cᵀ, a_i He_k = √k_i He_(k−e_i), a_i⁺ the
@@ -6,12 +6,12 @@ adjoint of a_i, and l₁ = C₁₁: the first row of C has one entry. Levels of 
 continuous functions of y, those of odd degree broken ones (``Basis``); for a broken f and a
 continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
 
-A damping term adds the force −κ Π q_a^m Π v_a^n H^l v_j to mass i; f_i is the sum of all such
-forces, with the sign turned. With z = C ζ, ζ_j = a_j + a_j⁺, f_i is a polynomial in y and U(y)
-whose coefficients are matrices that act on the degrees k, and makes −Σ_j C⁻¹_ji a_j⁺ f_i u. Of
-degree r in z beside its v_j, it connects a level with those from r below to r + 2 above. Levels are
-then eliminated in stages of several: so many that each stage meets the two below and the one above.
-Integrals are exact, so that the truncation keeps the dissipation.
+A damping term adds the force −κ Π q_a^m Π v_a^n H^l v_j to mass i; −f_i is the sum of all such
+forces. With z = C ζ, ζ_j = a_j + a_j⁺, f_i is a polynomial in y and U(y) whose coefficients are
+matrices that act on the degrees k; it contributes −Σ_j C⁻¹_ji a_j⁺ f_i u. If r is its degree in z
+without the factor v_j, it couples a level to the levels from r below to r + 2 above. Levels are
+then grouped in stages, large enough that a stage is coupled to the two below and the one above
+only. Integrals are exact, so that the truncated equations stay dissipative.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,23 +21,22 @@ import numpy as np
 from scipy import sparse
 
 from averaging.phase_space.equation.basis import Basis
-from averaging.phase_space.equation.degrees import Matrix, Space, combined, space_to
+from averaging.phase_space.equation.degrees import Matrix, Space, combination, space_to
 from averaging.phase_space.equation.frame import Frame, linear_part
 from fpk.numeric.arrays import Array, Integers
 
 Polynomial = dict[tuple[int, int], Matrix]
-"""Matrices on the degrees, by the powers of y and of U(y) that they stand before."""
+"""Maps powers of y and of U(y) to their coefficients, matrices that act on the degrees k."""
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The equations between stages.
+    """The equations: a sparse ``matrix`` that couples stage n to n, n + 1, n − 1 and n − 2.
 
-    ``factor`` is C. Each degree of ``space`` has its functions of y at ``places`` (degrees, most
-    functions) in a vector of all unknowns, −1 beyond its own; stage n ends at ``ends[n]`` there,
-    its highest level in front. By ``matrix`` stage n meets itself and the stages n + 1, n − 1 and
-    n − 2. The highest level of each degree in the others meets itself by l₁ (∂* ∂)^½, too, which
-    stands for the levels above it.
+    ``factor`` is C. ``places`` (degrees, most functions) are the indices of the unknowns of each
+    degree of ``space`` in the vector of all unknowns, −1 beyond the functions of a degree. Stage n
+    ends at index ``ends[n]``, its highest level first. For the highest level of each degree in the
+    other masses the matrix contains −l₁ (∂* ∂)^½, which models the omitted levels above.
     """
 
     basis: Basis
@@ -53,17 +52,17 @@ class Chain:
         return len(self.ends) - 1
 
     def span(self, n: int) -> slice:
-        """Where stage n stands in a vector of all unknowns."""
+        """Return the slice of stage ``n`` in the vector of all unknowns."""
         return slice(int(self.ends[n - 1]) if n else 0, int(self.ends[n]))
 
     def cuts(self, n: int) -> Integers:
-        """Where another degree in the others begins among the unknowns of stage n, ascending."""
+        """Return the ascending indices in stage ``n`` at which the degree in the others changes."""
         group = self.space.level * (self.space.others.max() + 1) + self.space.others
         starts, span = np.sort(self.places[np.diff(group, prepend=-1) > 0, 0]), self.span(n)
         return np.asarray(starts[(starts > span.start) & (starts < span.stop)] - span.start)
 
     def within(self, n: int, *, shift: complex = 0.0, kind: type = np.float64) -> Array:
-        """Return the equations of stage n in itself, in numbers of ``kind``, less ``shift``."""
+        """Return the dense diagonal block of stage ``n`` minus ``shift``, of type ``kind``."""
         A = self.matrix[self.span(n), self.span(n)].toarray()
         A = A.astype(np.result_type(kind, shift), copy=False)
         if shift:
@@ -71,29 +70,30 @@ class Chain:
         return np.asarray(A)
 
     def blocks(self, matrix: sparse.csr_array, away: int) -> list[sparse.csr_array]:
-        """Return the blocks by which stages meet those ``away`` above, lowest first."""
+        """Return the blocks that couple stages to the stages ``away`` above, lowest stage first."""
         stages = range(max(-away, 0), self.top + 1 - max(away, 0))
         return [matrix[self.span(n), self.span(n + away)] for n in stages]
 
-    def packed(self, levels: Sequence[Array]) -> Array:
-        """Return the vector of all unknowns of ``levels`` (degrees of the level, functions)."""
+    def pack(self, levels: Sequence[Array]) -> Array:
+        """Return the vector of all unknowns from ``levels``, each (degrees, functions)."""
         out = np.zeros(self.ends[-1] + 1, levels[0].dtype)
         for n, u in enumerate(levels):
             out[self.places[self.space.span(n), : u.shape[1]]] = u
         return out[:-1]
 
-    def shaped(self, u: Array) -> list[Array]:
-        """Return the levels of a vector (degrees, functions), 0 where a degree has no function."""
+    def unpack(self, u: Array) -> list[Array]:
+        """Return the levels (degrees, functions) of the vector ``u``; 0 for missing functions."""
         every, used = np.append(u, np.zeros(1, u.dtype))[self.places], self.places >= 0
         spans = map(self.space.span, range(self.space.level[-1] + 1))
         return [every[at, : np.sum(used[at].any(axis=0))] for at in spans]
 
 
-def placed(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers]:
-    """Return how many functions each degree of ``space`` has, its first unknown, and the ``ends``.
+def places(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers]:
+    """Return the number of functions of each degree of ``space``, its first unknown, and the ends.
 
-    What ``space`` has beyond the degrees of the basis is left out. At the highest levels the sum m
-    of the degrees in the others falls by two a level, which saves a fifth of the work.
+    ``Chain`` defines the ends. Degrees of ``space`` beyond the degrees of the basis have no
+    functions. At the highest levels the largest degree in the other masses falls by two for each
+    level, which saves a fifth of the work.
     """
     degrees = functions.degrees
     table = np.zeros((space.level[-1] + 1, space.others.max() + 1), dtype=np.int64)
@@ -113,21 +113,21 @@ def placed(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers
 Entries = tuple[Integers, Integers, Array]
 """Rows, columns and values of entries of a matrix."""
 Between = Sequence[Sequence[Array | None]]
-"""Matrices on functions of y by the parities of the level to which and of which they lead; None
-where functions that both levels have stay as they are."""
+"""Matrices on functions of y, by the parity of the level they lead to and of the level they act on.
+None is the identity on the functions that both levels have."""
 
 
 def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     """Return the equations in the functions of a basis, about its reference.
 
-    ``closed``: levels meet themselves by l₁ (∂* ∂)^½ of all functions that the level above lacks,
-    not only where there is none above: else A has slow eigenvalues that are none of L.
+    If ``closed``, −l₁ (∂* ∂)^½ is added for all functions that the level above lacks, not only for
+    levels with none above. Without it A has slow eigenvalues that are no eigenvalues of L.
     """
     frame, reference, degrees = functions.frame, functions.reference, functions.degrees
     F, G, h = linear_part(frame, reference)
     C = np.asarray(np.linalg.cholesky(reference.covariance), dtype=float)
-    # The other variables in pairs: planes that antisymmetric F' turns. These are orthogonal but for
-    # frequencies of 0, whose planes are any.
+    # Pair the other variables as the planes in which the antisymmetric part of F' rotates; for
+    # equal frequencies 0 the planes are arbitrary, hence the orthogonalisation.
     turned = np.linalg.solve(C, F @ C)[1:, 1:]
     turning = np.linalg.eigh(0.5j * (turned - turned.T))[1][:, len(turned) // 2 :].T
     planes = np.stack([turning.real, turning.imag], axis=1).reshape(turned.shape)
@@ -141,14 +141,14 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     value, slope = functions.at_points
     continuous, broken = value @ functions.continuous, value @ functions.broken
     to_continuous = (slope @ functions.continuous).T @ (w[:, None] * broken)
-    # The derivative of 1 is 0: with round-off in its place mass would not be conserved.
+    # The derivative of 1 is set to exactly 0, so that round-off does not change the mass.
     one = functions.of_one
     to_continuous -= np.outer(one, one @ to_continuous)
     linear, square, contact = reference.weight
     log_slope = -(linear + square * y + contact * force)
     descent = slope @ functions.continuous + log_slope[:, None] * continuous
     adjoint = C[0, 0] * to_continuous, -C[0, 0] * broken.T @ (w[:, None] * descent)
-    # h', which stands with a_i⁺.
+    # h', the factor of a_i⁺.
     given = h[0][:, None] + h[1][:, None] * y
     given[0] -= force
     weighted = [continuous.T @ (f[:, None] * broken) for f in w * (inverse @ given)]
@@ -157,27 +157,30 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     space = space_to(degrees.total, degrees.others, len(drift))
     up, down = space.up, [A.T.tocsr() for A in space.up]
     constant = [
-        A @ (combined(down, f) + combined(up, g)) for A, f, g in zip(up, drift, pair, strict=True)
+        A @ (combination(down, f) + combination(up, g))
+        for A, f, g in zip(up, drift, pair, strict=True)
     ]
     parts: list[tuple[Matrix, Between]] = [
-        (combined(constant, np.ones(len(up))), ((None, None), (None, None))),
+        (combination(constant, np.ones(len(up))), ((None, None), (None, None))),
         (down[0], ((None, adjoint[0]), (adjoint[1], None))),
     ]
     parts += [
         (A, ((None, H[0]), (H[1], None))) for A, H in zip(up, forces, strict=True) if np.any(H[0])
     ]
-    count, start, ends = placed(functions, space)
-    entries = [e for A, matrices in parts for e in _blocks(A, matrices, space, count, start)]
+    count, start, ends = places(functions, space)
+    entries = [
+        e for A, matrices in parts for e in _product_entries(A, matrices, space, count, start)
+    ]
     if frame.system.damping_terms:
-        wider, terms = damped(functions, C)
-        places = placed(functions, wider)[:2]
-        entries += [e for A, F in terms for e in _blocks(A, F, wider, *places)]
+        wider, terms = damping_terms(functions, C)
+        at = places(functions, wider)[:2]
+        entries += [e for A, F in terms for e in _product_entries(A, F, wider, *at)]
     table = np.zeros((degrees.total + 2, space.others.max() + 1), dtype=np.int64)
     table[space.level[count > 0], space.others[count > 0]] = count[count > 0]
     for n, m in np.argwhere(table[1:]) + np.array([1, 0]):
-        # What the level above n lacks of the functions that the one below n has.
-        wanted = functions.counts[(n - 1) % 2][degrees.beyond(n - 1, m)]
-        E = adjoint[n % 2][: table[n, m], table[n + 1, m] : wanted]
+        # Functions that level n − 1 has and level n + 1 lacks.
+        below = functions.counts[(n - 1) % 2][degrees.beyond(n - 1, m)]
+        E = adjoint[n % 2][: table[n, m], table[n + 1, m] : below]
         if E.size and (closed or not table[n + 1, m]):
             U, s, _ = np.linalg.svd(E, full_matrices=False)
             at = start[(space.level == n) & (space.others == m) & (count > 0)]
@@ -189,10 +192,14 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     return Chain(functions, C, space, unknowns, ends, matrix)
 
 
-def _blocks(
+def _product_entries(
     A: Matrix, functions: Between, space: Space, count: Integers, start: Integers
 ) -> Iterator[Entries]:
-    """Yield the entries of Σ A ⊗ ``functions``, of equal numbers of functions at a time."""
+    """Yield the entries of A ⊗ ``functions``, in groups of degrees with equal numbers of functions.
+
+    ``count`` and ``start`` (degrees,) are the number of functions and the first unknown of each
+    degree of ``space``.
+    """
     X, parity = A.tocoo(), space.level % 2
     inside = (count[X.row] > 0) & (count[X.col] > 0) & (X.data != 0.0)
     to, of, factor = X.row[inside], X.col[inside], X.data[inside]
@@ -207,7 +214,10 @@ def _blocks(
 
 
 def _entries(to: Integers, of: Integers, factor: Array, F: Array) -> Entries:
-    """Entries of ``factor`` (pairs,) times F, diagonal if 1-D, from unknowns ``of`` to ``to``."""
+    """Return the entries of ``factor`` (pairs,) times F (diagonal if 1-D).
+
+    ``to`` and ``of`` (pairs,) are the first rows and columns.
+    """
     index = np.indices(F.shape, dtype=np.int32)
     row, column = (
         np.add.outer(x.astype(np.int32), i).ravel() for x, i in ((to, index[0]), (of, index[-1]))
@@ -215,8 +225,8 @@ def _entries(to: Integers, of: Integers, factor: Array, F: Array) -> Entries:
     return row, column, np.multiply.outer(factor, F).ravel()
 
 
-def reach(frame: Frame) -> int:
-    """Highest degree in z of what a damping term multiplies a velocity by, 0 without terms."""
+def damping_degree(frame: Frame) -> int:
+    """Return r, the highest degree in z of a damping term without its factor v_j, or 0."""
     contact = frame.contact + 1
     return max(
         (t.degree - dict(t.q).get(contact, 0) for t in frame.system.damping_terms), default=0
@@ -224,27 +234,31 @@ def reach(frame: Frame) -> int:
 
 
 def levels_per_stage(frame: Frame) -> int:
-    """Levels of a stage, s >= r and 2 s >= r + 2, r = ``reach``; level 0 is a stage of its own."""
-    return max(reach(frame), (reach(frame) + 3) // 2)
+    """Return the number s of levels of a stage: s >= r, 2 s >= r + 2, r = ``damping_degree``."""
+    return max(damping_degree(frame), (damping_degree(frame) + 3) // 2)
 
 
-def state(
+def state_polynomials(
     functions: Basis, C: Array, space: Space
 ) -> tuple[list[Polynomial], list[Polynomial], list[Polynomial]]:
-    """Return displacements (y, r), velocities v and forces f, exact but at the end of ``space``."""
+    """Return displacements (y, r), velocities v and damping forces f as polynomials, z = ``C`` ζ.
+
+    The matrices are exact on degrees of ``space`` that multiplication does not lead out of it.
+    """
     frame, reference = functions.frame, functions.reference
     n, place = frame.n, frame.order.index
     one: Matrix = sparse.eye_array(len(space.level), format="csr")
-    z = [combined([up + up.T for up in space.up], row) for row in C]
+    z = [combination([up + up.T for up in space.up], row) for row in C]
     v: list[Polynomial] = [{(0, 0): x} for x in z[:n]]
     linear = zip(z[n:], reference.slope, reference.offset, strict=True)
     r: list[Polynomial] = [{(1, 0): one}]
     r += [{(0, 0): x + x0 * one, (1, 0): a * one} for x, a, x0 in linear]
     energy: Polynomial = {(0, 1): one}
     for i in range(n):
-        energy = added(energy, product(v[i], v[i]), 0.5)
+        energy = polynomial_sum(energy, polynomial_product(v[i], v[i]), 0.5)
         for j in range(n):
-            energy = added(energy, product(r[i], r[j]), 0.5 * float(frame.stiffness[i, j]))
+            square = polynomial_product(r[i], r[j])
+            energy = polynomial_sum(energy, square, 0.5 * float(frame.stiffness[i, j]))
     forces: list[Polynomial] = [{} for _ in range(n)]
     root = np.sqrt(frame.system.mass)
     for term in frame.system.damping_terms:
@@ -256,20 +270,20 @@ def state(
                 scale /= root[mass - 1] ** power
         force: Polynomial = {(0, 0): scale * one}
         for factor in (*factors, *[energy] * term.energy):
-            force = product(force, factor)
-        forces[place(term.row)] = added(forces[place(term.row)], force)
+            force = polynomial_product(force, factor)
+        forces[place(term.row)] = polynomial_sum(forces[place(term.row)], force)
     return r, v, forces
 
 
-def product(a: Polynomial, b: Polynomial) -> Polynomial:
+def polynomial_product(a: Polynomial, b: Polynomial) -> Polynomial:
     """Return the product of two polynomials, whose matrices commute."""
     out: Polynomial = {}
     for (m, e), X in a.items():
-        out = added(out, {(m + p, e + q): X @ Y for (p, q), Y in b.items()})
+        out = polynomial_sum(out, {(m + p, e + q): X @ Y for (p, q), Y in b.items()})
     return out
 
 
-def added(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynomial:
+def polynomial_sum(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynomial:
     """Return a + ``factor`` b."""
     out = dict(a)
     for powers, Y in b.items():
@@ -277,18 +291,18 @@ def added(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynomial:
     return out
 
 
-def damped(
+def damping_terms(
     functions: Basis, C: Array
 ) -> tuple[Space, list[tuple[Matrix, list[list[Array | None]]]]]:
-    """Return the degrees that A acts on, and the terms A ⊗ F of −Σ_ij C⁻¹_ji a_j⁺ f_i."""
+    """Return the terms A ⊗ F of −Σ_ij ``C``⁻¹_ji a_j⁺ f_i, and the space that the A act on."""
     frame, degrees = functions.frame, functions.degrees
-    beyond, d = reach(frame) + 1, 2 * frame.n - 1
+    beyond, d = damping_degree(frame) + 1, 2 * frame.n - 1
     space = space_to(degrees.total + beyond, degrees.others + beyond, d)
     inverse: Array = np.asarray(np.linalg.inv(C), dtype=float)
     operator: Polynomial = {}
-    for i, force in enumerate(state(functions, C, space)[2]):
-        up = combined(space.up, inverse[:, i])
-        operator = added(operator, {powers: up @ X for powers, X in force.items()}, -1.0)
+    for i, force in enumerate(state_polynomials(functions, C, space)[2]):
+        up = combination(space.up, inverse[:, i])
+        operator = polynomial_sum(operator, {powers: up @ X for powers, X in force.items()}, -1.0)
     values, _ = functions.at_points
     sets, terms = [values @ functions.of_level(n) for n in range(2)], []
     for powers, A in operator.items():
@@ -301,7 +315,7 @@ def damped(
 
 
 def by_y(functions: Basis, powers: tuple[int, int]) -> Array:
-    """Weights of the points times the powers of y and of U(y)."""
+    """Return the weights of the basis's points times y and U(y) to the given ``powers``."""
     y = functions.points
     energy = functions.frame.contact_energy(y) ** powers[1]
     return np.asarray(functions.weights * y ** powers[0] * energy)

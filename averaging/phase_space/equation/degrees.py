@@ -1,8 +1,8 @@
-"""Degrees of the Hermite polynomials and of the functions of y with each, and their operators.
+"""Degrees of the Hermite polynomials, numbers of functions of y for each, and ladder operators.
 
-With the contact mass held, each other mass is an oscillator of the amplitude b = (ζ_v + i ζ_x)/√2.
-Products are of degrees j in b and k in its conjugate; those that turn fast are small: a product
-counts by the larger one of j and k, not by j + k (docs/theory.md).
+With the contact mass at rest each other mass is an oscillator of complex amplitude
+b = (ζ_v + i ζ_x)/√2. The coefficients of products of degree j in b and k in its conjugate are small
+if the product rotates fast; so products are selected by max(j, k), not by j + k (docs/theory.md).
 """
 
 from collections.abc import Sequence
@@ -19,9 +19,10 @@ from averaging.phase_space.equation.frame import Frame
 from fpk.numeric.arrays import Array
 
 LEAST, LEAST_MIXED = 0.5, 0.3
-"""Least share of polynomials beyond a stop: at levels of the contact velocity alone, and at any."""
-FEWER = 1.2
-"""Polynomials beyond a stop that each degree in the other variables takes away."""
+"""Smallest number of polynomials beyond a stop over the largest: for degrees in the contact
+velocity alone, and for all degrees."""
+POLYNOMIALS_PER_DEGREE = 1.2
+"""Decrease of the number of polynomials beyond a stop for each degree in the other variables."""
 
 Indices = NDArray[np.intp]
 Matrix = sparse.csr_array
@@ -29,10 +30,10 @@ Matrix = sparse.csr_array
 
 @dataclass(frozen=True)
 class Degrees:
-    """How fine an expansion is.
+    """Degrees of an expansion.
 
-    ``total`` is the largest |k|, ``others`` the largest that a product of the other masses counts,
-    ``outer`` the number of polynomials in y beyond the last stop.
+    ``total`` is the largest |k|, ``others`` the largest Σ max(j, k) over the other masses,
+    ``outer`` the number of polynomials in y beyond the last stop at level 0.
     """
 
     total: int
@@ -41,33 +42,38 @@ class Degrees:
 
     @property
     def least(self) -> int:
-        """Least number of polynomials beyond a stop."""
+        """Smallest number of polynomials beyond a stop."""
         return int(LEAST_MIXED * self.outer)
 
     def beyond(self, level: int, others: int) -> int:
-        """Number of polynomials beyond a stop, of |k| = ``level`` and a degree in the others.
+        """Return the number of polynomials beyond a stop at |k| = ``level``.
 
-        Levels go in pairs, as the derivatives of the functions of one are those of the next.
+        ``others`` is the degree in the other masses. Levels 2m and 2m + 1 have equal numbers, as
+        the functions of the second are derivatives of the functions of the first.
         """
         alone = max(self.outer - level // 2 * 2, int(LEAST * self.outer))
-        return max(alone - int(FEWER * others), self.least)
+        return max(alone - int(POLYNOMIALS_PER_DEGREE * others), self.least)
 
     def between(self, width: float, *, beyond: bool) -> int:
-        """Number of polynomials of a panel between stops, odd; one without end has ``outer`` + 1.
+        """Return the number, odd, of polynomials on a panel between stops.
 
-        ``width`` is in standard deviations of the weight without stops; ``beyond``: a stop is
-        touched there. It rises with ``outer``, so that distances of solutions show its error.
+        ``width`` is the panel's in standard deviations of the weight without stops; ``beyond`` says
+        that a stop is touched on it. The number rises with ``outer``, up to ``outer`` + 1, so that
+        distances of successive solutions contain the error on this panel.
         """
         count = 6.0 + (0.12 * width + 0.25 * beyond) * self.outer
         return 2 * ceil(0.5 * min(count, self.outer)) + 1
 
     def fewer(self, most: int, beyond: int) -> int:
-        """Odd number of ``most`` polynomials between stops; half of it is as ``beyond``."""
+        """Return the odd number of polynomials between stops for ``beyond`` beyond a stop.
+
+        Half of ``most``, the number for ``outer``, is in proportion to ``beyond``.
+        """
         return 2 * int(0.25 * most * (1.0 + beyond / self.outer)) + 1
 
 
-def fitting(frame: Frame) -> Degrees:
-    """Return the degrees of the solutions that a reference is fitted to."""
+def fitting_degrees(frame: Frame) -> Degrees:
+    """Return the degrees of the solutions that the reference is fitted to."""
     if frame.system.damping_terms or frame.n == 1:
         return lowest(frame)
     return Degrees(13, 5, 14) if frame.n == 2 else Degrees(9, 3, 10)
@@ -77,14 +83,15 @@ def lowest(frame: Frame) -> Degrees:
     """Return the degrees of the first solution."""
     if frame.system.damping_terms:
         return {1: Degrees(16, 0, 18), 2: Degrees(16, 6, 18), 3: Degrees(11, 4, 12)}[frame.n]
-    # Without terms damping and noise of one mass are in proportion: the start is the solution.
+    # With constant damping the first reference is the solution for one mass.
     return {1: Degrees(9, 0, 10), 2: Degrees(17, 6, 18), 3: Degrees(11, 4, 12)}[frame.n]
 
 
-def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
-    """Return the degrees of the next solution; ``rise`` is that of the degree in the others.
+def next_degrees(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
+    """Return the degrees of the next solution; ``rise`` is added to the degree in the others.
 
-    ``total`` is odd without damping terms; with them errors oscillate, and it rises by a factor.
+    ``total`` is odd without damping terms. With damping terms errors oscillate with the degree, and
+    it rises by a factor.
     """
     n, d = frame.n, degrees
     if frame.system.damping_terms:
@@ -95,17 +102,18 @@ def finer(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
         return Degrees(d.total + 8, 0, d.outer + 4)
     if n == 2:
         return Degrees(d.total + 10 - 2 * rise, d.others + rise, d.outer + 4)
-    # The degree in the others is what errors of three masses come from.
+    # Errors of three masses come from the degree in the others.
     step = 1 if rise else 2
     return Degrees(d.total + 2 * step, d.others + min(rise, 1), d.outer + step)
 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Degrees k, in ascending order of ``level``, ``others`` and ``counted`` (degrees,).
+    """The degrees k of an expansion, ascending in ``level``, ``others`` and ``counted`` (degrees,).
 
-    These are |k|, Σ (j + k) and Σ max(j, k) over the other masses. ``raising_others`` is
-    a_i⁺ of the others on their products alone, of which a level has the first.
+    ``level`` is |k|, ``others`` Σ (j + k) and ``counted`` Σ max(j, k) over the other masses.
+    ``raising_others`` are the a_i⁺ of the other variables on their products alone, the first
+    products of which belong to a level.
     """
 
     level: Indices
@@ -114,12 +122,12 @@ class Space:
     raising_others: tuple[sparse.coo_array, ...]
 
     def span(self, n: int) -> slice:
-        """Where the degrees of level n stand."""
+        """Return the slice of the degrees of level ``n``."""
         return slice(*map(int, np.searchsorted(self.level, [n, n + 1])))
 
     @cached_property
     def up(self) -> tuple[Matrix, ...]:
-        """a_j⁺ of each variable within the degrees, the contact velocity first; transposed, a_j."""
+        """a_j⁺ of each variable, contact velocity first, truncated; the transpose is a_j."""
         size, up = self.level.size, []
         spans = [self.span(n) for n in range(int(self.level[-1]) + 1)]
         for A in (None, *self.raising_others):
@@ -139,7 +147,8 @@ class Space:
     def first_and_second(self) -> tuple[Array, Array]:
         """a_i⁺ 1 (d, degrees of level 1) and a_i⁺ a_j⁺ 1 (d, d, degrees of level 2).
 
-        Times the coefficients they are ∫ ζ_i p dζ and ∫ ζ_i ζ_j p dζ, to which level 0 adds δ_ij.
+        Multiplied by the coefficients they give ∫ ζ_i p dζ, and ∫ ζ_i ζ_j p dζ less δ_ij times
+        level 0.
         """
         one = np.eye(self.level.size, 1)
         first = [A @ one for A in self.up]
@@ -147,8 +156,8 @@ class Space:
         return np.array(first)[:, self.span(1), 0], np.array(second)
 
 
-def combined(matrices: Sequence[Matrix], factors: Array) -> Matrix:
-    """Return the sum of ``matrices`` times ``factors``."""
+def combination(matrices: Sequence[Matrix], factors: Array) -> Matrix:
+    """Return the sum of ``matrices``, each times one of ``factors``."""
     terms = (c * A for c, A in zip(factors, matrices, strict=True) if c)
     return sum(terms, Matrix(matrices[0].shape))
 
@@ -157,8 +166,8 @@ def combined(matrices: Sequence[Matrix], factors: Array) -> Matrix:
 def space_to(total: int, most: int, d: int) -> Space:
     """Return the degrees of ``d`` variables up to level ``total``.
 
-    Products of degrees (j₁, k₁, j₂, k₂, …) in the amplitudes of the others and their conjugates
-    count up to ``most``. The variables of an oscillator follow each other.
+    Products have degrees (j₁, k₁, j₂, k₂, …) in the amplitudes of the other masses and their
+    conjugates, with Σ max(j, k) <= ``most``. The two variables of an oscillator are adjacent.
     """
     Product = tuple[int, ...]
 
@@ -169,7 +178,7 @@ def space_to(total: int, most: int, d: int) -> Space:
         return tuple(x for pair in zip(k[1::2], k[::2], strict=True) for x in pair)
 
     every = product(range(most + 1), repeat=d - 1)
-    # By the sum, then by what counts; the conjugate of a product follows it.
+    # Sorted by Σ (j + k), then by Σ max(j, k); the conjugate of a product follows it.
     products = sorted(
         (k for k in every if counted(k) <= most),
         key=lambda k: (sum(k), counted(k), max(k, conjugate(k)), k < conjugate(k)),
@@ -182,7 +191,7 @@ def space_to(total: int, most: int, d: int) -> Space:
             to_real[row : row + 2, row : row + 2] = np.sqrt(0.5) * np.array([[1.0, -1j], [1.0, 1j]])
     U, raised, raising = sparse.csr_array(to_real), [], []
     for a in range(d - 1):
-        # √(k + 1) from each product to that of a degree k more in one amplitude.
+        # √(k + 1) from each product to the product with degree k + 1 in one amplitude.
         A = sparse.dok_array((size, size), dtype=complex)
         for column, k in enumerate(products):
             if (above := (*k[:a], k[a] + 1, *k[a + 1 :])) in place:

@@ -1,7 +1,8 @@
 """Elimination of the chain of stages from the highest down, and the stationary expansion.
 
-Each stage costs the inverse of one dense block, and as much again with what stages meet two below
-them, which is of the size of the damping: without it the elimination is a preconditioner.
+Each stage costs the inverse of one dense block, and as much again for the coupling of a stage to
+the second stage below it. This coupling is of the order of the damping; an elimination that omits
+it serves as a preconditioner.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,41 +12,40 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from averaging.phase_space.equation.basis import Basis, basis
-from averaging.phase_space.equation.chain import Chain, chain_of, placed
+from averaging.phase_space.equation.chain import Chain, chain_of, places
 from averaging.phase_space.equation.degrees import Degrees, Space, space_to
 from averaging.phase_space.equation.frame import Frame, Reference
 from averaging.phase_space.krylov import RESIDUAL
-from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.arrays import ROUND_OFF, Array, Integers
 
 ELIMINATED_IN: type = np.float32
-"""Numbers of the first elimination, before any in double precision."""
-CONVERGED = 1e-12
-"""Residual, relative to the terms that cancel, of a solution in double precision: it has 1e-15."""
+"""Type of the numbers of the first elimination; double precision follows if it is too coarse."""
 CORRECTED, VECTORS = 1e-4, 30
-"""Residual, relative to the one before, that a correction by a Krylov space leaves in single
-precision, and the vectors of the space at the most."""
+"""Factor by which a correction by GMRES lowers the residual, preconditioned in single precision,
+and the largest dimension of its space."""
 WHILE_INVERTED, OF_EQUATIONS = 4.0, 5e3
-"""Matrices of the largest level's size beside the inverses, and bytes of equations and vectors for
-each unknown: seven solutions took 12 to 36 % less."""
+"""Memory beside the inverses: matrices of the size of the largest stage, and bytes for each
+unknown. Seven solutions took 12 to 36 % less than this estimate."""
 LEAF = 200
-"""Order of a matrix up to which LAPACK inverts it; above, by quarters: products are faster."""
+"""Largest order of a matrix that LAPACK inverts. Larger matrices are inverted by quarters, mainly
+by matrix products, which takes a quarter of the time in single and half in double precision."""
 TOP_LEVELS = 4
-"""Highest levels whose size is that of what the levels above them would have."""
+"""Number of highest levels whose norm estimates the norm of the omitted levels."""
 LARGE, NEGLIGIBLE = 0.5, 0.2
-"""Size of the highest degrees in the others over that of the highest levels from which the degree
-in the others rises by two, and by one. On Fig. 6 two degrees more changed densities by 0.03 of the
-change by ten levels more at sizes below 0.2, by 0.25 below 0.5, by 4.6 beyond, at the most."""
+"""Norm of the highest degrees in the other masses over the norm of the highest levels, above which
+this degree rises by two, and by one. On Fig. 6 two degrees more changed densities by at most 0.03
+of the change by ten levels more for ratios below 0.2, 0.25 below 0.5, and 4.6 above."""
 
 Solve = Callable[[Array], Array]
-"""Returns u of A u = right, vectors of all unknowns."""
+"""Maps the right side to the solution of A u = right, vectors of all unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
 class Expansion:
-    """Coefficients of a solution: ``levels[n]`` is (degrees, functions) of level n.
+    """Coefficients of a solution: ``levels[n]`` (degrees, functions) of level n.
 
-    ``basis``, ``factor`` and ``space`` are as of ``Chain``; ``residual`` is relative to the terms
-    that cancel in the equations.
+    ``basis``, ``factor`` and ``space`` are the fields of its ``Chain``; ``residual`` is the largest
+    residual of an equation relative to the terms that cancel in it.
     """
 
     basis: Basis
@@ -55,35 +55,36 @@ class Expansion:
     residual: float
 
     def functions(self, n: int, y: Array) -> Array:
-        """u_k(y) of all k of level n, (degrees, points)."""
+        """Return u_k at ``y`` (points,) for all k of level ``n``, (degrees, points)."""
         b = self.basis
         values, _ = b.at_points if y is b.points else b.functions(y)
         return np.asarray(self.of_panels(n) @ values.T)
 
     def of_panels(self, n: int) -> Array:
-        """Coefficients of level n in the functions of all panels."""
+        """Return the coefficients of level ``n`` in the polynomials of all panels."""
         return np.asarray(self.levels[n] @ self.basis.of_level(n)[:, : self.levels[n].shape[1]].T)
 
     @property
     def top(self) -> float:
-        """Size of the highest levels, for a mass of 1."""
+        """Norm of the highest ``TOP_LEVELS`` levels, relative to a density of mass 1."""
         return float(np.sqrt(sum(float(np.sum(u**2)) for u in self.levels[-TOP_LEVELS:])))
 
     @property
     def rise(self) -> int:
-        """By how much the degree in the others is to rise: 2, 1 or 0 where little is there."""
+        """Increment of the degree in the others for the next solution: 2, 1 or 0."""
         sizes = np.concatenate([np.sum(u**2, axis=1) for u in self.levels])
         edge = np.sqrt(np.sum(sizes[self.space.counted == self.basis.degrees.others]))
         return int(edge > LARGE * self.top) + int(edge > NEGLIGIBLE * self.top)
 
 
-def cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]:
-    """Return the bytes and the operations, on real numbers, that a solution in a basis takes.
+def solution_cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]:
+    """Return the bytes and the operations on real numbers that a solution in a basis takes.
 
-    ``numbers`` are those of the elimination. Pairs of stages take as much again as the inverses.
+    ``numbers`` is the type of the numbers of the elimination. Coupling to the second stage below,
+    included in double precision or with damping terms, takes as much again as the inverses.
     """
     degrees, d = functions.degrees, 2 * functions.frame.n - 1
-    *_, ends = placed(functions, space_to(degrees.total, degrees.others, d))
+    *_, ends = places(functions, space_to(degrees.total, degrees.others, d))
     size = np.diff(ends, prepend=0).astype(float)
     blocks = float(np.sum(size**2) + WHILE_INVERTED * np.max(size) ** 2)
     number = np.dtype(numbers).itemsize
@@ -92,7 +93,7 @@ def cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]
     return number * blocks + OF_EQUATIONS * float(np.sum(size)), operations
 
 
-def expanded(
+def expand(
     frame: Frame,
     reference: Reference,
     degrees: Degrees,
@@ -100,24 +101,29 @@ def expanded(
     memory: float = np.inf,
     step: Callable[[float], None] = lambda share: None,
 ) -> Expansion:
-    """Return the stationary expansion about ``reference``.
+    """Return the stationary expansion about ``reference`` at ``degrees``.
 
-    The elimination is in single precision, without pairs unless there are damping terms; where its
-    refinement does not converge, in double, with pairs, unless that takes more than ``memory``.
+    The elimination is in single precision, without the coupling to the second stage below unless
+    there are damping terms. If its refinement does not converge it is repeated in double precision,
+    with that coupling, unless this needs more than ``memory`` bytes; the residual tells. ``step``
+    is called with the completed share of an elimination.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(functions)
     for kind in (ELIMINATED_IN, np.float64):
         paired = kind is np.float64 or bool(frame.system.damping_terms)
-        solve, scale = factored(chain, kind=kind, paired=paired, step=step)
-        u, residual = _refined(chain, solve, scale, paired=paired)
-        if residual < CONVERGED or cost(functions, numbers=float)[0] > memory:
+        solve, scale = eliminate(chain, kind=kind, paired=paired, step=step)
+        u, residual = _refine(chain, solve, scale, paired=paired)
+        if residual < ROUND_OFF or solution_cost(functions, numbers=float)[0] > memory:
             break
-    return Expansion(functions, chain.factor, chain.space, tuple(chain.shaped(u)), residual)
+    return Expansion(functions, chain.factor, chain.space, tuple(chain.unpack(u)), residual)
 
 
-def _refined(chain: Chain, solve: Solve, scale: float, *, paired: bool) -> tuple[Array, float]:
-    """Return the solution with the equation of the mass, as of ``factored``, and its residual."""
+def _refine(chain: Chain, solve: Solve, scale: float, *, paired: bool) -> tuple[Array, float]:
+    """Return the solution of mass 1 by iterative refinement with ``solve``, and its residual.
+
+    ``scale`` is the factor of the equation of the mass and ``paired`` as in ``eliminate``.
+    """
     matrix, one = chain.matrix, chain.basis.of_one
     given = scale * one
 
@@ -131,7 +137,7 @@ def _refined(chain: Chain, solve: Solve, scale: float, *, paired: bool) -> tuple
     A, M = (LinearOperator(2 * right.shape, f, dtype=float) for f in (times, solve))
     u, rest, before, magnitude = np.zeros(right.size), right, np.inf, abs(matrix)
     while True:
-        # Where single precision is too coarse the corrections grow out of its range.
+        # If single precision is too coarse, the corrections grow beyond its range.
         with np.errstate(over="ignore", invalid="ignore"):
             if paired:
                 change = solve(rest)
@@ -140,16 +146,16 @@ def _refined(chain: Chain, solve: Solve, scale: float, *, paired: bool) -> tuple
             u = u + change
             rest = right - times(u)
             changed = float(np.linalg.norm(change) / np.linalg.norm(u))
-        # The terms of the function 1 are those in the equation of the mass.
+        # The equation of the mass has terms of the size of ``given``.
         size = max(np.max(magnitude @ np.abs(u)), np.max(np.abs(given)))
         residual = float(np.max(np.abs(rest)) / size)
-        # A correction takes the error down by that of the elimination.
+        # Stop when corrections no longer fall by half, or at round-off.
         if not changed < 0.5 * before or residual <= RESIDUAL:
             return u, residual
         before = changed
 
 
-def factored(
+def eliminate(
     chain: Chain,
     *,
     shift: complex = 0.0,
@@ -157,12 +163,14 @@ def factored(
     paired: bool = True,
     step: Callable[[float], None] = lambda share: None,
 ) -> tuple[Solve, float]:
-    """Eliminate the stages of the equations less ``shift`` times the unknowns, from the top down.
+    """Eliminate the stages of (A − ``shift``) u = right from the highest down.
 
-    Returned are the function that solves them, and the factor before the mass in the equation of
-    the function 1: 0 with a shift. Without one the equation of the mass replaces it (0 = 0), as
-    large as the terms of 1: the largest entry would make round-off a thousand times larger. Without
-    ``paired`` what stages meet two below is left out. ``step`` is told the share of the work done.
+    Returns the function that solves the equations, and a factor. Without a shift the equation of
+    the function 1 is 0 = 0 and is replaced by factor · mass = right; the factor is the size of the
+    terms of 1 in the equations, as the largest entry of A would make round-off a thousand times
+    larger. With a shift the factor is 0. ``kind`` is the type of the numbers. Unless ``paired``,
+    the coupling of stages to the second stage below is omitted. ``step`` is called with the
+    completed share of the work.
     """
     top = chain.top
     work = np.cumsum(np.diff(chain.ends, prepend=0)[::-1].astype(float) ** 3)
@@ -173,9 +181,9 @@ def factored(
     above, forced = (chain.blocks(matrix, away) for away in (1, -1))
     pairs = chain.blocks(matrix, -2) if paired else []
     for n in range(top, 0, -1):
-        inverse = inverted(A, chain.cuts(n))
+        inverse = inverse_by_quarters(A, chain.cuts(n))
         A = chain.within(n - 1, shift=shift, kind=kind)
-        # What the two stages below n make of stage n comes back to the one below it.
+        # Effect of stage n on stage n − 1, through the stages below that force stage n.
         back = above[n - 1] @ inverse
         A -= back @ forced[n - 1]
         if paired and n < top:
@@ -193,7 +201,7 @@ def factored(
 
     def solve(right: Array) -> Array:
         parts = np.split(right.astype(A.dtype, copy=False), chain.ends[:-1])
-        # From the top down what each stage makes without those below it, and back up.
+        # Downwards the response of each stage without the stages below it, then back up.
         alone = [inverses[top] @ parts[top]]
         for n in range(top - 1, -1, -1):
             alone.insert(0, inverses[n] @ (parts[n] - above[n] @ alone[0]))
@@ -203,7 +211,7 @@ def factored(
             if paired and n > 1:
                 below += pairs[n - 2] @ u[n - 2]
             if paired and n < top:
-                # What u_(n−1) makes of stage n + 1 without u_n comes back to stage n.
+                # Effect of u_(n−1) on stage n by way of stage n + 1.
                 below -= above[n] @ (inverses[n + 1] @ (pairs[n - 1] @ u[n - 1]))
             u.append(alone[n] - inverses[n] @ below)
         return np.concatenate(u)
@@ -211,20 +219,21 @@ def factored(
     return solve, scale
 
 
-def inverted(A: Array, cuts: Sequence[int] | Integers) -> Array:
-    """Return the inverse of a matrix by its quarters, divided at ``cuts`` (ascending).
+def inverse_by_quarters(A: Array, cuts: Sequence[int] | Integers) -> Array:
+    """Return the inverse of the matrix ``A``, divided recursively into quarters at ``cuts``.
 
-    They lie between degrees in the other masses, as displacements without velocities are singular.
+    The ascending cuts separate degrees in the other masses: blocks of displacements without
+    velocities would be singular.
     """
     size = A.shape[0]
     inside = [cut for cut in cuts if 0 < cut < size]
     if size <= LEAF or not inside:
         return np.asarray(np.linalg.inv(A))
     half = min(inside, key=lambda cut: abs(2 * cut - size))
-    first = inverted(A[:half, :half], inside)
+    first = inverse_by_quarters(A[:half, :half], inside)
     right, below = first @ A[:half, half:], A[half:, :half] @ first
     rest = A[half:, half:] - A[half:, :half] @ right
-    last = inverted(rest, [cut - half for cut in inside])
+    last = inverse_by_quarters(rest, [cut - half for cut in inside])
     out, corner = np.empty_like(A), last @ below
     out[half:, half:], out[half:, :half] = last, -corner
     np.matmul(right, -last, out=out[:half, half:])

@@ -1,4 +1,4 @@
-"""The full system (6) seen from its contact mass: linear in all else, and its reference states."""
+"""The full system (6) relative to its contact mass, linear in the other variables; references."""
 
 import warnings
 from dataclasses import dataclass
@@ -13,21 +13,22 @@ from fpk.numeric.errors import NotApplicable
 from fpk.system.equivalent import equivalent_temperature
 from fpk.system.system import System, looks_the_same_mirrored
 
-ROUNDS = 20
-"""Linear systems, each with the contact force of the state before; they may alternate."""
-POINTS = 80
-"""Gauss points of the mean contact force over a Gaussian y."""
+LINEARISATIONS = 20
+"""Linear systems, each with the contact force averaged over the last state; they may alternate."""
+FORCE_POINTS = 80
+"""Gauss points of the average of the contact force over a Gaussian y."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Eq. (6) in displacements and velocities times √m, with the contact mass set apart.
+    """Eq. (6) in displacements and velocities times √m, with the contact mass first.
 
-    ``contact`` counts from 0 (the last mass where there are no stops); ``order`` lists it first.
-    ``stiffness``, ``damping`` (its constant part) and ``noise`` (n, n) are M^(−½) X M^(−½) in this
-    order. With y the displacement √m q of the contact mass, ``root`` its √m, ``r`` those of the
-    others and ``v`` all velocities: ``dv = −(K (y, r) + c v + g(y) e₁) dt`` plus noise of
-    covariance 2 ``noise`` dt. ``symmetric``: (q, p) and (−q, −p) are equally likely.
+    ``contact`` is the 0-based contact mass, the last mass if there are no stops; ``order`` lists
+    all masses, this first. ``stiffness``, ``damping`` (its constant part) and ``noise`` (n, n) are
+    M^(−½) X M^(−½) in this order. y = √m q is of the contact mass, ``root`` its √m, r are the
+    scaled displacements of the others and v all scaled velocities: ``dv = −(K (y, r) + c v + g(y)
+    e₁) dt`` plus noise of covariance 2 ``noise`` dt. ``symmetric``: (q, p) and (−q, −p) are equally
+    likely.
     """
 
     system: System
@@ -45,16 +46,16 @@ class Frame:
         return len(self.order)
 
     def place(self, c: Coordinate) -> tuple[int, float]:
-        """Return where a displacement or momentum stands in (y, r, v), and its unit there."""
+        """Return the index of q or p of ``c`` in (y, r, v), and its value per unit of the entry."""
         at, root = self.order.index(c.row), float(np.sqrt(self.system.mass[c.row]))
         return (at + self.n, root) if c.kind == "p" else (at, 1.0 / root)
 
     def contact_energy(self, y: Array) -> Array:
-        """Contact energy U at displacements y."""
+        """Return the contact energy U at ``y``."""
         return self.system.contact_energy(self.contact, y / self.root)
 
     def contact_force(self, y: Array) -> Array:
-        """Force dU/dy of the stops at displacements y."""
+        """Return g = dU/dy, U the contact energy, at ``y``."""
         q, force = y / self.root, np.zeros(np.shape(y))
         for s in self.system.stops:
             force = force + s.sign * s.force(np.maximum(s.sign * q - s.clearance, 0.0))
@@ -62,7 +63,7 @@ class Frame:
 
 
 def contact_frame(system: System) -> Frame:
-    """Return the frame of a system; raise ``NotApplicable`` for stops on several masses."""
+    """Return the frame of ``system``; raise ``NotApplicable`` for stops on several masses."""
     if len(system.contact_masses) > 1:
         raise NotApplicable(
             f"{len(system.contact_masses)} masses meet stops: the expansion is about one mass that "
@@ -80,11 +81,11 @@ def contact_frame(system: System) -> Frame:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The state that a solution is expanded about: Gaussian in z = (v, x), given y.
+    """The density that a solution is expanded about: w(y) times a Gaussian in z = (v, x).
 
-    ``slope`` a and ``offset`` x₀ (n − 1,) make x = r − a y − x₀; ``covariance`` S (2n − 1, 2n − 1)
-    is that of z. ln w(y) is −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``: the potential
-    of the force on the contact mass over S₁₁, so that the force cancels in the equations.
+    x = r − a y − x₀ with a = ``slope`` and x₀ = ``offset`` (n − 1,); ``covariance`` S
+    (2n − 1, 2n − 1) is of z. ln w(y) = −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``, the
+    potential of the force on the contact mass over S₁₁, so that the force cancels in the equations.
     """
 
     slope: Array
@@ -94,7 +95,7 @@ class Reference:
 
     @property
     def to_state(self) -> tuple[Array, Array]:
-        """Matrix and vector that make (y, r, v) of (y, v, x): r = x + a y + x₀."""
+        """Matrix and vector of the affine map from (y, v, x) to (y, r, v), r = x + a y + x₀."""
         n = self.slope.size + 1
         to = np.zeros((2 * n, 2 * n))
         to[0, 0] = 1.0
@@ -103,8 +104,11 @@ class Reference:
         return to, np.concatenate([[0.0], self.offset, np.zeros(n)])
 
 
-def reference_of(frame: Frame, slope: Array, offset: Array, covariance: Array) -> Reference:
-    """Return the reference of these moments; raise ``LinAlgError`` where they are of none."""
+def make_reference(frame: Frame, slope: Array, offset: Array, covariance: Array) -> Reference:
+    """Return the reference with this ``slope``, ``offset`` and ``covariance`` (``Reference``).
+
+    Raises ``LinAlgError`` if it is no density: covariance or weight is not positive definite.
+    """
     own, others = frame.stiffness[0, 0], frame.stiffness[0, 1:]
     weight = np.array([others @ offset, own + others @ slope, 1.0]) / covariance[0, 0]
     if np.linalg.eigvalsh(covariance)[0] <= 0.0 or weight[1] <= 0.0:
@@ -113,18 +117,21 @@ def reference_of(frame: Frame, slope: Array, offset: Array, covariance: Array) -
 
 
 def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
-    """Return the reference with mean and covariance of (y, r, v); raises as ``reference_of``."""
+    """Return the reference with ``mean`` (2n,) and ``covariance`` (2n, 2n) of (y, r, v).
+
+    Raises as ``make_reference``.
+    """
     n = frame.n
     slope = covariance[1:n, 0] / covariance[0, 0]
     offset = mean[1:n] - slope * mean[0]
     to_z = np.linalg.inv(Reference(slope, offset, covariance, np.zeros(3)).to_state[0])[1:]
-    return reference_of(frame, slope, offset, to_z @ covariance @ to_z.T)
+    return make_reference(frame, slope, offset, to_z @ covariance @ to_z.T)
 
 
 def gibbs_reference(frame: Frame) -> Reference:
-    """Return the Gibbs state of T = tr D/tr c, or at which damping terms balance the noise.
+    """Return the Gibbs state of T = tr D/tr c, with damping terms of the equivalent temperature.
 
-    Raises ``NotApplicable`` where nothing is damped or no noise acts.
+    Raises ``NotApplicable`` if nothing is damped or no noise acts.
     """
     K, n = frame.stiffness, frame.n
     if frame.system.damping_terms:
@@ -137,26 +144,26 @@ def gibbs_reference(frame: Frame) -> Reference:
     slope = np.asarray(-np.linalg.solve(K[1:, 1:], K[1:, 0]), dtype=float)
     covariance = T * np.eye(2 * n - 1)
     covariance[n:, n:] = T * np.linalg.inv(K[1:, 1:])
-    return reference_of(frame, slope, np.zeros(n - 1), covariance)
+    return make_reference(frame, slope, np.zeros(n - 1), covariance)
 
 
-def start(frame: Frame) -> Reference:
-    """Return the Gaussian state of the linear system that is nearest to a frame's.
+def gaussian_start(frame: Frame) -> Reference:
+    """Return the Gaussian state by statistical linearisation of the contact force.
 
-    Statistical linearisation (Roberts and Spanos, Random Vibration and Statistical Linearization,
-    1990): the contact force g(y) is E g + k (y − E y), k = E g (y − E y)/Var y, of the Gaussian y
-    that this force makes. With damping terms it is the ``gibbs_reference``. Raises ``LinAlgError``
-    where the linear system has no stationary state.
+    g(y) is replaced by E g + k (y − E y), k = E g (y − E y)/Var y, with the means over the Gaussian
+    state of the linear system with this force (Roberts and Spanos, Random Vibration and Statistical
+    Linearization, 1990). With damping terms it is ``gibbs_reference``. Raises ``LinAlgError`` if
+    the linear system has no stationary state.
     """
     gibbs, n = gibbs_reference(frame), frame.n
     if frame.system.damping_terms:
         return gibbs
-    x, weight = hermegauss(POINTS)
+    x, weight = hermegauss(FORCE_POINTS)
     weight /= weight.sum()
     centre, variance = 0.0, 1.0 / gibbs.weight[1]
     noise = np.zeros((2 * n, 2 * n))
     noise[n:, n:] = 2.0 * frame.noise
-    for _ in range(ROUNDS):
+    for _ in range(LINEARISATIONS):
         y = centre + np.sqrt(variance) * x
         force = frame.contact_force(y)
         k = float(weight @ (force * (y - centre))) / variance
@@ -164,23 +171,23 @@ def start(frame: Frame) -> Reference:
         stiffness[0, 0] += k
         drift = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -frame.damping]])
         with warnings.catch_warnings():
-            # Where a motion is not damped at all; the answer is then of no distribution.
+            # A warning means an undamped motion; the covariance is then not positive.
             warnings.simplefilter("ignore", RuntimeWarning)
             covariance = solve_continuous_lyapunov(drift, -noise)
         means = np.linalg.solve(stiffness, (k * centre - float(weight @ force)) * np.eye(n)[0])
         if not covariance[0, 0] > 0.0:
             raise np.linalg.LinAlgError("the linear system has no stationary state")
-        # Halfway, as a softer stop lets y out to where it is stiffer.
+        # Half a step, since a softer stop lets y move to where it is stiffer.
         centre, variance = 0.5 * (centre + means[0]), 0.5 * (variance + covariance[0, 0])
-    # Of mirror images round-off is all that the means are.
+    # If mirror images are equally likely the means are 0 up to round-off.
     mean = np.zeros(2 * n) if frame.symmetric else np.concatenate([means, np.zeros(n)])
     return with_moments(frame, mean, covariance)
 
 
 def linear_part(frame: Frame, reference: Reference) -> tuple[Array, Array, Array]:
-    """Return F, G and the coefficients of h in dz = (F z + h(y)) dt + noise of covariance 2 G dt.
+    """Return F, G and (h₀, h₁) of dz = (F z + h(y)) dt + noise of covariance 2 G dt, dy = z₁ dt.
 
-    h(y) is ``h₀ + h₁ y − g(y) e₁``; (h₀, h₁) are the rows of the third, (2, 2n − 1); dy = z₁ dt.
+    h(y) is ``h₀ + h₁ y − g(y) e₁``; the third result is (2, 2n − 1).
     """
     n, K, c = frame.n, frame.stiffness, frame.damping
     a, x0 = reference.slope, reference.offset

@@ -1,4 +1,4 @@
-"""Finite elements of −L u = f on a mesh of states, u = 0 where the limit is passed, and answers."""
+"""Finite elements of the backward equation −L u = f of one mass, u = 0 beyond the limit."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,18 +17,22 @@ from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
-MORE_POINTS = 12
-"""Gauss points beyond the degree, as the weight falls by e⁴⁰: with 4, K + Kᵀ was indefinite."""
+EXTRA_POINTS = 12
+"""Gauss points per panel beyond the degree, since the weight falls by e⁴⁰ over the mesh: with 4
+more, K + Kᵀ was indefinite."""
 PIVOTS = (1e-3, 1e-2, 1.0)
-"""Least diagonal pivots over their columns, in turn: low ones keep the order, entries grow."""
-GROWN = 1e-10
-"""Residual of a solution, relative to the terms that cancel in it, by which entries have grown."""
-KRYLOV = 0.05
-"""Share of the tolerance to which a Krylov space gives the reliability."""
+"""Smallest diagonal pivots relative to their columns, tried in turn: small pivots keep the
+elimination order, but let entries grow."""
+LARGEST_RESIDUAL = 1e-10
+"""Residual of a solution, relative to the terms that cancel in it, above which the elimination is
+repeated with the next of ``PIVOTS``: small pivots have let the entries of the factors grow."""
+RELIABILITY_SHARE = 0.05
+"""Largest change of the reliability by the last Krylov vectors over the tolerance; 0.01 takes a
+third longer."""
 
 
-def factorised(matrix: csc_array) -> Any:
-    """Return the factors; raise ``NotCertified`` where the elimination breaks down."""
+def factorise_sparse(matrix: csc_array) -> Any:
+    """Return the factors of ``matrix``; raise ``NotCertified`` if the elimination breaks down."""
     right = matrix @ np.ones(matrix.shape[0])
     symmetric: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
     for pivot in PIVOTS:
@@ -37,20 +41,21 @@ def factorised(matrix: csc_array) -> Any:
         except RuntimeError as error:
             raise NotCertified(f"the elimination breaks down: {error}") from None
         x = factors.solve(right)
-        if np.max(np.abs(right - matrix @ x)) <= GROWN * np.max(abs(matrix) @ np.abs(x)):
+        if np.max(np.abs(right - matrix @ x)) <= LARGEST_RESIDUAL * np.max(abs(matrix) @ np.abs(x)):
             break
     return factors
 
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """Backward equation, L T = −1, L T₂ = −2 T, ∂u/∂t = L u, on a mesh.
+    """The backward equations L T = −1, L T₂ = −2 T and ∂u/∂t = L u on ``mesh``.
 
-    K of −L and M of 1 in L²(exp(−c H/D)), and vectors (unknowns,) of the weak form. Functions may
-    jump between panels of x, upwind, and are continuous in s; they are divided by their norms,
-    which are the coefficients ``one`` of the function 1. ``load`` tests 1, ``exit`` tests −L 1,
-    which is lost at the limit: as K ``one`` it would be lost to round-off where failure is rare.
-    ``free`` are the places of the unknowns among all functions.
+    ``K`` and ``M`` are the matrices of −L and of 1 in L²(exp(−c H/D)). Functions are continuous in
+    s, may jump between panels of x (upwind fluxes), and are divided by their norms. Vectors are
+    (unknowns,): ``one`` the coefficients of the function 1, ``load`` the scalar products of 1,
+    ``exit`` the scalar products of −L 1, the flux through the limit, which computed as K ``one``
+    would be round-off if failure is rare. ``free`` are the indices of the unknowns among all
+    functions.
     """
 
     mesh: Mesh
@@ -62,7 +67,7 @@ class Elements:
     free: Integers
 
     def at(self, q: Array, v: Array, weights: Array) -> Array:
-        """Return the coefficients of the functional Σ weights u(q, v) of states within."""
+        """Return the vector of the functional Σ ``weights`` u(``q``, ``v``) within the limit."""
         m, n = self.mesh, self.mesh.degree + 1
         places, values = [], []
         for nodes, t in zip((m.x, m.s), m.coordinates(q, v), strict=True):
@@ -80,35 +85,36 @@ class Elements:
 
     @cached_property
     def factors(self) -> Any:
-        """The factors of K."""
-        return factorised(self.K)
+        """The sparse factors of K."""
+        return factorise_sparse(self.K)
 
-    def solved(self, right: Array, trans: str = "N") -> Array:
-        """Return the solution with K, or with Kᵀ where ``trans`` is "T", refined once."""
+    def solve(self, right: Array, trans: str = "N") -> Array:
+        """Return x with K x = ``right``, or Kᵀ x = ``right`` if ``trans`` is "T", refined once."""
         K = self.K if trans == "N" else self.K.T
         x = self.factors.solve(right, trans)
         return np.asarray(x + self.factors.solve(right - K @ x, trans))
 
     @cached_property
     def mean(self) -> Array:
-        """Coefficients of T up to a factor that is 1 but for round-off where failure is rare."""
-        return self.solved(self.load)
+        """Coefficients of T, up to a factor that round-off changes if failure is rare."""
+        return self.solve(self.load)
 
     def moments(self, start: Array) -> tuple[float, float, float]:
-        """Return E T and E T² of the functional ``start``, and the mass that round-off lost.
+        """Return E T and E T² of the functional ``start``, and the relative mass lost to round-off.
 
-        Where failure is rare y = K⁻ᵀ start, the density of the time spent, is right up to a factor.
-        y'(−L 1) = start'1 gives it back; how far it is off from 1 is the mass lost.
+        y = K⁻ᵀ ``start`` is the density of the time spent, up to a factor that round-off changes if
+        failure is rare. The identity y'(−L 1) = start'1 determines the factor; its difference from
+        1 is the mass lost.
         """
-        y = self.solved(start, "T")
-        kept = float(y @ self.exit) / float(start @ self.one)
-        y /= kept
+        y = self.solve(start, "T")
+        factor = float(y @ self.exit) / float(start @ self.one)
+        y /= factor
         mean = float(y @ self.load)
         second = 2.0 * float(y @ (self.M @ self.mean)) * mean / float(start @ self.mean)
-        return mean, second, abs(kept - 1.0)
+        return mean, second, abs(factor - 1.0)
 
     def rate(self) -> float:
-        """Return the least eigenvalue of −L, by the flow out of its left eigenvector."""
+        """Return the smallest eigenvalue of −L: outflow over mass of its left eigenvector."""
         inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
         options: dict[str, Any] = {"v0": self.load, "ncv": min(12, self.load.size - 1)}
         _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
@@ -117,26 +123,29 @@ class Elements:
 
     @cached_property
     def shifted(self) -> tuple[float, Any]:
-        """σ, four times the frequency or less (two to eight serve, too), and factors of K + σM."""
+        """σ, about four times the frequency (two to eight serve as well), factors of K + σM."""
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
         sigma = 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
-        return sigma, factorised(csc_array(self.K + sigma * self.M))
+        return sigma, factorise_sparse(csc_array(self.K + sigma * self.M))
 
     def mass_defect(self, start: Array) -> float:
-        """Return what is wrong with the mass at a time of exponential distribution, the mean 1/σ.
+        """Return the defect of the mass at a random time, exponential with mean 1/σ.
 
-        By its density σ (K + σM)⁻ᵀ start, what is within and what has left add up to ``start``.
+        The density then is σ (K + σM)⁻ᵀ ``start``; the mass within the limit and the mass that has
+        left should add up to the mass of ``start``.
         """
         sigma, factors = self.shifted
         mass = factors.solve(start, "T") @ (sigma * (self.M @ self.one) + self.exit)
         return abs(float(mass - start @ self.one))
 
     def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
-        """Return P(T <= t) at ascending times > 0, and what the last vectors changed.
+        """Return P(T <= t) at ascending ``times`` > 0, and its change by the last Krylov vectors.
 
-        M F' = −K F + exit from F = 0, by Galerkin's method on the Krylov space of (K + σM)⁻¹M from
-        the function 1, orthonormal in M. At H = E, without unknowns, F is 1: it adds a constant.
+        ``start`` is the functional of the initial state. M F' = −K F + exit, F(0) = 0, is solved by
+        Galerkin's method on the Krylov space of (K + σM)⁻¹M and the function 1, orthonormal in M,
+        which grows until the last change is below ``RELIABILITY_SHARE`` times the tolerance
+        ``tol``. At H = E, where there are no unknowns, F = 1, which adds a constant.
         """
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)
@@ -149,7 +158,7 @@ class Elements:
                 continue
             images = np.vstack([images, (self.K @ V[len(images) :].T).T])
             m, values, g = len(V), np.empty(times.size), V @ start
-            # g'F of F' = −H F + source from F = 0, step by step from one time to the next.
+            # g'F with F' = −H F + source, F(0) = 0, from each time to the next.
             system = np.zeros((m + 1, m + 1))
             system[:m, :m], system[:m, m] = -V @ images.T, V @ self.exit
             F, now, step, propagator = np.eye(m + 1)[m], 0.0, 0.0, system
@@ -161,28 +170,31 @@ class Elements:
                 values[k] = at_limit + g @ F[:m]
             before, change, last = change, np.abs(values - last), values
             enough = tol * min(1.0, float(np.max(np.abs(values))))
-            if np.max(change) <= KRYLOV * enough and np.max(before) <= enough:
+            if np.max(change) <= RELIABILITY_SHARE * enough and np.max(before) <= enough:
                 break
-        return last, np.maximum(change, KRYLOV * before)
+        return last, np.maximum(change, RELIABILITY_SHARE * before)
 
 
 def shapes(degree: int, t: Array) -> tuple[Array, Array]:
-    """Return values and slopes (points, degree + 1) at t of polynomials of the Lobatto nodes."""
-    # Of hierarchical ones round-off takes all digits where the weight falls by e²⁰ over a panel.
+    """Return values and slopes (points, degree + 1) at ``t`` of the Lobatto polynomials.
+
+    They are the Lagrange polynomials of the Lobatto nodes; hierarchical polynomials would lose all
+    digits on a panel over which the weight falls by e²⁰.
+    """
     inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
     inverse = np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
     return legvander(t, degree) @ inverse, legval(t, legder(np.eye(degree + 1))).T @ inverse
 
 
-def elements(mesh: Mesh) -> Elements:
-    """Return the matrices on ``mesh``.
+def assemble_backward(mesh: Mesh) -> Elements:
+    """Return the matrices and vectors on ``mesh``.
 
-    Of the backward operator in the coordinates (q, s), v = s w, times −w:
+    They are of the backward operator in the coordinates (q, s), v = s w, times −w:
     −L u = −s w u_q − w' (1 − s²) u_s − exp(αmv²/2) (D/m²)/w² ∂_s exp(−αmv²/2) u_s, α = c/D,
     w' = −V'/(m w); for w = 1 the second term is V'/m u_v.
     """
     o, n, panels, across = mesh.oscillator, mesh.degree + 1, mesh.x.size - 1, mesh.s.size - 1
-    t, weight = gauss_legendre(mesh.degree + MORE_POINTS)
+    t, weight = gauss_legendre(mesh.degree + EXTRA_POINTS)
     B, D = shapes(mesh.degree, t)
     BB, BD, DD = (
         np.einsum("gi,gk->gik", a, b).reshape(t.size, -1) for a, b in ((B, B), (B, D), (D, D))
@@ -200,7 +212,7 @@ def elements(mesh: Mesh) -> Elements:
     flow = area * hs * v * w  # dq/dx cancels
     local = BB.T @ turn @ BD + BB.T @ spread @ DD - BD.T @ flow @ BB
     mass = BB.T @ (area * hx * hs * slope * w) @ BB
-    # Functions of x, panel by panel, times functions of s, of which neighbours share one.
+    # Functions of x on each panel times functions of s, where neighbouring panels share one.
     size = across * mesh.degree + 1
     total = panels * n * size
     of_s = np.add.outer(mesh.degree * np.arange(across), np.arange(n)).astype(np.int32)
@@ -208,9 +220,9 @@ def elements(mesh: Mesh) -> Elements:
     place, shape = of_x + of_s[:, None, :], (panels, across, n, n, n, n)
     row = np.broadcast_to(place[:, :, :, None, :, None], shape).ravel()
     column = np.broadcast_to(place[:, :, None, :, None, :], shape).ravel()
-    # Both matrices at once, M as the imaginary part: the sorting is half of the work.
+    # Both matrices at once, M as the imaginary part: sorting the indices is half of the work.
     pair = coo_array(((local + 1j * mass).ravel(), (row, column)), shape=(total, total)).tocsc()
-    # Traces at the left and right ends of panels, and ∫ |v| … of functions of s at all ends.
+    # Traces at the left and right ends of panels, and ∫ |v| … ds of functions of s at all ends.
     left, right = (
         kron(eye_array(panels), kron(np.eye(1, n, k), eye_array(size)), format="csr")
         for k in (0, n - 1)
@@ -225,7 +237,7 @@ def elements(mesh: Mesh) -> Elements:
     for way in (forwards, ~forwards):
         entries, places = block[:, way].ravel(), [at[:, way].ravel() for at in index]
         fluxes.append(csr_array((entries, places), shape=2 * ((panels + 1) * size,)))
-    # u − u of where motion goes: the next panel, the one before, or the limit, where u is 0.
+    # Jumps u − u⁺, u⁺ on the panel that the motion enters, or 0 at the limit.
     beyond = eye_array(panels * size, k=size, format="csr")
     before = beyond.T @ right
     if mesh.folded:
@@ -236,7 +248,7 @@ def elements(mesh: Mesh) -> Elements:
         (left.T @ fluxes[1][:-size, :-size], left - before),
     )
     K, M = pair.real + sum(flux @ jump for flux, jump in faces), pair.imag.copy()
-    # Without the terms of the panels, which vanish, and between them, which cancel exactly.
+    # −L 1: the terms on panels vanish and those between panels cancel, which leaves the limit.
     lost = sum(flux @ (jump @ np.ones(total)) for flux, jump in faces)
     inner = np.ones((panels * n, size), dtype=bool)
     if mesh.energy is not None:

@@ -1,18 +1,20 @@
-"""First passage of one mass, refined until two levels of meshes agree."""
+"""First passage of one mass, on successive meshes until two of them agree."""
 
 from functools import partial
+from itertools import count
+from math import log
 from typing import Any
 
 import numpy as np
 
-from averaging.phase_space.passage.elements import Elements, elements
+from averaging.phase_space.passage.elements import Elements, assemble_backward
 from averaging.phase_space.passage.mesh import (
     Oscillator,
     displacement_mesh,
     energy_mesh,
     oscillator_of,
 )
-from fpk.answer.certificate import tolerance
+from fpk.answer.certificate import DISTANCE_FACTOR, tolerance
 from fpk.answer.dynamics import Passage, certify_passage, require_times
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
@@ -21,31 +23,27 @@ from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
 
 TOL, GLANCING_TOL = 1e-6, 1e-5
-"""Error wanted where none is asked for: of an energy; of a displacement, which takes longer."""
-HIGHEST = 36.0
-"""Largest fall of −ln p up to the limit: beyond it mean times are lost to round-off."""
-LEVELS = 6
-"""Levels of meshes; unknowns double from one to the next, errors fall by 15 to 1000."""
-MOST_UNKNOWNS = 110_000
-"""Unknowns beyond which no level is solved: a minute and a gigabyte."""
-SAFETY = 3.0
-"""Factor on the distance of the last two levels; where they converge it is a fifteenth or less."""
-SHARE = 0.5
-"""Share of the largest relative distance that is in each error: levels agree by chance, too."""
+"""Default tolerances: for a limit of the energy, and of the displacement, which takes longer."""
+MOST_PASSAGE_UNKNOWNS = 110_000
+"""Largest number of unknowns of a mesh, which takes a minute and a gigabyte; unknowns double from
+one level to the next and errors fall by factors of 15 to 1000."""
+CHANCE_SHARE = 0.5
+"""Least error of each quantity as a share of the largest relative difference of all quantities of
+two levels: one quantity may agree by chance."""
 States = tuple[Array, Array, Array]
-"""Displacements, velocities and weights of states."""
+"""Displacements, velocities and weights of states, (states,) each."""
 Level = tuple[Array, Array, Array, float, dict[str, Any]]
-"""Results on one mesh: E T, E T², rate of failure, and E T of probe states over E T of the start;
-P(T <= t) at the times; its change by the last Krylov vectors; relative round-off of the first; and
-what ``certify_passage`` takes by name."""
+"""Results on one mesh: (E T, E T², rate of failure, E T of each probe over E T of the start); P(T
+<= t) at the times; its change by the last Krylov vectors; the relative round-off of the first
+three; and named arguments for ``certify_passage``."""
 
 
-def first_passage(asked: Asked) -> Passage:
-    """Return the first passage that is asked for, with the reliability at its times.
+def phase_space_passage(asked: Asked) -> Passage:
+    """Return mean, variance, rate of the first passage ``asked`` for, and P(T <= t) at times.
 
-    Levels of meshes rise until two agree to the tolerance, relative to mean, variance and rate,
-    absolute in the reliability. Raises as ``fpk.answer.question`` says, and ``NotCertified``
-    where the limit, or the energy of the start, is beyond the reach of double precision.
+    Meshes are refined until two successive levels agree to the tolerance, relative for mean,
+    variance and rate, absolute for probabilities. Raises as ``fpk.answer.question`` says, and
+    ``NotCertified`` if the density falls below round-off up to the limit or the start.
     """
     times, o = require_times(asked.times), oscillator_of(asked.system)
     limit, start = asked.limit, asked.start
@@ -70,10 +68,10 @@ def first_passage(asked: Asked) -> Passage:
     tol = tolerance(asked.tol, TOL if of_energy else GLANCING_TOL)
     top = most if of_energy else float(o.potential(np.array([-most, most])).min())
     for what, height in (("limit", top), ("energy of the start", energy)):
-        if (fall := o.inverse_temperature * height) > HIGHEST:
+        if (fall := o.inverse_temperature * height) > -log(EPS):
             words = f"up to it the density falls by exp(−{fall:.0f})"
             raise NotCertified(f"the {what} is hardly ever passed: {words}; take a lower one")
-    # States halfway to the limit, in eight directions.
+    # Probe states at half the energy of the limit, in eight directions.
     left, right = (o.turning_point(0.25 * top, side) for side in (-1.0, 1.0))
     angle = 0.25 * np.pi * np.arange(8)
     q = np.where(np.cos(angle) > 0.0, right, -left) * np.cos(angle)
@@ -82,36 +80,38 @@ def first_passage(asked: Asked) -> Passage:
     previous: Level | None = None
     answer: Passage | None = None
     mesh_of = energy_mesh if of_energy else partial(displacement_mesh, fastest=fastest)
-    for level in range(LEVELS):
+    for level in count():
         mesh = mesh_of(o, most, level=level)
         across = (mesh.s.size - 1) * mesh.degree
-        if (mesh.x.size - 1) * (mesh.degree + 1) * across > MOST_UNKNOWNS:
+        unknowns = (mesh.x.size - 1) * (mesh.degree + 1) * across
+        if unknowns > MOST_PASSAGE_UNKNOWNS:
             break
         if on_orbit:
             state = orbit(o, energy, None if of_energy else most, 4 * (mesh.degree + 1))
-        solved = _solved(elements(mesh), state, probes, times, tol)
+        results = _level_results(assemble_backward(mesh), state, probes, times, tol)
         if previous is not None:
-            answer = _compared(previous, solved, times, tol)
+            answer = _compare_levels(previous, results, times, tol)
             if answer.certificate.certified:
                 break
-        previous = solved
-        asked.progress(level + 1, LEVELS, "first passage")
+        previous = results
+        asked.progress(unknowns, MOST_PASSAGE_UNKNOWNS, "first passage")
     if answer is None:
         raise NotCertified("the motion is too finely structured: light noise, or stiff stops")
     return answer
 
 
 def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> States:
-    """Return the states of an energy, each as long as motion stays in it, with |q| < ``within``.
+    """Return the states of an ``energy``, weighted by the time that the free motion spends in each.
 
-    By ``points`` of Gauss on each piece between turning points, stops and limit: dt = dq/|v|,
-    smooth in θ, q = centre + radius sin θ. Weights add up to the part that is within the limit.
+    Only states with |q| < ``within`` are returned (None: all); their weights add up to the share
+    of time there. Each piece between turning points, stops and limit has ``points`` Gauss points in
+    θ, q = centre + radius sin θ, in which dt = dq/|v| is smooth.
     """
     left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
     centre, radius = 0.5 * (left + right), 0.5 * (right - left)
     cuts = [*(q for q, _ in o.stops), 0.0, *((-within, within) if within else ())]
     angles = np.arcsin([(q - centre) / radius for q in cuts if left < q < right])
-    # Weights near a turning point need more digits than E − V has: pieces do not begin there.
+    # No piece begins right next to a turning point, where E − V has too few digits.
     edges = np.unique(np.concatenate([[-0.5 * np.pi, 0.5 * np.pi], angles]))
     theta, w = (a.ravel() for a in panel_rule(edges, points))
     q = centre + radius * np.sin(theta)
@@ -123,10 +123,14 @@ def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> St
     return q[inside], v[inside], weights[inside]
 
 
-def _solved(
+def _level_results(
     e: Elements, states: States, probes: tuple[Array, Array], times: Array, tol: float
 ) -> Level:
-    """Return the results on one mesh from ``states``; ``probes`` are (q, v) of other states."""
+    """Return the results on the mesh of ``e`` for a start in the weighted ``states``.
+
+    ``probes`` are (q, v) of further states, whose mean times are compared. Krylov spaces serve the
+    tolerance ``tol`` at ``times``.
+    """
     start, later = e.at(*states), times > 0.0
     mean, second, lost = e.moments(start)
     own = float(start @ e.mean)
@@ -148,8 +152,11 @@ def _solved(
     return numbers, failure, krylov, ROUNDINGS * EPS + (own / mean - 1.0) ** 2, stated
 
 
-def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
-    """Return the finer answer, with its distance to the coarser one as the error."""
+def _compare_levels(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
+    """Return the finer results at ``times`` as an answer, judged by ``tol``.
+
+    The errors are the difference to the coarser results times ``DISTANCE_FACTOR``, and round-off.
+    """
     numbers, failure, krylov, rounding, stated = fine
     before, failure_before, krylov_before, _, stated_before = coarse
     stated = {**stated, "residual": max(stated["residual"], stated_before["residual"])}
@@ -159,9 +166,11 @@ def _compared(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
     values[1] -= values[0] ** 2
     scale[1] += values[0] ** 2
     off[1] = abs(values[1] - (before[1] - before[0] ** 2))
-    errors = SAFETY * np.maximum(off, SHARE * share * np.abs(values)) + rounding * scale
+    errors = (
+        DISTANCE_FACTOR * np.maximum(off, CHANCE_SHARE * share * np.abs(values)) + rounding * scale
+    )
     apart = np.abs(failure - failure_before)
-    lost = SAFETY * np.maximum(apart, SHARE * np.max(apart, initial=0.0))
+    lost = DISTANCE_FACTOR * np.maximum(apart, CHANCE_SHARE * np.max(apart, initial=0.0))
     lost += krylov + krylov_before + ROUNDINGS * EPS * (times > 0.0)
     mean, variance, rate = (Number(float(x), float(e)) for x, e in zip(values, errors, strict=True))
     return certify_passage((mean, variance, rate), times, failure, lost, tol=tol, **stated)

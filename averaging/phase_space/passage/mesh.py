@@ -1,41 +1,42 @@
-"""One mass and the meshes of its states within a limit: |q| < b, or H < E."""
+"""The oscillator of one mass, and meshes of its states within a limit |q| < b or H < E."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from math import asin, ceil, inf, pi, sqrt
+from math import asin, ceil, inf, log, pi, sqrt
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import brentq
 
 from averaging.phase_space.equation.frame import contact_frame
-from fpk.numeric.arrays import SMALLEST, Array
+from fpk.numeric.arrays import EPS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.system.modulation import require_constant_noise
 from fpk.system.system import System
 
-BEYOND = 8.5
-"""Kicks of noise by which velocities are followed beyond the one that reaches the limit."""
 GRADED = 1.1
-"""Panels over their distance to a glancing point (q scales as v³ there) or a turning point."""
+"""Largest panel over its distance to a glancing point, where q scales as v³, or a turning point."""
 PANEL, FINER = 1.6, 0.93
-"""Panels of the first level in kicks of noise, and the ratio of those of successive levels."""
+"""Panels of the first level over the velocity change by noise (``kick``); ratio of the panels of
+successive levels."""
 LEAST, CLOSER = 0.15, 0.45
-"""Least panel at a glancing point over the speed where noise outdoes the pull; ratio of levels."""
-STOP = 1.5
-"""Panels over their distance to a stop whose force is a fractional power of the overlap."""
-SAMPLES = 401
-"""Points at which the lengths of panels are sampled, on each half of an interval."""
+"""Smallest panel at a glancing point over the velocity below which noise exceeds the restoring
+force; ratio of the smallest panels of successive levels."""
+STOP_GRADING = 1.5
+"""Largest panel over its distance to a stop whose force is a fractional power of the overlap."""
+LENGTH_SAMPLES = 401
+"""Points on each half of an interval at which the length of panels is evaluated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Oscillator:
     """dq = v dt, m dv = −(c v + V'(q)) dt + √(2D) dB: Eq. (6) of one mass, v = p/m.
 
-    ``potential`` V has its only minimum, 0, at q = 0; ``force`` is V'; ``even``: V(−q) = V(q).
-    ``stops`` are where V' is not smooth, as (q, side on which it is a fractional power, else 0).
-    ``frequency`` is that of small motion between the stops.
+    ``mass`` m, ``damping`` c, ``noise`` D. ``potential`` V has its only minimum, 0, at q = 0;
+    ``force`` is V'; ``even``: V(−q) = V(q). ``stops`` are (q, side) at which V' is not smooth, side
+    −1 or 1 if V' is a fractional power of the overlap on that side, else 0. ``frequency`` is the
+    angular frequency of small oscillations between the stops.
     """
 
     mass: float
@@ -49,7 +50,7 @@ class Oscillator:
 
     @property
     def inverse_temperature(self) -> float:
-        """c/D: the stationary density is exp(−c H/D)."""
+        """c/D; the stationary density is proportional to exp(−c H/D)."""
         return self.damping / self.noise
 
     @property
@@ -58,15 +59,15 @@ class Oscillator:
         return self.noise / self.mass**2
 
     def energy(self, q: Array, v: Array) -> Array:
-        """Return H."""
+        """Return the energy H of displacements ``q`` and velocities ``v``."""
         return np.asarray(0.5 * self.mass * v * v + self.potential(q))
 
     def speed(self, q: Array, energy: float) -> Array:
-        """Return |v| at q of motion of an energy, 0 beyond its turning points."""
+        """Return |v| at ``q`` on the orbit of ``energy``, 0 beyond its turning points."""
         return np.sqrt(2.0 / self.mass * np.maximum(energy - self.potential(q), 0.0))
 
     def turning_point(self, energy: float, side: float) -> float:
-        """Return where V = ``energy`` > 0, on the left (``side`` −1) or on the right (1)."""
+        """Return q with V(q) = ``energy`` > 0 on the left (``side`` −1) or right (``side`` 1)."""
 
         def excess(q: float) -> float:
             return float(self.potential(np.array(q))) - energy
@@ -77,18 +78,21 @@ class Oscillator:
         return float(brentq(excess, 0.0, far, xtol=SMALLEST))
 
     def travel(self, length: float) -> float:
-        """Return the time that noise alone takes over ``length``, half a period at most."""
+        """Return the time in which noise alone moves q by ``length``, at most half a period."""
         cycle = pi / self.frequency if self.frequency else inf
         return min(cycle, float((6.0 * length**2 / self.diffusion) ** (1.0 / 3.0)))
 
     def kick(self, length: float) -> float:
-        """Return the change of v by noise in that time, or in the time that forgets v."""
+        """Return the change of v by noise in the time ``travel(length)`` or the damping time."""
         memory = 0.5 * self.mass / self.damping if self.damping else inf
         return sqrt(2.0 * self.diffusion * min(self.travel(length), memory))
 
 
 def oscillator_of(system: System) -> Oscillator:
-    """Return the one mass of ``system``; raise ``NotApplicable`` where it is not for the method."""
+    """Return the one mass of ``system`` as an oscillator.
+
+    Raises ``NotApplicable`` for more masses, damping terms, or noise that is absent or modulated.
+    """
     require_constant_noise(system.modulation)
     words = "first passage in phase space is solved for"
     if system.n != 1:
@@ -114,10 +118,11 @@ def oscillator_of(system: System) -> Oscillator:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Panels of x and s, with q = q(x) and v = s w(q), of polynomials of ``degree`` in both.
+    """Panels in x and s, nodes ``x`` and ``s``, q = q(x), v = s w(q); polynomials of ``degree``.
 
-    Within |q| < b: q = x and w = 1. Within H < E: q(x) is ``centre`` + ``radius`` sin x and w =
-    √(2 (E − V)/m), so that the limit is s = ±1. ``folded``: x >= 0 only, (−q, −v) is as (q, v).
+    Within |q| < b (``energy`` None) q = x and w = 1. Within H < E = ``energy``, q is ``centre`` +
+    ``radius`` sin x and w = √(2 (E − V)/m), so that the limit is s = ±1. ``folded``: x >= 0 only,
+    the state (−q, −v) being represented by (q, v).
     """
 
     oscillator: Oscillator
@@ -130,17 +135,17 @@ class Mesh:
     folded: bool
 
     def q(self, x: Array) -> tuple[Array, Array]:
-        """Return q and dq/dx."""
+        """Return q and dq/dx at ``x``."""
         if self.energy is None:
             return x, np.ones_like(x)
         return self.centre + self.radius * np.sin(x), self.radius * np.cos(x)
 
     def w(self, q: Array) -> Array:
-        """Return the unit of velocity at q."""
+        """Return the scale w of the velocity at ``q``."""
         return np.ones_like(q) if self.energy is None else self.oscillator.speed(q, self.energy)
 
     def coordinates(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return x and s of states (points,) within the limit."""
+        """Return x and s of the states ``q``, ``v`` (points,) within the limit."""
         if self.folded:
             mirrored = q < 0.0
             q, v = np.where(mirrored, -q, q), np.where(mirrored, -v, v)
@@ -153,12 +158,14 @@ class Mesh:
 
 
 def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Mesh:
-    """Return the mesh of ``level`` within |q| < ``b``, with starts up to the energy of ``fastest``.
+    """Return the mesh of ``level`` within |q| < ``b``, for starts with speeds up to ``fastest``.
 
-    It is graded to (±b, 0), where T rises as v^½ and (b − |q|)^⅙, and ends at turning points.
+    It is graded towards the glancing points (±b, 0), next to which T rises as v^½ and (b − |q|)^⅙,
+    and ends at turning points.
     """
+    # Velocities end where a Gaussian of the width of a kick falls to ε: farther out pivots fail.
     kick, step, ends = o.kick(b), PANEL * FINER**level * o.kick(b), np.array([-b, b])
-    height, beyond = o.potential(ends), (BEYOND + 0.7 * level) * kick
+    height, beyond = o.potential(ends), (sqrt(-2.0 * log(EPS)) + 0.7 * level) * kick
     swift = max(sqrt(2.0 * float(height.min()) / o.mass), fastest)
     farthest = 0.5 * o.mass * (swift + beyond) ** 2
     met = height <= farthest
@@ -166,7 +173,7 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
         ends[side] = o.turning_point(farthest, np.sign(ends[side]))
     swift = max(sqrt(2.0 * float(height[met].max()) / o.mass), swift)
     pull = np.abs(o.force(ends[met])) / o.mass
-    # Where noise outdoes the pull, on either side: the scale of what is singular.
+    # Velocity below which noise exceeds the restoring force: the scale of the singularity.
     slow = np.minimum(2.0 * o.diffusion / np.maximum(pull, 2.0 * o.diffusion / kick), kick)
     least = LEAST * CLOSER**level * slow
 
@@ -178,15 +185,15 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
         graded = np.min([GRADED * np.abs(q - at) for at in ends[met]], axis=0)
         return np.asarray(np.minimum(_smooth_step(o, q, step, swift, level), graded))
 
-    s = _nodes([0.0, swift + beyond], across, {0.0: float(least.min())})
+    s = _nodes_at([0.0, swift + beyond], across, {0.0: float(least.min())})
     closest = dict(zip(ends[met].tolist(), (least**3 / o.diffusion).tolist(), strict=True))
     first, last = 0.0 if o.even else float(ends[0]), float(ends[1])
-    x = _nodes([first, *(q for q, _ in o.stops if first < q < last), last], along, closest)
+    x = _nodes_at([first, *(q for q, _ in o.stops if first < q < last), last], along, closest)
     return Mesh(o, x, np.concatenate([-s[:0:-1], s]), 5 + 2 * level, None, 0.0, b, o.even)
 
 
 def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
-    """Return the mesh of ``level`` within H < ``energy``."""
+    """Return the mesh of ``level`` of states with H < ``energy``."""
     left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
     centre, radius = (0.0, right) if o.even else (0.5 * (left + right), 0.5 * (right - left))
     swift = sqrt(2.0 * energy / o.mass)
@@ -202,13 +209,18 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
 
     inside = [asin((q - centre) / radius) for q, _ in o.stops if left < q < right]
     first, last = 0.0 if o.even else -0.5 * pi, 0.5 * pi
-    x = _nodes([first, *(a for a in inside if a > first), last], along, {})
+    x = _nodes_at([first, *(a for a in inside if a > first), last], along, {})
     s = np.linspace(-1.0, 1.0, 1 + 2 * ceil(swift / step))
     return Mesh(o, x, s, 5 + 2 * level, energy, centre, radius, o.even)
 
 
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
-    """Length that changes ``swift`` by ``step``; at fractional stops, the overlap stopping it."""
+    """Return the panel lengths at ``q`` (points,) where T is smooth.
+
+    Over such a length the velocity changes by ``step`` at the speed ``swift``. Beyond stops of a
+    fractional power lengths grow with the overlap from a smallest length, which halves with each
+    ``level``.
+    """
     slope = np.maximum(np.abs(o.force(q)) / (o.mass * max(swift, step)), o.frequency)
     length = np.minimum(step / np.maximum(slope, SMALLEST), 0.5 * np.ptp(q))
     for at, side in o.stops:
@@ -216,17 +228,20 @@ def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int)
             overlap = np.maximum((q - at) * side, 0.0)
             stopped = float(o.energy(np.array(at), np.array(step)))
             most = np.minimum(length, abs(o.turning_point(stopped, side) - at))
-            near = STOP * (overlap + 0.03 * 0.5**level * most)
+            near = STOP_GRADING * (overlap + 0.03 * 0.5**level * most)
             length = np.where((q - at) * side >= 0.0, np.minimum(length, near), length)
     return np.asarray(length)
 
 
-def _nodes(given: list[float], h: Callable[[Array], Array], closest: dict[float, float]) -> Array:
-    """Nodes about h(x) apart that hold those ``given``, with the least panel ``closest`` at some.
+def _nodes_at(
+    given: list[float], h: Callable[[Array], Array], closest: dict[float, float]
+) -> Array:
+    """Return nodes about h(x) apart that include the nodes ``given``.
 
-    Samples of h are spaced by equal ratios towards such a node.
+    ``closest`` maps some of these to the length of the adjacent panels; towards these h is sampled
+    at distances in geometric progression.
     """
-    t, nodes = np.linspace(0.0, 1.0, SAMPLES), [np.array(given)]
+    t, nodes = np.linspace(0.0, 1.0, LENGTH_SAMPLES), [np.array(given)]
     for a, b in pairwise(sorted(set(given))):
         middle, half = 0.5 * (a + b), 0.5 * (b - a)
         near, far = (

@@ -10,8 +10,13 @@ import fpk
 from averaging.gaussian import Linear
 from averaging.integrable import Integrable
 from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.elimination import LEAF, expanded, inverted
-from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference, start
+from averaging.phase_space.equation.elimination import LEAF, expand, inverse_by_quarters
+from averaging.phase_space.equation.frame import (
+    Reference,
+    contact_frame,
+    gaussian_start,
+    gibbs_reference,
+)
 from averaging.phase_space.marginals import marginal, moments
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import least_distance
@@ -106,7 +111,7 @@ def test_the_expansion_converges_to_gibbs_about_a_wrong_temperature(factor):
     (exact,) = Exact().solve(system, [parse_observable("q2", 2)]).densities
     errors = [
         true_error(
-            expanded(frame, wrong(frame, factor), Degrees(N, 6, N + 4)),
+            expand(frame, wrong(frame, factor), Degrees(N, 6, N + 4)),
             exact,
         )
         for N in (10, 14, 18, 22)
@@ -119,7 +124,7 @@ def test_moments_of_a_linear_system_are_those_of_the_lyapunov_equation():
     # Unequal temperatures: probability circulates, and no Gibbs state is the answer.
     system = fpk.System(**FIG6, noise_intensity=[0.01, 0.02])
     frame = contact_frame(system)
-    expansion = expanded(frame, gibbs_reference(frame), Degrees(8, 6, 8))
+    expansion = expand(frame, gibbs_reference(frame), Degrees(8, 6, 8))
     order = [*frame.order, *(2 + i for i in frame.order)]
     exact = stationary_covariance(system)[np.ix_(order, order)]
     assert moments(expansion)[1] == pytest.approx(exact, rel=1e-10, abs=1e-12)
@@ -238,7 +243,7 @@ def test_errors_between_two_stops_on_a_side_fall_with_the_degrees():
     (exact,) = Exact().solve(system, [observable]).densities
     errors = []
     for degrees in (Degrees(17, 6, 18), Degrees(25, 7, 22), Degrees(25, 7, 34)):
-        e = expanded(frame, wrong(frame, 1.3), degrees)
+        e = expand(frame, wrong(frame, 1.3), degrees)
         panels, pdf = marginal(e, observable)
         mesh, grids = gauss_grid(list(map(np.union1d, panels, exact.panels)))
         errors.append(integral(np.abs(pdf(*mesh) - exact.pdf(*mesh)), grids))
@@ -248,7 +253,7 @@ def test_errors_between_two_stops_on_a_side_fall_with_the_degrees():
 @pytest.mark.parametrize("name", GIBBS)
 def test_the_start_is_gibbs_where_damping_and_noise_are_in_one_proportion(name):
     frame = contact_frame(GIBBS[name])
-    found, right = start(frame), gibbs_reference(frame)
+    found, right = gaussian_start(frame), gibbs_reference(frame)
     for a, b in zip(vars(found).values(), vars(right).values(), strict=True):
         assert a == pytest.approx(b, rel=1e-9, abs=1e-9)
 
@@ -263,7 +268,7 @@ def test_the_start_has_about_the_variances_of_unlike_baths(side):
     mesh, grids = gauss_grid(density.panels)
     right = integral(mesh[0] ** 2 * density.pdf(*mesh), grids) / system.mass[1]
     # A linear force for that of the stop: within a third, where Gibbs is off by a factor.
-    assert start(frame).covariance[0, 0] == pytest.approx(right, rel=0.33)
+    assert gaussian_start(frame).covariance[0, 0] == pytest.approx(right, rel=0.33)
     assert gibbs_reference(frame).covariance[0, 0] < 0.5 * right
 
 
@@ -273,13 +278,13 @@ def test_a_motion_that_noise_drives_and_nothing_damps_has_no_start():
     damping = 0.1 * np.outer(modes[:, 1], modes[:, 1])
     frame = contact_frame(fpk.System([1, 1], [1, 1], damping, [0.1, 0.1]))
     with pytest.raises(np.linalg.LinAlgError, match="no stationary state"):
-        start(frame)
+        gaussian_start(frame)
 
 
 def test_a_variance_that_is_not_positive_is_no_answer():
     # As where an expansion diverges: E v² of the contact mass is S₁₁ (1 + √2 ∫ u₂).
     frame = contact_frame(GIBBS["two-sided"])
-    right = expanded(frame, gibbs_reference(frame), Degrees(8, 3, 8))
+    right = expand(frame, gibbs_reference(frame), Degrees(8, 3, 8))
     levels = list(right.levels)
     levels[2] = levels[2].copy()
     levels[2][0] = -2.0 * right.levels[0][0, : levels[2].shape[1]]
@@ -305,7 +310,7 @@ def test_a_tolerance_out_of_reach_gives_the_best_answer_that_work_allows():
 def test_the_inverse_by_quarters_is_the_inverse(size):
     rng = np.random.default_rng(20261123)
     A = rng.normal(size=(size, size)) / np.sqrt(size) - 3.0 * np.eye(size)
-    assert inverted(A, range(0, size, 7)) @ A == pytest.approx(np.eye(size), abs=1e-12)
+    assert inverse_by_quarters(A, range(0, size, 7)) @ A == pytest.approx(np.eye(size), abs=1e-12)
 
 
 def drawn(rng, *, coldest=0.3):

@@ -9,9 +9,9 @@ from asked import TURNED, ask
 import fpk
 from averaging.gaussian import Linear
 from averaging.phase_space.dynamics import resolvent
-from averaging.phase_space.dynamics.resolvent import displaced, generator, transforms
+from averaging.phase_space.dynamics.resolvent import displacement_vectors, generator, transforms
 from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.elimination import expanded
+from averaging.phase_space.equation.elimination import expand
 from averaging.phase_space.equation.frame import Reference, contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import Options
@@ -111,9 +111,9 @@ def test_autocovariances_keep_to_their_error_against_a_finer_solution():
 
 def test_what_the_space_leaves_of_a_correlation_is_in_its_error(monkeypatch):
     frame, lags = contact_frame(GIBBS), np.linspace(0.0, 20.0, 41)
-    e = expanded(frame, gibbs_reference(frame), Degrees(24, 0, 22))
+    e = expand(frame, gibbs_reference(frame), Degrees(24, 0, 22))
     A = generator(e, odd=False)
-    c, b = displaced(e, 0, A)
+    c, b = displacement_vectors(e, 0, A)
 
     def correlation(most):
         monkeypatch.setattr(resolvent, "VECTORS", most)
@@ -129,15 +129,15 @@ def test_what_the_space_leaves_of_a_correlation_is_in_its_error(monkeypatch):
 
 def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
     frame = contact_frame(GIBBS)
-    e = expanded(frame, gibbs_reference(frame), Degrees(14, 0, 14))
+    e = expand(frame, gibbs_reference(frame), Degrees(14, 0, 14))
     A, one = generator(e, odd=False), e.basis.of_one
     b = np.random.default_rng(20261123).normal(size=A.ends[-1])
     b[: one.size] -= one * (one @ b[: one.size])
     w = np.array([0.0, 0.2, 0.9, 1.0, 3.0])
     shifts = []
-    solve = resolvent.resolvent
+    solve = resolvent.solve_shifted
     monkeypatch.setattr(
-        resolvent, "resolvent", lambda A, s, step: shifts.append(s) or solve(A, s, step)
+        resolvent, "solve_shifted", lambda A, s, step: shifts.append(s) or solve(A, s, step)
     )
     values, residual = transforms(A, b, b, w, lambda share: None)
     assert residual <= resolvent.RESIDUAL and shifts[0] == 0.0 and len(shifts) <= 3
@@ -148,7 +148,7 @@ def test_one_elimination_serves_the_frequencies_about_its_shift(monkeypatch):
 
 def test_the_memory_that_a_spectrum_is_judged_by_holds_its_inverses(monkeypatch):
     judged, used = [], []
-    refuse, eliminate = Options.refusal, resolvent.factored
+    refuse, eliminate = Options.refusal, resolvent.eliminate
 
     def factored(*chain, **options):
         solve, scale = eliminate(*chain, **options)
@@ -156,7 +156,7 @@ def test_the_memory_that_a_spectrum_is_judged_by_holds_its_inverses(monkeypatch)
         used.append(sum(inverse.nbytes for inverse in inverses))
         return solve, scale
 
-    monkeypatch.setattr(resolvent, "factored", factored)
+    monkeypatch.setattr(resolvent, "eliminate", factored)
     monkeypatch.setattr(
         Options, "refusal", lambda b, size, work: judged.append(size) or refuse(b, size, work)
     )

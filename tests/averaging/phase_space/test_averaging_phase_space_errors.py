@@ -11,15 +11,15 @@ from test_averaging_phase_space import FIG6, STOP, common, drawn, stop
 
 import fpk
 from averaging.phase_space import refinement
-from averaging.phase_space.densities import density_of
+from averaging.phase_space.densities import expansion_density
 from averaging.phase_space.dynamics import questions
 from averaging.phase_space.equation import elimination
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.elimination import expanded
+from averaging.phase_space.equation.elimination import expand
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.refinement import WORK, Ladder, Options, ladders
+from averaging.phase_space.refinement import SOLUTION_WORK, Ladder, Options, solution_ladder
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput, NotCertified
@@ -38,7 +38,7 @@ def lighter(B, clearance, factor):
 def solutions(system, work, *, observables=SINGLE, threads=None) -> Iterator[Ladder]:
     """Solutions of rising degrees, whatever their errors."""
     options = Options(4.0, work, threads)
-    found = ladders(contact_frame(system), observables, options)
+    found = solution_ladder(contact_frame(system), observables, options)
     # The last one comes again with what ends them.
     return (ladder for ladder in found if not ladder.limit)
 
@@ -49,7 +49,8 @@ def understated(coarser, finest):
         (ladder.finest.basis.degrees, o, error / ladder.errors[o])
         for ladder in coarser
         for o in finest.errors
-        if (error := refinement.distance(ladder.finest, finest.finest, o)) > ladder.errors[o]
+        if (error := refinement.solution_distance(ladder.finest, finest.finest, o))
+        > ladder.errors[o]
     ]
 
 
@@ -119,19 +120,19 @@ TWELVE = {
 def test_a_smaller_tolerance_gives_no_larger_error_and_none_below_the_true_one(
     name, work, monkeypatch
 ):
-    made, solve, system = {}, refinement.expanded, TWELVE[name]
+    made, solve, system = {}, refinement.expand, TWELVE[name]
 
-    def expanded(frame, about, degrees, **options):
+    def expand(frame, about, degrees, **options):
         # Solutions do not depend on the tolerance.
         if degrees not in made:
             made[degrees] = solve(frame, about, degrees, **options)
         return made[degrees]
 
-    monkeypatch.setattr(refinement, "expanded", expanded)
+    monkeypatch.setattr(refinement, "expand", expand)
     observables = [parse_observable(f"{kind}{i + 1}", system.n) for kind in "qp"
                    for i in range(system.n)]  # fmt: skip
     *_, finest = solutions(system, 8.0 * work, observables=observables)
-    references = [density_of(finest, o, np.inf) for o in observables]
+    references = [expansion_density(finest, o, np.inf) for o in observables]
     before = np.full(len(observables), np.inf)
     for tol in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
         answers = PhaseSpace(tol=tol, work=work).solve(system, observables).densities
@@ -144,7 +145,7 @@ def test_a_smaller_tolerance_gives_no_larger_error_and_none_below_the_true_one(
 
 def test_an_earlier_density_is_kept_unless_a_later_one_contradicts_it(monkeypatch):
     coarse, fine = islice(solutions(SYSTEM, 1e11, observables=SINGLE[:1]), 2)
-    (o,), distance = SINGLE[:1], refinement.distance
+    (o,), distance = SINGLE[:1], refinement.solution_distance
     own = distance(coarse.finest, fine.finest, o)
     for error, kept in ((1.01 * own, coarse), (0.99 * own, fine)):
         first = replace(coarse, errors={o: error})
@@ -165,11 +166,11 @@ def test_a_solution_takes_no_more_memory_than_stated(n, side, degrees, kind, mon
     frame, degrees = contact_frame(system), Degrees(*degrees)
     about = gibbs_reference(frame)
     functions = basis(frame, about, degrees)
-    stated, _ = elimination.cost(functions, numbers=kind)
+    stated, _ = elimination.solution_cost(functions, numbers=kind)
     monkeypatch.setattr(elimination, "ELIMINATED_IN", kind)
     tracemalloc.start()
     try:
-        expanded(frame, about, degrees, memory=0.0)
+        expand(frame, about, degrees, memory=0.0)
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -178,7 +179,7 @@ def test_a_solution_takes_no_more_memory_than_stated(n, side, degrees, kind, mon
 
 
 def test_more_memory_is_more_work_too():
-    for memory, work in ((4.0, WORK), (16.0, 8.0 * WORK)):
+    for memory, work in ((4.0, SOLUTION_WORK), (16.0, 8.0 * SOLUTION_WORK)):
         assert PhaseSpace(memory=memory)._options() == Options(memory, work)
     assert Options(16.0, 1e9).refusal(1.7e10, 1.0) == (
         "a finer solution needs 17 GB of memory, at most 16"
@@ -192,36 +193,36 @@ def test_more_memory_is_more_work_too():
 
 def test_where_damping_is_light_one_small_distance_says_less():
     one = contact_frame(fpk.System([1], [1], [0.6], [0.3]))
-    half, light = (refinement.kept(contact_frame(lighter(10.0, 0.5, x))) for x in (2, 10))
-    assert refinement.kept(one) == half == 0.25 and light == 0.6
-    first, _ = refinement.falling(1e-3, None, light)
+    half, light = (refinement.credible_ratio(contact_frame(lighter(10.0, 0.5, x))) for x in (2, 10))
+    assert refinement.credible_ratio(one) == half == 0.25 and light == 0.6
+    first, _ = refinement.error_by_distances(1e-3, None, light)
     # Distances that are believed to fall by 1/0.6 leave 1/(1/0.6 − 1) = 1.5 of the last one.
-    believed, error = refinement.falling(1e-5, first, light)
+    believed, error = refinement.error_by_distances(1e-5, first, light)
     assert believed == pytest.approx(6e-4)
-    assert error == pytest.approx(1.5 * refinement.SAFETY * 6e-4)
+    assert error == pytest.approx(1.5 * refinement.DISTANCE_SAFETY * 6e-4)
 
 
 @pytest.fixture
 def failing(monkeypatch):
     """Makes the equations of one solution, counted from 1, unsolved; returns all that are made.
 
-    Those that the reference is fitted to do not count.
+    Those that the reference is fit_reference to do not count.
     """
 
     def at(number):
-        made, solved, fit = [], refinement.expanded, refinement.fitted
+        made, solved, fit = [], refinement.expand, refinement.fit_reference
 
-        def fitted(*given):
+        def fit_reference(*given):
             with monkeypatch.context() as patch:
-                patch.setattr(refinement, "expanded", solved)
+                patch.setattr(refinement, "expand", solved)
                 return fit(*given)
 
-        def expanded(*given, **options):
+        def expand(*given, **options):
             made.append(solved(*given, **options))
             return replace(made[-1], residual=np.nan) if len(made) == number else made[-1]
 
-        monkeypatch.setattr(refinement, "expanded", expanded)
-        monkeypatch.setattr(refinement, "fitted", fitted)
+        monkeypatch.setattr(refinement, "expand", expand)
+        monkeypatch.setattr(refinement, "fit_reference", fit_reference)
         return made
 
     return at
@@ -252,11 +253,11 @@ def test_an_answer_ends_with_the_last_solution_whose_equations_are_solved(failin
         compared.append(ladder.finest)
         return np.array([0.1 ** len(compared)])
 
-    ladder, found = questions.adapted(
+    ladder, found = questions.adapt(
         contact_frame(SYSTEM),
         SINGLE,
         lambda e, step: questions.Answer(np.ones(1), e, np.ones(1)),
-        Options(4.0, WORK),
+        Options(4.0, SOLUTION_WORK),
         compare,
         tol=1e-2,
         what="",
@@ -264,5 +265,5 @@ def test_an_answer_ends_with_the_last_solution_whose_equations_are_solved(failin
     # No two solutions are compared twice, which would look as if distances no longer fell.
     assert compared == made[1:2] and ladder.finest is made[1]
     assert found.limit == f"the equations of degree {made[2].basis.degrees.total} are not solved"
-    first = refinement.FIRST * refinement.SAFETY * 0.1
+    first = refinement.FIRST_SAFETY * refinement.DISTANCE_SAFETY * 0.1
     assert found.errors == pytest.approx(first, rel=1e-6)

@@ -8,11 +8,16 @@ import pytest
 import fpk
 from averaging.phase_space.equation import degrees as degrees_module
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.degrees import Degrees, fitting, space_to
-from averaging.phase_space.equation.elimination import expanded, inverted
-from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of, start
+from averaging.phase_space.equation.degrees import Degrees, fitting_degrees, space_to
+from averaging.phase_space.equation.elimination import expand, inverse_by_quarters
+from averaging.phase_space.equation.frame import (
+    contact_frame,
+    gaussian_start,
+    gibbs_reference,
+    make_reference,
+)
 from averaging.phase_space.marginals import marginal
-from averaging.phase_space.refinement import fitted, refitted
+from averaging.phase_space.refinement import fit_reference, reference_by_moments
 from fpk.answer.names import parse_observable
 from fpk.numeric.quadrature import gauss_grid, integral
 
@@ -77,7 +82,7 @@ def test_more_polynomials_between_stops_change_nothing(monkeypatch):
     """With continuous functions in levels of all degrees the change was some 1e-3."""
     frame, about = frame_of(clearance=1.5), gibbs_reference(frame_of(clearance=1.5))
     for _ in range(2):
-        about = refitted(expanded(frame, about, DEGREES))
+        about = reference_by_moments(expand(frame, about, DEGREES))
     densities = []
     for more in (0, 2, 4, 8):
         monkeypatch.setattr(
@@ -85,7 +90,7 @@ def test_more_polynomials_between_stops_change_nothing(monkeypatch):
             "between",
             lambda self, width, beyond, more=more: 2 * (self.outer // 2) + 1 + more,
         )
-        e = expanded(frame, about, Degrees(40, 6, 20))
+        e = expand(frame, about, Degrees(40, 6, 20))
         densities.append(marginal(e, parse_observable("q2", 2)))
     mesh, grids = gauss_grid(densities[0][0])
     last = densities[-1][1](*mesh)
@@ -124,8 +129,8 @@ def test_the_degree_in_the_others_rises_where_something_is_left():
         stop = fpk.Contact(mass=2, side="both", stiffness=stiffness, clearance=clearance)
         system = fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))
         frame = contact_frame(system)
-        about = refitted(expanded(frame, gibbs_reference(frame), Degrees(14, 5, 16)))
-        rises.append(expanded(frame, about, Degrees(20, 8, 20)).rise)
+        about = reference_by_moments(expand(frame, gibbs_reference(frame), Degrees(14, 5, 16)))
+        rises.append(expand(frame, about, Degrees(20, 8, 20)).rise)
     assert rises == [2, 0]
 
 
@@ -133,7 +138,7 @@ def test_a_block_that_is_singular_in_front_is_inverted_between_its_cuts():
     turn = np.array([[0.0, 1.0], [-1.0, -0.1]])
     A = np.kron(np.eye(300), turn)
     A[:300, 300:] += 0.1 * np.eye(300)
-    assert inverted(A, range(0, 600, 2)) @ A == pytest.approx(np.eye(600), abs=1e-11)
+    assert inverse_by_quarters(A, range(0, 600, 2)) @ A == pytest.approx(np.eye(600), abs=1e-11)
 
 
 def test_high_levels_have_fewer_polynomials_but_not_too_few():
@@ -148,15 +153,15 @@ def test_a_reference_that_is_no_distribution_is_refused():
     frame = frame_of()
     good = gibbs_reference(frame)
     with pytest.raises(np.linalg.LinAlgError):
-        reference_of(frame, good.slope, good.offset, -good.covariance)
+        make_reference(frame, good.slope, good.offset, -good.covariance)
 
 
 @pytest.mark.parametrize(("clearance", "narrowed"), [(0.1, True), (0.5, False)])
 def test_a_near_stop_makes_the_reference_narrower(clearance, narrowed):
     frame = frame_of(clearance=clearance)
-    found = fitted(frame, start(frame))
-    plain = refitted(expanded(frame, start(frame), fitting(frame)))
+    found = fit_reference(frame, gaussian_start(frame))
+    plain = reference_by_moments(expand(frame, gaussian_start(frame), fitting_degrees(frame)))
     ratio = found.covariance[0, 0] / plain.covariance[0, 0]
     assert ratio < 0.9 if narrowed else ratio == pytest.approx(1.0, rel=1e-2)
-    tops = [expanded(frame, r, fitting(frame)).top for r in (found, plain)]
+    tops = [expand(frame, r, fitting_degrees(frame)).top for r in (found, plain)]
     assert tops[0] < 0.9 * tops[1] if narrowed else tops[0] == pytest.approx(tops[1], rel=0.05)

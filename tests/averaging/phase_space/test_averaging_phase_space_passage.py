@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.passage.elements import elements
+from averaging.phase_space.passage.elements import assemble_backward
 from averaging.phase_space.passage.mesh import (
     Oscillator,
     displacement_mesh,
@@ -38,7 +38,7 @@ def ask(system, limit, start="rest", times=NONE, *, tol=None, method=None) -> Pa
 
 
 def mean_on(mesh, q=0.0, v=0.0):
-    e = elements(mesh)
+    e = assemble_backward(mesh)
     return e.moments(e.at(np.array([q]), np.array([v]), np.ones(1)))[0]
 
 
@@ -161,7 +161,7 @@ def test_rare_failure_keeps_its_digits():
 
 
 def test_mass_is_conserved_and_a_loss_is_seen():
-    e = elements(energy_mesh(oscillator_of(HERTZ), 1.5, 0))
+    e = assemble_backward(energy_mesh(oscillator_of(HERTZ), 1.5, 0))
     start = e.at(np.zeros(1), np.array([1.7]), np.ones(1))  # H = 1.445
     assert e.mass_defect(start) < 1e-13  # some hundred roundings
     leaky = replace(e, exit=0.5 * e.exit)
@@ -255,7 +255,7 @@ def test_a_mesh_ends_where_a_steep_stop_turns_motion_and_its_equations_are_solve
     system = System([0.856], [6.83], [0.903], [0.498], contacts=(stop,))
     mesh = displacement_mesh(oscillator_of(system), 0.2, 0.0, 1)
     assert mesh.x[0] == -0.2 and 0.0853 < mesh.x[-1] < 0.15
-    e = elements(mesh)
+    e = assemble_backward(mesh)
     sigma, factors = e.shifted
     matrix = e.K + sigma * e.M
     right = matrix @ np.ones(e.load.size)

@@ -11,10 +11,10 @@ import fpk
 from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.densities import force_means
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.chain import chain_of, levels_per_stage, reach
+from averaging.phase_space.equation.chain import chain_of, damping_degree, levels_per_stage
 from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.elimination import expanded
-from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, reference_of
+from averaging.phase_space.equation.elimination import expand
+from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, make_reference
 from averaging.phase_space.method import PhaseSpace
 from averaging.theory import Exact
 from cases.compare.compare import compare_densities
@@ -85,7 +85,7 @@ def wrong(system, factor):
     """The reference of a Gibbs state with a temperature that is off by ``factor``."""
     frame = contact_frame(system)
     right = gibbs_reference(frame)
-    return reference_of(frame, right.slope, right.offset, factor * right.covariance)
+    return make_reference(frame, right.slope, right.offset, factor * right.covariance)
 
 
 def assert_within_stated_error(system, tol, *, factor):
@@ -157,7 +157,7 @@ def test_means_of_forces_are_gaussian_moments_in_a_gaussian_state():
     system = replace(constant, damping_terms=terms)
     frame = contact_frame(constant)
     T = 0.4  # D_i/c_i
-    e = expanded(frame, gibbs_reference(frame), Degrees(10, 8, 10))
+    e = expand(frame, gibbs_reference(frame), Degrees(10, 8, 10))
     damped = replace(e, basis=replace(e.basis, frame=contact_frame(system)))
     mean_power, mean_virial, _ = force_means(damped)
     C = np.linalg.inv(constant.stiffness_matrix) * T
@@ -186,7 +186,7 @@ def test_means_of_forces_are_gaussian_moments_in_a_gaussian_state():
 def test_stages_are_as_wide_as_the_terms_of_other_coordinates_need(powers, apart, stages):
     constant = fpk.System([1, 1], [1, 1], [0.1, 0.1], [0.1, 0.1], contacts=stop(1))
     frame = contact_frame(replace(constant, damping_terms=(Term(1, 1, 0.1, **powers),)))
-    assert reach(frame) == apart
+    assert damping_degree(frame) == apart
     assert levels_per_stage(frame) == stages
     b = basis(frame, gibbs_reference(frame), Degrees(7, 3, 8))
     chain = chain_of(b)

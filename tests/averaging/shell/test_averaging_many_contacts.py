@@ -59,7 +59,7 @@ def test_two_contact_masses_of_a_long_chain(monkeypatch, n):
     H = energies(system)
     ratios = shell_averages(system, H)
     monkeypatch.setattr(averages, "RADIAL_RULE", 4)
-    monkeypatch.setattr(laplace, "MOST_MASSES", 30)
+    monkeypatch.setattr(laplace, "MOST_RAY_MASSES", 30)
     reference = shell_averages(chain(n, (3, n - 10)), H)
     assert np.all(np.abs(ratios.states / reference.states - 1.0) <= ratios.error + reference.error)
     assert ratios.error.max() < 1e-10
@@ -91,9 +91,9 @@ def test_damping_power_by_lines_agrees_with_rays(monkeypatch, n, terms):
         for _ in range(2)
     )  # fmt: skip
     H = np.array([0.05, 0.3, 1.0, 4.0, 30.0])
-    monkeypatch.setattr(laplace, "MOST_MASSES", 0)
+    monkeypatch.setattr(laplace, "MOST_RAY_MASSES", 0)
     power, error = term_power(one)(H)
-    monkeypatch.setattr(laplace, "MOST_MASSES", 20)
+    monkeypatch.setattr(laplace, "MOST_RAY_MASSES", 20)
     monkeypatch.setattr(averages, "RADIAL_RULE", 4)
     reference, bound = term_power(two)(H)
     assert np.all(np.abs(power - reference) <= error + bound)

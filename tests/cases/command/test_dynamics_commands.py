@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from averaging.phase_space.refinement import MEMORY
+from averaging.phase_space.refinement import SOLUTION_MEMORY
 from fpk.system.linear import stationary_covariance
 from fpk.system.system import System
 
@@ -172,7 +172,7 @@ def test_what_is_not_certified_is_said(linear_scene, fpk):
     assert finer["settings"]["highest_degree"] > answer["settings"]["highest_degree"]
     status, out, err = fpk(*question, "--memory", "0")
     assert (status, out) == (2, "") and "--memory" in err
-    assert f"{MEMORY:g} if left out" in " ".join(fpk("crossings", "--help")[1].split())
+    assert f"{SOLUTION_MEMORY:g} if left out" in " ".join(fpk("crossings", "--help")[1].split())
 
 
 def test_a_simulation_takes_its_seed_time_and_threads(linear_scene, fpk):

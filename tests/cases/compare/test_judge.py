@@ -6,7 +6,7 @@ import pytest
 
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
-from averaging.phase_space.method import UNASKED_TOL, UNASKED_WORK, PhaseSpace
+from averaging.phase_space.method import UNASKED_WORK, PhaseSpace
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
@@ -89,7 +89,7 @@ def test_every_method_is_taken_as_it_is_but_slow_ones():
     assert NonIntegrable().unasked(system) == NonIntegrable()
     assert "unasked" in vars(Method)
     alone, shared = (PhaseSpace(tol=1e-9).unasked(system, share=s) for s in (1.0, 0.25))
-    assert alone.tol == UNASKED_TOL and alone.work == UNASKED_WORK
+    assert alone.tol == PhaseSpace.tol and alone.work == UNASKED_WORK
     assert shared.work == 0.25 * UNASKED_WORK
     assert PhaseSpace(tol=0.05).unasked(system).accepted == 0.05
 
@@ -132,4 +132,4 @@ def test_what_a_bound_of_the_work_reaches_is_certified_with_its_own_error():
     outcome = run_scene(load_scene("fig8b"), [PhaseSpace(work=1.0)])
     density, (note,) = outcome.curves[0]["q2"], outcome.curves[0].notes
     assert "phase-space: certified to" in note
-    assert UNASKED_TOL < density.l1_error <= 1e-2 and density.certificate.certified
+    assert PhaseSpace.tol < density.l1_error <= 1e-2 and density.certificate.certified

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from averaging.energy_process import averaged_density
+from averaging.energy_process import closed_form_density
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
 from cases.scene.written import duration
@@ -207,7 +207,7 @@ def test_a_tolerance_is_priced_by_its_promise_not_by_what_it_happened_to_reach()
 @pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
 def test_the_promise_of_tol_holds_on_scenes_the_table_was_not_made_from(scene, tol):
     system = load_scene(scene).system
-    closed = averaged_density(system)
+    closed = closed_form_density(system)
     observable = parse_observable("H", system.n)
     for solver in ("fem", "quadrature"):
         (found,) = NonIntegrable(solver, tol=tol).solve(system, [observable]).densities

@@ -8,7 +8,7 @@ from fpk_processes import both, by_hand, chain, cox_ingersoll_ross, integral, re
 from scipy.integrate import quad
 from scipy.stats import gamma
 
-from averaging.energy_process import averaged_density, energy_process
+from averaging.energy_process import closed_form_density, energy_process
 from fpk.numeric.errors import NotCertified
 from fpk.solvers.line.stationary import NEGATIVE, solve_on_mesh, solve_stationary
 from fpk.solvers.operator import solve_by_scikit_fem
@@ -55,7 +55,7 @@ def averaged(request):
     """An averaged process and its closed form C T exp(−αH)."""
     system = SYSTEMS[request.param]
     process = energy_process(system)
-    return process, averaged_density(system)
+    return process, closed_form_density(system)
 
 
 def true_error(solution, reference):
@@ -84,7 +84,7 @@ def test_the_tolerance_is_met_and_the_estimate_honest(averaged):
 @pytest.mark.parametrize("name", THIN)
 def test_thin_layers_are_in_the_estimate(name):
     process = energy_process(THIN[name])
-    reference = averaged_density(THIN[name])
+    reference = closed_form_density(THIN[name])
     for tol in (1e-3, *TOLERANCES):
         solution = solve_stationary(process, tol=tol)
         assert true_error(solution, reference) <= solution.l1_error + reference.l1_error
@@ -165,7 +165,7 @@ def test_no_energies_have_no_densities():
 def test_another_system_is_outside_the_estimate():
     process = energy_process(SYSTEMS["B = 10"])
     other = chain(2, both(10.0, 0.55))
-    reference = averaged_density(other)
+    reference = closed_form_density(other)
     solution = solve_stationary(process, tol=1e-4)
     assert true_error(solution, reference) > 100.0 * solution.l1_error
 
