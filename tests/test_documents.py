@@ -196,7 +196,8 @@ CONSTANTS = {
         f"from {resolvent.BLOCK} random vectors",
         f"Velocities are followed {math.sqrt(-2.0 * math.log(EPS)):.1f} kicks of noise",
         f"{first_passage.DISTANCE_FACTOR:g} times the distance of the last two,"
-        f" or {first_passage.DISTANCE_FACTOR * first_passage.CHANCE_SHARE:g} times the largest relative one",
+        f" or {first_passage.DISTANCE_FACTOR * first_passage.CHANCE_SHARE:g} times the largest"
+        " relative one",
         f"A mean time beyond e^{-math.log(EPS):.0f} units",
         f"with fewer than {passage.LEAST_FAILURES} failures in the tail",
         f"jackknife of {passage.GROUPS} groups",
