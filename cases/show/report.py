@@ -220,8 +220,8 @@ def numbers_of(curve: Record) -> str:
     """Return the numbers that were asked for in sentences, and whose averaging error is unknown.
 
     The rms of each displacement observed, impact rate and mean force of the stop that is hit most,
-    and P(T ≤ t) of each first passage at all times: of the full system where an answer of it is
-    known, by a solution before a simulation.
+    and P(T ≤ t) of each first passage at all times: by an answer of the full system if there is
+    one, a solution before a simulation. If only a pair is observed, no mean force is known.
     """
     best: dict[tuple[str, str], Record] = {}
     stationary = curve["quantities"] if curve["system"]["modulation"] is None else []
@@ -237,7 +237,8 @@ def numbers_of(curve: Record) -> str:
         row = max(rates, key=lambda row: row["value"] or 0.0)
         force = row["label"].replace("impact rate", "mean force")
         parts.append(_number_words(f"{row['observable']} {row['label']}", row))
-        parts.append(_number_words(force, best[row["observable"], force]))
+        if (row["observable"], force) in best:  # its density is not asked for beside a pair's
+            parts.append(_number_words(force, best[row["observable"], force]))
     for question in curve["passages"]:
         answers = sorted(question["answers"], key=lambda a: a["solves"] != "full")
         for answer in answers[:1]:

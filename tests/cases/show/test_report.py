@@ -25,7 +25,7 @@ from cases.show.page import TEMPLATES
 from cases.show.pictures.chain import chain_svg
 from cases.show.pictures.style import COLOURS, DARK, DASHES, MARKERS, STYLE
 from cases.show.pictures.svg import TOLERANCE, inline_svg, svg_text
-from cases.show.report import headline_of, measure_of, report_html
+from cases.show.report import headline_of, measure_of, numbers_of, report_html
 from cases.show.text import claims_counted, rendered, theory_table
 from cases.show.words import CONSTANT_NOISE, named
 from fpk import Contact, System
@@ -267,6 +267,16 @@ def test_a_long_chain_has_no_table_of_zeros():
     page = report_html(scene, digest_of(outcome), [])
     system = page[page.index("<dt>damping c") : page.index("<dt>contact 1")]
     assert system.count(", ") == 2 * 49
+
+
+def test_the_headline_of_a_pair_has_an_impact_rate_and_no_force():
+    words = "impact rate, left stop"
+    row = {"observable": "q2", "quantity": words, "label": words, "solves": "full", "value": 1.25}
+    row |= {"error": 0.125, "route": "exact"}
+    curve = {"system": {"modulation": None}, "passages": [], "averaging_unknown": []}
+    assert numbers_of({**curve, "quantities": [row]}).startswith("Q2 impact rate, left stop 1.25 ±")
+    force = {**row, "quantity": "mean force, left stop", "label": "mean force, left stop"}
+    assert "mean force, left stop 1.25" in numbers_of({**curve, "quantities": [row, force]})
 
 
 def test_the_chain_is_drawn_with_its_stops():
