@@ -196,7 +196,7 @@ CONSTANTS = {
         f"{first_passage.SAFETY:g} times the distance of the last two,"
         f" or {first_passage.SAFETY * first_passage.SHARE:g} times the largest relative one",
         f"A mean time beyond e^{first_passage.HIGHEST:g} units",
-        f"with fewer than {passage.LEAST_FAILURES} failures in the tail",
+        f"with fewer than {passage.LEAST_TAIL_FAILURES} failures in the tail",
         f"jackknife of {passage.GROUPS} groups",
         f"one Hann window of {curves.WINDOW:g} decay times",
         f"over paths and {curves.RELAXATIONS:g} relaxation times",

@@ -18,7 +18,7 @@ from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.line.time.passage import chain_first_passage
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.passage import LEAST_FAILURES, horizon
+from sim.questions.passage import LEAST_TAIL_FAILURES, horizon
 from sim.questions.splitting.kernel import ScoreFunction
 from sim.questions.splitting.run import Splitting, rare_failure
 
@@ -64,7 +64,7 @@ def passage_answer(
     of its paths that have failed then,
 
     - splitting answers where, in all the time for which ``method`` may follow them, fewer than
-      ``LEAST_FAILURES`` are expected to fail;
+      ``LEAST_TAIL_FAILURES`` are expected to fail;
     - this first run is the answer where fewer than ``ALIVE`` live on and it is certified, unless
       ``tol`` is given;
     - else ``method`` itself is run, from the start.
@@ -82,7 +82,7 @@ def passage_answer(
         first: Passage = until.passage(*asked, tol=None, progress=progress)
         failed = (1.0 - float(first.survival[-1])) * method.paths
         longest = horizon(method, float(first.settings["coarse dt"]), last)
-        if failed * longest / last < LEAST_FAILURES:
+        if failed * longest / last < LEAST_TAIL_FAILURES:
             settings = splitting_of(method, replicas=MORE_REPLICAS, tol=tolerance(tol, ERROR))
             answer = split_passage(system, question, settings, tol=tol, progress=progress)
             words = f"splitting: of {method.paths} plain paths {failed:.0f} pass by t = {last:g}"
