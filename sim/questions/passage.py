@@ -49,7 +49,7 @@ def sample_passage(method: Settings, asked: Asked) -> Passage:
     ``paths`` trajectories are simulated until all have failed, or until the ``horizon``; more
     rounds follow until ``asked.tol``, the relative error of the mean, or ``seconds``.
     """
-    system, limit, start, times = asked.system, asked.limit, asked.start, checked_times(asked.times)
+    system, limit, start, times = asked.system, asked.limit, asked.start, require_times(asked.times)
     tol, modulation, loud = tolerance(asked.tol, method.tol), system.modulation, loudest(system)
     reach = limits.motion_reach(loud, limit, start, method.time or inf)
     dt, failures = limits.motion_step(method, loud, reach, error=tol)
@@ -72,7 +72,7 @@ def sample_passage(method: Settings, asked: Asked) -> Passage:
         seed = seed_of(method.seed, number)
         read = lambda motion: reader_of(system, limit, motion.dt, motion.begin)  # noqa: E731
         options: Any = {"energies": energies, "workers": workers, "modulation": modulation}
-        with left_out():  # both with the same random numbers
+        with pause_working_time():  # both with the same random numbers
             both = (0.5 * first, False), (first, True)
             pair = [ensemble_from(system, q, p, h, seed, halved=x, **options) for h, x in both]
         stream = stream_of(seed, number, of_starts=True)

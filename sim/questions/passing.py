@@ -65,7 +65,7 @@ def distance_to(limit: float, H: float, variance: float, growth: float, at_rest:
     return float(2.0 * (np.sqrt(max(e + limit - H, 0.0)) - np.sqrt(e)) / np.sqrt(beta))
 
 
-@inlined
+@njit_inline
 def cubic_passage(c: Cubic, limit: float) -> float:
     """Return the first s in (0, 1] with |q(s)| >= ``limit``, |q(0)| being less; 2 if none."""
     turning, low = turning_points(c), 0.0

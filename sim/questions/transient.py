@@ -32,7 +32,7 @@ def sample_transient(method: Settings, asked: Asked) -> Transient:
     ``paths`` trajectories are made.
     """
     system, observable, start = asked.system, asked.observable, asked.start
-    times, modulation = checked_times(asked.times), system.modulation
+    times, modulation = require_times(asked.times), system.modulation
     tol, loud = tolerance(asked.tol, method.tol), loudest(system)
     reach = limits.motion_reach(loud, None, start, float(np.max(times)))
     dt, failures = limits.motion_step(method, loud, reach, error=tol)

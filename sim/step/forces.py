@@ -194,7 +194,7 @@ def damping_forces(
         add(row(s, at.damping + terms.target[k] - n, 1, width), rate, 1.0, width)
 
 
-@inlined
+@njit_inline
 def apply_term_processor(
     s: Array, at: Rows, shift: float, step: StepArrays, width: int = W
 ) -> None:

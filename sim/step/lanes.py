@@ -15,7 +15,7 @@ from fpk.numeric.compiling import njit_inline
 from sim.step.arrays import W
 
 
-@inlined
+@njit_inline
 def zero_rows(rows: int) -> Array:
     """Return zeros, ``rows`` rows of W lanes, whose memory begins at a cache line of 64 bytes."""
     memory = np.zeros(rows * W + 8)
@@ -85,7 +85,7 @@ def add_product(target: Array, a: Array, b: Array, factor: float, width: int = W
             target[k] += factor * a[k] * b[k]
 
 
-@inlined
+@njit_inline
 def quadratic_form(
     target: Array, s: Array, first: int, form: Array, factor: float = 1.0, width: int = W
 ) -> None:

@@ -50,7 +50,7 @@ def stream_of(seed: int, number: int, *, of_starts: bool = False) -> np.random.G
     return np.random.Generator(np.random.Philox(key=np.array([seed, number], dtype=np.uint64)))
 
 
-@inlined
+@njit_inline
 def splitmix64(z: np.uint64) -> np.uint64:
     """Return the SplitMix64 finaliser of ``z``, a place in the sequence or a seed."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -88,7 +88,7 @@ def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
         rows[k] = r * (_B0 + y * (_B1 + y * (_B2 + y * (_B3 + y * _B4))))
 
 
-@inlined
+@njit_inline
 def word_place(trajectory: int, counter: Any, offset: np.uint64) -> np.uint64:
     """Return the place in the sequence of word ``counter`` of a ``trajectory``; seed ``offset``."""
     return ((np.uint64(trajectory) << np.uint64(40)) + np.uint64(counter)) * GOLDEN + offset

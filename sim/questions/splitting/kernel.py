@@ -131,7 +131,7 @@ class CompiledReplicas:
         self.streams += dead.size
 
 
-@inlined
+@njit_inline
 def restart_from(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
     """Copy the first record of ``parent`` above ``level`` to replica ``i``, as its only record.
 
@@ -145,7 +145,7 @@ def restart_from(paths: Paths, i: int, parent: int, level: int, x: Array) -> int
     return int(paths.step[i, 0])
 
 
-@inlined
+@njit_inline
 def write_record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) -> None:
     """Write the state ``x``, its ``level`` and ``step`` as record ``records`` of replica ``i``."""
     paths.state[i, records] = x

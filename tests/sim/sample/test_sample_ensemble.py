@@ -114,7 +114,7 @@ def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> 
 def test_whatever_is_compiled_is_in_the_checksum() -> None:
     files = {ROOT / name for name in COMPILED}
     sources = {p: p.read_text("utf-8") for p in (ROOT / "sim").rglob("*.py")}
-    decorated = re.compile(r"@(njit\(|inlined|cached_njit\()")
+    decorated = re.compile(r"@(njit\(|njit_inline|cached_njit\()")
     compiled = {p for p, text in sources.items() if decorated.search(text)}
     assert len(compiled) == 6 and compiled <= files <= set(sources)
 
