@@ -257,8 +257,11 @@ def test_in_units_far_from_one_the_variance_is_that_of_equipartition() -> None:
 def test_what_cannot_be_answered_is_refused(question: str, at, settings, words: str) -> None:
     with pytest.raises(InvalidInput, match=words):
         curve(question, linear(1), 0, at, **settings)
+
+
+def test_crossings_without_damping_are_refused() -> None:
     with pytest.raises(NotApplicable, match="not damped"):
-        curve(question, System([1.0], [1.0], [0.0], [0.1]), 0, [0.0])
+        curve("crossings", System([1.0], [1.0], [0.0], [0.1]), 0, [0.0])
 
 
 def test_chunks_of_unequal_lengths_or_cut_short_show_no_drift() -> None:
