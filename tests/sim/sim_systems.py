@@ -1,6 +1,7 @@
 """Systems that the tests of the simulation share, and how they ask for answers in time."""
 
 from functools import partial
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from cases.compare.routes import method_for
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate, parse_limit, parse_observable, parse_start
 from fpk.answer.question import Asked
+from fpk.numeric.machine import working_time
 from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
@@ -105,6 +107,12 @@ def estimated(
     known: Any = {"start": parse_start("rest", system), "limit": parse_limit(limit, 1)}
     asked = Asked(system, tol, silent, times=np.array(times, dtype=float), **known)
     return passage_of(np.stack([fine, coarse, until]), asked, tol, step, memory, {})
+
+
+def slow_clock(monkeypatch: Any) -> None:
+    """The clock of a question goes on by 0.03 s with each look at it, however busy the machine is."""
+    begin, looks = working_time(), count(1)
+    monkeypatch.setattr("sim.questions.rounds.working_time", lambda: begin + 0.03 * next(looks))
 
 
 def place(ensemble: Any, states: Any) -> None:

@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import kstest, norm
-from sim_systems import CIR_MEAN, CIR_RATE, estimated, exact, fig6, oscillator, passed, transient
+from sim_systems import (
+    CIR_MEAN,
+    CIR_RATE,
+    estimated,
+    exact,
+    fig6,
+    oscillator,
+    passed,
+    slow_clock,
+    transient,
+)
 
 from averaging.phase_space.method import PhaseSpace
 from fpk.answer.certificate import Measured, certify
@@ -55,7 +65,9 @@ def off(answer: Any, reference: Any) -> float:
     return float(np.max(np.abs(value - right) / np.where(both > 0.0, both, 1e-300)))
 
 
-def test_energy_of_a_lightly_damped_oscillator_is_the_square_root_process() -> None:
+def test_energy_of_a_lightly_damped_oscillator_is_the_square_root_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     # What averaging leaves out is below 1 % at this damping (0.3 % at 0.02, of 32768 paths); four
     # standard errors beside that: a chance of 1e-4 in three numbers.
     whole = passed(oscillator(), "H=1.5", times=[1.0, 40.0, 165.0, 300.0])
@@ -71,7 +83,8 @@ def test_energy_of_a_lightly_damped_oscillator_is_the_square_root_process() -> N
     for name in ("mean", "variance", "rate"):
         assert alike(getattr(whole, name), getattr(cut, name))
     assert abs(whole.survival[3] - cut.survival[0]) < 4.0 * cut.survival_error[0] + 0.02
-    # Seconds end it in time and without bias.
+    # Seconds end it in time and without bias: here after ten looks at the clock.
+    slow_clock(monkeypatch)
     short = passed(oscillator(), "H=1.5", seconds=0.3, dt=0.1, seed=5)
     assert int(short.settings["not failed"]) > 0 and alike(whole.mean, short.mean)
 

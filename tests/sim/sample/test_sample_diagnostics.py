@@ -53,7 +53,7 @@ def test_effective_samples_of_an_autoregression(phi: float) -> None:
 
 
 def test_effective_samples_of_independent_shares_are_all() -> None:
-    x = np.random.default_rng(8).normal(size=(64, 5000))
+    x = np.random.default_rng(8).normal(size=(1024, 400))
     shares = np.stack([(x < c).mean(axis=1) for c in (-1.0, -0.3, 0.3, 1.0)], axis=1)
     samples, error = effective_of_shares(shares)
     assert abs(samples / x.size - 1.0) < 4.0 * error
