@@ -110,7 +110,7 @@ def estimated(
 
 
 def slow_clock(monkeypatch: Any) -> None:
-    """The clock of a question goes on by 0.03 s with each look at it, however busy the machine is."""
+    """The clock of questions goes on by 0.03 s with each look, however busy the machine is."""
     begin, looks = working_time(), count(1)
     monkeypatch.setattr("sim.questions.rounds.working_time", lambda: begin + 0.03 * next(looks))
 
