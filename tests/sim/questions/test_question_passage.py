@@ -380,7 +380,7 @@ def test_the_time_that_a_phase_takes_counts_from_its_begin(monkeypatch: pytest.M
 def test_a_loose_mass_passes_a_limit_within_a_small_part_of_its_period(
     limit: str, right: float
 ) -> None:
-    answer = passed(LOOSE, limit, times=[1e-3, 1.0], time=1.0)
+    answer = passed(LOOSE, limit, times=[1e-3, 1.0], time=1.0, paths=8192)
     assert answer.certificate.certified and answer.survival[0] == 1.0
     assert abs(1.0 - answer.survival[1] - right) < SIGMAS * answer.survival_error[1] < 0.05
 
@@ -398,7 +398,7 @@ def test_a_rate_is_given_from_when_the_start_is_forgotten() -> None:
 def test_two_loose_masses_are_two_of_one() -> None:
     # k, c → 0: nothing couples them.
     pair = System([1.0, 1.0], [1e-8, 1e-8], [1e-8, 1e-8], [0.5, 0.5])
-    answer = passed(pair, "q2=0.5", times=[1.0], time=1.0)
+    answer = passed(pair, "q2=0.5", times=[1.0], time=1.0, paths=8192)
     assert answer.certificate.certified
     assert abs(1.0 - answer.survival[0] - PASSES) < SIGMAS * answer.survival_error[0] < 0.05
     settings = Splitting(replicas=256, repetitions=8, threads=1)
@@ -411,7 +411,8 @@ def test_two_loose_masses_are_two_of_one() -> None:
     [("q1=1e-3", "q1=0.999e-3", [1e-4, 1e-2]), ("H=1e-7", "H=0.99e-7", [1e-11, 1e-7])],
 )
 def test_a_limit_near_the_start_is_seen_passed(limit: str, start: str, times: Any) -> None:
-    asked: Any = {"system": LOOSE, "limit": limit, "start": start, "times": times, "time": times[1]}
+    asked: Any = {"system": LOOSE, "limit": limit, "start": start, "times": times}
+    asked |= {"time": times[1], "paths": 8192}
     answer, finer = passed(**asked), passed(**asked, step_factor=0.05, seed=2)
     assert answer.certificate.certified and np.all(answer.survival_error < 0.01)
     assert 1.0 > answer.survival[0] > answer.survival[1] > 0.0
@@ -425,7 +426,7 @@ def test_a_limit_in_other_units_is_passed_in_other_units_of_time(limit: str) -> 
     answers = []
     for unit, seed in ((1.0, 1), (1e-12, 2)):
         end = unit ** (2.0 / 3.0 if limit[0] == "q" else 1.0)
-        own: Any = {"times": [0.5 * end, end], "time": end, "seed": seed}
+        own: Any = {"times": [0.5 * end, end], "time": end, "seed": seed, "paths": 8192}
         answers.append(passed(LOOSE, limit.format(0.5 * unit), **own))
     one, other = ((a.survival, a.survival_error) for a in answers)
     assert answers[1].certificate.certified and off(other, one) < SIGMAS
