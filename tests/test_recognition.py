@@ -140,7 +140,7 @@ def test_every_field_of_every_record_is_compared():
     of_splitting = {f"Splitting.{name}" for name in numbers}
     assert {*ANYWHERE} == where
     assert {*NOT_IN_STATE} == where | limits | of_splitting | {"Setup.seconds"}
-    for less, record in ((ANYWHERE, MonteCarlo()), (NOT_IN_STATE, [setup(), Splitting()])):
+    for less, record in ((ANYWHERE, MonteCarlo()), (NOT_IN_STATE, (setup(), Splitting()))):
         assert {*less} <= reading(record, less)  # a name that no field has leaves nothing out
     kinds = {name.partition(".")[0] for name in seen}
     assert {"Contact", "DampingTerm", "Modulation", "Scheme", "Histogram", "BinAxis", "Coordinate",
