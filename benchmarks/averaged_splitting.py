@@ -16,21 +16,20 @@ from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.process import Process
 from sim.questions.averaged.square_root import SquareRootForm, line_form
 from sim.questions.splitting.kernel import (
-    LEVELS,
-    SHARES,
+    SCORE_LEVELS,
     CompiledReplicas,
     Paths,
     ScoreFunction,
-    begin,
     least_action,
     level_of,
-    record,
+    restart_from,
     score_tables,
     uniform,
+    write_record,
 )
-from sim.questions.splitting.run import RareFailure, Splitting, failure_of
+from sim.questions.splitting.run import RareFailure, Splitting, sample_failure
 from sim.step.kernel import kernel_checksum, once
-from sim.step.random import GOLDEN, fill_normals, place_of
+from sim.step.random import GOLDEN, fill_normals, word_place
 
 CELLS = 4096
 """Cells of the table of the damping over R = √X up to the limit."""
@@ -91,7 +90,7 @@ def rare_failure_of_process(
     own = settings or Splitting()
     form = line_form(process) if isinstance(process, Process) else process
     problem = energy_problem(form, limit, start, time, dt=own.dt, score=score)
-    return failure_of(problem, own, silent)
+    return sample_failure(problem, own, silent)
 
 
 def energy_problem(
@@ -134,7 +133,7 @@ def energy_problem(
             root(H) ** 2, times, limit=top**2, noise=0.5 * beta, decay=mean
         )
     )
-    tables = score_tables([own], [energy(top * SHARES)], time)
+    tables = score_tables([own], [lambda x: energy(top * x)], time)
     rate = max(abs(gamma), abs(mean))
     return EnergyProblem(
         (d, beta, gamma), extra, first**2, top, time,
@@ -184,16 +183,16 @@ def compiled_energies() -> Any:
         x, z, words = np.zeros(1), np.zeros(2 * pairs, np.float32), np.zeros(1, np.uint64)
         for number in range(dead.size):
             i = dead[number]
-            done = begin(paths, i, parents[number], level, x)
+            done = restart_from(paths, i, parents[number], level, x)
             begun, top, records = done, paths.level[i, 0], 1
             X = x[0]
             if level < 0:
                 top = level_of(levels, np.sqrt(X) / top_R, 0.0)
-                record(paths, i, 0, x, top, 0)
-            while done < steps and top < LEVELS:
+                write_record(paths, i, 0, x, top, 0)
+            while done < steps and top < SCORE_LEVELS:
                 R0 = np.sqrt(X)
                 X = damped(X, table, top_R, 0.5 * h)
-                at = place_of(first + number, (done - begun) * (pairs + 1), offset)
+                at = word_place(first + number, (done - begun) * (pairs + 1), offset)
                 fill_normals(z, words, at, pairs, 1)
                 mean = np.float64(z[0]) + np.sqrt(X * decay / k)
                 total = mean * mean
@@ -206,7 +205,7 @@ def compiled_energies() -> Any:
                 reached = level_of(levels, most / top_R, done / steps)
                 if reached > top:
                     top, x[0] = reached, X
-                    record(paths, i, records, x, top, done)
+                    write_record(paths, i, records, x, top, done)
                     records += 1
             paths.best[i] = top
             paths.moved[i] += done - begun

@@ -1,6 +1,6 @@
-"""Monte Carlo of the full Ito system (6) as a method: system in, densities with bands out.
+"""Monte Carlo of the full Ito system (6) as a method: sampled densities and answers in time.
 
-The questions are imported by those who ask: they compile code, and need what compiles it.
+The questions import numba and compile code: each is imported when it is first asked.
 """
 
 from collections.abc import Sequence
@@ -19,20 +19,21 @@ from sim.sample.settings import Settings, require_stationary
 class MonteCarlo(Settings, Method):
     """Simulation of Eq. (6) with sampling errors from independent batches.
 
-    Times are in the unit of time of the system, but for ``seconds`` and ``longest`` (wall time).
+    Times are in the system's unit of time, except for ``seconds`` and ``longest`` (wall time in s).
 
     ``paths`` trajectories are sampled for ``time`` each, after ``burn_in`` relaxation times.
     ``time`` None: ``relaxations`` relaxation times, but no more than the cost of ``most_steps``
     uniform steps. ``dt`` None: ``step_factor`` times the step chosen for the system.
-    ``tol``: go on until the expected L1 error of the first observable, as it is returned at points,
-    is below it, at most ``longest`` seconds. ``seconds``: go on for so long instead. Both hold for
-    all that follows the compiling: an answer whose burn-in or first chunk they cut short is not
-    certified and says so. ``step_pair``: run a second simulation at dt/2, in two thirds of
-    ``seconds``, and report the difference of each density and moment. ``threads`` None: all that
-    there are. ``cluster``: the address of a Dask scheduler; the answer depends on neither.
-    ``checkpoint``: a folder where the state is saved at intervals and read again. ``partial``:
-    Ctrl-C ends the sampling with what there is, not certified. ``allow_unstable``: take a ``dt`` at
-    or above the stability limit; nothing is certified then. ::
+    ``tol``: sample until the expected L1 error of the first observable, as it is returned at
+    points, is below ``tol``, at most for ``longest`` seconds. ``seconds``: sample for this time
+    instead. Both limits include the burn-in but not the compilation; an answer whose burn-in or
+    first chunk they cut short is not certified. ``step_pair``: run a second simulation at dt/2, in
+    two thirds of ``seconds``, and report the difference of each density and moment. ``threads``
+    None: all cores. ``cluster``: the address of a Dask scheduler; the answer depends on neither.
+    ``checkpoint``: a folder where the state is saved at intervals and from which a later run
+    continues. ``partial``: Ctrl-C ends the sampling, and the answer so far, not certified, is
+    returned. ``allow_unstable``: accept a ``dt`` at or above the stability limit; then nothing is
+    certified. ::
 
         fpk.solve(system, ["q2"], methods=[MonteCarlo(paths=4096, relaxations=40.0, seed=7)])
 
@@ -55,55 +56,55 @@ class MonteCarlo(Settings, Method):
         return ROUTES["montecarlo", "simulation"]
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` with the reason why not."""
+        """Return the plan for ``system``; ``NotApplicable``, with the reason, if not stationary."""
         require_stationary(system)
 
         def solve(observables: Sequence[Observable], progress: Progress, **beside: Any) -> Result:
-            from sim.sample.simulation import run
+            from sim.sample.simulation import sample_stationary
 
-            return run(self, system, observables, progress, **beside)
+            return sample_stationary(self, system, observables, progress, **beside)
 
         return Plan(lambda _: None, solve, beside=True)
 
     @answer
     def passage(self, asked: Asked) -> Passage:
-        """Return first passage: Brownian bridges or cubics between steps; see ``sim.questions``."""
-        from sim.questions.passage import passage
+        """Return first passage, with Brownian bridges or cubics between the steps."""
+        from sim.questions.passage import sample_passage
 
-        return passage(self, asked)
+        return sample_passage(self, asked)
 
     @answer
     def transient(self, asked: Asked) -> Transient:
-        """Return densities at ``times`` from histograms of an ensemble; see ``sim.questions``."""
-        from sim.questions.transient import transient
+        """Return densities at ``times`` from histograms of an ensemble."""
+        from sim.questions.transient import sample_transient
 
-        return transient(self, asked)
+        return sample_transient(self, asked)
 
     @answer
     def crossings(self, asked: Asked) -> Curve:
-        """Return upcrossing rates, counted between steps too; see ``sim.questions``."""
-        from sim.questions.curves import crossings
+        """Return upcrossing rates, counted between the steps too."""
+        from sim.questions.curves import sample_crossings
 
-        return crossings(self, asked)
+        return sample_crossings(self, asked)
 
     @answer
     def spectrum(self, asked: Asked) -> Curve:
         """Return power spectral densities by Welch's method; see ``sim.questions``."""
-        from sim.questions.curves import spectrum
+        from sim.questions.curves import sample_spectrum
 
-        return spectrum(self, asked)
+        return sample_spectrum(self, asked)
 
     @answer
     def correlation(self, asked: Asked) -> Curve:
-        """Return autocovariances from products at a distance in time; see ``sim.questions``."""
-        from sim.questions.curves import correlation
+        """Return autocovariances from products of displacements at two times."""
+        from sim.questions.curves import sample_correlation
 
-        return correlation(self, asked)
+        return sample_correlation(self, asked)
 
     def refined(self) -> "MonteCarlo":
-        """Return the method with four times the sample: half the sampling error.
+        """Return the method with four times the sample, which halves the sampling error.
 
-        A chosen step shrinks by 2**(−1/4), so that the bias of the default scheme halves, too.
+        The step is multiplied by 2**(−1/4), so that the bias of the default scheme halves, too.
         """
         return replace(
             self,

@@ -31,9 +31,10 @@ from fpk.numeric.arrays import EPS
 from fpk.numeric.errors import InvalidInput
 from fpk.solvers.line.time.resolvent import CONTOUR_TIMES
 from fpk.system import damping
+from sim.montecarlo import MonteCarlo
 from sim.questions import curves, passage
 from sim.questions.splitting import run as splitting
-from sim.sample import diagnostics, histogram, plan, settings, workers
+from sim.sample import diagnostics, histogram, plan, workers
 from sim.step import step_size
 
 ROOT = Path(__file__).parent.parent
@@ -152,7 +153,7 @@ CONSTANTS = {
         f"applies to at most {WORDS[phase_space.UNASKED_MASSES]} masses",
         f"up to {WORDS[phase_space.MOST_EXPANSION_MASSES]} masses, stops on one of them",
         f"With more than {WORDS[facts.MASSES]} masses",
-        f"simulation {PARTS[round(settings.RELAXATIONS / studies.USUAL)]} as long",
+        f"simulation {PARTS[round(MonteCarlo().relaxations / studies.USUAL)]} as long",
         f"to {short(PhaseSpace().tol)} by default",
         f"as long as a solution needs at most {refinement.SOLUTION_MEMORY:g} GB",
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
@@ -185,7 +186,7 @@ CONSTANTS = {
         f"$a \\ge {plan.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
         f"clearance > {contacts.CLEARANCE_RULE:g} rms",
         f"one serves all times within a factor {CONTOUR_TIMES:g}",
-        f"Above {100 * splitting.RESOLVED:g} % no error is stated",
+        f"Above {100 * splitting.LARGEST_SPREAD:g} % no error is stated",
         f"the error is {refinement.DISTANCE_SAFETY:g} d",
         f"r at least {refinement.SLOWEST_FALL}",
         f"and {refinement.FIRST_SAFETY * refinement.DISTANCE_SAFETY:g} d after two solutions",
@@ -199,10 +200,10 @@ CONSTANTS = {
         f" or {first_passage.DISTANCE_FACTOR * first_passage.CHANCE_SHARE:g} times the largest"
         " relative one",
         f"A mean time beyond e^{-math.log(EPS):.0f} units",
-        f"with fewer than {passage.LEAST_FAILURES} failures in the tail",
-        f"jackknife of {passage.GROUPS} groups",
-        f"one Hann window of {curves.WINDOW:g} decay times",
-        f"over paths and {curves.RELAXATIONS:g} relaxation times",
+        f"with fewer than {passage.LEAST_TAIL_FAILURES} failures in the tail",
+        f"jackknife of {passage.MAX_BATCHES} groups",
+        f"one Hann window of {2.0 * curves.RECORD_TIMES:g} decay times",
+        f"over paths and {curves.RECORD_TIMES:g} relaxation times",
         f"polynomial of total degree {bins.MAX_FIT_DEGREE} in the number of the bin",
         f"A box whose {bins.TESTED_DEGREES[1]} highest coefficients differ from 0",
         f"with a probability below {bins.DOUBT:g} is cut in two",

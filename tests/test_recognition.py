@@ -37,11 +37,11 @@ from fpk.system.damping import DampingTerm
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.splitting.run import NOT_IN_REPETITION, Splitting, failure_of, system_problem
-from sim.sample.histogram import Histogram, binned
+from sim.questions.splitting.run import Splitting, sample_failure, system_problem
+from sim.sample.histogram import Histogram, bin_axis
 from sim.sample.plan import setup_of
 from sim.sample.settings import ANYWHERE, NOT_IN_STATE
-from sim.sample.workers import PROGRAM, program_checksum
+from sim.sample.workers import program_checksum
 from sim.step.kernel import KernelKey
 
 SYSTEM = System(
@@ -119,7 +119,7 @@ def reading(value, less=()):
 def setup(**settings):
     method = MonteCarlo(time=5.0, **settings)
     own = setup_of(method, STEADY, [parse_observable("q2", 2)])
-    axis = binned(-1.0, 1.0, [0.5], 64, widening=True)
+    axis = bin_axis(-1.0, 1.0, [0.5], 64, widening=True)
     return replace(
         own, system=SYSTEM, seconds=5.0, histograms=(Histogram(own.observables[0], (axis,)),)
     )
@@ -137,10 +137,10 @@ def test_every_field_of_every_record_is_compared():
     where = {f"MonteCarlo.{name}" for name in ("threads", "cluster")}
     limits = {f"MonteCarlo.{name}" for name in ("checkpoint", "partial", "seconds", "longest")}
     numbers = ("threads", "cluster", "checkpoint", "partial", "repetitions", "tol", "seconds")
-    assert {*ANYWHERE} == where and {*NOT_IN_STATE} == where | limits | {"Setup.seconds"}
-    assert {*NOT_IN_REPETITION} == {f"Splitting.{name}" for name in numbers}
-    for less, record in ((ANYWHERE, MonteCarlo()), (NOT_IN_STATE, setup()),
-                         (NOT_IN_REPETITION, Splitting())):  # fmt: skip
+    of_splitting = {f"Splitting.{name}" for name in numbers}
+    assert {*ANYWHERE} == where
+    assert {*NOT_IN_STATE} == where | limits | of_splitting | {"Setup.seconds"}
+    for less, record in ((ANYWHERE, MonteCarlo()), (NOT_IN_STATE, (setup(), Splitting()))):
         assert {*less} <= reading(record, less)  # a name that no field has leaves nothing out
     kinds = {name.partition(".")[0] for name in seen}
     assert {"Contact", "DampingTerm", "Modulation", "Scheme", "Histogram", "BinAxis", "Coordinate",
@@ -201,7 +201,7 @@ def test_a_repetition_is_that_of_a_problem_equal_in_all_that_matters(monkeypatch
 
     def identity(problem, settings):
         with pytest.raises(Asked) as asked:
-            failure_of(problem, settings, silent)
+            sample_failure(problem, settings, silent)
         return str(asked.value)
 
     monkeypatch.setattr("sim.questions.splitting.run.checkpoint_of", asked_for)
@@ -213,7 +213,7 @@ def test_a_repetition_is_that_of_a_problem_equal_in_all_that_matters(monkeypatch
     for way, other in others(problem):
         assert identity(other, Splitting()) != own, way
     for way, other in others(Splitting()):
-        assert (identity(problem, other) == own) == (way[0] in NOT_IN_REPETITION), way
+        assert (identity(problem, other) == own) == (way[0] in NOT_IN_STATE), way
 
 
 def of_points(simulation=None, folder=None, **settings):
@@ -253,14 +253,15 @@ def test_points_are_those_of_a_sweep_equal_in_all_that_matters(tmp_path, monkeyp
 
 def test_an_edit_in_any_room_changes_the_checksum_of_the_program(tmp_path):
     """By it the workers of a cluster are held to run the same program."""
-    for room in PROGRAM:
+    packages = ("fpk", "averaging", "sim", "cases")
+    for room in packages:
         shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
-    sums = [program_checksum(rooms=PROGRAM)]
-    assert sums == [program_checksum(tmp_path, PROGRAM)]
-    for room in PROGRAM:
+    sums = [program_checksum()]
+    assert sums == [program_checksum(tmp_path)]
+    for room in packages:
         with next((tmp_path / room).glob("*/*.py")).open("a") as file:
             file.write("\n# edited\n")
-        sums.append(program_checksum(tmp_path, PROGRAM))
+        sums.append(program_checksum(tmp_path))
     assert len({*sums}) == 5
 
 
@@ -311,8 +312,8 @@ UNREAD_BY_PATHS = {"kick_first", "moments", "substeps"}
 
 @pytest.mark.parametrize(
     ("compiled", "unread"),
-    [(sim.step.kernel.compiled_kernel, set()),
-     (lambda key: sim.questions.splitting.kernel.compiled_paths(key, "H"), UNREAD_BY_PATHS)],
+    [(sim.step.kernel.kernel_for, set()),
+     (lambda key: sim.questions.splitting.kernel.path_function_for(key, "H"), UNREAD_BY_PATHS)],
 )  # fmt: skip
 def test_compiled_code_is_found_by_every_field_of_its_key(compiled, unread):
     """The disk cache finds it by what it closes over."""

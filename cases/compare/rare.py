@@ -18,7 +18,7 @@ from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.line.time.passage import chain_first_passage
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.passage import LEAST_FAILURES, horizon
+from sim.questions.passage import LEAST_TAIL_FAILURES, horizon
 from sim.questions.splitting.kernel import ScoreFunction
 from sim.questions.splitting.run import Splitting, rare_failure
 
@@ -60,7 +60,7 @@ def passage_answer(
     A plain simulation of the full system first runs to the last time of ``question``. By the share
     of failed paths at that time,
 
-    - splitting answers if fewer than ``LEAST_FAILURES`` paths are expected to fail within the
+    - splitting answers if fewer than ``LEAST_TAIL_FAILURES`` paths are expected to fail within the
       longest time of ``method``;
     - this first run is the answer if a share below ``ALIVE`` survives, it is certified, and ``tol``
       is None;
@@ -79,7 +79,7 @@ def passage_answer(
         first: Passage = until.passage(*asked, tol=None, progress=progress)
         failed = (1.0 - float(first.survival[-1])) * method.paths
         longest = horizon(method, float(first.settings["coarse dt"]), last)
-        if failed * longest / last < LEAST_FAILURES:
+        if failed * longest / last < LEAST_TAIL_FAILURES:
             settings = splitting_of(method, replicas=MORE_REPLICAS, tol=tolerance(tol, AIM))
             answer = split_passage(system, question, settings, tol=tol, progress=progress)
             words = f"splitting: of {method.paths} plain paths {failed:.0f} pass by t = {last:g}"

@@ -11,7 +11,7 @@ from cases.show.files import make_folder, write_text
 from cases.show.records import Record, program_version
 from fpk.numeric.machine import lock_file
 from fpk.numeric.recognition import canonical
-from sim.sample.workers import PROGRAM, program_checksum
+from sim.sample.workers import program_checksum
 
 
 @contextmanager
@@ -26,7 +26,7 @@ def claimed(folder: Path | None, identity: Record) -> Iterator[None]:
         yield
         return
     path = make_folder(folder) / "run.json"
-    program = {"version": program_version(), "sources": program_checksum(rooms=PROGRAM)}
+    program = {"version": program_version(), "sources": program_checksum()}
     record = canonical({**identity, **program})
     text = json.dumps(record, ensure_ascii=False) + "\n"
     with lock_file(folder / "run.lock"):

@@ -21,7 +21,7 @@ from fpk.system.escape import escape
 from fpk.system.linear import natural_modes
 from fpk.system.system import System, effects_of
 from sim.montecarlo import MonteCarlo
-from sim.sample.settings import expected_seconds
+from sim.sample.settings import estimate_seconds
 
 MODES_SHOWN = 50
 """Modes whose damping, shape and boundaries are given: boundaries of more take a time of n³."""
@@ -84,7 +84,7 @@ def check_record(scene: Scene) -> Record:
     seconds: float | None = 0.0
     refusal = None
     try:
-        seconds = sum(expected_seconds(MonteCarlo(), curve.system) for curve in scene.curves)
+        seconds = sum(estimate_seconds(MonteCarlo(), curve.system) for curve in scene.curves)
     except (NotApplicable, InvalidInput) as reason:
         seconds, refusal = None, str(reason)
     return plain(

@@ -19,30 +19,32 @@ from sim.questions.passing import count_upcrossings
 from sim.questions.rounds import MOST_SUMS, Simulation, error_of, in_rounds
 from sim.sample.diagnostics import CHUNKS, drift_limit, drifts
 from sim.sample.settings import Settings
-from sim.step.arrays import GROUPS, LANES
+from sim.step.arrays import LANES, MAX_BATCHES
 from sim.step.step_size import contact_frequency, highest_frequency, relaxation_time
 
-RELAXATIONS = 20.0
-"""Relaxation times of each trajectory that are counted, or begin products, without a ``time``."""
+RECORD_TIMES = 20.0
+"""Length of a trajectory in relaxation times if no ``time`` is given: of the crossings, of the
+first factor of a product, and of half the window of a spectrum, whose full length flattens the peak
+of a mode by (4π²/3)/40² = 0.8 %."""
 
-BEYOND = 6
-"""Samples beyond the longest lag: the spline is worst at its end."""
+EXTRA_LAGS = 6
+"""Samples beyond the longest lag: the spline is least accurate at its end."""
 
 
-def correlation(method: Settings, asked: Asked) -> Curve:
-    """Return the autocovariance of q of mass ``row`` at the lags ``at``.
+def sample_correlation(method: Settings, asked: Asked) -> Curve:
+    """Return the autocovariance of q of mass ``asked.row`` at the lags ``asked.at``.
 
-    Products q(s) q(s + t) about the mean of all, at samples s in ``RELAXATIONS`` relaxation times
-    or the ``time``, less where memory ends it; between samples of t a cubic spline. Errors are by
-    blocks of trajectories, by the step dt instead of dt/2, and by the spline. Raises
-    ``InvalidInput`` for lags that are too long for memory.
+    Products q(s) q(s + t) about the common mean, for samples s in ``RECORD_TIMES`` relaxation times
+    or the ``time``, or fewer if memory does not suffice; a cubic spline between samples of t. The
+    error has three parts: the spread of blocks of trajectories, the difference between the steps dt
+    and dt/2, and the spline. Raises ``InvalidInput`` for lags that are too long for memory.
     """
     system, at = asked.system, asked.at
     dt, too_long = motion_step(method, system, Reach())
     stepped = needs_steps(system)
     step = max(1, int(longest_step(system, Reach()) / dt)) if stepped else 1
     spacing, longest = step * dt, float(np.max(at))
-    read = partial(_record, row=asked.row)
+    read = partial(copy_displacements, row=asked.row)
     simulations: list[Simulation] = [(dt, step, True, read)]
     if stepped:
         simulations.insert(0, (0.5 * dt, 2 * step, False, read))
@@ -50,32 +52,32 @@ def correlation(method: Settings, asked: Asked) -> Curve:
     if longest > 0.5 * most * spacing:
         remedy = f"a lag takes {longest / spacing:.1e} samples at once; ask for shorter ones"
         raise InvalidInput("at", longest, remedy)
-    lags = 2 * ceil(0.5 * longest / spacing) + BEYOND
-    wished = ceil((method.time or RELAXATIONS * relaxation_time(system)) / spacing)
-    origins = min(wished, most - lags)
+    lags = 2 * ceil(0.5 * longest / spacing) + EXTRA_LAGS
+    origins = ceil((method.time or RECORD_TIMES * relaxation_time(system)) / spacing)
+    origins = min(origins, most - lags)
     rounds: list[list[tuple[Array, ...]]] = [[] for _ in simulations]
 
     def estimate(series: list[Array], *_: Any) -> tuple[Array, float]:
         for sums, q in zip(rounds, series, strict=True):
-            sums.append(_products(q, origins))
-        curves = _curve(rounds[0], spacing, np.append(at, 0.0))
+            sums.append(products_at_lags(q, origins))
+        curves = autocovariance(rounds[0], spacing, np.append(at, 0.0))
         return curves[:, :-1], float(curves[:, -1].mean())
 
     samples = origins + lags
     blocks, scale, paths, failures = in_rounds(
         method, asked, simulations, samples, (samples + 1, LANES), estimate, "correlation"
     )
-    bias = _curve(rounds[-1], spacing, at).mean(axis=0) - blocks.mean(axis=0)
-    spline = _spline_error(rounds[0], spacing)
+    bias = autocovariance(rounds[-1], spacing, at).mean(axis=0) - blocks.mean(axis=0)
+    spline = spline_error(rounds[0], spacing)
     settings = {"dt": simulations[0][0], "coarse dt": dt, "sampled every": spacing}
     settings |= {"time": origins * spacing, "paths": paths, "seed": method.seed}
     settings |= {"largest step bias": float(np.max(np.abs(bias))), "error of the spline": spline}
     positive = scale - np.abs(blocks.mean(axis=0))
     failures += too_long
-    return _answer(method, asked, blocks, (bias, spline), scale, failures, settings, positive)
+    return curve_answer(method, asked, blocks, (bias, spline), scale, failures, settings, positive)
 
 
-def _answer(
+def curve_answer(
     method: Settings,
     asked: Asked,
     blocks: Array,
@@ -85,9 +87,10 @@ def _answer(
     settings: Mapping[str, float],
     positive: Array | None = None,
 ) -> Curve:
-    """Return the mean of ``blocks`` (blocks, points); its errors are its own and those ``beside``.
+    """Return the mean of ``blocks`` (blocks, points) as a curve.
 
-    ``scale`` is the unit of the tolerance; ``positive``, the values where it is None, must be so.
+    Its standard error and the errors ``beside`` are added in squares. ``scale`` is the unit of the
+    tolerance. The answer is certified only if ``positive`` (None: the values) is not negative.
     """
     values, errors = blocks.mean(axis=0), np.sqrt(sum(e**2 for e in (error_of(blocks), *beside)))
     relative, least = float(np.max(errors)) / scale, values if positive is None else positive
@@ -97,15 +100,15 @@ def _answer(
     return Curve(values, errors, certificate, settings, error_kind="sampling")
 
 
-def _record(trace: Array, samples: int, done: int, series: Array, row: int) -> None:
-    """Copy q to ``series`` (blocks, samples, LANES)."""
+def copy_displacements(trace: Array, samples: int, done: int, series: Array, row: int) -> None:
+    """Copy q of mass ``row`` from ``trace`` to ``series`` (blocks, samples, LANES), at ``done``."""
     series[:, done : done + samples + 1] = trace[:, : samples + 1, row]
 
 
-def _products(q: Array, origins: int) -> tuple[Array, ...]:
-    """Means of q(s) q(s + t), of q(s) + q(s + t), (blocks, lags), and of q, (blocks, 1).
+def products_at_lags(q: Array, origins: int) -> tuple[Array, ...]:
+    """Return means of q(s) q(s + t), of q(s) + q(s + t), (blocks, lags), and of q, (blocks, 1).
 
-    ``q`` is (blocks, samples, LANES), and s the first samples, as many as ``origins``.
+    ``q``: (blocks, samples, LANES); s: the first ``origins`` samples.
     """
     samples, number = q.shape[1], origins * LANES
     length = scipy.fft.next_fast_len(samples, real=True)
@@ -118,13 +121,16 @@ def _products(q: Array, origins: int) -> tuple[Array, ...]:
     return products, later_sums[:, :1] + later_sums, sums[:, -1:] / (samples * LANES)
 
 
-def _curve(rounds: list[tuple[Array, ...]], spacing: float, at: Array, every: int = 1) -> Array:
-    """Autocovariances of each block, (blocks, lags), about the mean of all.
+def autocovariance(
+    rounds: list[tuple[Array, ...]], spacing: float, at: Array, every: int = 1
+) -> Array:
+    """Return the autocovariances (blocks, lags) at the lags ``at`` about the common mean.
 
-    By a cubic spline through every sample, or one of ``every``, that begins level: E q v = 0.
+    ``rounds``: results of ``products_at_lags``. A cubic spline through each ``every``-th sample,
+    ``spacing`` apart; its slope is 0 at t = 0, as E q v = 0.
     """
     products, sums, means = (np.concatenate(x) for x in zip(*rounds, strict=True))
-    # The mean of all is correlated with q: with its variance this is free of bias.
+    # Unbiased: the variance of the mean, which is correlated with q, is added.
     mean = float(means.mean())
     own = (products - mean * sums + mean**2 + error_of(means) ** 2)[:, ::every]
     t = spacing * every * np.arange(own.shape[1])
@@ -132,38 +138,40 @@ def _curve(rounds: list[tuple[Array, ...]], spacing: float, at: Array, every: in
     return np.asarray(spline(at))
 
 
-def _spline_error(rounds: list[tuple[Array, ...]], spacing: float) -> float:
-    """Twice a 15th of what leaving out every other sample changes: it errs 16 times as much."""
-    samples = spacing * np.arange(rounds[0][0].shape[1] - 2)  # without the end, where none is asked
-    one, two = (_curve(rounds, spacing, samples, every).mean(axis=0) for every in (1, 2))
-    return float(np.max(np.abs(one - two))) * 2.0 / 15.0
+def spline_error(rounds: list[tuple[Array, ...]], spacing: float) -> float:
+    """Return the error of the spline through samples ``spacing`` apart, of the ``rounds``.
 
+    With every other sample the error is 16 times as large: 2/15 of the change is twice the error.
+    """
+    samples = spacing * np.arange(rounds[0][0].shape[1] - 2)  # without the end, where no lag is
+    fine, coarse = (autocovariance(rounds, spacing, samples, k).mean(axis=0) for k in (1, 2))
+    return float(np.max(np.abs(fine - coarse))) * 2.0 / 15.0
 
-WINDOW = 40.0
-"""Length of a window in decay times: the peak of a mode is flattened by (4π²/3)/40² = 0.8 %."""
 
 SAMPLING, OF_CONTACT = 6.0, 3.0
-"""Sampling frequency, in units of the highest that is asked for or natural, and of the highest in
-contact: what folds back into the range is (1/5)⁴ of it where the spectrum falls as ω^−4."""
+"""Sampling frequency in units of the highest frequency, asked for or natural, and of the highest in
+contact. Aliasing adds (1/5)⁴ of the spectrum where it falls as ω^−4."""
 
 
-def spectrum(method: Settings, asked: Asked) -> Curve:
-    """Return the power spectral density of q of mass ``row`` at the angular frequencies ``at``.
+def sample_spectrum(method: Settings, asked: Asked) -> Curve:
+    """Return the power spectral density of q of mass ``asked.row`` at the frequencies ``asked.at``.
 
-    By Welch's method: |Σ w q e^(−iωt)|² of one Hann window w on each trajectory, ``WINDOW`` decay
-    times long, about the mean of all. Leakage flattens it by a constant over the square of the
-    length: a third of the difference to windows of half the length is added. Errors are by blocks,
-    all of that third, and a bound of what sampling folds back. Steps are half those of a density.
-    Raises ``InvalidInput`` for more frequencies, or higher ones, than take minutes.
+    Frequencies are in rad per unit time. Welch's method: |Σ w q e^(−iωt)|² of one Hann window w on
+    each trajectory, 2 ``RECORD_TIMES`` relaxation times or the ``time`` long, about the common
+    mean. Leakage is a constant over the square of the length: a third of the difference to windows
+    of half the length is added. The error has three parts: the spread of blocks, this third, and a
+    bound of the aliasing. The step is half the step of a density. Raises ``InvalidInput`` for so
+    many or so high frequencies that they would take minutes.
     """
-    system, row, at, most = asked.system, asked.row, asked.at, MOST_SUMS // (GROUPS * LANES)
-    if at.size > most:  # of 8192 windows of 3000 samples they take minutes
+    system, row, at, most = asked.system, asked.row, asked.at, MOST_SUMS // (MAX_BATCHES * LANES)
+    if at.size > most:  # with 8192 windows of 3000 samples they take minutes
         words = f"frequencies, each of which is summed on its own; ask for {most}"
         raise InvalidInput("at", at.size, words)
     highest = max(float(np.max(np.abs(at))), highest_frequency(system))
     spacing = 2.0 * pi / max(SAMPLING * highest, OF_CONTACT * contact_frequency(system))
-    dt, too_long = motion_step(method, system, Reach(), too_long=1.0)  # no step shows the bias
-    length = 2 * ceil(0.5 * (method.time or WINDOW * relaxation_time(system)) / spacing)
+    dt, too_long = motion_step(method, system, Reach(), too_long=1.0)  # the bias is not measured
+    length = 0.5 * (method.time or 2.0 * RECORD_TIMES * relaxation_time(system))
+    length = 2 * ceil(length / spacing)
     if length > MOST_SUMS // 2:
         words = f"a window takes {length:.1e} samples at the highest frequency; ask for lower ones"
         raise InvalidInput("at", highest, words)
@@ -178,35 +186,38 @@ def spectrum(method: Settings, asked: Asked) -> Curve:
         power = np.concatenate(powers)  # (blocks, frequencies, windows)
         paths, mean = len(power) * LANES, np.sum(np.mean(means, axis=0) ** 2, axis=2)
         power = power * paths / (paths - 1.0) - mean * (paths / (paths - 1.0))
-        norm = spacing / (2.0 * pi * 0.375 * length)  # Σ w² of a Hann window is 3/8 of its samples
+        norm = spacing / (2.0 * pi * 0.375 * length)  # Σ w² of a Hann window: 3/8 of its samples
         whole, halves = norm * power[:, :, 0], norm * 2.0 * power[:, :, 1:].mean(axis=2)
         leaks = (whole - halves) / 3.0
         leakage = leaks.mean(axis=0)
         return whole + leaks, float(rms[0] ** 3 / rms[1]) if rms[1] > 0.0 else 1.0
 
-    read = partial(_add_fourier, row=row, omega=at * spacing, length=length)
+    read = partial(add_fourier_sums, row=row, omega=at * spacing, length=length)
     simulation, numbers = (spacing / step, step, False, read), (6 * at.size, LANES)
     blocks, scale, windows, failures = in_rounds(
         method, asked, [simulation], length, numbers, estimate, "spectrum"
     )
-    # Bound of the spectrum at 2π k/spacing ± ω, by the tail N_ii/(π m² ω⁴) of white noise: twice
-    # the nearest one, as all beyond are less than it together.
+    # The spectrum has the tail N_ii/(π m² ω⁴). The aliases at 2π k/spacing ± ω together are less
+    # than twice the nearest alias.
     tail = float(system.noise_matrix[row, row]) / (pi * float(system.mass[row]) ** 2)
     folded = 2.0 * tail / (2.0 * pi / spacing - np.abs(at)) ** 4
     settings = {"dt": spacing / step, "sampled every": spacing, "window": length * spacing}
     settings |= {"windows": windows, "seed": method.seed}
     settings["largest leakage"] = float(np.max(np.abs(leakage)))
     settings["largest folding"] = float(np.max(folded))
-    return _answer(method, asked, blocks, (leakage, folded), scale, failures + too_long, settings)
+    return curve_answer(
+        method, asked, blocks, (leakage, folded), scale, failures + too_long, settings
+    )
 
 
-def _add_fourier(
+def add_fourier_sums(
     trace: Array, samples: int, done: int, sums: Array, row: int, omega: Array, length: int
 ) -> None:
     """Add w q cos and w q sin to ``sums`` (blocks, 6 · frequencies, LANES); a ``Reader``.
 
-    ``omega`` (frequencies,) is in radians per sample. Of each frequency the rows are those of a
-    Hann window over ``length`` samples, of one over its first half, and of one over its second.
+    q of mass ``row`` from ``trace``, samples from ``done`` on; ``omega`` (frequencies,) in radians
+    per sample. The rows of a frequency are cos and sin of the Hann window over ``length`` samples,
+    of the window over its first half, and of the window over its second half.
     """
     t = np.arange(done, min(done + samples, length))
     whole, part = (0.5 - 0.5 * np.cos(2.0 * pi * k * t / length) for k in (1, 2))
@@ -216,24 +227,24 @@ def _add_fourier(
     sums += weights @ trace[:, 1 : t.size + 1, row]
 
 
-def crossings(method: Settings, asked: Asked) -> Curve:
-    """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row``, counted.
+def sample_crossings(method: Settings, asked: Asked) -> Curve:
+    """Return the upcrossings per unit time of the levels ``asked.at`` by q of mass ``asked.row``.
 
-    Crossings that the noise makes within a step are not seen, a share of all that falls as the
-    step: from dt and dt/2, by the same random numbers, the rate is extrapolated, and may be
-    negative within its error; all that changes is in it, beside the error by blocks. Trajectories
-    are followed for ``time`` or ``RELAXATIONS`` relaxation times, and on until ``tol`` is met.
+    Crossings by the noise within a step are not counted; their share is proportional to the step.
+    The rate is extrapolated from dt and dt/2, by the same random numbers, and may be negative
+    within its error, which contains the whole difference and the spread of blocks. Trajectories are
+    ``time`` or ``RECORD_TIMES`` relaxation times long, and longer until ``tol`` is met.
     """
     system, row, order = asked.system, asked.row, np.argsort(asked.at)
     dt, too_long = motion_step(method, system, Reach(), error=tolerance(asked.tol, method.tol))
-    whole = ceil((method.time or RELAXATIONS * relaxation_time(system)) / dt)
-    known: Any = {"row": row, "momentum": system.n + row, "levels": asked.at[order]}
-    known["inverse_mass"] = 1.0 / float(system.mass[row])
+    whole = ceil((method.time or RECORD_TIMES * relaxation_time(system)) / dt)
+    numbers: Any = {"row": row, "momentum": system.n + row, "levels": asked.at[order]}
+    numbers["inverse_mass"] = 1.0 / float(system.mass[row])
     simulations: list[Simulation] = [
-        (dt / each, each, each == 1, partial(count_upcrossings, dt=dt / each, **known))
+        (dt / each, each, each == 1, partial(count_upcrossings, dt=dt / each, **numbers))
         for each in (2, 1)
     ]
-    # Upcrossings of each block in the chunks, (steps, blocks, levels), and how long these are.
+    # Upcrossings in each chunk, (steps, blocks, levels), and the number of its steps.
     counts, made, at_half = list[Array](), list[int](), np.zeros(0)
 
     def estimate(counted: list[Array], rms: Array, steps: int) -> tuple[Array, float]:
@@ -250,7 +261,7 @@ def crossings(method: Settings, asked: Asked) -> Curve:
     if sum(made) < whole and not method.seconds:
         failures.insert(0, "it was ended before all chunks were done")
     failures += too_long
-    # The mean of a chunk that was cut short is too noisy to show a drift.
+    # Without chunks that were cut short, whose means are too noisy.
     full = [k for k, steps in enumerate(made) if steps >= whole // CHUNKS]
     if len(full) < 2:
         failures.append("it ended before its second chunk, no drift shows; give it more time")
@@ -264,6 +275,6 @@ def crossings(method: Settings, asked: Asked) -> Curve:
     bias, time = (rates - at_half).mean(axis=0), sum(made) * dt
     settings = {"dt": 0.5 * dt, "coarse dt": dt, "paths": paths, "time": time, "seed": method.seed}
     settings["largest step bias"] = float(np.max(np.abs(bias)))
-    back, once = np.argsort(order), 1.0 / (paths * time)
+    back, single = np.argsort(order), 1.0 / (paths * time)  # the rate of a single crossing
     rates = np.take(rates, back, axis=1)
-    return _answer(method, asked, rates, (bias[back], once), scale, failures, settings)
+    return curve_answer(method, asked, rates, (bias[back], single), scale, failures, settings)

@@ -1,4 +1,4 @@
-"""Limits of first passage as tests of states, and steps short enough to see what is between two."""
+"""Limits of first passage, and steps so short that the motion between two is known."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -19,7 +19,7 @@ from sim.step.schemes import SCHEMES, flow_covariance
 
 
 def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:
-    """Return the energies that must be observed to see ``limit`` passed."""
+    """Return the energies that ``limit`` is on, of ``n`` masses; none for a displacement."""
     if limit.kind == "q":
         return ()
     modes = [Coordinate("H", m) for m in range(n) if f"H{m + 1}" in limit.values]
@@ -27,7 +27,7 @@ def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:
 
 
 def energies_at(system: System, limit: Limit) -> Array:
-    """Return the limits as of ``energies_of``; of q the least potential energy at either side."""
+    """Return the values of ``energies_of``; for |q_i| the least potential energy at ± the limit."""
     if limit.kind != "q":
         return np.array([limit.values[str(c)] for c in energies_of(limit, system.n)])
     i, springs = limit.observable(system.n)[0].row, 0.5 * limit.value**2
@@ -35,8 +35,8 @@ def energies_at(system: System, limit: Limit) -> Array:
     return springs / float(system.compliance[i, i]) + np.array(contact)
 
 
-def beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
-    """Return which states q, p (paths, n) are at or beyond the limit, to the round-off of H."""
+def states_beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
+    """Return which states ``q``, ``p`` (paths, n) are at or beyond ``limit``, up to round-off."""
     if limit.kind == "q":
         return np.asarray(np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value)
     reached = (1.0 - ROUND_OFF) * energies_at(system, limit)
@@ -45,13 +45,16 @@ def beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
 
 
 def modal_rates(system: System, limit: Limit, matrix: Array) -> Array:
-    """Return T_m' ``matrix`` T_m (modes,) of the modes m whose energies ``limit`` is on."""
+    """Return T_m' ``matrix`` T_m (modes,) for the modes m of a modal ``limit``."""
     T = natural_modes(system)[0][:, [c.row for c in energies_of(limit, system.n)]]
     return np.asarray(np.einsum("im,ij,jm->m", T, matrix, T))
 
 
 def largest_energy(system: System, start: Start) -> float:
-    """Return the energy up to which the start reaches, without that of its own noise."""
+    """Return the largest energy of the ``start``; for stationary states ``REACHED`` kT.
+
+    Raises ``NotApplicable`` for a stationary state without damping.
+    """
     if start.kind == "state":
         return float(system.hamiltonian(*start.state(system.n)))
     if start.kind == "noise" and not start.rest:
@@ -62,11 +65,11 @@ def largest_energy(system: System, start: Start) -> float:
 
 
 def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
-    """Return about the time in which noise and the speed of the ``start`` can reach the ``limit``.
+    """Return the estimated time in which noise and the speed of the ``start`` reach the ``limit``.
 
-    Of |q_i| without stops and up to a factor 2 less; inf beyond the shortest natural period. Of H
-    it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power of the noise. Of
-    modal energies it is from rest, N the power of the noise into the mode.
+    For H it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power of the noise;
+    for modal energies the same from rest, N the power into the mode. For |q_i| it is computed
+    without stops, up to a factor 2 too small, and inf if longer than the shortest natural period.
     """
     away, energy = np.sqrt(energies_at(system, limit)), largest_energy(system, start)
     if limit.kind != "q":
@@ -90,20 +93,20 @@ def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
 
 
 class Reach(NamedTuple):
-    """How far a motion gets and how soon, by which its steps are chosen; else it is stationary."""
+    """Energies and times of a motion, from which its steps are chosen; by default stationary."""
 
-    kT: float | None = None  # largest mean of m v² of a mass, None for the stationary one
-    energy: float = 0.0  # of the limit, or of the start: steps must be short for it
+    kT: float | None = None  # largest mean of m v² of a mass; None: the stationary temperature
+    energy: float = 0.0  # for which the step must be accurate
     limit: float = inf  # time_to_limit from rest
     start: float = inf  # time_to_limit from the start
 
 
-def reach_of(system: System, limit: Limit | None, start: Start, time: float) -> Reach:
-    """Return how far a motion gets that is followed to the ``limit``, or for ``time``."""
+def motion_reach(system: System, limit: Limit | None, start: Start, time: float) -> Reach:
+    """Return the ``Reach`` of a motion from ``start`` that ends at ``limit``, or at ``time``."""
     kT, energy = step_size.temperature(system), largest_energy(system, start)
-    if not system.damping_terms and 0.0 < time < inf:  # terms may feed energy in
+    if not system.damping_terms and 0.0 < time < inf:  # damping terms may supply energy
         power = float(np.sum(np.diag(system.noise_matrix) / system.mass))
-        kT = min(kT, 2.0 * (energy + power * time))  # m v² is twice the energy by then at most
+        kT = min(kT, 2.0 * (energy + power * time))  # m v² is at most twice the energy
     with_noise = energy + (step_size.REACHED * kT if isfinite(kT) else 0.0)
     if limit is None:
         return Reach(kT, with_noise)
@@ -114,35 +117,32 @@ def reach_of(system: System, limit: Limit | None, start: Start, time: float) -> 
 
 
 STEPS_PER_PERIOD = 20
-"""Steps, of the coarser of both simulations, in the shortest natural period."""
-
-STEP_TO_LIMIT = 0.1
-"""Step h, of the coarser simulation, in units of ``time_to_limit`` t and of the fastest decay of an
-amplitude: q leaves the cubic by (√3/8) (h/t)^1.5 standard deviations at t, 0.7 %."""
+"""Least number of steps in the shortest natural period; here and below steps are the longer steps
+of the two simulations."""
 
 STEPS_SINCE_START = 8
-"""Steps, of the coarser simulation, that have been made at least by a time that is asked for."""
+"""Least number of steps before any time at which an answer is wanted."""
 
-CHUNK = 256
-"""Steps, of the coarser simulation, after which the wall time is looked at: 8192 take 10 ms."""
+CHUNK_STEPS = 256
+"""Steps after which the wall time is checked; of 8192 trajectories they take 10 ms or more."""
 
 TOO_LONG = 4.0
-"""Steps of one's own, in units of the longest that is chosen, beyond which nothing is certified."""
+"""Largest step given by the user whose answer is certified, in units of the step chosen here."""
 
 
 def needs_steps(system: System) -> bool:
-    """Return whether the step has an error at all: without contact and terms it is exact."""
+    """Return whether the step has an error: without stops and damping terms it is exact."""
     effects = effects_of(system)
     return effects.stops > 0 or effects.state_damping
 
 
 def longest_step(system: System, reach: Reach) -> float:
-    """Return the step in which velocities change little enough to see what is between two steps."""
+    """Return the longest step for which the motion between two steps is known, for a ``reach``."""
     decay = float(np.max(np.abs(np.linalg.eigvals(system.damping / system.mass))))
-    amplitude = 2.0 * STEP_TO_LIMIT / decay if decay > 0.0 else inf
+    amplitude = 2.0 * step_size.STEP_PER_RATE / decay if decay > 0.0 else inf
     period = 2.0 * pi / step_size.highest_frequency(system) / STEPS_PER_PERIOD
     contact = step_size.chosen_step(system, energy=reach.energy, kT=reach.kT)
-    return min(period, amplitude, STEP_TO_LIMIT * reach.limit, contact)
+    return min(period, amplitude, step_size.STEP_PER_RATE * reach.limit, contact)
 
 
 def motion_step(
@@ -153,11 +153,12 @@ def motion_step(
     error: float | None = None,
     too_long: float = TOO_LONG,
 ) -> tuple[float, list[str]]:
-    """Return the longer of the steps of a motion within ``reach``, and why it is not certified.
+    """Return the longer step of the two simulations of a motion, and words against it, if any.
 
-    ``error`` is as of ``step_for``. Words are there for a step of one's own that is ``too_long``.
-    Raises ``InvalidInput`` for an unstable step, and for a scheme but exact_flow, which alone can
-    repeat a motion at half the step.
+    ``reach``: energies and times of the motion; ``error``: wanted relative error of p. A ``dt`` of
+    the user beyond ``too_long`` times the step chosen here is not certified. Raises
+    ``InvalidInput`` for an unstable step, a checkpoint, and any scheme but exact_flow, which alone
+    can repeat a motion at half the step; ``NotApplicable`` without noise.
     """
     if method.scheme != "exact_flow":
         raise InvalidInput("scheme", method.scheme, "motions in time take exact_flow")
@@ -166,7 +167,7 @@ def motion_step(
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: the motion is not random")
     kT, energy = step_size.temperature(system) if reach.kT is None else reach.kT, reach.energy
-    kT = kT if kT < inf else 2.0 * energy  # of undamped motion up to the limit
+    kT = kT if kT < inf else 2.0 * energy  # undamped motion up to the limit
     longest, error = longest_step(system, reach), error or method.paths**-0.5
     dt = method.dt or method.step_factor * min(longest, step_size.step_for(system, error, kT=kT))
     limit = step_size.stability_limit(system, SCHEMES[method.scheme], energy=energy, kT=kT)
@@ -178,15 +179,18 @@ def motion_step(
 
 
 def first_step(dt: float, times: Array, start: float = inf, factor: float = 1.0) -> float:
-    """Return the step up to ``dt`` that is short beside ``times`` > 0 and ``Reach.start``."""
+    """Return the first step: at most ``dt``, short beside the first of ``times`` and ``start``.
+
+    ``start`` is ``Reach.start``; both limits are multiplied by ``factor``.
+    """
     asked = float(np.min(times[times > 0.0], initial=inf)) / STEPS_SINCE_START
-    return min(dt, factor * min(asked, STEP_TO_LIMIT * start))
+    return min(dt, factor * min(asked, step_size.STEP_PER_RATE * start))
 
 
 def stages(first: float, dt: float, end: float, *, most: int) -> Iterator[tuple[float, int]]:
-    """Yield steps, and how many of each, ``most`` at once, that lead from time 0 to ``end``.
+    """Yield a step and how often it is made, at ``most`` so many at once, from time 0 to ``end``.
 
-    They double from ``first`` to ``dt``, each below the time before it over ``STEPS_SINCE_START``.
+    Steps double from ``first`` to ``dt``; each is at most the time so far / ``STEPS_SINCE_START``.
     """
     now, step = 0.0, first
     while now < end * (1.0 - 1e-12):

@@ -1,6 +1,6 @@
-"""First passage by simulation: trajectories are followed until they fail, some to an end before.
+"""First passage by simulation: failure times, some censored, and what is estimated from them.
 
-From failure times, some cut short, follow moments, the failure rate, P(T > t) and their errors.
+These are the moments of the failure time T, the failure rate, P(T > t), and their errors.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,81 +23,87 @@ from sim.questions.passing import reader_of
 from sim.questions.rounds import MOST_SUMS, Watch, seed_of, working
 from sim.sample.ensemble import Reader, ensemble_from
 from sim.sample.settings import Settings
-from sim.step.arrays import GROUPS, LANES, MAX_TRAJECTORIES, in_blocks, in_rows
+from sim.step.arrays import LANES, MAX_BATCHES, MAX_TRAJECTORIES, in_blocks, in_rows
 from sim.step.random import stream_of
 from sim.step.step_size import loudest, relaxation_time
 
 HOPELESS = 8.0
-"""A simulation without a ``time`` ends where nothing has failed in one over this of its own: in the
-rest some 8 · 3 failures at most (95 %) are to be expected, too few to go on from."""
+"""A simulation without a ``time`` ends after 1/8 of its longest time if nothing has failed: in the
+rest 8 · 3 failures or fewer (95 %) are expected, too few for an estimate."""
 
-LEAST_FAILURES = 100
-"""Failures in the tail below which its rate, and what is continued by it, is not certified."""
+LEAST_TAIL_FAILURES = 100
+"""Least number of failures in the tail for a certified failure rate and extrapolation by it."""
 
 LARGEST_BIAS, CHANCE = 0.5, 3.0
-"""Difference between two steps, in units of a number, beyond which it does not show the error: it
-leaves half of the number at half the step. And standard errors of a difference by chance."""
+"""Largest difference between two steps, relative to the number, that is a bound of the bias at half
+the step; largest difference by chance in standard errors."""
 
 Run = tuple[Any, int, Callable[[Any], Reader], tuple[int, ...]]
-"""An ensemble, its steps in one of the coarser simulation, what makes its reader, and the failure
-times that it writes: 0 of the finer simulation, 1 of the coarser."""
+"""An ensemble, its steps in a step of the coarser simulation, a function that makes its reader, and
+the failure times that it writes: 0 of the finer simulation, 1 of the coarser."""
 
 
-def passage(method: Settings, asked: Asked) -> Passage:
-    """Return the first passage that is asked for by simulation at dt/2 and at dt.
+def sample_passage(method: Settings, asked: Asked) -> Passage:
+    """Return the first passage of ``asked.limit`` by simulation at dt/2 and at dt.
 
-    ``paths`` trajectories are followed until all have failed, or for the ``horizon``; as many more
-    for ``asked.tol``, the relative error of the mean, or ``seconds``.
+    ``paths`` trajectories are simulated until all have failed, or until the ``horizon``; more
+    rounds follow until ``asked.tol``, the relative error of the mean, or ``seconds``.
     """
     system, limit, start, times = asked.system, asked.limit, asked.start, require_times(asked.times)
-    wanted, modulation, loud = tolerance(asked.tol, method.tol), system.modulation, loudest(system)
-    reach = limits.reach_of(loud, limit, start, method.time or inf)
-    dt, failures = limits.motion_step(method, loud, reach, error=wanted)
+    tol, modulation, loud = tolerance(asked.tol, method.tol), system.modulation, loudest(system)
+    reach = limits.motion_reach(loud, limit, start, method.time or inf)
+    dt, failures = limits.motion_step(method, loud, reach, error=tol)
     first = limits.first_step(dt, times, reach.start, method.step_factor)
     last = float(np.max(times, initial=0.0))
     longest = horizon(method, dt, last, noise_end(modulation))
-    # Under noise that varies none may fail for long, and many later.
-    hopeless = method.time or max(longest / HOPELESS, last, min(settled_at(modulation), longest))
-    at_once = MOST_SUMS // limits.CHUNK  # a chunk of them takes less than a second
+    # With modulated noise failures may begin late.
+    hopeless = method.time or max(
+        longest / HOPELESS, last, min(constant_noise_begin(modulation), longest)
+    )
+    at_once = MOST_SUMS // limits.CHUNK_STEPS  # a chunk takes less than a second
     paths = -(-min(method.paths, at_once) // LANES) * LANES
     energies = limits.energies_of(limit, system.n)
 
     def begun(number: int) -> tuple[list[Run], Flags, Array]:
         q, p = origin(paths, number)
-        past = limits.beyond(system, limit, q, p)
+        past = limits.states_beyond(system, limit, q, p)
         if np.all(past):
             raise InvalidInput("start", str(start), f"is beyond the limit {limit}")
         seed = seed_of(method.seed, number)
         read = lambda motion: reader_of(system, limit, motion.dt, motion.begin)  # noqa: E731
-        known: Any = {"energies": energies, "workers": workers, "modulation": modulation}
-        with pause_working_time():  # by the same random numbers
+        options: Any = {"energies": energies, "workers": workers, "modulation": modulation}
+        with pause_working_time():  # both with the same random numbers
             both = (0.5 * first, False), (first, True)
-            pair = [ensemble_from(system, q, p, h, seed, halved=x, **known) for h, x in both]
-        chance = stream_of(seed, number + 2**63).exponential(size=(paths, max(1, len(energies))))
+            pair = [ensemble_from(system, q, p, h, seed, halved=x, **options) for h, x in both]
+        stream = stream_of(seed, number, of_starts=True)
+        chance = stream.exponential(size=(paths, max(1, len(energies))))
         return [(e, 2 - k, read, (k,)) for k, e in enumerate(pair)], past, chance
 
-    with working(method, system, wanted, start) as (workers, watch, origin):
+    with working(method, system, tol, start) as (workers, watch, origin):
         rounds = ceil(method.paths / paths), MAX_TRAJECTORIES // at_once
-        steps = first, dt, limits.CHUNK, longest, hopeless
+        steps = first, dt, limits.CHUNK_STEPS, longest, hopeless
         known = relaxation_time(system), {"scheme": method.scheme, "seed": method.seed}, failures
         return passage_in_rounds(asked, watch, rounds, begun, steps, *known)
 
 
-def settled_at(modulation: Modulation | None) -> float:
-    """Return from when on the noise is constant; inf where there is none from then on."""
+def constant_noise_begin(modulation: Modulation | None) -> float:
+    """Return the time after which the noise is constant; inf if it is then zero."""
     if modulation is None:
         return 0.0
     return float(modulation.times[-1]) if modulation.last else inf
 
 
 def horizon(method: Settings, dt: float, last: float, end: float = inf) -> float:
-    """Return ``time``, or that of ``most_steps``, to the ``end`` of noise, or ``last`` if later."""
-    # Two steps of the finer simulation to one, dt, of the coarser.
+    """Return the longest time of a trajectory: ``time`` of the method, or by its ``most_steps``.
+
+    The latter are steps ``dt`` and dt/2, at most to the ``end`` of the noise, and at least to
+    ``last``, the last time asked for.
+    """
     return method.time or max(min(method.most_steps / 3.0 * dt, end), last)
 
 
 def noise_end(modulation: Modulation | None) -> float:
-    """Return from when on there is no noise: motion then only decays."""
+    """Return the time after which there is no noise, and motion only decays; inf if none."""
     return inf if modulation is None or modulation.last else float(modulation.times[-1])
 
 
@@ -111,16 +117,16 @@ def passage_in_rounds(
     settings: Mapping[str, Any],
     failures: Sequence[str] = (),
 ) -> Passage:
-    """Return the first passage of trajectories in ``rounds``, so many at least and at most.
+    """Return the first passage of trajectories in ``rounds``, the least and the largest number.
 
-    ``begun(number)`` returns the runs of a round, which of its trajectories failed at time 0, and
-    exponential numbers (paths, limits) for the readers. ``steps`` are the first and the longest of
-    the coarser simulation, how many are made at once, and the last times, of all and without any
-    failure; ``memory`` is as of ``passage_of``.
+    ``begun(number)`` returns the runs of a round, flags of trajectories beyond the limit at time 0,
+    and exponential random numbers (paths, limits) for the readers. ``steps``: first and longest
+    step of the coarser simulation, number of steps at once, last time, and last time without any
+    failure. ``memory``: see ``passage_of``.
     """
     (first, dt, chunk, longest, hopeless), rows = steps, list[Array]()
 
-    def followed(number: int) -> float:
+    def error_after(number: int) -> float:
         runs, past, chances = begun(number)
         paths, lanes = past.size, np.arange(past.size)
         chance = [in_blocks(chances) for _ in range(2)]
@@ -141,19 +147,19 @@ def passage_in_rounds(
             if not alive or nothing or watch.ends():
                 break
             if 2 * alive <= len(found[0]) * LANES and len(found[0]) > 1:
-                kept = np.flatnonzero(running)
-                lanes = lanes[kept]
+                left = np.flatnonzero(running)
+                lanes = lanes[left]
                 for ensemble, *_ in runs:
-                    ensemble.keep(kept)
-                found, chance = ([in_blocks(in_rows(a)[kept]) for a in x] for x in (found, chance))
+                    ensemble.keep(left)
+                found, chance = ([in_blocks(in_rows(a)[left]) for a in x] for x in (found, chance))
         until = np.full(paths, min(longest, time))
-        # What passes in the part of the last step beyond the horizon counts as not failed.
+        # Passages in the part of the last step beyond the horizon do not count.
         failed[failed > until] = inf
         rows.append(np.vstack([failed, until]))
-        # About the relative standard error of the mean: times are nearly exponential.
+        # Approximate relative standard error of the mean: times are nearly exponential.
         return 1.1 / sqrt(max(1, sum(np.count_nonzero(fine < inf) for fine, _, _ in rows)))
 
-    failures = [*failures, *watch.until(followed, least=rounds[0], most=rounds[1])]
+    failures = [*failures, *watch.until(error_after, least=rounds[0], most=rounds[1])]
     settings = {"dt": 0.5 * dt, "coarse dt": dt, **settings}
     return passage_of(np.hstack(rows), asked, watch.tol, first, memory, settings, failures)
 
@@ -161,9 +167,9 @@ def passage_in_rounds(
 def estimates(time: Array, until: Array, times: Array, begin: float) -> Array:
     """Return E T, var T, the failure rate after ``begin``, and P(T > t) at ``times``.
 
-    Paths fail at ``time``, those that live are followed ``until``. P(T > t) by Kaplan and Meier (J.
-    Amer. Stat. Assoc. 53, 1958, 457); beyond the last time it falls at the failure rate, failures
-    over the time under risk. Moments are ∫ P dt and ∫ 2 t P dt, inf where ``begin`` is.
+    Paths fail at ``time`` (paths,), or are censored at ``until`` (paths,). P(T > t) by Kaplan and
+    Meier (J. Amer. Stat. Assoc. 53, 1958, 457); beyond the last time it decays with the failure
+    rate, failures over time at risk. Moments are ∫ P dt and ∫ 2 t P dt, inf if ``begin`` is inf.
     """
     seen = np.minimum(time, until)
     order = np.argsort(seen, kind="stable")
@@ -179,22 +185,23 @@ def estimates(time: Array, until: Array, times: Array, begin: float) -> Array:
         first += left * mean
         second += 2.0 * left * mean * (last + mean)
         at = at * np.exp(-np.maximum(times - last, 0.0) / mean)
-    if not max(first, begin) < inf:  # without noise some never fail, none of the sample perhaps
+    if not max(first, begin) < inf:  # when the noise ends, some never fail
         first = second = inf
     return np.array([first, second - first**2 if first < inf else inf, rate, *at])
 
 
 def tail_begin(time: Array, until: Array, memory: float) -> float:
-    """Return the time from which there is one failure rate, as far as the sample shows.
+    """Return the time from which on the failure rate is constant within its sampling error.
 
-    The earliest from which the rate agrees with those from all later times within ``CHANCE`` errors
-    (Lepski's rule), and ``memory`` more; no later than leaves ``LEAST_FAILURES``.
+    Failures at ``time``, censored at ``until``. It is the earliest time from which the rate agrees
+    with the rates from all later times within ``CHANCE`` errors (Lepski's rule), plus ``memory``;
+    ``LEAST_TAIL_FAILURES`` must come after it.
     """
     seen = np.minimum(time, until)
     events = np.sort(seen[time <= until])
-    if events.size < 2 * LEAST_FAILURES + 1:
+    if events.size < 2 * LEAST_TAIL_FAILURES + 1:
         return 0.0
-    latest = float(events[-LEAST_FAILURES - 1])
+    latest = float(events[-LEAST_TAIL_FAILURES - 1])
     begins = latest * np.linspace(0.0, 1.0, 20)
     if memory < latest:
         begins = np.union1d(np.linspace(0.0, min(8.0 * memory, latest), 20), begins)
@@ -202,7 +209,7 @@ def tail_begin(time: Array, until: Array, memory: float) -> float:
     rates = counts / np.array([np.sum(np.maximum(seen - b, 0.0)) for b in begins])
     variances = rates**2 / counts
     for k, rate in enumerate(rates):
-        # Of a part of the sample the variance of the difference is the difference of variances.
+        # The later sample is part of the earlier: the variance of the difference is the difference.
         spread = np.sqrt(np.maximum(variances[k:] - variances[k], 0.0))
         if np.all(np.abs(rates[k:] - rate) <= CHANCE * spread + 1e-12 * rate):
             return min(float(begins[k]) + memory, latest)
@@ -212,17 +219,20 @@ def tail_begin(time: Array, until: Array, memory: float) -> float:
 def with_errors(
     sampled: Array, times: Array, begin: float
 ) -> tuple[Array, Array, Array, list[str]]:
-    """Return the ``estimates`` at half the step, their errors, those of the step, and doubts.
+    """Return ``estimates`` at half the step, their errors, their differences to the step, failures.
 
-    Errors are by leaving out groups, and the difference between both steps, in quadrature.
+    See ``passage_of`` for ``sampled``, ``estimates`` for ``times`` and ``begin``. Errors: the
+    jackknife over groups, and the difference between the two steps, added in squares.
     """
     fine, coarse, until = sampled
     best = estimates(fine, until, times, begin)
-    # The jackknife: √((G − 1)/G Σ (left out − mean)²), G of ``GROUPS``; inf where there is none.
-    group = np.arange(fine.size) % GROUPS
-    rows = [estimates(fine[k], until[k], times, begin) for k in (group != g for g in range(GROUPS))]
+    # The jackknife: √((G − 1)/G Σ (left out − mean)²), G = MAX_BATCHES.
+    group = np.arange(fine.size) % MAX_BATCHES
+    rows = [
+        estimates(fine[k], until[k], times, begin) for k in (group != g for g in range(MAX_BATCHES))
+    ]
     with np.errstate(invalid="ignore"):
-        chance, alive = np.sqrt(np.var(rows, axis=0) * (GROUPS - 1)), best[3:]
+        chance, alive = np.sqrt(np.var(rows, axis=0) * (MAX_BATCHES - 1)), best[3:]
         at_least = np.sqrt(np.maximum(alive * (1.0 - alive), 0.0) / fine.size)
         chance[3:] = np.maximum(chance[3:], np.maximum(at_least, 1.0 / fine.size))
         bias = np.abs(estimates(coarse, until, times, begin) - best)
@@ -236,7 +246,7 @@ def with_errors(
 
 
 def most_events(events: int) -> float:
-    """Return the bound, at 95 %, of the expected number of which ``events`` came (Poisson)."""
+    """Return the upper 95 % bound of a Poisson mean when ``events`` were counted."""
     return float(gammaincinv(events + 1.0, 0.95))
 
 
@@ -249,51 +259,52 @@ def passage_of(
     settings: Mapping[str, Any],
     failures: Sequence[str] = (),
 ) -> Passage:
-    """Return first passage from ``sampled`` times (3, paths).
+    """Return first passage from ``sampled`` times (3, paths), certified for ``tol``.
 
-    Rows: failures at half the step and at the step, inf where a trajectory lived until the third.
-    ``step`` is the first of the longer ones: errors are inf where half fail within few of them. By
-    the time ``memory``, or when half have failed, a trajectory has forgotten its start: where all
-    were followed for less and some live, moments, rate and later P(T > t) are not known. Raises
-    ``InvalidInput`` for a limit below all starts.
+    Rows: failure times at half the step and at the step, inf if censored at the time in row three.
+    ``step``: the first step of the coarser simulation; errors are inf if half of the failures come
+    within a few of them. After the time ``memory``, or when half have failed, a trajectory no
+    longer depends on its start: if the simulation is shorter and some trajectories live, moments,
+    rate and later P(T > t) are not known. ``failures``: words against certification. Raises
+    ``InvalidInput`` if all trajectories start beyond the limit.
     """
-    times, settled = asked.times, settled_at(asked.system.modulation)
+    times, settled = asked.times, constant_noise_begin(asked.system.modulation)
     (fine, _, until), failed = sampled, sampled[0] <= sampled[2]
     if np.all(fine == 0.0):
         remedy = "all trajectories begin beyond it; take a higher one"
         raise InvalidInput("limit", str(asked.limit), remedy)
     paths, events, followed = fine.size, int(np.count_nonzero(failed)), float(np.max(until))
     exposure = float(np.sum(np.minimum(fine, until)))
-    # Where half have failed those that live are the same from then on, whatever the start.
+    # When half have failed, the others no longer depend on the start.
     memory = min(memory, float(np.median(np.where(failed, fine, inf))))
     begin = max(tail_begin(fine, until, memory), settled)
     best, error, bias, words = with_errors(sampled, times, begin)
     if (begin < memory or followed < settled + memory) and events < paths:
-        # A rate that the start is in says nothing of later.
+        # A rate that depends on the start cannot be extrapolated.
         best[:3], error[:3] = (nan if settled < inf else best[:3]), inf
         error[3:][times > followed] = inf
     after = fine[failed & (fine > 0.0)]
-    # Within so few steps the noise of the energy, taken for constant in a step, changes too much.
+    # In few steps σ of the energy, constant over a step in the reader, changes too much.
     steps = float(np.median(after)) / step if after.size and step > 0.0 else inf
     if steps < 0.5 * limits.STEPS_SINCE_START:
         error[:] = inf
         use = f"too few to see how; use dt = {steps * step / limits.STEPS_SINCE_START:.2g}"
         words = [f"half of the failures come within {steps:.2g} steps of dt = {step:.2g}, {use}"]
     late = int(np.count_nonzero(failed & (fine > begin)))
-    if settled < inf and events < paths and late < LEAST_FAILURES:
+    if settled < inf and events < paths and late < LEAST_TAIL_FAILURES:
         few = f"none of {paths} trajectories passed the limit by t = {followed:.4g}"
         if events:
             few = f"{paths - events} of {paths} trajectories had not failed by t = {followed:.4g}"
             few = f"{few}, and {late} failures in the tail are too few to go on from"
         most = f"{most_events(events) / exposure:.2g} at most (95 %); simulate for longer, or split"
         words.append(f"{few}: the mean failure rate until then is {most}")
-    # Relative to the mean; where some never fail, absolute of probabilities.
+    # Relative to the mean; if some never fail, absolute error of the probabilities.
     never = np.max(error[3:], initial=0.0) if settled == inf else inf
     relative = float(error[0] / best[0] if best[0] < inf else never)
     lowest = float(np.min(best[3:], initial=0.0))
     measured = Measured(relative, None, lowest, None, 1.0 - events / paths)
     measured = measured.with_failures(*failures, *words)
-    if not events and settled < inf:  # nothing to state but bounds: all lived through their time
+    if not events and settled < inf:  # no failures: bounds only
         best[:3], error[:3] = (exposure / paths, inf, 0.0), (inf, inf, most_events(0) / exposure)
     settings = {**settings, "trajectories": paths, "not failed": paths - events}
     settings["followed until"] = float(np.max(np.minimum(fine, until)))

@@ -1,4 +1,4 @@
-"""Compiled readers of traces: upcrossings, and when a limit is passed, between the steps too.
+"""Compiled readers of traces: upcrossings of levels, and times of first passage.
 
 Between two steps displacements are cubics through (q, v) at both ends, energies Brownian bridges.
 """
@@ -19,33 +19,33 @@ from sim.questions.limits import energies_at, energies_of, modal_rates
 from sim.sample.ensemble import Reader
 from sim.step.arrays import W
 from sim.step.kernel import kernel_checksum, once
-from sim.step.lanes import form_of
+from sim.step.lanes import quadratic_form
 
 Cubic = tuple[float, float, float, float]
 
 
 @njit_inline
 def cubic_of(q0: float, v0: float, q1: float, v1: float, h: float) -> Cubic:
-    """Return the coefficients of q(s), s = t/h in [0, 1], ascending."""
+    """Return the coefficients, ascending, of the cubic q(s), s = t/``h``, by q, v at both ends."""
     change = q1 - q0
     return q0, h * v0, 3.0 * change - h * (2.0 * v0 + v1), h * (v0 + v1) - 2.0 * change
 
 
 @njit_inline
 def value_of(c: Cubic, s: float) -> float:
-    """Return q(s)."""
+    """Return the cubic ``c`` at ``s``."""
     value: float = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
     return value
 
 
 @njit_inline
 def turning_points(c: Cubic) -> tuple[float, float]:
-    """Return where q'(s) = 0 within (0, 1), ascending; 1 for one that is not there."""
+    """Return the zeros of q'(s) within (0, 1), ascending; 1 in place of a missing zero."""
     a, b, d = 3.0 * c[3], c[2], c[1]  # a s² + 2 b s + d
     square = b * b - a * d
     if square <= 0.0:
         return 1.0, 1.0
-    # Neither root by a difference of nearly equal numbers.
+    # Both roots without cancellation.
     far = -(b + np.copysign(np.sqrt(square), b))
     s1 = d / far if far != 0.0 else 1.0
     s2 = far / a if a != 0.0 else 1.0
@@ -56,10 +56,9 @@ def turning_points(c: Cubic) -> tuple[float, float]:
 
 @njit_inline
 def distance_to(limit: float, H: float, variance: float, growth: float, at_rest: float) -> float:
-    """Return ∫dH/σ from H to the ``limit``, σ² = ``variance`` being linear in H with the slope β.
+    """Return ∫dH/σ from ``H`` to the ``limit``, for σ² that is linear in H; <= 0 beyond the limit.
 
-    The noise adds ``growth``/σ² = β to σ² as it adds 1 to H, ``at_rest`` where σ = 0. Not positive
-    at or beyond the limit.
+    σ² is ``variance`` at H, and its slope is β = ``growth``/σ², or ``at_rest`` if σ = 0.
     """
     beta = growth / variance if growth > 0.0 else at_rest
     e = variance / beta
@@ -67,8 +66,8 @@ def distance_to(limit: float, H: float, variance: float, growth: float, at_rest:
 
 
 @njit_inline
-def first_passage(c: Cubic, limit: float) -> float:
-    """Return the first s in (0, 1] with |q(s)| >= ``limit``, |q(0)| being below; else 2."""
+def cubic_passage(c: Cubic, limit: float) -> float:
+    """Return the first s in (0, 1] with |q(s)| >= ``limit``, |q(0)| being less; 2 if none."""
     turning, low = turning_points(c), 0.0
     for end in (turning[0], turning[1], 1.0):
         if abs(value_of(c, end)) >= limit:
@@ -84,12 +83,16 @@ def first_passage(c: Cubic, limit: float) -> float:
     return 2.0
 
 
-NATS = 40.0
-"""−ln of a probability that counts as none: 4e-18."""
+NEGLIGIBLE_NATS = 40.0
+"""−ln of a probability that is neglected: 4e-18."""
 
 
 def reader(make: Callable[[int], Any]) -> Reader:
-    """Return the reader that ``make`` compiles, which returns the checksum of its sources."""
+    """Return the reader that ``make(sources)`` compiles at its first call.
+
+    The compiled function returns ``sources``, the checksum of its source files, so that numba's
+    disk cache compiles anew when they change.
+    """
     compiled = once(lambda: make(kernel_checksum()))
 
     @wraps(make)
@@ -101,7 +104,7 @@ def reader(make: Callable[[int], Any]) -> Reader:
 
 @njit_inline
 def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None:
-    """Count the levels in (low, high]: +1 at the first of them, −1 behind the last."""
+    """Add to ``counts`` of ``levels`` in (``low``, ``high``]: 1 at the first, −1 past the last."""
     if high <= levels[0] or low >= levels[-1] or not low < high:
         return
     begin, end = np.searchsorted(levels, low, "right"), np.searchsorted(levels, high, "right")
@@ -114,7 +117,7 @@ def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None
 def count_upcrossings(sources: int) -> Any:
     """Add to ``counts`` (blocks, levels + 1), whose running sums are upcrossings of the ``levels``.
 
-    Levels ascend. Each rising part of a cubic counts: a level may be passed within a step.
+    Levels ascend. Every rising part of the cubic between two steps counts.
     """
 
     @cached_njit()
@@ -130,7 +133,7 @@ def count_upcrossings(sources: int) -> Any:
                 for w in range(W):
                     v0, v1 = inverse_mass * p0[w], inverse_mass * p1[w]
                     change = q1[w] - q0[w]
-                    # De Boor and Swartz: a cubic with these slopes is monotone.
+                    # A cubic with these slopes is monotone (de Boor and Swartz).
                     if min(v0, v1) >= 0.0 and dt * max(v0, v1) <= 3.0 * change:
                         count_rise(own, levels, q0[w], q1[w])
                     elif max(v0, v1) > 0.0 or dt * min(v0, v1) < 3.0 * change:
@@ -147,7 +150,10 @@ def count_upcrossings(sources: int) -> Any:
 
 @reader
 def pass_displacement(sources: int) -> Any:
-    """Write when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES) if inf."""
+    """Write the time when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES).
+
+    Only if ``time`` is inf; ``chance`` is not used.
+    """
 
     @cached_njit()
     def read(
@@ -159,13 +165,13 @@ def pass_displacement(sources: int) -> Any:
             for k in range(samples):
                 q0, q1 = trace[b, k, row], trace[b, k + 1, row]
                 p0, p1 = trace[b, k, momentum], trace[b, k + 1, momentum]
-                # A cubic passes the larger of its ends by 4/27 · h (|v0| + |v1|) at most.
+                # A cubic exceeds the larger of its ends by 4/27 · h (|v0| + |v1|) at most.
                 slope = 4.0 / 27.0 * dt * inverse_mass
                 for w in range(W):
                     reach = max(abs(q0[w]), abs(q1[w])) + slope * (abs(p0[w]) + abs(p1[w]))
                     if reach >= limit and own[w] == np.inf:
                         v0, v1 = inverse_mass * p0[w], inverse_mass * p1[w]
-                        share = first_passage(cubic_of(q0[w], v0, q1[w], v1, dt), limit)
+                        share = cubic_passage(cubic_of(q0[w], v0, q1[w], v1, dt), limit)
                         if share <= 1.0:
                             own[w] = begin + (done + k + share) * dt
         return sources
@@ -175,13 +181,14 @@ def pass_displacement(sources: int) -> Any:
 
 @reader
 def pass_energies(sources: int) -> Any:
-    """Write when one of the energies in ``rows`` first passes its limit to ``time``, where inf.
+    """Write the time when an energy in ``rows`` first passes its limit to ``time`` (…, LANES).
 
-    Momenta are rows from ``first`` on. Between samples the distance d of ``distance_to`` is a
-    Brownian bridge, and vanishes with the probability exp(−2 d0 d1/h), h of ``spread`` (samples,),
-    ∫e² dt over the step; then at the share d0/(d0 + |d1|), right in the mean. A limit is passed
-    when the sum of −ln(1 − probability) exceeds its number of ``chance`` (blocks, limits, LANES):
-    the same motion at another step passes at nearly that time.
+    Only if ``time`` is inf or later. Momenta are rows from ``first`` on. Between samples the
+    distance d (``distance_to``) is a Brownian bridge, which reaches 0 with the probability exp(−2
+    d0 d1/h), h in ``spread`` (samples,) being ∫e² dt over the step; then at the share d0/(d0 +
+    |d1|) of the step, which is right in the mean. A limit is passed when the sum of −ln(1 −
+    probability) exceeds its exponential random number in ``chance`` (blocks, limits, LANES): the
+    same motion at another step passes at nearly the same time.
     """
 
     @cached_njit()
@@ -196,22 +203,22 @@ def pass_energies(sources: int) -> Any:
                 left, limit = chance[b, m], limits[m]
                 for k in range(samples + 1):
                     state = trace[b, k].reshape(trace.shape[2] * W)
-                    form_of(variance, state, first, diffusion.variance[m])
-                    form_of(rise, state, first, diffusion.growth[m])
+                    quadratic_form(variance, state, first, diffusion.variance[m])
+                    quadratic_form(rise, state, first, diffusion.growth[m])
                     H = trace[b, k, rows[m]]
                     near, h = 0, spread[max(k - 1, 0)]
                     for w in range(W):
                         after[w] = distance_to(
                             limit, H[w], variance[w], rise[w], diffusion.at_rest[m]
                         )
-                        near += 2.0 * before[w] * after[w] < NATS * h
+                        near += 2.0 * before[w] * after[w] < NEGLIGIBLE_NATS * h
                     if k > 0 and near > 0:
                         end = begin + (done + k) * dt
                         for w in range(W):
-                            # Of several limits in one step the first one counts.
+                            # If several limits are passed in a step, the first counts.
                             if own[w] > end - dt:
                                 nats = 2.0 * before[w] * after[w] / h
-                                if 0.0 < nats < NATS:
+                                if 0.0 < nats < NEGLIGIBLE_NATS:
                                     left[w] += np.log1p(-np.exp(-nats))
                                 if nats <= 0.0 or left[w] <= 0.0:
                                     share = before[w] / (before[w] + abs(after[w]))
@@ -223,18 +230,18 @@ def pass_energies(sources: int) -> Any:
 
 
 class Diffusion(NamedTuple):
-    """How the noise moves energies, dH = … + σ dB; forms of the momenta p, see ``distance_to``."""
+    """Diffusion of energies, dH = … + σ dB, as quadratic forms of the momenta p."""
 
-    variance: Array  # (limits, n, n), σ² = pᵀ F p
-    growth: Array  # (limits, n, n), β σ² = pᵀ G p
-    at_rest: Array  # (limits,), β where p = 0
+    variance: Array  # (limits, n, n), F of σ² = pᵀ F p
+    growth: Array  # (limits, n, n), G of β σ² = pᵀ G p, see ``distance_to``
+    at_rest: Array  # (limits,), β for p = 0
 
 
 def diffusion_of(system: System, limit: Limit) -> Diffusion:
-    """Return how the noise N = f D fᵀ moves the energies of ``limit``, as of ``energies_of``.
+    """Return the diffusion of the energies that ``limit`` is on by the noise N = f D fᵀ.
 
-    Of H F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; of a mode with the shape T_m the same of its own
-    momentum. No noise reaches an energy of β = 0: its limit is then beyond all numbers.
+    For H, F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; for a mode of shape T_m the same with its own
+    momentum. β = 0 means that no noise reaches the energy: the distance to its limit is then huge.
     """
     N = system.noise_matrix
     if limit.kind == "H":
@@ -249,11 +256,11 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
     return Diffusion(F, G, np.maximum(trace_g / np.maximum(trace_f, SMALLEST), SMALLEST))
 
 
-@lru_cache(maxsize=64)  # all blocks ask for the same steps
+@lru_cache(maxsize=64)  # the same for all blocks
 def spread_of(
     modulation: Modulation | None, dt: float, done: int, samples: int, begin: float = 0.0
 ) -> Array:
-    """Return ∫e² dt over each of so many steps ``dt`` after the first ``done`` from ``begin``."""
+    """Return ∫e² dt over each of ``samples`` steps ``dt``, after ``done`` steps from ``begin``."""
     if modulation is None:
         return np.full(samples, dt)
     begins = begin + dt * np.arange(done, done + samples, dtype=float)
@@ -264,13 +271,19 @@ def pass_under(
     trace: Array, samples: int, done: int, *arrays: Array, modulation: Modulation | None,
     dt: float, begin: float, **known: Any,
 ) -> None:  # fmt: skip
-    """Do ``pass_energies`` under the noise of the steps that are read."""
+    """Call ``pass_energies`` with the ∫e² dt of the steps in ``trace``; a ``Reader``.
+
+    ``samples`` steps ``dt`` after ``done`` steps from the time ``begin``.
+    """
     spread = spread_of(modulation, dt, done, samples, begin)
     pass_energies(trace, samples, done, *arrays, dt=dt, begin=begin, spread=spread, **known)
 
 
 def reader_of(system: System, limit: Limit, dt: float, begin: float = 0.0) -> Reader:
-    """Return the reader of samples ``dt`` apart that takes ``time`` and ``chance`` of a limit."""
+    """Return the reader of first passage of ``limit``, for samples ``dt`` apart from ``begin`` on.
+
+    Its arrays are ``time`` and ``chance``, see ``pass_energies``.
+    """
     n, known = system.n, dict[str, Any](dt=dt, begin=begin)
     if limit.kind == "q":
         row = limit.observable(n)[0].row

@@ -1,4 +1,4 @@
-"""Trajectories: where they begin, how they go on, and rounds of them until an answer is good."""
+"""Initial states of trajectories, motion from time to time, and rounds until a tolerance is met."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,27 +18,29 @@ from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.machine import pause_working_time, usable_cores, working_time
 from fpk.system.linear import natural_modes
 from fpk.system.system import System
-from sim.questions.limits import CHUNK, needs_steps
+from sim.questions.limits import CHUNK_STEPS, needs_steps
 from sim.sample.ensemble import Ensemble, Reader, ensemble_from
 from sim.sample.settings import LEAST_PATHS, Settings
 from sim.sample.workers import interruptible, workers_of
 from sim.step.arrays import LANES, in_rows
 from sim.step.random import GOLDEN, start_displacements, stream_of
-from sim.step.schemes import factored
+from sim.step.schemes import covariance_factor
 from sim.step.step_size import chosen_step, relaxation_time, temperature
 
 MOST_STEPS, MOST_SAMPLES = 1 << 22, 64
-"""Steps of all trajectories, and samples of each, after which the wall time is looked at."""
+"""Steps of all trajectories together, and samples of each, after which the wall time is checked."""
 
 MOST_SUMS = 1 << 23
-"""Numbers of the windows of a round, 64 MB, or steps of a passage, that are made at once."""
+"""Largest size of the arrays of a round, in numbers of 8 bytes; and of the steps of a passage
+between two looks at the wall time, all trajectories together."""
 
 
 @dataclass(eq=False)
 class Watch:
-    """Goes on until an error is ``tol``, at most for ``seconds`` of wall time, or to Ctrl-C.
+    """Ends a simulation when its error is ``tol``, after ``seconds`` of wall time, or by Ctrl-C.
 
-    ``stopped()`` says that Ctrl-C ends an answer that may be partial.
+    ``stopped()``: whether Ctrl-C was pressed and the answer may be partial. ``begin``: a value of
+    ``working_time``.
     """
 
     seconds: float
@@ -53,34 +55,44 @@ class Watch:
     def until(
         self, answer: Callable[[int], float | None], *, least: int = 1, most: float = inf
     ) -> list[str]:
-        """Call ``answer`` with 0, 1, …, ``least`` to ``most`` times, until its error is met.
+        """Call ``answer`` with 0, 1, … until its result, an error, is at most ``tol``.
 
-        It ends earlier where it is time to stop, or where an ``answer`` was cut short: None.
-        Returned is that Ctrl-C came, in words, if it did.
+        It is called ``least`` to ``most`` times, but not after ``ends()`` or a result None (cut
+        short). Return words if Ctrl-C was pressed.
         """
         number, more = 0, True
         while more and (error := answer(number)) is not None:
             number += 1
-            wanted = error > self.tol if self.tol is not None else self.seconds < inf
-            more = (number < least or wanted) and number < most and not self.ends()
+            goes_on = error > self.tol if self.tol is not None else self.seconds < inf
+            more = (number < least or goes_on) and number < most and not self.ends()
         return ["partial: interrupted by Ctrl-C"] if self.stopped() else []
 
-    def require(self, what: str, share: float) -> bool:
-        """Return False; raise ``InvalidInput`` where it ends with a ``share`` of ``what`` done."""
-        if not self.ends():
-            return False
-        if self.stopped():
-            raise KeyboardInterrupt
-        taken = working_time() - self.begin
-        needed = f"which takes about {taken / share:.2g} s" if share > 0.0 else "which takes longer"
-        raise InvalidInput("seconds", self.seconds, f"are over in {what}, {needed}; give it more")
+    def required(self, phase: str) -> Callable[[float], bool]:
+        """Return a check of a ``phase``, which begins now and without which there is no answer.
+
+        It is called with the share of the phase that is done and returns False. When the time is
+        over it raises ``InvalidInput``, after Ctrl-C ``KeyboardInterrupt``.
+        """
+        begin = working_time()
+
+        def check(share: float) -> bool:
+            if not self.ends():
+                return False
+            if self.stopped():
+                raise KeyboardInterrupt
+            whole = (working_time() - begin) / share if share > 0.0 else inf
+            needed = "longer" if whole == inf else f"about {whole:.2g} s"
+            words = f"are over in {phase}, which takes {needed}; give it more"
+            raise InvalidInput("seconds", self.seconds, words)
+
+        return check
 
 
 ACCEPTED = 1e-4
-"""Share of the proposals on an energy shell below which no states are drawn from it."""
+"""Least share of accepted proposals on an energy shell; with fewer no states are drawn."""
 
 
-def drawn_states(
+def initial_states(
     system: System,
     start: Start,
     seed: int,
@@ -91,10 +103,11 @@ def drawn_states(
     workers: Any = None,
     watch: Any = None,
 ) -> tuple[Array, Array]:
-    """Return q and p (paths, n) at time 0 of the trajectories of round ``number``.
+    """Return q and p (``paths``, n) at time 0 of round ``number`` of a ``seed``.
 
-    A start under other noise is burnt in for ``burn_in`` relaxation times; the ``watch``, a
-    ``Watch``, ends it by ``InvalidInput``. Raises ``NotApplicable`` where nothing is stationary.
+    Stationary states, under the noise that the ``start`` names, are burnt in for ``burn_in``
+    relaxation times, if the ``watch`` allows (``Watch.required``). Raises ``NotApplicable`` if
+    there is no stationary state.
     """
     n, stream = system.n, stream_of(seed, number)
     if start.kind == "energy" and not start.rest:
@@ -109,21 +122,22 @@ def drawn_states(
     if not factor:
         q, p = start.state(n)
         return np.tile(q, (paths, 1)), np.tile(p, (paths, 1))
-    # From displacements and momenta of the temperature of the other noise.
+    # Stationary under ``factor`` times the noise: a burn-in from Gaussian states at its kT.
     system = replace(system, noise_intensity=factor * system.noise_intensity)
     kT, time = temperature(system), burn_in * relaxation_time(system)
     if not np.isfinite(time):
         raise NotApplicable("some motion is not damped: no stationary state to start from")
     whole = -(-paths // LANES) * LANES
     q = start_displacements(system, kT, stream.standard_normal((n, whole))).T
-    L = factored(np.diag(kT * system.mass))
+    L = covariance_factor(np.diag(kT * system.mass))
     p = (L @ stream.standard_normal((L.shape[1], whole))).T
 
-    ended = lambda share: bool(watch) and share < 1.0 and watch.require("the burn-in", share)  # noqa: E731
-    other = (seed + number * int(GOLDEN) + 2**63) % 2**64  # no seed of a round
+    check = watch.required("the burn-in") if watch else lambda share: False
+    ended = lambda share: share < 1.0 and check(share)  # noqa: E731
+    other = (seed + number * int(GOLDEN) + 2**63) % 2**64  # differs from the seeds of all rounds
     begun = partial(ensemble_from, system, q, p, seed=other, workers=workers)
     dt, many = (chosen_step(system), (2,)) if needs_steps(system) else (inf, (1,))
-    ((states,),) = motions(begun, q, states_of, np.array([time]), dt, many, ended)
+    ((states,),) = motions(begun, q, states_of, np.array([time]), dt, many, lambda: ended)
     q, p = np.split(states[:paths], 2, axis=1)
     return q, p
 
@@ -140,18 +154,20 @@ def motions(
     times: Array,
     dt: float,
     many: tuple[int, ...] = (2, 1),
-    ended: Callable[[float], bool] = lambda share: False,
+    begin: Callable[[], Callable[[float], bool]] = lambda: lambda share: False,
 ) -> Iterator[tuple[Array, ...]]:
-    """Yield at each time the states that are ``seen`` of motions in ``many`` steps for one of dt.
+    """Yield at each of ``times`` the states ``seen(ensemble)`` of motions from ``start``.
 
-    At time 0 they are ``start``; ``begun(dt=, halved=)`` returns an ensemble that begins there. By
-    an infinite ``dt`` each time is one step. It ends where ``ended(share of the times done)``.
+    There is a motion for each number in ``many``, of so many steps for each step ``dt``; if ``dt``
+    is inf, one step leads from time to time. ``begun(dt=, halved=)`` returns an ensemble at time 0.
+    ``begin()`` is called first; the function that it returns is called with the share of the time
+    that is done, and ends the motions if it returns True.
     """
-    now, running = 0.0, list[Any]()
+    now, running, ended = 0.0, list[Any](), begin()
     for time in times.tolist():
         if time > now:
             steps = max(1, ceil((time - now) / dt))
-            parts = ceil(steps / CHUNK)
+            parts = ceil(steps / CHUNK_STEPS)
             stride = ceil(steps / parts)
             long = (time - now) / (parts * stride)
             with pause_working_time():  # by the same random numbers
@@ -167,11 +183,11 @@ def motions(
 
 
 def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tuple[Array, Array]:
-    """Return q and p (paths, n) of the density δ(H − ``energy``).
+    """Return q and p (``paths``, n) drawn from the density δ(H − ``energy``) by ``stream``.
 
-    In directions of the phase space scaled so that H is r²/2 but for the contact, by the weight
-    r^(2n−1)/(∂H/∂r) where H is reached, R^(2n−2) at the most, R = √(2 energy). Raises
-    ``NotApplicable`` where fewer than ``ACCEPTED`` of the proposals are accepted.
+    Proposals are directions of the phase space, scaled so that H = r²/2 without contact. They are
+    accepted with the weight r^(2n−1)/(∂H/∂r) at the r where H is the energy, relative to its bound
+    R^(2n−2), R = √(2 energy). Raises ``NotApplicable`` if fewer than ``ACCEPTED`` are accepted.
     """
     n, many = system.n, max(paths, 4096)
     back = np.linalg.inv(np.linalg.cholesky(system.stiffness_matrix)).T
@@ -182,7 +198,7 @@ def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tu
         u = stream.standard_normal((many, 2 * n))
         u /= np.linalg.norm(u, axis=1, keepdims=True)
         direction = np.hstack([u[:, :n] @ back.T, u[:, n:] * root])
-        # Where H reaches the energy along every direction, by bisection to the last digit.
+        # The r where H is the energy, in every direction, by bisection to the last digit.
         low, high = np.full(many, 0.0 if system.stops else most), np.full(many, most)
         for _ in range(60 if system.stops else 0):
             middle = 0.5 * (low + high)
@@ -190,7 +206,7 @@ def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tu
             low, high = np.where(above, low, middle), np.where(above, middle, high)
         radius = 0.5 * (low + high)
         state = radius[:, None] * direction
-        by_contact = np.zeros(many)  # Σ g_i dq_i/dr, the part of ∂H/∂r that the contacts make
+        by_contact = np.zeros(many)  # Σ g_i dq_i/dr, the part of ∂H/∂r by contact
         for stop in system.stops:
             overlap = np.maximum(stop.sign * state[:, stop.index] - stop.clearance, 0.0)
             by_contact += stop.sign * stop.force(overlap) * direction[:, stop.index]
@@ -209,7 +225,10 @@ def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tu
 def working(
     method: Settings, system: System, tol: float | None, start: Start | None = None
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield workers, the watch, and ``drawn_states`` of the ``start`` (None: stationary ones)."""
+    """Yield workers, a ``Watch`` with ``tol``, and ``initial_states`` of ``start``.
+
+    None: stationary states.
+    """
     start = start or Start("noise", {"noise": 1.0})
     seconds = method.seconds or (method.longest if tol is not None else inf)
     with (
@@ -218,16 +237,16 @@ def working(
     ):
         watch = Watch(seconds, stopped, tol)
         burn_in: Any = {"burn_in": method.burn_in, "workers": workers, "watch": watch}
-        yield workers, watch, partial(drawn_states, system, start, method.seed, **burn_in)
+        yield workers, watch, partial(initial_states, system, start, method.seed, **burn_in)
 
 
 def seed_of(seed: int, number: int) -> int:
-    """Return the seed of round ``number`` of trajectories."""
+    """Return the seed of the trajectories of round ``number``, derived from ``seed``."""
     return (seed + number * int(GOLDEN)) % 2**64
 
 
 Simulation = tuple[float, int, bool, Reader]
-"""A simulation by the same random numbers as others: step, steps a sample, ``halved``, reader."""
+"""Step, steps per sample, ``halved`` (see ``Ensemble``), and reader of one of two simulations."""
 
 
 def in_rounds(
@@ -241,13 +260,14 @@ def in_rounds(
     *,
     least: int = 0,
 ) -> tuple[Array, float, int, list[str]]:
-    """Follow trajectories until ``tol``; return estimates, their scale, paths, what went wrong.
+    """Simulate in rounds until ``tol``; return estimates (blocks, points), scale, paths, failures.
 
-    A round is a window of ``samples`` of new trajectories; one that the time cuts short does not
-    count, and the first is refused. With ``least`` it is one of so many chunks of a window of the
-    same trajectories, counts, and has every step read. ``estimate`` takes what was read of each
-    simulation, (blocks, *numbers), the rms q and v of mass ``asked.row``, and the samples; it
-    returns estimates (blocks, points) of all rounds, and their scale, 1 where not > 0.
+    A round is a window of ``samples`` samples of new trajectories; if the time ends in it, it does
+    not count, and in the first round ``InvalidInput`` is raised. With ``least`` a round is a chunk,
+    one of ``least``, of one window of the same trajectories with every step read, and always
+    counts. ``estimate`` gets the readers' arrays (blocks, *numbers) of each simulation, the rms q
+    and v of mass ``asked.row``, and the samples of the round; it returns the estimates of all
+    rounds, and their scale (1 is taken if it is not > 0).
     """
     system, row, onward = asked.system, asked.row, least > 0
     paths = -(-method.paths // LANES) * LANES
@@ -258,7 +278,7 @@ def in_rounds(
     rounds, running, squares = 0, list[Ensemble](), list[Array]()
     blocks, scale = np.zeros(0), 1.0
 
-    def followed(number: int) -> float | None:
+    def advance_round(number: int) -> float | None:
         nonlocal rounds, running, blocks, scale
         if not (onward and running):
             seed, (q, p) = seed_of(method.seed, number), origin(own, number)
@@ -267,16 +287,17 @@ def in_rounds(
                 running = [begun(dt=dt, halved=halved) for dt, _, halved, _ in simulations]
         sums, done = [np.zeros((own // LANES, *numbers)) for _ in simulations], 0
         first, last = (samples * k // least for k in (number, number + 1))
-        wanted = max(1, last - first) if onward else samples
-        while done < wanted and not (done and watch.ends()):
-            many = min(piece, wanted - done)
+        length = max(1, last - first) if onward else samples
+        check = watch.required(f"the first {own} windows")
+        while done < length and not (done and watch.ends()):
+            many = min(piece, length - done)
             for ensemble, (_, k, _, read), array in zip(running, simulations, sums, strict=True):
                 ensemble.advance(many * k, array, stride=1 if onward else k, read=read)
             done += many
-        whole = done == wanted
+        whole = done == length
         if not (whole or onward):
             if not number:
-                watch.require(f"the first {own} windows", done / wanted)
+                check(done / length)
             return None
         rounds += whole
         squares.append(np.mean(in_rows(running[0].last)[:, [row, system.n + row]] ** 2, axis=0))
@@ -287,7 +308,7 @@ def in_rounds(
         return float(np.max(error_of(blocks))) / scale if whole else None
 
     with working(method, system, tolerance(asked.tol, method.tol)) as (workers, watch, origin):
-        failures = watch.until(followed, least=least)
+        failures = watch.until(advance_round, least=least)
     paths = own if onward else rounds * own
     if paths < LEAST_PATHS:
         failures.append(f"it ended after {paths} trajectories of {LEAST_PATHS}")
@@ -295,5 +316,5 @@ def in_rounds(
 
 
 def error_of(blocks: Array) -> Array:
-    """Return one standard error of the mean of independent ``blocks`` (blocks, ...)."""
+    """Return the standard error of the mean of independent ``blocks`` (blocks, …)."""
     return np.asarray(blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks)))

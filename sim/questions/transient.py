@@ -1,4 +1,4 @@
-"""Transient densities by simulation, counted in groups of trajectories at two steps."""
+"""Transient densities by simulation at two steps, with errors from groups of trajectories."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -21,21 +21,21 @@ from sim.questions.rounds import Watch, motions, seed_of, states_of, working
 from sim.sample import histogram
 from sim.sample.ensemble import ensemble_from
 from sim.sample.settings import Settings
-from sim.step.arrays import GROUPS, LANES, MAX_TRAJECTORIES
+from sim.step.arrays import LANES, MAX_BATCHES, MAX_TRAJECTORIES
 from sim.step.step_size import loudest
 
 
-def transient(method: Settings, asked: Asked) -> Transient:
-    """Return the densities that are asked for, at dt and dt/2 by the same random numbers.
+def sample_transient(method: Settings, asked: Asked) -> Transient:
+    """Return the densities of ``asked.observable`` by steps dt and dt/2, same random numbers.
 
-    ``asked.tol`` is the expected L1 error wanted at every time; eight rounds of ``paths`` are made
-    where neither it nor a time is given.
+    ``asked.tol`` is the expected L1 error at every time; without it and ``seconds`` eight rounds of
+    ``paths`` trajectories are made.
     """
     system, observable, start = asked.system, asked.observable, asked.start
     times, modulation = require_times(asked.times), system.modulation
-    wanted, loud = tolerance(asked.tol, method.tol), loudest(system)
-    reach = limits.reach_of(loud, None, start, float(np.max(times)))
-    dt, failures = limits.motion_step(method, loud, reach, error=wanted)
+    tol, loud = tolerance(asked.tol, method.tol), loudest(system)
+    reach = limits.motion_reach(loud, None, start, float(np.max(times)))
+    dt, failures = limits.motion_step(method, loud, reach, error=tol)
     mirror = effects_of(system).mirror and (start.kind != "state" or start.rest)
     paths = -(-method.paths // LANES) * LANES
     stepped = limits.needs_steps(system) or modulation is not None
@@ -45,20 +45,20 @@ def transient(method: Settings, asked: Asked) -> Transient:
         q, p = np.split(states, 2, axis=1)
         return [histogram.values_of(system, c, q, p) for c in observable]
 
-    def states(number: int, ended: Callable[[float], bool]) -> Iterable[tuple[Array, ...]]:
+    def states(number: int, begin: Callable[[], Any]) -> Iterable[tuple[Array, ...]]:
         q, p = origin(paths, number)
-        known: Any = {"seed": seed_of(method.seed, number), "workers": workers}
-        begun = partial(ensemble_from, system, q, p, modulation=modulation, **known)
-        return motions(begun, np.hstack([q, p]), states_of, times, longest, many, ended)
+        settings: Any = {"seed": seed_of(method.seed, number), "workers": workers}
+        begun = partial(ensemble_from, system, q, p, modulation=modulation, **settings)
+        return motions(begun, np.hstack([q, p]), states_of, times, longest, many, begin)
 
-    with working(method, system, wanted, start) as (workers, watch, origin):
+    with working(method, system, tol, start) as (workers, watch, origin):
         axis = partial(histogram.axis_of, system)
         settings = {"seed": method.seed, "scheme": method.scheme}
-        counted = partial(counted_in_rounds, asked, watch, states, columns, axis, mirror=mirror)
-        return counted(8, paths, dt, settings, failures)
+        known = 8, paths, dt, settings, failures
+        return transient_in_rounds(asked, watch, states, columns, axis, *known, mirror=mirror)
 
 
-def counted_in_rounds(
+def transient_in_rounds(
     asked: Asked,
     watch: Watch,
     states: Callable[..., Iterable[tuple[Array, ...]]],
@@ -72,36 +72,37 @@ def counted_in_rounds(
     *,
     mirror: bool = False,
 ) -> Transient:
-    """Return the densities that are asked for, ``dt`` being the longer step.
+    """Return the densities of ``asked.observable``; ``dt`` is the longer step.
 
-    ``states(number, ended)`` yields as ``motions`` does states (paths, …) of a round, at half the
-    step and, if it has an error, at the step; ``columns`` returns the coordinates (paths,) of the
-    observable. ``axis`` makes bins as ``axis_of`` does, over the ranges of the first round. Rounds
-    follow until the ``watch`` ends them, ``rounds`` where no error is wanted. Errors are one
-    standard error and the change at the longer step, inf where bins show no density.
+    ``states(number, begin)`` yields states (``paths``, …) of a round as ``motions`` does: at half
+    the step and, if the step has an error, at the step. ``columns`` returns the coordinates
+    (paths,) of the observable, ``axis`` makes bins as ``axis_of`` does, over the ranges of the
+    first round. Rounds are made until the ``watch`` ends them; ``rounds`` of them without a
+    tolerance. The error is one standard error and the change at the longer step, added in squares,
+    or inf at points whose bins do not resolve the density.
     """
     times, tol = asked.times, inf if watch.tol is None else watch.tol
-    found = list[tuple[histogram.Histogram, Integers]]()  # counts (2, GROUPS, bins + 1)
+    sampled = list[tuple[histogram.Histogram, Integers]]()  # counts (2, GROUPS, bins + 1)
     taken, stepped = np.zeros(times.size, dtype=np.int64), False
 
     def densities(which: int = 0) -> list[SampledDensity]:
         known: Any = {"mirror": mirror, "everywhere": False}
         return [
-            histogram.sampled_density(bins, counts[which], taken=int(many), **known)
-            for (bins, counts), many in zip(found, taken, strict=True)
+            histogram.density_of_counts(bins, counts[which], taken=int(many), **known)
+            for (bins, counts), many in zip(sampled, taken, strict=True)
         ]
 
     def error_after(number: int) -> float:
         nonlocal stepped
-        first = partial(watch.require, "the first round")  # later, what there is will do
-        ended = (lambda share: watch.ends()) if number else first
-        for k, at_steps in enumerate(states(number, ended)):
+        first = partial(watch.required, "the first round")
+        later = lambda: lambda share: watch.ends()  # noqa: E731
+        for k, at_steps in enumerate(states(number, later if number else first)):
             stepped = len(at_steps) > 1
             for which, values in enumerate(map(columns, at_steps)):
-                if k == len(found):
+                if k == len(sampled):
                     bins = bins_over(asked.observable, values, axis, times[k])
-                    found.append((bins, np.zeros((2, GROUPS, bins.size + 1), np.int64)))
-                found[k][1][which] += found[k][0].counted(values, GROUPS)
+                    sampled.append((bins, np.zeros((2, MAX_BATCHES, bins.size + 1), np.int64)))
+                sampled[k][1][which] += sampled[k][0].counted(values, MAX_BATCHES)
             taken[k] += len(at_steps[0])
             every = rounds * times.size
             asked.progress(min(every, number * times.size + k + 1), every, "transient")
@@ -116,7 +117,7 @@ def counted_in_rounds(
         step, lost = b.at(*asked.at)[0] - values[k], a.are_unresolved(np.stack(asked.at))
         errors[k] = np.where(lost, inf, np.hypot(errors[k], step))
         if lost.any():
-            words = histogram.unresolved_words(a)[0]
+            words = histogram.words_on_resolution(a)[0]
             wide.append(f"at t = {times[k]:g} {words}; ask for later times")
         bias = max(bias, float(np.max(np.abs(step), initial=0.0)))
     certificates = [density.certificate for density in fine]
@@ -139,7 +140,10 @@ def counted_in_rounds(
 def bins_over(
     observable: Observable, columns: Sequence[Array], axis: Callable[..., BinAxis], time: float
 ) -> histogram.Histogram:
-    """Return bins over the ``columns`` (paths,) of an observable; refuse one that is constant."""
+    """Return bins over the ``columns`` (paths,) of ``observable`` at ``time``.
+
+    Raises ``InvalidInput`` if a coordinate has the same value on all paths.
+    """
     reached = np.array([(x.min(), x.max()) for x in columns])
     for c, (low, high) in zip(observable, reached.tolist(), strict=True):
         if not high - low > 1e-9 * max(abs(low), abs(high)):

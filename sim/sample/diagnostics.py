@@ -1,9 +1,9 @@
 """Report of a simulation: moment identities, autocorrelation times, effective samples, drift.
 
-τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity with the variance σ². Its mean
-over a time T on a trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, so that independent
-trajectories show τ without any correlogram: ``τ = T var(path means)/(2 σ²)``. N trajectories have
-``N T/(2τ)`` effective samples, ``N σ²/var(path means)`` for any T, also below τ.
+τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity with the variance σ². The mean
+of the quantity over a time T of a trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, so that
+τ follows from independent trajectories without an autocovariance: ``τ = T var(path means)/(2 σ²)``.
+N trajectories have ``N T/(2τ)`` effective samples; ``N σ²/var(path means)`` holds below τ, too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,21 +23,24 @@ from fpk.numeric.arrays import Array, Integers
 from fpk.system.system import System
 
 Product = tuple[str, int, str, int]
-"""Two coordinates whose product is summed, each a kind (q, p, f or d) and a mass from 0."""
+"""Two factors whose product is summed, each a kind (q, p, force f, damping d) and a mass from 0."""
 LEAST_TIMES = 50.0
-"""Autocorrelation times, of 2τ as emcee counts them, below which a run is refused."""
+"""Least number of effective samples of a certified run (emcee's rule: 50 times 2τ)."""
 LEAST_BURN_IN = 5.0
-"""Autocorrelation times τ that a burn-in must have: e^−5 of a start is 0.7 % of its distance."""
+"""Least burn-in in units of τ: e^−5 = 0.7 % of the deviation of the start remains."""
 CHUNKS = 20
-"""Chunks of the sampled time, to see a drift. Without a known end they begin a 32nd as long:
-whenever there are twice as many, they are joined in pairs, and the next are twice as long."""
+"""Chunks of the sampled time, whose means show a drift. If only the wall time is given, the first
+chunks are a 32nd as long; whenever there are twice as many, they are joined in pairs."""
 FALSE_ALARMS = 1e-6
-"""Probability that a right simulation is called wrong, in one observable or of all that may drift.
-A verification judges thousands of comparisons, and one false alarm ends it with an error."""
+"""Probability that a correct simulation fails a test: of one observable, or of the drift of all. A
+verification makes thousands of comparisons, and one false alarm ends it with an error."""
 
 
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
-    """Return the products that are summed, F = K q + g(q), D_i = Σ_j c̃_ij v_j of the ``terms``."""
+    """Return the products summed of ``n`` masses: of q, p, f = K q + g(q), d_i = Σ_j c̃_ij v_j.
+
+    ``terms``: whether there are damping terms c̃.
+    """
     masses = range(n)
     products: list[Product] = [("p", i, "p", j) for i in masses for j in range(i, n)]
     products += [("q", i, "p", j) for i in masses for j in masses]
@@ -47,19 +50,22 @@ def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
 
 
 def batch_moments(system: System, batch_means: Array) -> dict[Product, Array]:
-    """Return the mean (batches,) of each product, in either order, from (batches, products)."""
+    """Return the mean (batches,) of each product, in either order of its factors.
+
+    ``batch_means`` (batches, products) are in the order of ``moment_products``.
+    """
     products = moment_products(system.n, terms=bool(system.damping_terms))
     moments = dict(zip(products, batch_means.T, strict=True))
     return moments | {(b, j, a, i): mean for (a, i, b, j), mean in moments.items()}
 
 
 def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...]:
-    """Return the moment identities, exact in the stationary state of Eq. (6).
+    """Return the moment identities, which are exact in the stationary state of Eq. (6).
 
     The generator applied to H, q_i p_i and p_i² has mean zero:
     ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
     ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ. Damping terms are part of c, inside the
-    means. ``batch_means`` (batches, products): errors are from their spread.
+    means. Standard errors come from the spread of ``batch_means`` (batches, products).
     """
     m, c, masses = system.mass, system.damping, range(system.n)
     mean = batch_moments(system, batch_means)
@@ -83,10 +89,12 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
 
 
 def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
-    """Return ∫|p_a − p_b| of two independent samples, with its mean by chance alone as error."""
-    # Their bins are the same; joined ones have less counting noise.
-    wanted = 128 if len(a.edges) == 1 else 64
-    a, b = (density.joined(min(density.values.shape) // wanted) for density in (a, b))
+    """Return ∫|p_a − p_b| of two independent samples on the same bins.
+
+    Its error is the mean value for two samples of one density. Joined bins have less noise.
+    """
+    bins = 128 if len(a.edges) == 1 else 64
+    a, b = (density.joined(min(density.values.shape) // bins) for density in (a, b))
     spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
     area = float(np.prod([e[1] - e[0] for e in a.edges]))
     return Number(l1_distance(a, b), sqrt(2.0 / pi) * area * spread)
@@ -94,11 +102,12 @@ def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """How far a sample can be trusted; ``failures`` in words, empty where it can.
+    """Tests of a sample; ``failures``: in words why it is not certified, else empty.
 
-    ``autocorrelation_time`` τ is the longest of all quantities, that of ``slowest``, of which there
-    are ``effective_samples`` with a ``relative_error``; a trajectory is ``times_per_path`` τ long.
-    ``r_hat`` is the largest split R-hat, ``drift`` the largest |z| of ``drifts``.
+    ``autocorrelation_time`` τ is the longest of all quantities, and ``slowest`` the name of this
+    quantity, which has ``effective_samples`` with a ``relative_error``. A trajectory is
+    ``times_per_path`` τ long. ``r_hat`` is the largest split R-hat, ``drift`` the largest |z| of
+    ``drifts``, and ``drift_limit`` its largest value by chance.
     """
 
     autocorrelation_time: float
@@ -113,7 +122,10 @@ class Diagnosis:
 
 
 def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> tuple[Array, Array]:
-    """Return effective samples of ``means`` (quantities, paths), σ² ``variance``, and errors."""
+    """Return the effective samples of quantities from path ``means`` (quantities, paths).
+
+    ``variance`` (quantities,) is σ², known to ``relative_error``; relative errors come second.
+    """
     of_means = means.var(axis=1, ddof=1)
     samples = np.full_like(of_means, inf)
     np.divide(means.shape[1] * variance, of_means, out=samples, where=of_means > 0)
@@ -121,8 +133,8 @@ def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> 
 
 
 def effective_of_shares(shares: Array) -> tuple[float, float]:
-    """Return effective samples of ``shares`` below levels (batches, levels), and their error."""
-    # Of n samples the variances sum to Σ s(1 − s)/n. Levels vary together: the error is of one.
+    """Return effective samples, and their relative error, by ``shares`` (batches, levels)."""
+    # n samples have variances of sum Σ s(1 − s)/n. Levels are correlated: the error is for one.
     batches, s = shares.shape[0], shares.mean(axis=0)
     variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
     samples = float(np.sum(s * (1.0 - s))) / variance if variance > 0 else inf
@@ -130,22 +142,22 @@ def effective_of_shares(shares: Array) -> tuple[float, float]:
 
 
 def variance_error(samples: Array) -> Array:
-    """Return √((kurtosis − 1)/paths), the relative error of the variance of (..., paths)."""
+    """Return √((kurtosis − 1)/paths), the relative error of the variance of ``samples``."""
     away = samples - samples.mean(axis=-1, keepdims=True)
     size = np.max(np.abs(away), axis=-1, keepdims=True)
-    # In units of the largest: its fourth power is a number for any samples.
+    # In units of the largest deviation, so that no fourth power overflows.
     squares = np.divide(away, size, out=np.zeros_like(away), where=size > 0) ** 2
     second = np.mean(squares, axis=-1)
-    # kurtosis − 1 as a variance: of two values alone it is 0, never below.
+    # kurtosis − 1 as a variance is never negative.
     excess = np.divide(squares.var(axis=-1), second**2, out=np.zeros_like(second), where=second > 0)
     return np.asarray(np.sqrt(excess / samples.shape[-1]))
 
 
 def split_r_hat(draws: Array) -> float:
-    """Return the split R-hat of ``draws`` (chains, draws); not a number below four draws.
+    """Return the split R-hat of ``draws`` (chains, draws); NaN for fewer than four draws.
 
-    Of halves of chains, n draws each: ``R = √((n − 1)/n + B/(n W))``, W the mean of the variances,
-    B n times the variance of the means (Gelman et al., BDA3, section 11.4).
+    Each chain is divided into halves of n draws: ``R = √((n − 1)/n + B/(n W))``, W the mean of the
+    variances, B n times the variance of the means (Gelman et al., BDA3, section 11.4).
     """
     half = draws.shape[1] // 2
     if half < 2:
@@ -159,7 +171,10 @@ def split_r_hat(draws: Array) -> float:
 
 
 def drifts(means: Array) -> Array:
-    """Return z of first chunk − others and half − half, from ``means`` as of ``diagnosis``."""
+    """Return z (quantities, 2) of first chunk − others and of first half − second half.
+
+    ``means`` (quantities, batches, chunks).
+    """
     half = means.shape[2] // 2
     first, others = means[:, :, 0], means[:, :, 1:].mean(axis=2)
     early, late = means[:, :, :half].mean(axis=2), means[:, :, -half:].mean(axis=2)
@@ -170,14 +185,17 @@ def drifts(means: Array) -> Array:
 
 
 def octiles(below: Integers) -> Integers:
-    """Return the bins up to which 1/8, 2/8 … of the samples ``below`` (bins,) their ends lie."""
+    """Return the bins that contain the octiles; ``below`` (bins,): samples below a bin's end."""
     cuts = np.unique(np.searchsorted(8 * below, np.arange(1, 8) * int(below[-1])))
-    # A cut below which all samples lie says nothing.
+    # Without cuts below which all or no samples lie.
     return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)
 
 
 def drift_limit(batches: int, comparisons: int) -> float:
-    """Return the |z| that the largest of some Student's t passes with ``FALSE_ALARMS`` at most."""
+    """Return the |z| that the largest of ``comparisons`` exceeds with probability ``FALSE_ALARMS``.
+
+    z is Student's t of ``batches`` − 1 degrees of freedom.
+    """
     return -float(stdtrit(batches - 1, 0.5 * FALSE_ALARMS / max(1, comparisons)))
 
 
@@ -190,9 +208,10 @@ def diagnosis(
     paths: int,
     burn_in: float,
 ) -> Diagnosis:
-    """Return the diagnosis of ``paths`` of ``time`` each; ``means`` (quantities, batches, chunks).
+    """Return the diagnosis of ``paths`` trajectories of ``time`` each after ``burn_in``.
 
-    ``effective`` has quantities, their independent samples, and relative errors of these numbers.
+    ``effective``: name, effective samples and their relative error; ``means`` (quantities, batches,
+    chunks) have the ``names``.
     """
     slowest, samples, relative_error = min(effective, key=lambda e: e[1])
     tau = paths * time / (2.0 * samples) if samples > 0 else inf
@@ -224,19 +243,19 @@ def diagnosis(
 
 @dataclass(frozen=True)
 class Report:
-    """Everything a simulation says of itself beside its densities; times are those of the system.
+    """Settings and results of a simulation, without the densities; times in the system's unit.
 
     ``dt`` is the step of the integrator; ``paths`` were sampled for ``time`` after ``burn_in``, in
     ``steps`` of ``long_step``, every ``stride``-th of them observed. ``relaxation_time`` is the
-    longest decay time without contact. ``small_steps`` says which trajectories make small steps,
-    ``limited_by`` the limit that cut ``time`` short of what was asked for; empty where nothing.
+    longest decay time without contact. ``small_steps``: words on which trajectories make small
+    steps; ``limited_by``: the setting that cut ``time`` short, else empty.
 
-    ``diagnosis`` is None where Ctrl-C ended the sampling, as ``interrupted`` then says, or the
-    limit of time did, in its first chunk. ``moments`` are means over the sampled states by name,
-    such as ``q2²``, with one standard error. ``step_pair`` says whether a second simulation at half
-    the step could be compared; ``step_biases`` are the differences by the names of densities, such
-    as ``q2,p2`` (L1 distances, with their means were both the same), and of moments (with standard
-    errors). With weak order w they are ``1 − 2^−w`` of the bias at dt.
+    ``diagnosis`` is None if Ctrl-C ended the sampling (words in ``interrupted``), or the limit of
+    time in the first chunk. ``moments`` are means over the sampled states by name, such as ``q2²``,
+    with one standard error. ``step_pair``: words on the comparison with a second simulation at half
+    the step; ``step_biases`` are the differences by the names of densities, such as ``q2,p2`` (L1
+    distances; their error is the mean value by chance alone), and of moments (with standard
+    errors). With weak order w they are ``1 − 2^−w`` times the bias at dt.
     """
 
     dt: float
@@ -262,13 +281,13 @@ class Report:
     step_biases: Mapping[str, Number] = field(default_factory=dict)
 
     def settings(self, densities: Sequence[AnyDensity]) -> dict[str, str | float | int]:
-        """Return everything, errors of ``densities`` too, by the names of tables and JSON."""
+        """Return all fields and the errors of ``densities``, by the names in tables and JSON."""
         of_run = takewhile(lambda f: f.name != "diagnosis", fields(self))
         settings = {f.name: own for f in of_run if (own := getattr(self, f.name)) != ""}
         if self.interrupted:
             settings["partial"] = self.interrupted
         if d := self.diagnosis:
-            passed = "holds" if d.drift <= d.drift_limit else "drifts"
+            verdict = "holds" if d.drift <= d.drift_limit else "drifts"
             settings |= {
                 "autocorrelation_time": d.autocorrelation_time,
                 "time in autocorrelation times": d.times_per_path,
@@ -276,7 +295,7 @@ class Report:
                 "relative error of effective_samples": d.relative_error,
                 "slowest quantity": d.slowest,
                 "r_hat": d.r_hat,
-                "burn_in_check": f"{passed}: |z| = {d.drift:.2f}, allowed {d.drift_limit:.2f}",
+                "burn_in_check": f"{verdict}: |z| = {d.drift:.2f}, allowed {d.drift_limit:.2f}",
             }
         settings |= {f"sampling error of {d.name}": d.l1_error for d in densities}
         if densities:
@@ -285,10 +304,10 @@ class Report:
         for name, mean in self.moments.items():
             settings |= {f"E {name}": mean.value, f"standard error of E {name}": mean.error}
         settings["step bias"] = self.step_pair
-        named = [(d.name, d.name, "{} by chance") for d in densities]
-        named += [(name, f"E {name}", "standard error of {}") for name in self.moments]
-        for key, of, chance in named:
+        rows = [(d.name, d.name, "{} by chance") for d in densities]
+        rows += [(name, f"E {name}", "standard error of {}") for name in self.moments]
+        for key, label, chance in rows:
             if bias := self.step_biases.get(key):
-                name = f"step bias of {of}"
+                name = f"step bias of {label}"
                 settings |= {name: bias.value, chance.format(name): bias.error}
         return settings

@@ -1,4 +1,4 @@
-"""Trajectories of Eq. (6) that advance together, whose observed states are counted or read."""
+"""Trajectories of Eq. (6) that advance together, and the counting of their observed states."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,32 +17,38 @@ from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
-from sim.sample.plan import step_arrays, watched
+from sim.sample.plan import observation_arrays, step_arrays
 from sim.sample.workers import Workers
-from sim.step.arrays import GROUPS, LANES, StepArrays, WatchArrays, in_blocks, in_rows
-from sim.step.kernel import KernelKey, compiled_kernel
-from sim.step.random import mixed_seed, start_states
+from sim.step.arrays import LANES, MAX_BATCHES, StepArrays, WatchArrays, in_blocks, in_rows
+from sim.step.kernel import KernelKey, kernel_for
+from sim.step.random import start_states, stream_offset
 from sim.step.schemes import SCHEMES, Scheme
 from sim.step.step_size import largest_reached, loudest, stability_limit
 
 Reader = Callable[..., None]
 """Called as ``read(trace, samples, done, *arrays)`` for some blocks: ``trace`` (blocks, many, rows,
-LANES) holds the observed states number ``done`` to ``done + samples``; ``arrays`` are those of
-these blocks, changed in place. A function of a module, or a ``partial`` of one."""
+LANES) holds the observed states number ``done`` to ``done + samples``; ``arrays`` have these blocks
+as their first axis and are changed in place. A module's function or a ``partial`` of it."""
 
 TASKS_PER_THREAD = 8
-"""Tasks of a thread in one piece of time: fewer cost less to hand out, more leave less to wait for
-at the end, and after Ctrl-C."""
+"""Tasks of a thread in one call of ``advance``: few tasks cost little to distribute, and of many
+the last one leaves the other threads idle for a short time only."""
 TRACED = 1024
-"""Samples of a block that are traced, in all blocks of a task, before they are read: some MB."""
+"""Observed states of blocks, of a task, in one trace: some MB."""
 
 
-def advanced(
+def advance_batches(
     first: int, live: Integers, batch: Integers, *arrays: Any, key: KernelKey, step: StepArrays,
     watch: WatchArrays, offset: np.uint64, word: int, samples: int, phase: int, steps: int,
     stride: int, read: Reader | None,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Advance batches from block ``first`` on; ``arrays``, the reader's too, change in place."""
+    """Advance the batches from block ``first`` on, and return the ``arrays``, changed in place.
+
+    ``arrays``: states, sums, counts and last sample of these blocks, then those that ``read`` is
+    called with. ``live`` (blocks,): trajectories of a block; ``batch`` (blocks,): its batch.
+    ``word``: first random word; ``samples``, ``phase``: samples and steps before these ``steps``,
+    of which every ``stride``-th is observed.
+    """
     states, sums, counts, last, *own = arrays
     blocks, rows, strength = len(states), watch.traced.size, step.strength
     piece = max(1, TRACED // blocks) * stride if rows else steps
@@ -53,7 +59,7 @@ def advanced(
         many = min(piece, steps - k)
         trace[:, 0] = last
         step = step._replace(strength=strength[k : k + many])
-        compiled_kernel(key)(
+        kernel_for(key)(
             *fixed, np.uint64(word + k * step.words), many, phase + k, stride, offset, step,
             watch, trace.reshape(blocks, trace.shape[1] * rows * LANES),
         )  # fmt: skip
@@ -66,18 +72,19 @@ def advanced(
 
 @dataclass(eq=False)
 class Ensemble:
-    """States of ``paths`` trajectories, in blocks of lanes, and batches of blocks.
+    """``paths`` trajectories in blocks of lanes, and batches of blocks.
 
-    They begin at rest or near it, by random numbers, or in the observed states ``start``: q and p
-    (paths, n), whole blocks. These are then the sample number 0, and the states of each sample can
-    be read: q (n), p (n) and the ``energies``. ``halved``: a step has the random numbers of two
-    steps dt/2, so that it is the same motion but for the error of the step. ``modulation`` e is of
-    the noise, the start at its time ``begin``: a step has the root of the mean square.
-    Trajectories take their own words of random numbers from ``word`` on.
+    Without a ``start`` they begin in ``random.start_states``. A ``start``, observed states q and p
+    (paths, n) of whole blocks, is the sample number 0, and each sample can be read: q (n), p (n)
+    and the ``energies``. ``halved``: a step uses the random numbers of two steps dt/2 and gives the
+    same motion except for the error of the step. ``modulation`` e multiplies the noise, from the
+    time ``begin`` on: a step has the root mean square of e. ``word``: number of the first random
+    word of each trajectory.
 
     The result is bitwise the same for any ``workers`` (None: ``threads`` of this process) and any
-    calls of ``advance``: streams are keyed by trajectory, counts are integers, and sums grow in the
-    order of samples. Raises ``NotApplicable`` where no step begins in the ``start``.
+    division of time into calls of ``advance``: streams belong to trajectories, counts are integers,
+    and sums grow in the order of samples. Raises ``NotApplicable`` if no state before the kick has
+    the ``start`` as its observed state.
     """
 
     system: System
@@ -93,12 +100,12 @@ class Ensemble:
     word: int = 0
     modulation: Modulation | None = None
     begin: float = 0.0
-    done: int = field(init=False, default=0)  # steps, one more than by then with a start
-    samples: int = field(init=False, default=0)
-    phase: int = field(init=False, default=0)  # steps since ``watch`` that might be observed
+    done: int = field(init=False, default=0)  # steps made; with a start one more than its time has
+    samples: int = field(init=False, default=0)  # since ``watch``
+    phase: int = field(init=False, default=0)  # steps since ``watch`` with a stride
 
     def __post_init__(self) -> None:
-        """Draw ``states`` (blocks, 2n, LANES) before the first kick, or find those of a start."""
+        """Draw ``states`` (blocks, 2n, LANES) before the first kick, or find them from a start."""
         self.workers = self.workers or Workers(ThreadPoolExecutor(self.threads), self.threads)
         self.threads = self.workers.threads
         self.step = step_arrays(self.system, self.scheme, self.dt, halved=self.halved)
@@ -111,8 +118,8 @@ class Ensemble:
         self.watch()
         if self.start is None:
             return
-        # The state whose observation is the start, by iteration, and its first step. Displacements
-        # count in units of momenta.
+        # Find the states before the kick whose observed states are the start, by iteration; each
+        # iteration makes a step. ``scale`` converts displacements to momenta.
         n, wanted, before = self.system.n, self.states, self.states.copy()
         impedance = np.sqrt(self.system.mass * np.diag(self.system.stiffness_matrix))
         scale = np.concatenate([impedance, np.ones(n)])[:, None]
@@ -120,7 +127,7 @@ class Ensemble:
         for _ in range(100):
             self.states = before.copy()
             self._advance(1, 1, None, ())
-            with np.errstate(over="ignore", invalid="ignore"):  # not a number is not enough
+            with np.errstate(over="ignore", invalid="ignore"):  # NaN does not pass the test
                 missing = wanted - self.last[:, : 2 * n]
                 if np.all(np.abs(missing * scale) <= enough):
                     self.done = self.phase = 1
@@ -130,30 +137,30 @@ class Ensemble:
 
     @property
     def edges(self) -> Integers:
-        """First block of each batch, and the number of blocks."""
-        batches = min(GROUPS, len(self.states))
+        """First block of each batch, and last the number of blocks."""
+        batches = min(MAX_BATCHES, len(self.states))
         return np.arange(batches + 1, dtype=np.int64) * len(self.states) // batches
 
     @property
     def live(self) -> Integers:
-        """Number of lanes of each block that are trajectories; all lanes run."""
+        """Number of lanes of each block that count as trajectories; all lanes are computed."""
         return np.minimum(LANES, self.paths - LANES * np.arange(len(self.states)))
 
     @property
     def time(self) -> float:
-        """Time of the last sample of a motion from a ``start``, ``begin`` at the start."""
+        """Time of the last sample of a motion from a ``start``, whose sample 0 is at ``begin``."""
         return self.begin + (self.done - 1) * self.dt
 
     @property
     def next_word(self) -> int:
-        """The first word that no sample of a motion from a ``start`` has depended on."""
+        """Number of the first random word that no sample of a motion from a ``start`` used."""
         return self.word + (self.done - 1) * self.step.words
 
     def watch(self, histograms: Sequence[Histogram] = (), products: Sequence[Product] = ()) -> None:
-        """Observe these from now on, counts and sums starting from zero; ``last``: last sample."""
+        """Observe ``histograms`` and ``products`` from now on; counts and sums begin at zero."""
         self.histograms, self.products = tuple(histograms), tuple(products)
         traced = [Coordinate(kind, i) for kind in ("q", "p") for i in range(self.system.n)]
-        self._key, self._watch = watched(
+        self._key, self._watch = observation_arrays(
             self.system, self.scheme, self.step, self.histograms, self.products,
             () if self.start is None else (*traced, *self.energies),
         )  # fmt: skip
@@ -167,12 +174,12 @@ class Ensemble:
         self, steps: int, *arrays: NDArray[Any], stride: int = 1, read: Reader | None = None,
         passed: Array | None = None,
     ) -> None:  # fmt: skip
-        """Advance all trajectories; every ``stride``-th step since ``watch`` is observed, 0: none.
+        """Advance by ``steps``; every ``stride``-th step since ``watch`` is observed, none if 0.
 
-        With a start ``steps`` are whole strides, and ``read`` sees each sample, and the one before
-        the first of them, with its ``arrays``, which are split by blocks, their first axis.
-        Raises ``NotCertified`` where the step is seen to be unstable, by trajectories of which
-        ``passed`` (blocks, 1, LANES) is then inf.
+        With a start ``steps`` is a multiple of ``stride``, and ``read`` is called with the samples,
+        the sample before them, and its ``arrays``, divided by blocks. Raises ``NotCertified`` if a
+        trajectory leaves the range that the energy allows: the step is unstable. With ``passed``
+        (blocks, 1, LANES) only trajectories count for which it is inf.
         """
         self._advance(steps, stride, read, arrays)
         if stride:
@@ -180,7 +187,7 @@ class Ensemble:
             self.phase += steps
         self.done += steps
         largest = largest_reached(self._loudest, self.energy, self.done * self.dt)[:, None]
-        beyond = ~(np.abs(self.states) <= largest).all(axis=1)  # not a number lies beyond, too
+        beyond = ~(np.abs(self.states) <= largest).all(axis=1)  # True for NaN, too
         if passed is not None:
             beyond &= np.isinf(passed[:, 0])
         if lost := int(np.count_nonzero(beyond)):
@@ -196,18 +203,18 @@ class Ensemble:
     def _advance(
         self, steps: int, stride: int, read: Reader | None, arrays: Sequence[NDArray[Any]]
     ) -> None:
-        """Advance all arrays by tasks of the workers, which are whole batches."""
+        """Advance by ``steps``, observed every ``stride``, in tasks of whole batches."""
         step, dt = self.step, self.step.dt
         if self.modulation is not None:
             times = self.begin + dt * np.arange(self.done, self.done + steps, dtype=float)
             strength = np.sqrt(self.modulation.mean_square(times, dt)).astype(np.float32)
             step = step._replace(strength=strength)
         task = partial(
-            advanced, key=self._key, step=step, watch=self._watch, offset=mixed_seed(self.seed),
-            word=self.word + self.done * step.words, samples=self.samples, phase=self.phase,
-            steps=steps, stride=stride, read=read,
+            advance_batches, key=self._key, step=step, watch=self._watch,
+            offset=stream_offset(self.seed), word=self.word + self.done * step.words,
+            samples=self.samples, phase=self.phase, steps=steps, stride=stride, read=read,
         )  # fmt: skip
-        # Whole batches to a task, as each has counts of its own; one thread has one task.
+        # A task has whole batches, each with its row of counts. A single thread has one task.
         tasks = min(TASKS_PER_THREAD * (self.threads - 1) + 1, len(self.counts))
         begins = np.arange(1, tasks) * len(self.counts) // tasks
         cuts = self.edges[begins]
@@ -218,18 +225,18 @@ class Ensemble:
         answers = self.workers.map(task, [0, *cuts.tolist()], live, batches, *columns)
         for views, changed in zip(zip(*columns, strict=True), answers, strict=True):
             for view, array in zip(views, changed, strict=True):
-                if view is not array:  # it comes from another process
+                if view is not array:  # a copy, from another process
                     view[...] = array
 
     def onward(self, dt: float) -> "Ensemble":
-        """Return the motion from the last sample on, in steps of another ``dt``."""
+        """Return a new ensemble that continues from the last sample in steps of ``dt``."""
         q, p = np.split(in_rows(self.last)[:, : 2 * self.system.n], 2, axis=1)
         return replace(self, start=(q, p), dt=dt, word=self.next_word, begin=self.time)
 
     def keep(self, lanes: Integers) -> None:
-        """Go on with the trajectories ``lanes``, counted along the blocks; sums begin anew.
+        """Continue with the trajectories ``lanes`` alone, numbered along the blocks; sums are 0.
 
-        Copies go apart after one step: random numbers belong to the place.
+        A number may occur twice: random numbers belong to the place, so that copies separate.
         """
         self.states, self.last = (in_blocks(in_rows(a)[lanes]) for a in (self.states, self.last))
         self.paths = len(self.states) * LANES
@@ -241,30 +248,30 @@ class Ensemble:
         return np.add.reduceat(self.live, self.edges[:-1])
 
     def batch_means(self) -> Array:
-        """Return (batches, products) means over the samples of each batch, in fixed order."""
+        """Return the mean of each product over the samples of each batch, (batches, products)."""
         alive = np.arange(LANES) < self.live[:, None, None]
         blocks = np.where(alive, self.sums, 0.0).sum(axis=2)
         sums = np.add.reduceat(blocks, self.edges[:-1], axis=0)
         return np.asarray(sums / (self.batch_paths()[:, None] * max(1, self.samples)))
 
     def counted(self) -> Iterator[tuple[Histogram, Integers]]:
-        """Return each histogram with its counts (batches, bins + 1), the last of them outside."""
+        """Return each histogram with its counts (batches, bins + 1); outside is the last bin."""
         counts = np.split(self.counts, starts(self.histograms)[1:-1], axis=1)
-        return zip(self.histograms, counts, strict=False)  # without histograms there is one part
+        return zip(self.histograms, counts, strict=False)  # no histograms: one empty part
 
     def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
-        """Return q and p (paths, n) just before the next kick, of the first ``most`` paths."""
+        """Return q and p (paths, n) just before the next kick, at ``most`` so many paths."""
         n, paths = self.system.n, self.paths if most is None else min(self.paths, most)
         lanes = self.states[: -(-paths // LANES)].transpose(1, 0, 2).reshape(2 * n, -1)
         return lanes[:n, :paths].T, lanes[n:, :paths].T
 
     def saved(self) -> dict[str, NDArray[Any]]:
-        """Return all that changes: what ``restore`` needs to go on as if never stopped."""
+        """Return the state of the simulation for ``restore``, as arrays by name."""
         clock = np.array([self.done, self.samples, self.phase], dtype=np.int64)
         return {"states": self.states, "sums": self.sums, "counts": self.counts, "clock": clock}
 
     def restore(self, saved: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from what ``saved`` returned, by any workers, after the same calls of ``watch``."""
+        """Continue from the arrays ``saved``, after the same calls of ``watch``."""
         self.done, self.samples, self.phase = saved["clock"].tolist()
         self.states[...], self.sums[...] = saved["states"], saved["sums"]
         self.counts[...] = saved["counts"]
@@ -273,5 +280,8 @@ class Ensemble:
 def ensemble_from(
     system: System, q: Array, p: Array, dt: float, seed: int, **settings: Any
 ) -> Ensemble:
-    """Return the ensemble that begins in the observed states q, p (paths, n), by exact_flow."""
+    """Return an ensemble with the start ``q``, ``p`` (paths, n), the step ``dt`` and a ``seed``.
+
+    The scheme is exact_flow; ``settings`` are further fields of ``Ensemble``.
+    """
     return Ensemble(system, SCHEMES["exact_flow"], dt, len(q), seed, start=(q, p), **settings)

@@ -18,22 +18,22 @@ from fpk.system.system import System, effects_of
 from sim.step.step_size import temperature
 
 BINS = (1024, 128)
-"""Bins of each axis of a histogram of one and of two coordinates."""
+"""Number of bins on each axis of a histogram of one coordinate, of two coordinates."""
 MARGIN = 0.3
-"""Share of the pilot's range that is added beyond its extremes."""
+"""Margin of a histogram beyond the extremes of the pilot, in units of its range."""
 DEEPEST = 30.0
-"""Contact energy, in units of kT, up to which bins reach beyond a stop: e^−30 of p is left."""
+"""Contact energy in units of kT at the end of the bins beyond a stop; p has fallen by e^−30."""
 LOWEST, SHARE = 400, 0.35
-"""Number of the lowest sampled energies, and the share of them in the lowest quarter of their range
-above which p is taken to rise towards H = 0: of a smooth p it is 0.25, within 0.022 by chance (one
-standard error), of p ~ H^(−1/2) 0.5."""
+"""p is taken to rise towards H = 0 if more than ``SHARE`` of the ``LOWEST`` sampled energies lie in
+the lowest quarter of their range. The share is 0.25 ± 0.022 (one standard error) for a smooth p,
+and 0.5 for p ~ H^(−1/2)."""
 LARGEST_TAIL = 1e-3
-"""Share of samples outside a histogram above which its density is not certified."""
+"""Largest share of samples outside the histogram of a certified density."""
 
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Bins of one observable, an axis for each coordinate."""
+    """Bins of an observable, one axis for each coordinate."""
 
     observable: Observable
     bins: tuple[BinAxis, ...]
@@ -50,11 +50,14 @@ class Histogram:
 
     @property
     def size(self) -> int:
-        """Number of bins, without that for outside."""
+        """Number of bins; the bin for samples outside is not included."""
         return int(np.prod(self.shape))
 
     def counted(self, columns: Sequence[Array], groups: int = 1) -> Integers:
-        """Return samples by bin, (groups, bins + 1), the last outside; groups take them in turn."""
+        """Return the counts (``groups``, bins + 1) of samples, the last bin for samples outside.
+
+        ``columns``: the values (samples,) of each coordinate; sample k belongs to group k % groups.
+        """
         bins, inside = np.array(0), np.array(True)
         for x, e in zip(columns, self.edges, strict=True):
             inside = inside & (x >= e[0]) & (x < e[-1])
@@ -64,35 +67,35 @@ class Histogram:
         return np.bincount(index * each + number, minlength=groups * each).reshape(groups, -1)
 
 
-def binned(
+def bin_axis(
     low: float, high: float, kinks: Sequence[float], bins: int, *, widening: bool,
     reference: LogReference = no_reference,
 ) -> BinAxis:  # fmt: skip
-    """Return about ``bins`` bins from ``low`` to ``high``, as many between each two ``kinks``.
+    """Return about ``bins`` bins from ``low`` to ``high``, equally many between any two ``kinks``.
 
-    ``widening``: above a kink they widen with the distance, as p may change there as a root of it:
-    as (H − H_c)^(1/2) where contact begins, as H^(−1/4) where it does without clearance, and as
-    H^(−1/2) after a start at rest. It costs accuracy next to the kink.
+    ``widening``: above a kink bins widen with the distance from it, as p may have a root there:
+    (H − H_c)^(1/2) where contact begins, H^(−1/4) for a stop without clearance, H^(−1/2) after a
+    start at rest. The fit of p to the bins then takes the root into account.
     """
     inside = list[float]()
     for kink in sorted(k for k in kinks if low <= k < high):
         if not inside or kink - inside[-1] > ROUND_OFF * (high - low):
             inside.append(kink)
     nodes = [low, *(k for k in inside if k > low), high]
-    each = max(32, bins // (len(nodes) - 1) // 8 * 8)  # by 8 they may be joined
+    each = max(32, bins // (len(nodes) - 1) // 8 * 8)  # can be joined by 8
     edges, share = [np.array([low])], np.linspace(0.0, 1.0, each + 1)[1:]
     for a, b in pairwise(nodes):
         edges.append(a + (b - a) * (share**4 if widening and a in inside else share))
         edges[-1][-1] = b
-    known = tuple(inside)
-    return BinAxis(np.concatenate(edges), known, known if widening else (), reference)
+    at = tuple(inside)
+    return BinAxis(np.concatenate(edges), at, at if widening else (), reference)
 
 
 def kinks_of(system: System, coordinate: Coordinate) -> list[float]:
-    """Return the values, ascending, at which the density of a coordinate may have a kink.
+    """Return, ascending, the values of ``coordinate`` at which its density may have a kink.
 
-    Of q_i the stops of mass i; of H the least energy to touch each stop, ½ δ²/C_ii and the contact
-    energy of nearer stops, C the compliance; of H_m by mode m alone, ½ (ω_m δ/T_im)².
+    For q_i: the stops of mass i; for H: the least energy to touch each stop, ½ δ²/C_ii plus the
+    contact energy of nearer stops, C the compliance; for H_m: by mode m alone, ½ (ω_m δ/T_im)².
     """
     at = [(stop.index, stop.sign * stop.clearance) for stop in system.stops]
     kinks: list[float] = []
@@ -111,10 +114,11 @@ def axis_of(
     system: System, coordinate: Coordinate, low: float, high: float, bins: int,
     *, rises: bool = False,
 ) -> BinAxis:  # fmt: skip
-    """Return bins of a coordinate that was seen between ``low`` and ``high``, with a margin.
+    """Return about ``bins`` bins of ``coordinate`` from ``low`` to ``high``, with a margin.
 
-    Energies start at 0; with ``rises`` their density may rise towards it. Beyond the outermost
-    stop that was reached bins of q end where its contact energy is ``DEEPEST`` kT, or farther out.
+    Bins of energies start at 0; ``rises``: the density may rise towards 0. Beyond the outermost
+    stop within the range bins of q end at a contact energy of ``DEEPEST`` kT, or at ``high`` plus
+    the margin if that is more.
     """
     energy, reach, wide = coordinate.kind == "H", MARGIN * (high - low), 1.0 + 2.0 * MARGIN
     mirror = effects_of(system).mirror and not energy
@@ -128,7 +132,7 @@ def axis_of(
         low, high = low - reach, high + reach
 
     def end(side: float, x: float) -> float:
-        """Where bins of side·q end instead of at ``x``, which is ``reach`` beyond what was seen."""
+        """Return the end of the bins of side·q; ``x`` is the end by the margin ``reach`` alone."""
         own = (s for s in system.stops if (s.index, s.sign) == (coordinate.row, side))
         stop = max((s for s in own if s.clearance < x), key=lambda s: s.clearance, default=None)
         if stop is None:
@@ -140,22 +144,22 @@ def axis_of(
 
     if coordinate.kind == "q":
         low, high = -end(-1.0, -low), end(1.0, high)
-    reference = partial(reference_of, system, coordinate)
-    axis = binned(low, high, kinks, bins, widening=energy, reference=reference)
+    reference = partial(log_reference, system, coordinate)
+    axis = bin_axis(low, high, kinks, bins, widening=energy, reference=reference)
     # Symmetric to the last digit.
     return replace(axis, edges=0.5 * (axis.edges - axis.edges[::-1])) if mirror else axis
 
 
 def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
-    """Return the least and the largest value of each coordinate, (coordinates, 2)."""
-    # One layout: sums over the masses may round by it.
+    """Return the extremes (coordinates, 2) of each coordinate; states ``q``, ``p`` (samples, n)."""
+    # The rounding of sums over masses depends on the layout in memory.
     q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
     values = [values_of(system, c, q, p) for observable in observables for c in observable]
     return np.array([(x.min(), x.max()) for x in values]).reshape(-1, 2)
 
 
 def values_of(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
-    """Return one coordinate of states ``q``, ``p`` (samples, n); H_m is that of a springs' mode."""
+    """Return ``coordinate`` of the states ``q``, ``p`` (samples, n); H_m without contact energy."""
     if coordinate.kind != "H":
         return (q if coordinate.kind == "q" else p)[:, coordinate.index]
     if coordinate.index is None:
@@ -164,7 +168,7 @@ def values_of(system: System, coordinate: Coordinate, q: Array, p: Array) -> Arr
 
 
 def rises(energies: Array) -> bool:
-    """Return whether the density of sampled ``energies`` rises towards 0 at some scale."""
+    """Return whether the density of ``energies`` (samples,) rises towards 0 on any scale."""
     x, count = np.sort(energies), LOWEST
     while 4 * count <= x.size:
         if np.count_nonzero(x < 0.25 * x[count]) > SHARE * count:
@@ -176,8 +180,11 @@ def rises(energies: Array) -> bool:
 def covering(
     observables: Sequence[Observable], reached: Array, axis: Callable[..., BinAxis]
 ) -> tuple[Histogram, ...]:
-    """Return histograms over ``reached`` (coordinates, 2); ``axis`` as ``axis_of`` of a system."""
-    # Extremes that are not numbers do not ascend.
+    """Return histograms of ``observables`` over the ranges ``reached`` (coordinates, 2).
+
+    ``axis(coordinate, low, high, bins)`` makes the bins, as ``axis_of`` does for a system.
+    """
+    # NaN: −1 to 1.
     ends = iter(np.where(reached[:, :1] <= reached[:, 1:], reached, (-1.0, 1.0)).tolist())
     return tuple(
         Histogram(o, tuple(axis(c, *next(ends), BINS[len(o) - 1]) for c in o)) for o in observables
@@ -185,19 +192,25 @@ def covering(
 
 
 def starts(histograms: Sequence[Histogram]) -> Integers:
-    """Return the first counter of each histogram, and the number of all; one more for outside."""
+    """Return the index of the first counter of each histogram, and the number of counters.
+
+    A histogram has one counter more than bins, for samples outside.
+    """
     return np.cumsum([0] + [h.size + 1 for h in histograms], dtype=np.int64)
 
 
-def mirrored(histogram: Histogram, counts: Integers) -> Integers:
-    """Return ``counts`` (batches, bins + 1) plus the counts of the mirrored states, (−q, −p)."""
+def add_mirror_images(histogram: Histogram, counts: Integers) -> Integers:
+    """Return ``counts`` (batches, bins + 1) plus the counts of the mirror images (−q, −p)."""
     axes = tuple(a for a, c in enumerate(histogram.observable, start=1) if c.kind != "H")
     reflected = np.flip(counts[:, :-1].reshape(-1, *histogram.shape), axis=axes)
     return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
 
 
-def reference_of(system: System, coordinate: Coordinate, x: Array, bins: Integers) -> Array:
-    """Return about ln p(x), up to a constant: −U_i/kT of q_i, as of Eq. (7), (n − 1) ln H of H."""
+def log_reference(system: System, coordinate: Coordinate, x: Array, bins: Integers) -> Array:
+    """Return an approximation of ln p(``x``), without its constant, in the bins number ``bins``.
+
+    −U_i/kT for q_i, Eq. (7); (n − 1) ln H for H; else 0.
+    """
     if coordinate.kind == "H" and coordinate.index is None:
         return log_states(system.n, x, bins)
     if coordinate.kind == "q" and coordinate.row in system.contact_masses:
@@ -206,11 +219,14 @@ def reference_of(system: System, coordinate: Coordinate, x: Array, bins: Integer
 
 
 def log_states(n: int, energy: Array, bins: Integers) -> Array:
-    """Return ln H^(n−1), the density of states of n masses at small energies."""
+    """Return ln H^(n−1) at each ``energy``, the density of states of ``n`` masses near H = 0.
+
+    ``bins``, the numbers of their bins, are not used.
+    """
     return np.asarray((n - 1.0) * np.log(np.maximum(energy, SMALLEST)))
 
 
-def sampled_density(
+def density_of_counts(
     histogram: Histogram,
     counts: Integers,
     *,
@@ -223,9 +239,9 @@ def sampled_density(
 ) -> SampledDensity:
     """Return the density of ``counts`` (batches, bins + 1) of ``taken`` samples, certified.
 
-    With ``mirror`` each sample counts as its mirror image, too. ``residual`` is the largest |z| of
-    the moment identities, ``tol`` the tolerance of the expected L1 sampling error, and ``failures``
-    say what is wrong with the sample itself; with ``everywhere`` bins that do not resolve it, too.
+    With ``mirror`` the mirror image of each sample is counted, too. ``residual`` is the largest |z|
+    of the moment identities, ``tol`` the tolerance of the expected L1 sampling error. ``failures``
+    are words against the sample; with ``everywhere`` bins that do not resolve p are added to them.
     """
     total = counts.sum(axis=0)
     tail, words = float(total[-1]) / max(1, taken), list(failures)
@@ -234,7 +250,7 @@ def sampled_density(
     if tail > LARGEST_TAIL:
         words.append(f"{tail:.2g} of the samples lie outside the histogram")
     if mirror:
-        counts = mirrored(histogram, counts)
+        counts = add_mirror_images(histogram, counts)
     whole, samples = max(1, counts.sum()), np.maximum(1, counts.sum(axis=1, keepdims=True))
     areas = reduce(np.multiply.outer, map(np.diff, histogram.edges))
     density = SampledDensity(
@@ -242,16 +258,16 @@ def sampled_density(
         histogram.bins,
         (counts.sum(axis=0)[:-1] / whole).reshape(histogram.shape) / areas,
         (counts[:, :-1] / samples).reshape(-1, *histogram.shape) / areas,
-        certify(Measured(nan, nan, nan, nan, nan), tol=0.0),  # until its error is known
+        certify(Measured(nan, nan, nan, nan, nan), tol=0.0),  # provisional
         samples=whole,
     )
     middles = (0.5 * (e[1:] + e[:-1]) for e in histogram.edges)
     errors = density.at(*np.meshgrid(*middles, indexing="ij", sparse=True))[1]
-    # √(2/π) standard errors: the expectation of |x| of a normal x.
-    errors = np.where(np.isfinite(errors), errors, density.values)  # next to a kink at an end
+    # E |x| of a normal x is √(2/π) standard errors. Next to a kink at an end: 100 %.
+    errors = np.where(np.isfinite(errors), errors, density.values)
     error = sqrt(2.0 / pi) * float(np.sum(areas * errors))
     if everywhere:
-        words += unresolved_words(density)
+        words += words_on_resolution(density)
     measured = Measured(
         l1_error=error,
         mass_defect=abs(float(total.sum()) / max(1, taken) - 1.0),
@@ -264,8 +280,8 @@ def sampled_density(
     return replace(density, l1_error=error, certificate=certificate, made=density.fits)
 
 
-def unresolved_words(density: SampledDensity) -> list[str]:
-    """Return in words where the contents of the bins do not show the density, if anywhere."""
+def words_on_resolution(density: SampledDensity) -> list[str]:
+    """Return, in words, the first place where bins do not resolve ``density``; else nothing."""
     for box in density.unresolved:
         ends = zip(density.observable, density.edges, box.first, box.last, strict=True)
         where = ", ".join(f"{c} = {e[a]:.4g} to {e[b]:.4g}" for c, e, a, b in ends)

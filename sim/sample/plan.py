@@ -1,13 +1,14 @@
-"""From settings and a system to a setup, to the arrays that the kernel reads, and to its key.
+"""The setup of a simulation, the arrays that the kernel reads, and the key of the kernel.
 
-A long step ``H = small · h`` divides the trajectories by their state x at its start: *near* ones
-make ``small`` steps ``h`` with kicks; *far* ones make it at once, which is exact in law unless they
-touch. With q the displacement of the mass and d the side, a trajectory is far if
+In a long step ``H = small · h``, trajectories that are *near* a stop in their state x at its start
+make ``small`` steps ``h`` with kicks; *far* trajectories are mapped over the long step, which is
+exact in law unless they touch a stop. With q the displacement of the mass and d the side of the
+stop, a trajectory is far if
 
     max(d q(0), d q(H) + a) + b(x) < clearance ,
 
-q(H) its mean motion, b(x) the ``bends`` of that, and a the ``noise_reach``. It then touches with a
-probability of 1.4e-11 at most: docs/theory.md, "The step of the simulation".
+q(H) its mean motion without noise, a the ``noise_reach``, and b(x) from ``bends``. It then touches
+the stop with a probability below 1.4e-11: docs/theory.md, "The step of the simulation".
 """
 
 from collections.abc import Sequence
@@ -32,29 +33,31 @@ from sim.sample.settings import NOT_IN_STATE, Settings, default_step
 from sim.sample.workers import Checkpoint, checkpoint_of
 from sim.step.arrays import LANES, NARROW, Rows, StepArrays, TermArrays, WatchArrays
 from sim.step.kernel import KernelKey
-from sim.step.schemes import SCHEMES, Scheme, exact_flow, lower_trapezoidal, padded
+from sim.step.schemes import SCHEMES, Scheme, exact_flow, lower_trapezoidal, pad_columns
 from sim.step.step_size import relaxation_time, sampling_interval, stability_limit, temperature
 
 LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
-"""Radius of a pair of normals at most: its uniform number is 2**-32 or more; and its rounding."""
+"""Largest radius of a pair of normals, whose uniform number is 2**-32 or more; with rounding."""
 SMALL_STEPS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
-"""Small steps in a long one; few choices, so that round-off does not decide between them."""
+"""Possible numbers of small steps in a long step; few, so that round-off does not decide."""
 LONG_COST, SMALL_COST, WORTH = 2.3, 1.2, 0.8
 """Processor time of a long step, and of a small step in a group, in units of a step of a whole
-block (measured by ``benchmarks/montecarlo.py``), and the cost below which long steps are made."""
+block (measured by ``benchmarks/montecarlo.py``); long steps are made if the cost is below WORTH."""
 
 
 def noise_reach(system: System, H: float, masses: Integers) -> Array:
-    """Return what the noise of one step H can add to the displacements of ``masses``."""
+    """Return a, the largest displacement of each of ``masses`` by the noise of one step ``H``."""
     rows = lower_trapezoidal(exact_flow(system, H).factor)[masses]
     rows = np.pad(rows, ((0, 0), (0, rows.shape[1] % 2)))
     return np.asarray(LARGEST_NORMAL * np.hypot(rows[:, ::2], rows[:, 1::2]).sum(axis=1))
 
 
 def bends(system: System, H: float, masses: Integers) -> Array:
-    """Return rows (masses, 2n) whose product with ``|x|`` is b(x), how far paths leave the chord.
+    """Return rows (masses, 2n) whose product with ``|x|`` is b(x).
 
-    The largest curvature is that on a grid of times, and half an interval times the largest slope.
+    b(x) bounds the distance of the mean motion q(t) of ``masses`` within a step ``H`` from its
+    chord. The curvature is bounded by its largest value on a grid of times, plus half an interval
+    times the largest slope.
     """
     drift, step = drift_matrix(system), H / 64
     across, values = expm(drift * step), [drift[system.n + masses] / system.mass[masses, None]]
@@ -64,8 +67,11 @@ def bends(system: System, H: float, masses: Integers) -> Array:
     return np.asarray(H**2 / 8.0 * (curvature + 0.5 * step * slope))
 
 
-def cost(system: System, dt: float, small: int) -> float:
-    """Return about the processor time of long steps over that of steps ``dt``, masses at kT."""
+def relative_cost(system: System, dt: float, small: int) -> float:
+    """Return the estimated processor time with long steps, relative to uniform steps ``dt``.
+
+    A long step has ``small`` steps; displacements have the Gibbs density at kT.
+    """
     if small == 1:
         return 1.0
     H, kT, far, masses = small * dt, temperature(system), 1.0, system.contact_masses
@@ -86,9 +92,9 @@ def cost(system: System, dt: float, small: int) -> float:
 
 
 def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, float, str]:
-    """Return the scheme with long steps of small ones ``dt``, how long they are, and why.
+    """Return the scheme, the length of its long steps of small steps ``dt``, and words on it.
 
-    A long step is no longer than the interval of samples, and only the exact flow is exact over it.
+    A long step is no longer than the sampling interval, and only the exact flow can make it.
     """
     if not system.stops:
         return scheme, dt, "no contact: all trajectories make the same steps"
@@ -100,7 +106,7 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
     choices = [m for m in SMALL_STEPS if m <= longest]
     if not choices or not (isfinite(kT) and kT > 0.0):
         return scheme, dt, "the contact does not limit the step"
-    costs = [cost(system, dt, m) for m in choices]
+    costs = [relative_cost(system, dt, m) for m in choices]
     small = choices[int(np.argmin(costs))]
     if min(costs) > WORTH:
         return scheme, dt, "too many trajectories are near a stop"
@@ -110,13 +116,12 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Everything that the numbers of one simulation of Eq. (6) depend on; times of the system.
+    """Everything that the numbers of a simulation of Eq. (6) depend on; times in the system's unit.
 
-    ``dt`` is the long step where ``scheme`` makes small ones. Each trajectory is sampled for
-    ``time`` or, where ``seconds`` are finite, for so long in wall time, or until the expected L1
-    error of the first observable is below ``tol``. ``histograms`` None: bins that cover what a
-    pilot reaches. ``division`` and ``limited_by`` are words of the report, ``failures`` reasons not
-    to certify an answer.
+    ``dt`` is the long step if ``scheme`` has small steps. Each trajectory is sampled for ``time``
+    or, if ``seconds`` is finite, for this wall time or until the expected L1 error of the first
+    observable is below ``tol``. ``histograms`` None: bins over the range of a pilot. ``division``
+    and ``limited_by`` are words of the report, ``failures`` reasons not to certify an answer.
     """
 
     method: Settings
@@ -143,13 +148,16 @@ class Setup:
         return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
 
     def checkpoint(self) -> Checkpoint:
-        """Return the checkpoint in the folder of the method; another limit of time may go on."""
+        """Return the checkpoint in the folder of the method; the limit of time may differ."""
         limited = self.seconds < inf
         return checkpoint_of(self.method.checkpoint, (self, limited), less=NOT_IN_STATE)
 
 
 def setup_of(method: Settings, system: System, observables: Sequence[Observable]) -> Setup:
-    """Return the setup that ``method`` asks for; raise ``InvalidInput`` for an unstable step."""
+    """Return the setup of ``method`` for ``system`` and ``observables``.
+
+    Raises ``InvalidInput`` for an unstable step, or for steps so short that random numbers run out.
+    """
     scheme, failures = SCHEMES[method.scheme], list[str]()
     dt = method.dt or method.step_factor * default_step(method, system, observables)
     limit = stability_limit(system, scheme)
@@ -158,7 +166,7 @@ def setup_of(method: Settings, system: System, observables: Sequence[Observable]
         if not method.allow_unstable:
             raise InvalidInput("dt", dt, remedy)
         failures.append(f"the step {dt:g} was insisted on: it {remedy}")
-    # Of its 2**40 words of random numbers a trajectory takes n a step, 5/4 n with long steps.
+    # A trajectory uses n of its 2**40 random words in a step, 5/4 n with long steps.
     relaxation = relaxation_time(system)
     longest = method.burn_in * relaxation + (method.time or 0.0)
     if dt < (shortest := 2.0**-39 * system.n * longest):
@@ -166,9 +174,9 @@ def setup_of(method: Settings, system: System, observables: Sequence[Observable]
         raise InvalidInput("dt", dt, remedy)
     scheme, long, division = with_long_steps(system, scheme, dt)
     tol = method.tol if method.tol is not None and observables else inf
-    own = 3.0 if method.step_pair else 1.0  # half the step takes twice as long
-    seconds = method.seconds / own if method.seconds else method.longest if tol < inf else inf
-    time = method.sampled_time(system, dt / cost(system, dt, scheme.small))
+    parts = 3.0 if method.step_pair else 1.0  # the run at half the step takes twice as long
+    seconds = method.seconds / parts if method.seconds else method.longest if tol < inf else inf
+    time = method.sampled_time(system, dt / relative_cost(system, dt, scheme.small))
     limited = method.time is None and time < method.relaxations * relaxation
     return Setup(
         method, system, tuple(observables), scheme, dt=long, time=time, tol=tol, seconds=seconds,
@@ -177,13 +185,13 @@ def setup_of(method: Settings, system: System, observables: Sequence[Observable]
 
 
 def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
-    """Return the numbers of a step of ``dt``; ``halved``: of its map two times, each of dt/2."""
+    """Return the numbers of a step of ``dt``; ``halved``: with two linear maps, each over dt/2."""
     n, small, H = system.n, scheme.small, dt
     dt = H / small
     linear = scheme.linear_map(system, 0.5 * dt if halved else dt)
     springs = dt * system.stiffness_matrix if scheme.springs_kicked else np.zeros((0, 0))
     terms = None
-    if system.damping_terms:  # as powers of the momenta p = m v
+    if system.damping_terms:  # in powers of the momenta p = m v
         factors, scales, numbers = [], [], []
         for term in system.damping_terms:
             v = list(term.powers("v", n))
@@ -202,7 +210,7 @@ def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = Fal
         linear = replace(linear, propagator=kicked)
     pairs = (linear.factor.shape[1] + 1) // 2
     laws, slots = effects_of(system).laws, system.contact_masses
-    signs: dict[tuple[float, ...], list[float]] = {}  # of both sides are one stop
+    signs: dict[tuple[float, ...], list[float]] = {}  # equal stops on both sides are one
     for s in system.stops:
         key = slots.index(s.index), s.clearance, s.stiffness, s.power, laws.index(s.law)
         signs.setdefault(key, []).append(s.sign)
@@ -232,14 +240,14 @@ def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = Fal
         words=pairs * (small + 1) if small > 1 else pairs * (1 + halved),
         small=small,
         long_matrix=long.matrix,
-        after=padded(long.propagator[mass]),
-        bend=padded(bend),
+        after=pad_columns(long.propagator[mass]),
+        bend=pad_columns(bend),
         reach=reach,
         strength=np.zeros(0, np.float32),
     )
 
 
-def watched(
+def observation_arrays(
     system: System,
     scheme: Scheme,
     step: StepArrays,
@@ -247,7 +255,10 @@ def watched(
     products: Sequence[Product],
     traced: Sequence[Coordinate] = (),
 ) -> tuple[KernelKey, WatchArrays]:
-    """Return what the kernel must be compiled for, and the numbers that it reads to observe."""
+    """Return the key of the kernel, and the numbers that it reads to observe.
+
+    ``products`` are summed; ``traced`` coordinates are copied to the trace.
+    """
     n, slots, effects = system.n, step.slot_mass, effects_of(system)
     observed = {c for histogram in histograms for c in histogram.observable} | {*traced}
     modes = sorted(c.row for c in observed if c.kind == "H" and c.index is not None)
@@ -264,7 +275,7 @@ def watched(
 
     shapes, frequency = natural_modes(system)
     T = shapes.T[modes]
-    rows = np.full((len(histograms), 2), -1, dtype=np.int64)  # −1: no such axis
+    rows = np.full((len(histograms), 2), -1, dtype=np.int64)  # −1: no second axis
     bins, piece = np.ones_like(rows), np.zeros((len(histograms), 2, 2), dtype=np.int64)
     pieces: list[tuple[float, ...]] = []
     for m, histogram in enumerate(histograms):

@@ -1,4 +1,4 @@
-"""Settings of the simulation of the full Ito system (6), its step, and what it cannot sample."""
+"""Settings of the simulation of the full Ito system (6), its step and its cost."""
 
 import os
 from collections.abc import Sequence
@@ -18,36 +18,45 @@ from sim.step.arrays import LANES, MAX_TRAJECTORIES
 from sim.step.schemes import SCHEMES
 from sim.step.step_size import (
     chosen_step,
-    expected_error,
+    has_undamped_mode,
+    relative_sampling_error,
     relaxation_time,
     samples_in,
     sampling_interval,
     step_for,
-    undamped_mode,
 )
 
 LEAST_PATHS = 32 * LANES
-"""Paths below which there are fewer than 32 independent batches to take errors from."""
-RELAXATIONS = 153.2
-"""Relaxation times that are sampled unless a time is given: 6000 time units of fig6a."""
+"""Least number of paths: 32 independent batches, from whose spread standard errors are computed."""
 ANYWHERE = {
-    "MonteCarlo.threads": "the random numbers belong to a path, whatever thread makes its steps",
-    "MonteCarlo.cluster": "and whatever machine",
+    "MonteCarlo.threads": "random numbers belong to a path, whichever thread makes its steps",
+    "MonteCarlo.cluster": "random numbers belong to a path, whichever machine makes its steps",
 }
-"""Fields on which no number of a simulation of a given length depends."""
+"""Fields on which no number of a simulation of a given length depends, and why."""
 NOT_IN_STATE = {
     **ANYWHERE,
-    "MonteCarlo.checkpoint": "it says where the state is",
-    "MonteCarlo.partial": "it says what Ctrl-C does, after which a state can be gone on from",
-    "MonteCarlo.seconds": "a later limit goes on from where an earlier one ended",
-    "MonteCarlo.longest": "so does this one",
-    "Setup.seconds": "the one of these two that holds; whether there is one is compared",
+    "MonteCarlo.checkpoint": "the folder of the state",
+    "MonteCarlo.partial": "a state is saved whatever Ctrl-C does to the answer",
+    "MonteCarlo.seconds": "a longer run continues from the state of a shorter run",
+    "MonteCarlo.longest": "a longer run continues from the state of a shorter run",
+    "Setup.seconds": "the smaller of these two; whether there is a limit is compared",
+    "Splitting.threads": "random numbers belong to a repetition",
+    "Splitting.cluster": "random numbers belong to a repetition",
+    "Splitting.checkpoint": "the folder of the repetitions",
+    "Splitting.partial": "repetitions are saved whatever Ctrl-C does to the answer",
+    "Splitting.repetitions": "how many are made; each has its number",
+    "Splitting.tol": "decides how many repetitions are made",
+    "Splitting.seconds": "decides how many repetitions are made",
 }
-"""Fields on which the saved state of a simulation does not depend, beside its length so far."""
+"""Fields on which the saved state of a simulation does not depend, and why."""
 
 
 def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, int]) -> None:
-    """Raise ``InvalidInput`` for a wrong seed, thread or field; ``ranges``: (name, least, most)."""
+    """Raise ``InvalidInput`` if a field of ``own`` cannot be used.
+
+    Fields in ``positive`` must be finite and > 0; ``ranges`` are (name, least, most). The fields
+    ``seed`` and ``threads`` are checked, too. None is allowed.
+    """
     threads = 4 * (os.cpu_count() or 1)
     for key, low, high in (*ranges, ("seed", 0, 2**64 - 1), ("threads", 1, threads)):
         value = getattr(own, key)
@@ -73,7 +82,7 @@ class Settings:
     longest: float = 60.0
     burn_in: float = 10.0
     step_factor: float = 1.0
-    relaxations: float = RELAXATIONS
+    relaxations: float = 153.2  # 6000 units of time of fig6a
     most_steps: int = 400_000
     seconds: float | None = None
     step_pair: bool = False
@@ -91,42 +100,46 @@ class Settings:
         check_settings(self, (*times, "tol", "most_steps"), paths)
 
     def sampled_time(self, system: System, step: float) -> float:
-        """Return the time sampled by steps that cost as much as uniform ones of ``step``."""
+        """Return the time to sample; without ``time`` the cost is limited, by the mean ``step``."""
         return self.time or min(self.relaxations * relaxation_time(system), self.most_steps * step)
 
 
 def require_stationary(system: System) -> None:
-    """Raise ``NotApplicable`` where ``system`` has no stationary density, with the reason."""
+    """Raise ``NotApplicable``, with the reason, if ``system`` has no stationary density."""
     words = "some motion is not damped: under noise it grows and never becomes stationary"
     if not np.any(system.noise_matrix):
         words = "no noise reaches a mass: the motion dies out and has no stationary density"
-    elif relaxation_time(system) < inf and not (system.damping_terms and undamped_mode(system)):
+    elif relaxation_time(system) < inf and not (system.damping_terms and has_undamped_mode(system)):
         return
     raise NotApplicable(words)
 
 
 def default_step(method: Settings, system: System, observables: Sequence[Observable] = ()) -> float:
-    """Return the step: short enough for the contact, and for the accuracy the run will reach.
+    """Return the step whose bias is below the sampling error that the run will reach.
 
-    That follows from ``tol``, from the samples that ``seconds`` of wall time allow by ``threads``
-    (of an hour of one thread where a checkpoint may go on with others), or from the sampled time.
+    This error follows from ``tol``, from the samples in ``seconds`` of wall time on ``threads``
+    (with a checkpoint, which may be continued elsewhere, in an hour on one thread), or from the
+    sampled time. ``observables`` are the densities whose bias counts.
     """
     if method.tol is not None:
         return step_for(system, method.tol, observables=observables)
     dt = chosen_step(system)
     if method.seconds is None:
         samples = method.paths * method.sampled_time(system, dt) / sampling_interval(system)
-        return step_for(system, expected_error(samples), observables=observables)
+        return step_for(system, relative_sampling_error(samples), observables=observables)
     own = method.seconds * (method.threads or usable_cores())
     seconds = own if method.checkpoint is None else 3600.0
-    for _ in range(8):  # each leaves a fourth of the change at most: h ~ samples^(−1/4) or less
-        error = expected_error(samples_in(system, dt, seconds))
+    for _ in range(8):  # h ~ samples^(−1/4) or less: each divides the change by four or more
+        error = relative_sampling_error(samples_in(system, dt, seconds))
         dt = step_for(system, error, observables=observables)
     return dt
 
 
-def expected_seconds(method: Settings, system: System) -> float:
-    """Return about the seconds of wall time, to a factor of three, without compiling."""
+def estimate_seconds(method: Settings, system: System) -> float:
+    """Return the wall time of a run in s, to a factor of three, without compilation.
+
+    Raises ``NotApplicable`` if ``system`` has no stationary density.
+    """
     require_stationary(system)
     dt = default_step(method, system)
     time = method.sampled_time(system, dt) + method.burn_in * relaxation_time(system)

@@ -18,7 +18,7 @@ from fpk.system.system import System, effects_of
 from sim.sample import diagnostics
 from sim.sample.diagnostics import CHUNKS
 from sim.sample.ensemble import Ensemble
-from sim.sample.histogram import Histogram, axis_of, covering, extremes, sampled_density
+from sim.sample.histogram import Histogram, axis_of, covering, density_of_counts, extremes
 from sim.sample.plan import Setup, setup_of
 from sim.sample.settings import Settings
 from sim.sample.workers import Checkpoint, interruptible, workers_of
@@ -27,40 +27,41 @@ from sim.step.random import GOLDEN
 from sim.step.step_size import relaxation_time, temperature
 
 PILOT_STATES, PILOT_PATHS = 16, 65536
-"""States of the ensemble from which the ranges of the histograms are taken, and most trajectories:
-the extremes of more lie within the margin. Between two states lie 8 intervals of samples, about a
-period of the fastest mode."""
+"""The ranges of the histograms are those of so many states of so many trajectories at most; more
+would change them by less than the margin. Two states are 8 sampling intervals apart, about a period
+of the fastest mode."""
 LEAST_CHUNKS = 8
-"""Chunks before which a target error is not trusted: halves of four can be compared."""
+"""Least number of chunks before the target error can end a simulation: two halves of four chunks
+then show a drift."""
 LARGEST_Z = 5.0
-"""|z| of a moment identity that chance explains: by Student's t 2e-5 of 32 batches, 5e-6 of 64."""
+"""Largest |z| of a moment identity by chance: Student's t exceeds it with the probability 2e-5 for
+32 batches, 5e-6 for 64."""
 STEP_BIAS = 1e-3
-"""Defect of a moment identity, relative to its right side (a virial: to kT), that the step may
-leave beyond chance."""
+"""Allowed bias of a moment identity by the step, relative to its right side; of a virial, to kT."""
 
 
 @dataclass(eq=False)
 class Record:
     """Cumulative sums of every batch of ``ensemble`` at the ends of chunks of ``chunk_samples``.
 
-    Quantities are the squares of q and v, and the shares of samples below the octiles of every
-    observed coordinate in the first chunk, bins ``cuts`` of its axis. Single samples of every
-    trajectory show the variance of the squares: σ² of 8192 trajectories to 2 %, about as well as
-    var(path means). After ``elapsed`` seconds, burn-in included, the error of the first density is
-    computed again at ``target`` samples.
+    Quantities are the squares of q and v, and for every observed coordinate the shares of samples
+    below the octiles of the first chunk, bins ``cuts`` of its axis. The variance of the squares is
+    computed from single samples of all trajectories: σ² of 8192 trajectories to 2 %, about as
+    precise as var(path means).
     """
 
     ensemble: Ensemble
     chunk_samples: int = 0
-    chunks: int = 0
-    elapsed: float = 0.0
-    target: float = 0.0
+    chunks: int = 0  # all that were completed; joined chunks count as two
+    elapsed: float = 0.0  # wall time in s, burn-in included
+    untimed: int = 0  # steps of the burn-in in earlier processes, whose time is not known
+    target: float = 0.0  # samples after which the error of the first density is computed again
     cuts: list[Any] = field(default_factory=list)  # pairs of an axis and a bin
     ends: list[Array] = field(default_factory=list)  # each (batches, quantities)
     variances: list[Array] = field(default_factory=list)  # σ² of the squares, and relative errors
 
     def __post_init__(self) -> None:
-        """Name, product number and factor of every q_i² and v_i²; label and fold of every axis."""
+        """Set ``squares``: name, product number and factor of every q_i² and v_i²; the ``axes``."""
         system, products = self.ensemble.system, self.ensemble.products
         self.squares = [
             (f"{name}{i + 1}²", products.index((kind, i, kind, i)), 1.0 / m**power)
@@ -68,6 +69,7 @@ class Record:
             for i, m in enumerate(system.mass.tolist())
         ]
         coordinates = [c for histogram in self.ensemble.histograms for c in histogram.observable]
+        # In a system with mirror symmetry |q| and |p| are recorded.
         self.folds = [effects_of(system).mirror and c.kind != "H" for c in coordinates]
         names = (f"|{c}|" if f else c for c, f in zip(coordinates, self.folds, strict=True))
         self.axes = [f"the distribution of {name}" for name in names]
@@ -78,7 +80,7 @@ class Record:
         return [name for name, _, _ in self.squares] + [self.axes[axis] for axis, _ in self.cuts]
 
     def snapshot(self, stride: int) -> None:
-        """Take a sample by one step, and note its variance over the trajectories."""
+        """Advance by one step, observed by ``stride``; record the variances over trajectories."""
         before = self.ensemble.sums.copy()
         self.ensemble.advance(1, stride=stride)
         samples = self._of_paths(self.ensemble.sums - before)
@@ -86,13 +88,13 @@ class Record:
         self.variances.append(np.array(spread))
 
     def chunk_ends(self) -> None:
-        """Note where the sums and counts of the ensemble stand at the end of a chunk."""
+        """Record the sums and counts of the ensemble at the end of a chunk."""
         ensemble, below, folds = self.ensemble, list[Integers](), iter(self.folds)
         for histogram, counts in ensemble.counted():
             own = counts[:, :-1].reshape(-1, *histogram.shape)
             for axis, bins in enumerate(histogram.shape, start=1):
                 marginal = own.sum(axis=tuple({1, own.ndim - 1} - {axis}))
-                if next(folds):  # |x|, from the middle on
+                if next(folds):  # bins of |x|, from the middle outwards
                     marginal = marginal[:, bins // 2 :] + marginal[:, : bins // 2][:, ::-1]
                 below.append(np.cumsum(marginal, axis=1))
         if not self.ends:
@@ -110,12 +112,12 @@ class Record:
         return np.ascontiguousarray(ends.transpose(2, 1, 0) / self.chunk_samples)
 
     def effective(self) -> list[tuple[str, float, float]]:
-        """Return quantities, squares first, their effective samples, and relative errors."""
+        """Return name, effective samples and relative error of each; squares come first."""
         variance, error = np.mean(self.variances, axis=0)
         error = error / np.sqrt(len(self.variances))
         means = self._of_paths(self.ensemble.sums) / self.ensemble.samples
-        found = diagnostics.effective_of_paths(means, variance, error)
-        effective = list(zip(self.names, *(x.tolist() for x in found), strict=False))
+        of_squares = diagnostics.effective_of_paths(means, variance, error)
+        effective = list(zip(self.names, *(x.tolist() for x in of_squares), strict=False))
         shares = self.ends[-1] / (self.chunk_samples * len(self.ends))
         for axis, name in enumerate(self.axes):
             columns = [len(self.squares) + k for k, cut in enumerate(self.cuts) if cut[0] == axis]
@@ -124,7 +126,7 @@ class Record:
         return effective
 
     def moments(self) -> dict[str, Number]:
-        """Return E q_i² and E v_i², with errors from the means of single trajectories."""
+        """Return E q_i² and E v_i² by name; errors from the spread of the trajectories' means."""
         ensemble = self.ensemble
         of_paths = self._of_paths(ensemble.sums) / ensemble.samples
         errors = np.sqrt(of_paths.var(axis=1, ddof=1) / ensemble.paths)
@@ -135,21 +137,21 @@ class Record:
         }
 
     def saved(self) -> dict[str, NDArray[Any]]:
-        """Return all fields but the ensemble, as arrays: what ``restore`` needs."""
+        """Return all fields except the ensemble as arrays by name, for ``restore``."""
         return {f"record_{f.name}": np.array(getattr(self, f.name)) for f in fields(self)[1:]}
 
     def restore(self, saved: Any) -> None:
-        """Go on from what ``saved`` returned."""
+        """Set the fields from the arrays ``saved``."""
         for f in fields(self)[1:]:
             setattr(self, f.name, type(getattr(self, f.name))(saved[f"record_{f.name}"]))
 
     def _of_paths(self, sums: Array) -> Array:
-        """Squares (squares, paths) of the trajectories from ``sums`` (blocks, products, LANES)."""
+        """Return sums of squares (squares, paths) from ``sums`` (blocks, products, LANES)."""
         rows = np.stack([f * sums[:, k] for _, k, f in self.squares])
         return np.asarray(rows[:, np.arange(LANES) < self.ensemble.live[:, None]])
 
 
-def run(
+def sample_stationary(
     method: Settings,
     system: System,
     observables: Sequence[Observable],
@@ -158,8 +160,8 @@ def run(
 ) -> Result:
     """Return the densities of ``observables``, and of ``beside``, with their report.
 
-    A step pair compares them with a second run at half the step, unless one of both was interrupted
-    or has no chunk by the limit of time.
+    With ``step_pair`` they are compared with a second run at half the step, unless either run was
+    interrupted or completed no chunk within its time.
     """
     setup = setup_of(method, system, [*observables, *beside])
     with workers_of(method.cluster, method.threads or usable_cores()) as workers:
@@ -194,7 +196,7 @@ def run(
 
 
 def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Result:
-    """Sample the stationary state of Eq. (6), from a saved state of this ``setup`` on, if any."""
+    """Sample the stationary state of Eq. (6), continuing from the checkpoint of this ``setup``."""
     method, cut, checkpoint = setup.method, "", setup.checkpoint()
     products = diagnostics.moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
     covered = partial(covering, setup.observables, axis=partial(axis_of, setup.system))
@@ -203,7 +205,7 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
             setup.system, setup.scheme, setup.dt, method.paths, method.seed, workers=workers
         )
         saved = checkpoint.load()
-        # Any ranges: with the kinds of observables as later there is one kernel for all.
+        # Provisional ranges; the kernel depends only on the kinds of observables.
         reached = np.full((sum(map(len, setup.observables)), 2), (-1.0, 1.0))
         ensemble.watch(covered(reached), products)
         with pause_working_time():
@@ -211,9 +213,10 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
         begin = working_time()
         checkpoint.deadline = begin + setup.seconds
         reached = saved.get("reached", reached)
+        if saved and "reached" not in saved:
+            ensemble.restore(saved)
+        untimed = ensemble.done
         if "reached" not in saved:
-            if saved:
-                ensemble.restore(saved)
             whole, pilot = setup.burn_in_steps, list[Array]()
             for k in range(1, CHUNKS + 1):
                 if checkpoint.advance(ensemble, whole * k // CHUNKS - ensemble.done, stride=0):
@@ -232,12 +235,12 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
             reach = "all" if share == 1.0 else f"{share:.2g}"
             cut = "" if done else f"after {reach} of the burn-in"
         ensemble.watch(setup.histograms or covered(reached), products)
-        record = Record(ensemble, elapsed=working_time() - begin)
+        record = Record(ensemble, elapsed=working_time() - begin, untimed=untimed)
         if "reached" in saved:
             ensemble.restore(saved)
             record.restore(saved)
         if cut:
-            ensemble.advance(1, stride=setup.stride)  # a sample of the states that there are
+            ensemble.advance(1, stride=setup.stride)  # one sample
         else:
             checkpoint.notes["reached"] = reached
             _sample(setup, record, checkpoint, progress)
@@ -246,7 +249,10 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
 
 
 def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Progress) -> None:
-    """Advance until ``setup`` is met or ``checkpoint`` ends it; ``record`` gets whole chunks."""
+    """Advance until the time or error of ``setup`` is reached, or ``checkpoint`` stops.
+
+    Whole chunks are added to ``record``.
+    """
     ensemble, stride, limited = record.ensemble, setup.stride, setup.seconds < inf
     begin = working_time() - record.elapsed
     checkpoint.deadline = begin + setup.seconds
@@ -270,7 +276,9 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
         enough = record.chunks >= LEAST_CHUNKS and ensemble.samples >= record.target
         if setup.tol < inf and (ends or enough):
             taken, mirror = ensemble.paths * ensemble.samples, effects_of(setup.system).mirror
-            error = sampled_density(*next(ensemble.counted()), taken=taken, mirror=mirror).l1_error
+            error = density_of_counts(
+                *next(ensemble.counted()), taken=taken, mirror=mirror
+            ).l1_error
             record.target = ensemble.samples * (error / setup.tol) ** 2
             ends |= error <= setup.tol
         whole = ensemble.samples / (record.target or inf) if limited else record.chunks / CHUNKS
@@ -278,22 +286,22 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
         progress(min(CHUNKS, int(CHUNKS * done)), CHUNKS, "simulation")
         if ends:
             return
-        if limited and len(record.ends) == 2 * CHUNKS:  # one of every two
+        if limited and len(record.ends) == 2 * CHUNKS:  # join chunks in pairs
             record.ends, record.chunk_samples = record.ends[1::2], 2 * record.chunk_samples
 
 
 def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
     """Return the certified densities, the moment identities and the report.
 
-    ``cut`` says in words where the burn-in ended early, and ``partial`` that Ctrl-C came. Of a
-    system with mirror symmetry mirror images of samples count as samples.
+    ``cut``: words on where the burn-in ended early, else empty; ``partial``: Ctrl-C was pressed. If
+    the system has mirror symmetry, mirror images of samples count as samples.
     """
     ensemble, kT, failures = record.ensemble, temperature(setup.system), list[str]()
     paths, threads, samples = ensemble.paths, ensemble.threads, ensemble.samples
     taken, burnt = samples * setup.stride, ensemble.done - ensemble.phase
     burn_in, diagnosed = min(setup.burn_in_steps, burnt) * setup.dt, None
-    of = f" of {CHUNKS}" if setup.seconds == inf else ""
-    interrupted = f"partial: interrupted {cut or f'after {record.chunks}{of} chunks'}"
+    planned = f" of {CHUNKS}" if setup.seconds == inf else ""
+    interrupted = f"partial: interrupted {cut or f'after {record.chunks}{planned} chunks'}"
     if partial:
         failures.append(interrupted)
     elif not record.chunks:
@@ -302,11 +310,11 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
     whole = not failures
     failures += setup.failures
     identities = diagnostics.moment_identities(setup.system, ensemble.batch_means())
-    # A few samples after the burn-in, of rare contacts, show less than their standard errors say.
-    judged = identities if record.chunks and burnt >= setup.burn_in_steps else ()
+    # Without a whole chunk contacts may be so rare that standard errors are too small.
+    checked = identities if record.chunks and burnt >= setup.burn_in_steps else ()
     failures += [
         f"{i.name} is off by {i.z:.1f} standard errors; use a smaller dt"
-        for i in judged
+        for i in checked
         if abs(i.value - i.expected) > LARGEST_Z * i.error + STEP_BIAS * (i.expected or kT)
     ]
     if whole:
@@ -316,12 +324,12 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
         )  # fmt: skip
         failures += diagnosed.failures
     densities = tuple(
-        sampled_density(
+        density_of_counts(
             histogram,
             counts,
             taken=paths * samples,
             mirror=effects_of(setup.system).mirror,
-            residual=max((abs(i.z) for i in judged), default=nan),
+            residual=max((abs(i.z) for i in checked), default=nan),
             tol=setup.tol if m == 0 else inf,
             failures=failures,
         )
@@ -341,7 +349,10 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
         threads=threads,
         kT=kT,
         long_step=setup.dt,
-        ns_per_particle_step=1e9 * record.elapsed * threads / (paths * ensemble.done),
+        ns_per_particle_step=1e9
+        * record.elapsed
+        * threads
+        / (paths * (ensemble.done - record.untimed)),
         small_steps=setup.division,
         limited_by=setup.limited_by,
         diagnosis=diagnosed,

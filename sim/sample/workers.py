@@ -1,9 +1,9 @@
-"""How long simulations run: by workers, in pieces, with states saved on disk, and until Ctrl-C.
+"""Workers, checkpoints on disk, and Ctrl-C.
 
-Workers are threads of this process or of a Dask cluster. There each piece of time of some batches
-is a task that gets their arrays and returns them; when a worker dies, Dask gives its tasks to
-another: the answer is bitwise that of one machine with the same kind of processor. Dask is imported
-when it is wanted: it takes a second.
+Workers are threads of this process or of a Dask cluster. On a cluster a task gets the arrays of
+some batches, advances them, and returns them; when a worker dies, Dask gives its tasks to another:
+the answer is bitwise that of one machine with the same kind of processor. Dask is imported only for
+a cluster: it takes a second.
 """
 
 import os
@@ -31,39 +31,39 @@ from fpk.numeric.machine import lock_file, working_time
 from fpk.numeric.recognition import fingerprint
 
 INTERVAL = 2.0
-"""Seconds between two saved states."""
-PATIENCE = 10.0
+"""Seconds between two saved states. An ensemble is advanced in pieces of a quarter of it, after
+which Ctrl-C is looked at; on a cluster, where its arrays travel with each piece, of twice as
+long."""
+SCHEDULER_TIMEOUT = 10.0
 """Seconds in which the scheduler must answer; in six times as many it must have a worker."""
-PIECE = 0.5
-"""Seconds after which workers come back with an ensemble, so that Ctrl-C waits for that; eight
-times as long on a cluster, as the arrays of the ensemble travel with each piece."""
-PROGRAM = ("fpk", "averaging", "sim", "cases")
-"""All packages: any number may depend on their sources."""
 
 
-def program_checksum(root: Path = ROOT, rooms: Sequence[str] = ("fpk", "sim")) -> int:
-    """Return a checksum of the sources in ``rooms``; ``FileNotFoundError`` where one is missing."""
-    own = [root / room for room in rooms]
+def program_checksum(root: Path = ROOT) -> int:
+    """Return a checksum of all sources of the program; ``FileNotFoundError`` if one is missing."""
+    own = [root / package for package in ("fpk", "averaging", "sim", "cases")]
     return checksum([f for r in own for f in (r / "__init__.py", *sorted(r.rglob("*.py")))])
 
 
 @dataclass(frozen=True, eq=False)
 class Workers:
-    """An executor of ``threads``, which comes back with an ensemble after ``piece`` seconds."""
+    """An executor with ``threads``; one piece of a simulation takes about ``piece`` seconds."""
 
     executor: Executor
     threads: int
-    piece: float = PIECE
-    remote_errors: tuple[type[Exception], ...] = ()  # of a lost cluster: ``NotCertified``
+    piece: float = 0.25 * INTERVAL
+    remote_errors: tuple[type[Exception], ...] = ()  # of a lost cluster, raised as ``NotCertified``
 
     def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
-        """Return what ``task`` makes of rows of ``columns``, which it may change, or of copies."""
-        own = deepcopy if self.remote_errors else tuple  # arguments that Dask gives are read-only
+        """Return the results of ``task`` for each row of ``columns``.
+
+        The task may change its arguments in place; on a cluster it gets copies.
+        """
+        own = deepcopy if self.remote_errors else tuple  # arguments from Dask are read-only
         rows = list(zip(*columns, strict=True))
         return list(self._unless_lost(self.executor.map(lambda row: task(*own(row)), rows)))
 
     def as_finished(self, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any]:
-        """Return what tasks without arguments return, in the order in which they are finished."""
+        """Return the results of ``tasks`` without arguments, in the order in which they finish."""
         futures = [self.executor.submit(task) for task in tasks]
         return self._unless_lost(future.result() for future in as_completed(futures))
 
@@ -77,7 +77,11 @@ class Workers:
 
 @contextmanager
 def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
-    """Yield threads here, or those of a cluster; ``Unavailable`` if it has not this program."""
+    """Yield ``threads`` of this process, or, with an ``address``, the threads of a Dask cluster.
+
+    Raises ``Unavailable`` if Dask is not installed, the scheduler does not answer or has no worker,
+    or the workers have other sources of this program.
+    """
     if address is None:
         with ThreadPoolExecutor(threads) as executor:
             yield Workers(executor, threads)
@@ -88,7 +92,7 @@ def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
 
     try:
         distributed = import_module("distributed")
-        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+        client = distributed.Client(address, timeout=SCHEDULER_TIMEOUT, set_as_default=False)
     except ImportError:
         raise unavailable("needs dask, the extra: pip install 'vibro-fpk[cluster]'") from None
     except (OSError, ValueError, RuntimeError, TypeError) as error:
@@ -96,29 +100,29 @@ def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
         raise unavailable(words) from None
     with client:
         try:
-            client.wait_for_workers(1, timeout=6.0 * PATIENCE)
-            stamp = client.submit(program_checksum, rooms=PROGRAM, pure=False).result()
+            client.wait_for_workers(1, timeout=6.0 * SCHEDULER_TIMEOUT)
+            stamp = client.submit(program_checksum, pure=False).result()
         except TimeoutError:
             raise unavailable("has no worker; start one") from None
         except ImportError as error:
             words = f"its workers cannot import this program ({error}); install vibro-fpk there"
             raise unavailable(words) from None
-        if stamp != program_checksum(rooms=PROGRAM):
+        if stamp != program_checksum():
             raise unavailable("its workers run another version of this program; install the same")
         lost = distributed.KilledWorker, distributed.CancelledError, OSError
         threads = max(1, sum(client.nthreads().values()))
         quiet = {"distributed.admin.large-graph-warning-threshold": "1PiB"}
         with import_module("dask").config.set(quiet):
-            yield Workers(client.get_executor(pure=False), threads, 8.0 * PIECE, lost)
+            yield Workers(client.get_executor(pure=False), threads, 2.0 * INTERVAL, lost)
 
 
 @dataclass(eq=False)
 class Checkpoint:
     """Advances an ensemble in pieces and saves its state every ``INTERVAL`` seconds.
 
-    States are saved as NumPy's .npz at ``path`` (None: not at all), with ``identity``, a hash of
-    all that the numbers depend on, and ``notes``, arrays that the caller needs to go on. It ends
-    where ``stopped()`` says so, and at the ``deadline``, a value of ``working_time``.
+    States are saved as a NumPy .npz file at ``path`` (None: never), with ``identity``, a hash of
+    everything that the numbers depend on, and ``notes``, arrays of the caller. The simulation ends
+    when ``stopped()`` is true, or at the ``deadline``, a value of ``working_time``.
     """
 
     path: Path | None = None
@@ -132,7 +136,10 @@ class Checkpoint:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Remove parts left by killed processes; ``Unavailable`` where one uses this state."""
+        """Lock the state, and remove incomplete files that killed processes have left.
+
+        Raises ``Unavailable`` if another process uses it.
+        """
         if self.path is None:
             yield
             return
@@ -142,7 +149,7 @@ class Checkpoint:
             yield
 
     def save(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Replace the former state by a whole one, or raise ``Unavailable`` and leave it."""
+        """Replace the file by ``state`` and the notes; on failure it stays, ``Unavailable``."""
         if self.path is None:
             return
         part = self.path.with_name(f"{self.path.name}.{token_hex(4)}.part")
@@ -162,7 +169,10 @@ class Checkpoint:
         self._saved = working_time()
 
     def load(self) -> dict[str, NDArray[Any]]:
-        """Return state and notes, if any; ``Unavailable`` if damaged or of another simulation."""
+        """Return the saved arrays, none without a file.
+
+        Raises ``Unavailable`` if the file is damaged or belongs to another simulation.
+        """
         if self.path is None or not self.path.exists():
             return {}
         try:
@@ -171,8 +181,8 @@ class Checkpoint:
             raise Unavailable(f"{self.path}: cannot be read: {error.strerror or error}") from None
         try:
             with np.load(content, allow_pickle=False) as saved:
-                # NumPy checks only as much of a member as its header says, and misses none that is
-                # gone: hence ``testzip``, and the names in ``about``.
+                # NumPy checks a member only as far as its header says, and does not notice that a
+                # member is missing: hence ``testzip``, and the names in ``about``.
                 whole, arrays = saved.zip.testzip() is None, dict(saved)
             identity, *names = arrays.pop("about").tolist()
         except (BadZipFile, EOFError, KeyError, OSError, RuntimeError, ValueError):
@@ -185,13 +195,17 @@ class Checkpoint:
         return arrays
 
     def advance(self, ensemble: Any, steps: int, *, stride: int = 1, saving: bool = True) -> bool:
-        """Advance by ``steps``; return whether it was stopped (at least a piece is done)."""
+        """Advance ``ensemble`` by ``steps``, observed every ``stride``, unless stopped before.
+
+        Return whether it was stopped, which is after one piece or more. The state is saved if
+        ``saving``.
+        """
         ended = False
         while steps > 0 and not ended:
             piece, start = min(steps, self._piece), working_time()
             ensemble.advance(piece, stride=stride)
             now = working_time()
-            # Pieces grow gently: the first ones are short, and may have been loaded.
+            # At most four times the last piece: short pieces are a poor measure of the speed.
             left = min(ensemble.workers.piece, max(self.deadline - now, 0.0))
             in_time = int(piece * left / max(now - start, 1e-9))
             self._piece = max(1, min(4 * self._piece, in_time))
@@ -206,7 +220,7 @@ class Checkpoint:
 def checkpoint_of(
     folder: Path | None, settings: Any, name: str = "montecarlo", *, less: Container[str] = ()
 ) -> Checkpoint:
-    """Return the checkpoint in ``folder`` of ``settings``, less fields as of ``canonical``."""
+    """Return the checkpoint in ``folder`` of ``settings``, except for the fields in ``less``."""
     if folder is None:
         return Checkpoint()
     identity = fingerprint([program_checksum(), settings], less)
@@ -215,10 +229,10 @@ def checkpoint_of(
 
 @contextmanager
 def interruptible(partial: bool) -> Iterator[Callable[[], bool]]:
-    """Yield a function that says whether Ctrl-C was pressed; a second one interrupts as usual.
+    """Yield a function that returns whether Ctrl-C was pressed; a second Ctrl-C interrupts.
 
-    The first one interrupts, too, unless an answer may be ``partial``, and while the simulation is
-    compiled. Only the main thread of a program receives signals: elsewhere the answer is no.
+    Unless an answer may be ``partial``, and during compilation, the first Ctrl-C interrupts, too.
+    Only the main thread receives signals: in other threads the function returns False.
     """
     pressed = threading.Event()
     if not partial or threading.current_thread() is not threading.main_thread():

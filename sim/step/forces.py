@@ -1,10 +1,11 @@
-"""Contact, damping that depends on the state, and the observed state, lane by lane.
+"""Contact forces, damping terms and the observed state, lane by lane.
 
-Contact laws come as compiled functions, None where nothing touches. A damping term changes one
-momentum only, ``p_i' = −κ p_i^N`` with κ constant unless H is in it: a shift, an exponential, or
-``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. Where that base is not positive the flow has blown up: the
-momentum becomes NaN and the trajectory counts as lost. With H the rate is that in the middle of the
-step, from a predictor.
+Every function reads and writes rows of ``width`` lanes of the workspace ``s`` (``arrays.Rows``).
+Contact laws are compiled functions, None for a system without stops. A damping term changes one
+momentum only, ``p_i' = −κ p_i^N``, κ constant unless the term contains H: the solution is a shift,
+an exponential, or ``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. If the base is not positive the solution
+has blown up: the momentum becomes NaN and the trajectory counts as lost. With H, κ is taken in the
+middle of the step, from a predictor.
 
 The scratch rows from ``at.work`` are the rate of a term, V and H of the state, and two more.
 """
@@ -18,19 +19,29 @@ from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import njit_inline
 from fpk.system.compiled_laws import of_law
 from sim.step.arrays import Rows, StepArrays, TermArrays, W, WatchArrays
-from sim.step.lanes import add, add_matrix, add_product, copy, fill, form_of, kick, multiply, row
+from sim.step.lanes import (
+    add,
+    add_matrix,
+    add_product,
+    copy,
+    fill,
+    kick,
+    multiply,
+    quadratic_form,
+    row,
+)
 
 
 @njit_inline
 def numbers_of(step: StepArrays, stop: int) -> tuple[float, float, float, float, Any]:
-    """Return the sign, clearance, stiffness, exponent and law of one stop."""
+    """Return the sign, clearance, stiffness, exponent and law of the stop number ``stop``."""
     s = step.stops[stop]
     return s[0], s[1], s[2], s[3], np.int64(s[4])
 
 
 @njit_inline
 def overlap_of(q: float, sign: float, clearance: float) -> tuple[float, float]:
-    """Return the side on which the displacement ``q`` lies and its overlap with the stop there."""
+    """Return the side (±1) of ``q``, and its overlap with a stop; ``sign`` 0: on both sides."""
     d = sign if sign != 0.0 else np.copysign(1.0, q)
     return d, max(d * q - clearance, 0.0)
 
@@ -39,7 +50,7 @@ def overlap_of(q: float, sign: float, clearance: float) -> tuple[float, float]:
 def contact_forces(
     s: Array, g0: int, step: StepArrays, force: Any, slope: Any, width: int = W
 ) -> None:
-    """Write g and g' of every slot at the displacements of the state to the rows from ``g0``."""
+    """Write g and g' of every slot to the rows of ``s`` from ``g0``; rows of ``width`` lanes."""
     rows = 2 * step.slot_mass.size
     fill(row(s, g0, rows, width), 0.0, rows * width)
     for stop in range(step.stop_slot.size):
@@ -55,7 +66,7 @@ def contact_forces(
 
 @njit_inline
 def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W) -> None:
-    """Take the modified contact forces in the rows from ``g0`` times dt from the momenta."""
+    """Subtract dt times the modified contact force (rows of ``s`` from ``g0``) from the momenta."""
     for slot in range(step.slot_mass.size):
         p, g = row(s, n + step.slot_mass[slot], 1, width), row(s, g0 + 2 * slot, 2, width)
         kick(p, g, step.dt, step.slot_shift[slot], width)
@@ -65,9 +76,9 @@ def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W)
 def add_contact(
     s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool, width: int = W
 ) -> None:
-    """Add g at the displacements from row ``q0`` to the rows of its masses from ``to``.
+    """Add the contact forces at q (rows of ``s`` from ``q0``) to its rows from ``to``.
 
-    If not ``forces`` it is U, by the laws' energy as ``law_part``, and all goes to row ``to``.
+    ``law_part`` is the laws' force; if not ``forces``, their energy: U is added to the row ``to``.
     """
     for stop in range(step.stop_slot.size):
         i = step.slot_mass[step.stop_slot[stop]]
@@ -83,14 +94,14 @@ def add_contact(
 def potential_energy(
     s: Array, q0: int, to: int, step: StepArrays, potential: Any, width: int = W
 ) -> None:
-    """Write V = ½ qᵀ K q + U(q) at the displacements from row ``q0`` to the row ``to``."""
-    form_of(row(s, to, 1, width), s, q0, step.stiffness_matrix, 0.5, width)
+    """Write V = ½ qᵀ K q + U(q) to the row ``to`` of ``s`` (``width`` lanes); q: rows ``q0``…."""
+    quadratic_form(row(s, to, 1, width), s, q0, step.stiffness_matrix, 0.5, width)
     add_contact(s, q0, to, step, potential, False, width)
 
 
 @njit_inline
 def add_kinetic(H: Array, s: Array, p0: int, step: StepArrays, width: int = W) -> None:
-    """Add Σ p²/(2m) of the momenta from row ``p0``."""
+    """Add Σ p²/(2m) to the row ``H`` (``width`` lanes); p: the rows of ``s`` from ``p0``."""
     for i in range(step.half_inverse_mass.size):
         p = row(s, p0 + i, 1, width)
         add_product(H, p, p, step.half_inverse_mass[i], width)
@@ -98,7 +109,8 @@ def add_kinetic(H: Array, s: Array, p0: int, step: StepArrays, width: int = W) -
 
 @njit_inline
 def whole_energy(s: Array, work: int, step: StepArrays, width: int = W) -> None:
-    """Write H of the state from its V, both in the scratch rows."""
+    """Write H of the state to row ``work`` + 2 of ``s``, from V in ``work`` + 1; ``width``
+    lanes."""
     H = row(s, work + 2, 1, width)
     copy(H, row(s, work + 1, 1, width), width)
     add_kinetic(H, s, step.half_inverse_mass.size, step, width)
@@ -108,7 +120,7 @@ def whole_energy(s: Array, work: int, step: StepArrays, width: int = W) -> None:
 def term_rate(
     rate: Array, s: Array, first: int, terms: TermArrays, k: int, own: int, width: int = W
 ) -> None:
-    """Write κ p^own of term k, without its H, at the state from row ``first`` on."""
+    """Write κ p^``own`` of term ``k``, without its H, to ``rate``; the state: rows ``first``…."""
     fill(rate, terms.scale[k], width)
     for f in range(terms.first[k], terms.first[k + 1] - terms.power[k] + own):
         multiply(rate, row(s, first + terms.factor[f], 1, width), 1, width)
@@ -116,7 +128,7 @@ def term_rate(
 
 @njit_inline
 def flow(p: Array, rate: Array, N: int, t: float, width: int = W) -> None:
-    """Replace p by the solution of ``p' = −rate p^N`` after ``t``; NaN after a blow-up."""
+    """Replace ``p`` by the solution of p' = −``rate`` p^``N`` after ``t``; NaN after a blow-up."""
     if N == 0:
         for k in range(width):
             p[k] -= t * rate[k]
@@ -144,9 +156,10 @@ def flow(p: Array, rate: Array, N: int, t: float, width: int = W) -> None:
 def term_flows(
     s: Array, work: int, step: StepArrays, backwards: bool, with_energy: bool, width: int = W
 ) -> None:
-    """Advance the state by each term alone over half a step; with H^e, half-way from a predictor.
+    """Advance the state in ``s`` (``width`` lanes) by each damping term alone over half a step.
 
-    ``with_energy``, a constant: whether any term has H^e, which needs V of the state.
+    ``backwards``: in reverse order. ``with_energy``, a constant: some term contains H^e; V of the
+    state is then in row ``work`` + 1, and H is taken half-way, from a predictor.
     """
     terms, rate, h = step.terms, row(s, work, 1, width), step.dt
     for index in range(terms.target.size):
@@ -172,7 +185,7 @@ def term_flows(
 def damping_forces(
     s: Array, first: int, H: Array, at: Rows, step: StepArrays, width: int = W
 ) -> None:
-    """Write Σ_j c̃_ij v_j of the terms at the state from row ``first``, whose energy is ``H``."""
+    """Write Σ_j c̃_ij v_j to rows ``at.damping`` of ``s``; state: rows ``first``…, energy ``H``."""
     n, rate, terms = step.half_inverse_mass.size, row(s, at.work, 1, width), step.terms
     fill(row(s, at.damping, n, width), 0.0, n * width)
     for k in range(terms.target.size):
@@ -182,16 +195,19 @@ def damping_forces(
 
 
 @njit_inline
-def processed_by_terms(s: Array, at: Rows, shift: float, step: StepArrays, width: int = W) -> None:
-    """Change the observed (q*, p*) by the processor of the terms; H is that of the state.
+def apply_term_processor(
+    s: Array, at: Rows, shift: float, step: StepArrays, width: int = W
+) -> None:
+    """Apply the processor of the damping terms to the observed (q*, p*) in ``s`` (``width`` lanes).
 
-    ``q_i* = q_i − (h²/12) D_i/m_i``, ``p_i* = p_i + (h²/12) dD_i/dt`` along the flow of the springs
-    and of the contact with the other sign: docs/theory.md, "The step of the simulation".
+    ``q_i* = q_i − shift D_i/m_i``, ``p_i* = p_i + shift dD_i/dt``, ``shift`` = h²/12, D_i the force
+    of the terms, d/dt along the flow of springs and contact, the contact with the other sign:
+    docs/theory.md, "The step of the simulation".
     """
     terms, H = step.terms, row(s, at.work + 2, 1, width)
     n, work = step.half_inverse_mass.size, at.work
     fill(row(s, at.change, 3 * n, width), 0.0, 3 * n * width)
-    # (M⁻¹ p, −K q), the flow of the springs alone.
+    # d(q, p)/dt: M⁻¹ p, −K q + g.
     for i in range(n):
         p = row(s, at.p + i, 1, width)
         add(row(s, at.change + i, 1, width), p, 2.0 * step.half_inverse_mass[i], width)
@@ -200,16 +216,16 @@ def processed_by_terms(s: Array, at: Rows, shift: float, step: StepArrays, width
         force = row(s, at.change + n + step.slot_mass[slot], 1, width)
         add(force, row(s, at.contact + 2 * slot, 1, width), 1.0, width)
     damping_forces(s, at.q, H, at, step, width)
-    change, one = row(s, work, 1, width), row(s, work + 3, 1, width)
+    change, product = row(s, work, 1, width), row(s, work + 3, 1, width)
     for k in range(terms.target.size):
-        # The rate of change of its force, without H, as each factor in turn changes.
+        # The product rule, without H.
         fill(change, 0.0, width)
         for moving in range(terms.first[k], terms.first[k + 1]):
-            fill(one, terms.scale[k], width)
+            fill(product, terms.scale[k], width)
             for f in range(terms.first[k], terms.first[k + 1]):
                 first = at.change if f == moving else at.q
-                multiply(one, row(s, first + terms.factor[f], 1, width), 1, width)
-            add(change, one, 1.0, width)
+                multiply(product, row(s, first + terms.factor[f], 1, width), 1, width)
+            add(change, product, 1.0, width)
         multiply(change, H, terms.energy[k], width)
         add(row(s, at.change + n + terms.target[k], 1, width), change, 1.0, width)
     for i in range(n):
@@ -223,10 +239,11 @@ def observe(
     s: Array, step: StepArrays, watch: WatchArrays, damping: bool, energy_damping: bool,
     energy: bool, moments: bool, force: Any, potential: Any, width: int = W,
 ) -> None:  # fmt: skip
-    """Write the observed state and all that is asked for of it to the rows of ``watch.at``.
+    """Write the observed state, its energies and its forces to the rows ``watch.at`` of ``s``.
 
-    That is q*, and p* in the middle of the kicks, corrected by the processor. Inlined before types
-    are inferred, so that nothing is compiled for a flag that is a constant False.
+    Observed are q, and p in the middle of the kicks, both corrected by the processor. ``width``
+    lanes a row. Inlined before types are inferred: a flag that is a constant False compiles
+    nothing.
     """
     at, n, slots = watch.at, step.half_inverse_mass.size, step.slot_mass.size
     copy(row(s, at.q, 2 * n, width), row(s, 0, 2 * n, width), 2 * n * width)
@@ -246,7 +263,7 @@ def observe(
     if damping and watch.term_shift != 0.0:
         if energy_damping:
             whole_energy(s, at.work, step, width)
-        processed_by_terms(s, at, watch.term_shift, step, width)
+        apply_term_processor(s, at, watch.term_shift, step, width)
     whole = row(s, at.energy, 1, width)
     if energy:
         potential_energy(s, at.q, at.energy, step, potential, width)
@@ -272,9 +289,9 @@ def observe(
 def find_bins(
     x: Array, number: Array, watch: WatchArrays, m: int, axis: int, index: Integers
 ) -> None:
-    """Write the bin of every lane along one axis; the number of bins for outside and for NaN.
+    """Write the bin of each lane's ``x`` on ``axis`` of histogram ``m`` to ``index``.
 
-    ``number`` is scratch: the bins of a piece count in full above it.
+    It is the number of bins outside and for NaN. ``number`` is a scratch row: bins below x.
     """
     first, last = watch.piece[m, axis, 0], watch.piece[m, axis, 1]
     fill(number, 0.0)
@@ -300,7 +317,10 @@ def count_all(
     s: Array, number: Array, index: Integers, second: Integers, live: int, watch: WatchArrays,
     counts: Integers,
 ) -> None:  # fmt: skip
-    """Add one to a bin of every histogram for each of the first ``live`` lanes."""
+    """Add 1 to ``counts`` at the bin of each of the first ``live`` lanes of ``s``, per histogram.
+
+    ``number``, ``index`` and ``second`` are scratch rows.
+    """
     for m in range(watch.rows.shape[0]):
         find_bins(row(s, watch.rows[m, 0]), number, watch, m, 0, index)
         if watch.rows[m, 1] >= 0:

@@ -1,13 +1,13 @@
-"""The compiled stepper: many steps of many blocks of lanes, with only the effects asked for.
+"""The compiled stepper: many steps of many blocks of lanes, with only the effects of the system.
 
-The random linear map is ``x <- matrix @ (x, z)``, z rows of normals, a pair of rows a word. It
-goes by pairs of rows and ``COLUMNS`` columns through scratch rows.
+The random linear map is ``x <- matrix @ (x, z)``, z rows of normals, two rows for each random word.
+It is applied to two rows and ``MAP_COLUMNS`` columns at a time, through scratch rows.
 
-The lanes that may touch a stop within a long step (``sim.sample.plan``) make its small steps in
-groups of ``NARROW``; all lanes are mapped over the long step, and those then overwrite what the map
-gave. Their normals belong to the trajectory and the step, wherever a lane lies in its group: a
-word's lower half is the radius, the upper the angle.
-"""
+Lanes that may touch a stop within a long step (``sim.sample.plan``) make its small steps in groups
+of ``NARROW`` lanes; all lanes are mapped over the long step, and the results of the small steps
+then replace those of the map. The normals of a small step belong to the trajectory and the step,
+not to the place of a lane in its group: the lower half of a word is the radius, the upper half the
+angle."""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -22,42 +22,42 @@ from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import ROOT, cached_njit, checksum, njit_inline
 from fpk.system.compiled_laws import compile_laws, law_files
 from sim.step import forces, random
-from sim.step.arrays import COLUMNS, NARROW, StepArrays, W, WatchArrays
-from sim.step.lanes import add, add_matrix, add_product, aligned_rows, copy, fill, row
+from sim.step.arrays import MAP_COLUMNS, NARROW, StepArrays, W, WatchArrays
+from sim.step.lanes import add, add_matrix, add_product, copy, fill, row, zero_rows
 from sim.step.random import GOLDEN, Singles, Words
 
 COMPILED = (
     *(f"sim/step/{name}.py" for name in ("arrays", "forces", "kernel", "lanes", "random")),
     *(f"sim/questions/{name}.py" for name in ("passing", "splitting/kernel")),
 )
-"""Files that kernels, readers of traces and the paths of splitting are compiled from."""
+"""Source files of the kernels, of the readers of traces and of the paths of splitting."""
 
 
 def kernel_checksum(laws: Sequence[str] = (), root: Path = ROOT) -> int:
-    """Return a checksum of the sources of what is compiled, with contact ``laws``."""
+    """Return a checksum of the source files under ``root`` of compiled code with ``laws``."""
     return checksum([*(root / name for name in COMPILED), *law_files(laws, root)])
 
 
 class KernelKey(NamedTuple):
     """Effects, scheme and observations that a kernel is compiled for."""
 
-    laws: tuple[str, ...] = ()  # of contact
+    laws: tuple[str, ...] = ()  # names of the contact laws
     kick_first: bool = True
-    damping: bool = False  # damping terms act
-    energy_damping: bool = False  # and some with H
+    damping: bool = False  # with damping terms
+    energy_damping: bool = False  # with damping terms that contain H
     energy: bool = False  # H is observed
     moments: bool = False  # products of forces are summed
-    pairs: int = 2  # of normals, of one map
+    pairs: int = 2  # pairs of normals in a linear map
     substeps: bool = False  # small steps near stops
 
     def parts_of_laws(self) -> Any:
-        """Return force, slope and energy of the laws for ``of_law``, None where nothing touches."""
+        """Return force, slope and energy of the laws for ``of_law``; None without contact laws."""
         parts = "force", "slope", "energy"
         return [compile_laws(self.laws, part) if self.laws else None for part in parts]
 
 
 def once(make: Callable[..., Any]) -> Callable[..., Any]:
-    """Return ``make`` with results that are kept, made by one thread at a time."""
+    """Return ``make`` with a cache of its results; only one thread at a time computes them."""
     lock, cached = Lock(), lru_cache(make)
 
     def made(*key: Any) -> Any:
@@ -69,16 +69,16 @@ def once(make: Callable[..., Any]) -> Callable[..., Any]:
 
 @njit_inline
 def map_state(s: Array, z: Singles, matrix: Array, pairs: int, width: int = W) -> None:
-    """Apply the random linear map to the first rows of ``s``, by rows ``z`` of normals."""
+    """Apply the linear ``matrix`` to the state in ``s`` and ``pairs`` pairs of normals in ``z``."""
     n, scratch = matrix.shape
     copy(row(s, n, 2 * pairs, width), z, 2 * pairs * width)
     for i in range(0, n, 2):
         y = row(s, scratch + i, 2, width)
-        for j in range(0, matrix.shape[1], COLUMNS):
+        for j in range(0, matrix.shape[1], MAP_COLUMNS):
             a0, a1, a2, a3 = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
             b0, b1 = matrix[i + 1, j], matrix[i + 1, j + 1]
             b2, b3 = matrix[i + 1, j + 2], matrix[i + 1, j + 3]
-            x = row(s, j, COLUMNS, width)
+            x = row(s, j, MAP_COLUMNS, width)
             if j == 0:
                 for k in range(width):
                     x0, x1, x2, x3 = x[k], x[width + k], x[2 * width + k], x[3 * width + k]
@@ -94,17 +94,18 @@ def map_state(s: Array, z: Singles, matrix: Array, pairs: int, width: int = W) -
 
 @njit_inline
 def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: StepArrays) -> int:
-    """Write the lanes that may touch a stop to ``index`` and return how many they are.
+    """Write the lanes that may touch a stop within the long step to ``index``; return their number.
 
-    ``work``: two rows of scratch, the displacement after the step and the bend of its way.
+    ``s`` holds the states. ``near`` (W,) is scratch, and so is ``work``: two rows, the mean
+    displacement after the step and the bound b(x) of the deviation from the chord.
     """
     after, bend = row(work, 0), row(work, 1)
     for k in range(W):
         near[k] = 0
     for stop in range(step.stop_slot.size):
         fill(work, 0.0, 2 * W)
-        for j in range(0, step.after.shape[1], COLUMNS):
-            a, b, x = step.after[stop], step.bend[stop], row(s, j, COLUMNS)
+        for j in range(0, step.after.shape[1], MAP_COLUMNS):
+            a, b, x = step.after[stop], step.bend[stop], row(s, j, MAP_COLUMNS)
             a0, a1, a2, a3 = a[j], a[j + 1], a[j + 2], a[j + 3]
             b0, b1, b2, b3 = b[j], b[j + 1], b[j + 2], b[j + 3]
             for k in range(W):
@@ -132,10 +133,12 @@ def small_steps(
     halves: random.Halves, first: np.uint64, step: StepArrays, at_contact: int, pairs: int,
     force: Any, slope: Any,
 ) -> None:  # fmt: skip
-    """Copy the states of the lanes of ``index`` to groups, of ``size``, and advance them.
+    """Copy the states in ``s`` of the ``count`` lanes in ``index`` to ``groups``; advance them.
 
-    The first lane fills up the last group. ``first`` is the place of the first word of lane 0, and
-    ``begins`` (W,) scratch: how far from it those of each lane lie.
+    Each group has ``size`` numbers, laid out as a workspace of ``NARROW`` lanes with g at row
+    ``at_contact``; the first lane fills up the last group. ``first`` is the place in the sequence
+    of the first word of lane 0, ``pairs`` the words of a step. ``begins`` (W,), the distance of
+    each lane's words from it, ``z`` and ``halves`` are scratch.
     """
     n, many = step.matrix.shape[0] // 2, -(-count // NARROW)
     for k in range(many * NARROW):
@@ -147,7 +150,7 @@ def small_steps(
             for pair in range(pairs):
                 place = first + np.uint64(t * pairs + pair) * GOLDEN
                 for k in range(NARROW):
-                    word = random.mixed_word(place + begins[c * NARROW + k])
+                    word = random.splitmix64(place + begins[c * NARROW + k])
                     halves[k] = np.uint32(word)
                     halves[NARROW + k] = np.uint32(word >> np.uint64(32))
                 random.box_muller(z[2 * pair * NARROW : 2 * (pair + 1) * NARROW], halves, NARROW)
@@ -158,8 +161,8 @@ def small_steps(
 
 
 @once
-def compiled_kernel(key: KernelKey) -> Any:
-    """Return the kernel of ``key``; what a flag guards that is False, a constant, is left out."""
+def kernel_for(key: KernelKey) -> Any:
+    """Return the kernel compiled for ``key``, whose flags are constants: False compiles nothing."""
     laws, kick_first, damping, energy_damping, energy, moments, pairs, substeps = key
     force, slope, potential = key.parts_of_laws()
     sources = kernel_checksum(laws)
@@ -170,22 +173,24 @@ def compiled_kernel(key: KernelKey) -> Any:
         first: int, counter: np.uint64, steps: int, phase: int, stride: int, offset: np.uint64,
         step: StepArrays, watch: WatchArrays, trace: Array,
     ) -> int:  # fmt: skip
-        """Advance blocks ``x`` (blocks, 2n·W), the first being block ``first`` of the ensemble.
+        """Advance the states ``x`` (blocks, 2n·W) by ``steps`` steps, in place.
 
-        Observes at the start of a step where ``(phase + step number) % stride == 0``, never with
-        ``stride`` 0: adds to ``sums`` (blocks, moments·W) and ``counts`` (batches, bins) of the
-        ``batch`` (blocks,) of each, which ascends by ones, and writes to ``trace`` (blocks,
-        samples·rows·W) from its second sample on. Returns the checksum of its sources: where it has
+        ``x[0]`` is block ``first`` of the ensemble, ``counter`` the first word of each trajectory,
+        ``offset`` the offset of the seed. The state is observed at the start of a step if ``(phase
+        + step number) % stride == 0``; with ``stride`` 0 never. An observation adds to ``sums``
+        (blocks, moments·W) and, for the first ``live`` (blocks,) lanes, to the row of ``counts``
+        (batches, bins) of the block's ``batch`` (blocks,); it is copied to ``trace`` (blocks,
+        samples·rows·W) from its second sample on. Returns the checksum of its sources: when it has
         changed, numba's disk cache compiles anew.
         """
         n, at = step.matrix.shape[0] // 2, watch.at
         matrix = step.long_matrix if substeps else step.matrix
-        s, number = aligned_rows(at.total), aligned_rows(1)
-        z, words = aligned_rows(pairs).view(np.float32), aligned_rows(1).view(np.uint64)
+        s, number = zero_rows(at.total), zero_rows(1)
+        z, words = zero_rows(pairs).view(np.float32), zero_rows(1).view(np.uint64)
         index, second = np.zeros(W, np.int64), np.zeros(W, np.int64)
         if substeps:
-            size, groups, chosen = at.total * NARROW, aligned_rows(at.total), np.zeros(W, np.int64)
-            begins, halves = aligned_rows(1).view(np.uint64), words.view(np.uint32)
+            size, groups, chosen = at.total * NARROW, zero_rows(at.total), np.zeros(W, np.int64)
+            begins, halves = zero_rows(1).view(np.uint64), words.view(np.uint32)
         for b in range(x.shape[0]):
             s[: 2 * n * W] = x[b]
             for t in range(steps):
@@ -197,7 +202,7 @@ def compiled_kernel(key: KernelKey) -> Any:
                 if energy_damping:
                     forces.potential_energy(s, 0, at.work + 1, step, potential)
 
-                # First half of the damping terms, which ends in the middle of the kicks.
+                # First half of the damping terms.
                 if damping and kick_first:
                     forces.term_flows(s, at.work, step, False, energy_damping)
 
@@ -221,21 +226,21 @@ def compiled_kernel(key: KernelKey) -> Any:
                 if damping and kick_first:
                     add_matrix(s, n, 0, step.terms.springs, -1.0)
                     forces.term_flows(s, at.work, step, True, energy_damping)
-                if damping and not kick_first:  # of Euler's kind, from before the map
+                if damping and not kick_first:  # Euler's rule: forces of the state before the map
                     if energy_damping:
                         forces.whole_energy(s, at.work, step)
                     forces.damping_forces(s, 0, row(s, at.work + 2), at, step)
 
-                # The linear map; trajectories near a stop make small steps instead.
+                # The linear map, or small steps of trajectories near a stop.
                 word = counter + np.uint64(t * step.words)
-                place = random.place_of((first + b) * W, word, offset)
+                place = random.word_place((first + b) * W, word, offset)
                 if substeps:
                     near = near_lanes(s, row(s, at.q, 2), index, chosen, step)
                     small_steps(
                         s, groups, size, chosen, near, begins, z, halves,
                         place + np.uint64(pairs) * GOLDEN, step, at.contact, pairs, force, slope,
                     )  # fmt: skip
-                for _ in range(step.maps):  # of the time between two kicks
+                for _ in range(step.maps):
                     random.fill_normals(z, words, place, pairs)
                     place += np.uint64(pairs) * GOLDEN
                     if step.strength.size:

@@ -1,9 +1,9 @@
-"""Loops over lanes that every step is made of; rows of a block lie one after the other.
+"""Loops over the lanes (trajectories) of a block, from which every compiled step is built.
 
-A loop is over ``width`` lanes, a constant at each call: by default a whole block. It reads one view
-of neighbouring rows and writes another: an index into a view cannot be negative, and two views need
-one overlap check, so that the compiler makes vector instructions of the loop.
-"""
+The workspace of a block is one array whose rows of ``width`` lanes follow each other; ``width`` is
+a constant at each call, by default a whole block of W. Each loop reads one view of neighbouring
+rows and writes another: an index into a view cannot be negative, and two views need one overlap
+check, so that the compiler makes vector instructions of the loop."""
 
 from typing import Any
 
@@ -16,8 +16,8 @@ from sim.step.arrays import W
 
 
 @njit_inline
-def aligned_rows(rows: int) -> Array:
-    """Return rows of zeros that begin at a cache line: no vector of 64 bytes lies across two."""
+def zero_rows(rows: int) -> Array:
+    """Return zeros, ``rows`` rows of W lanes, whose memory begins at a cache line of 64 bytes."""
     memory = np.zeros(rows * W + 8)
     first = (-memory.ctypes.data % 64) // 8
     return memory[first : first + rows * W]
@@ -25,34 +25,34 @@ def aligned_rows(rows: int) -> Array:
 
 @njit_inline
 def row(s: Array, first: int, rows: int = 1, width: int = W) -> Array:
-    """Return a view of ``rows`` rows from ``first`` on."""
+    """Return a view of ``rows`` rows of ``s`` from row ``first`` on; rows of ``width`` lanes."""
     return s[first * width : (first + rows) * width]
 
 
 @njit_inline
 def kick(p: Array, g: Array, h: float, a: float, width: int = W) -> None:
-    """Take ``h g (1 − a g')`` from p; g holds the rows of g and of g'."""
+    """Subtract ``h g (1 − a g')`` from ``p`` in ``width`` lanes; ``g`` is the rows of g and g'."""
     for k in range(width):
         p[k] -= h * g[k] * (1.0 - a * g[width + k])
 
 
 @njit_inline
 def fill(target: Array, value: float, width: int = W) -> None:
-    """Set a row, or rows of ``width`` lanes together, to one value."""
+    """Set the first ``width`` numbers of ``target`` to ``value``."""
     for k in range(width):
         target[k] = value
 
 
 @njit_inline
 def copy(target: Array, source: NDArray[Any], width: int = W) -> None:
-    """Copy one row, of normals in single precision too."""
+    """Copy ``width`` numbers of ``source``, of single or double precision, to ``target``."""
     for k in range(width):
         target[k] = source[k]
 
 
 @njit_inline
 def add(target: Array, source: Array, factor: float, width: int = W) -> None:
-    """Add ``factor`` times one row to another; no work where the factor is 0."""
+    """Add ``factor`` · ``source`` to ``target``, rows of ``width`` lanes; no work if it is 0."""
     if factor != 0.0:
         for k in range(width):
             target[k] += factor * source[k]
@@ -62,7 +62,7 @@ def add(target: Array, source: Array, factor: float, width: int = W) -> None:
 def add_matrix(
     s: Array, to: int, source: int, matrix: Array, factor: float, width: int = W
 ) -> None:
-    """Add ``factor`` times ``matrix`` times the rows from ``source`` to the rows from ``to``."""
+    """Add ``factor`` · ``matrix`` · x to the rows of ``s`` from ``to``; x: rows from ``source``."""
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
             x = row(s, source + j, 1, width)
@@ -71,7 +71,7 @@ def add_matrix(
 
 @njit_inline
 def multiply(target: Array, source: Array, times: int = 1, width: int = W) -> None:
-    """Multiply one row by another, so many ``times``."""
+    """Multiply ``target`` by ``source``, rows of ``width`` lanes, ``times`` times."""
     for _ in range(times):
         for k in range(width):
             target[k] *= source[k]
@@ -79,17 +79,17 @@ def multiply(target: Array, source: Array, times: int = 1, width: int = W) -> No
 
 @njit_inline
 def add_product(target: Array, a: Array, b: Array, factor: float, width: int = W) -> None:
-    """Add ``factor`` times the product of two rows to another; no work where it is 0."""
+    """Add ``factor`` · ``a`` · ``b`` to ``target``, rows of ``width`` lanes; no work if it is 0."""
     if factor != 0.0:
         for k in range(width):
             target[k] += factor * a[k] * b[k]
 
 
 @njit_inline
-def form_of(
+def quadratic_form(
     target: Array, s: Array, first: int, form: Array, factor: float = 1.0, width: int = W
 ) -> None:
-    """Write ``factor`` times xᵀ ``form`` x to a row, x being the rows of ``s`` from ``first``."""
+    """Write ``factor`` · xᵀ ``form`` x to ``target``; x: the rows of ``s`` from ``first``."""
     fill(target, 0.0, width)
     for i in range(form.shape[0]):
         for j in range(form.shape[1]):

@@ -1,10 +1,10 @@
-"""Integrators of Eq. (6): a contact kick, then a random linear map, with the state observed.
+"""Integrators of Eq. (6): a kick by the contact force, then a random linear map.
 
-``exact_flow``: the modified contact kick, then the exact flow of everything linear; fourth order
-in the contact, and without contact exact for any h. The force of Takahashi and Imada (J. Phys. Soc.
+``exact_flow``: the modified contact kick, then the exact flow of the linear system; of fourth order
+in the step h with contact, exact for any h without. The force of Takahashi and Imada (J. Phys. Soc.
 Japan 53, 1984, 3765), ``g_i (1 − h² g_i'/(12 m_i))``, leaves an error of second order that a change
-of variables removes, the processor; its derivation is in docs/theory.md, "The step of the
-simulation". The others are baselines. ``register`` adds one.
+of variables, the processor, removes; its derivation is in docs/theory.md, "The step of the
+simulation". The other schemes are baselines. ``register_scheme`` adds a scheme.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from scipy.linalg import expm, matrix_balance
 from fpk.numeric.arrays import Array
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
-from sim.step.arrays import COLUMNS
+from sim.step.arrays import MAP_COLUMNS
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,23 +28,23 @@ class LinearMap:
 
     @property
     def matrix(self) -> Array:
-        """The propagator and the lower trapezoidal factor in one, padded, for the kernel."""
-        return padded(np.hstack([self.propagator, lower_trapezoidal(self.factor)]))
+        """The propagator and the lower trapezoidal factor side by side, padded for the kernel."""
+        return pad_columns(np.hstack([self.propagator, lower_trapezoidal(self.factor)]))
 
 
-def padded(rows: Array) -> Array:
-    """Return ``rows`` with columns of zeros up to a multiple of ``COLUMNS``."""
-    return np.pad(rows, ((0, 0), (0, -rows.shape[1] % COLUMNS)))
+def pad_columns(rows: Array) -> Array:
+    """Return ``rows`` with columns of zeros up to a multiple of ``MAP_COLUMNS``."""
+    return np.pad(rows, ((0, 0), (0, -rows.shape[1] % MAP_COLUMNS)))
 
 
 def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
     """Return ``exp(A dt)`` and ``∫ exp(A s) b exp(Aᵀ s) ds`` over 0..dt.
 
-    Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978, 395) for ``|A| h <= ½``, in
-    units in which A is balanced and b about 1; doubling ``h`` then adds positive covariances:
-    nothing cancels.
+    A is the ``drift`` and b the ``diffusion`` matrix (2n, 2n). Van Loan's block exponential (IEEE
+    Trans. Automat. Control 23, 1978, 395) for ``|A| h <= ½``, in units in which A is balanced and b
+    is about 1; each doubling of ``h`` adds positive covariances: nothing cancels.
     """
-    with np.errstate(invalid="ignore"):  # scipy makes a permutation of the scale, unasked
+    with np.errstate(invalid="ignore"):  # scipy casts the scale to a permutation, which is unused
         balanced, (scale, _) = matrix_balance(drift, permute=False, separate=True)
     row = scale[:, None]
     diffusion = diffusion / row / scale
@@ -63,11 +63,11 @@ def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, A
     return row * expm(A * dt) / scale, covariance
 
 
-def factored(covariance: Array) -> Array:
-    """Return a factor L (m, rank) with L Lᵀ = ``covariance``, which may be singular.
+def covariance_factor(covariance: Array) -> Array:
+    """Return a factor L (m, rank) with L Lᵀ = ``covariance`` (m, m), which may be singular.
 
-    Cholesky with pivoting, scaled to unit diagonal, so that variances of different units and powers
-    of the step count alike; what is left at a pivot of round-off is dropped.
+    Cholesky with pivoting of the matrix scaled to unit diagonal, so that variances of different
+    units and powers of the step have equal weight; it ends at a pivot of the size of round-off.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
@@ -85,9 +85,9 @@ def factored(covariance: Array) -> Array:
 
 
 def lower_trapezoidal(factor: Array) -> Array:
-    """Return the factor of the same covariance whose row i has no entry beyond column i.
+    """Return the ``factor`` (m, rank) of the same covariance whose row i ends at column i.
 
-    Householder's QR of the transpose with rows scaled: errors are round-off of each row's own size.
+    Householder's QR of the transpose with scaled rows: the error of each row is its own round-off.
     """
     size = np.linalg.norm(factor, axis=1, keepdims=True)
     unit = np.divide(factor, size, out=np.zeros_like(factor), where=size > 0)
@@ -96,54 +96,54 @@ def lower_trapezoidal(factor: Array) -> Array:
 
 
 def exact_flow(system: System, dt: float) -> LinearMap:
-    """Return the flow over ``dt`` of the system without its contacts, exact for any ``dt``."""
+    """Return the flow over ``dt`` of the system without its stops, exact for any ``dt``."""
     propagator, covariance = flow_covariance(drift_matrix(system), diffusion_matrix(system), dt)
-    return LinearMap(propagator, factored(covariance))
+    return LinearMap(propagator, covariance_factor(covariance))
 
 
 @dataclass(frozen=True)
 class Scheme:
-    """One integrator of Eq. (6): kick by the contact force g, then a random linear map.
+    """An integrator of Eq. (6) with the step h: a kick by the contact force g, a random linear map.
 
-    Damping terms act for h/2 before the kicks and, in reverse order, for h/2 after them; where the
-    kick is not first for h by Euler's rule. Where it is first, observed is the state in the middle
-    of the kick, corrected by the processor.
+    With ``kick_first``, damping terms act for h/2 before the kick and, in reverse order, for h/2
+    after it; the observed state is in the middle of the kick, corrected by the processor. Without,
+    damping terms act for h by Euler's rule.
     """
 
     name: str
-    weak_order: int  # in h, of stationary averages, contact forces being smooth enough
-    linear_map: Callable[[System, float], LinearMap]  # without the springs if they are kicked
+    weak_order: int  # in h, of stationary averages, for sufficiently smooth contact forces
+    linear_map: Callable[[System, float], LinearMap]  # without the springs if springs_kicked
     modified: float = 0.0  # w of the kick p_i -= h g_i (1 − w h² g_i'/m_i)
-    kick_first: bool = True  # else it comes after the map, by the force before it
-    springs_kicked: bool = False
-    small: int = 1  # small steps in a long one, see ``sim.sample.plan``
+    kick_first: bool = True  # else the kick follows the map, by the force before the map
+    springs_kicked: bool = False  # the spring force is part of the kick
+    small: int = 1  # small steps in a long step, see ``sim.sample.plan``
 
 
 SCHEMES: dict[str, Scheme] = {}
 
 
-def register(scheme: Scheme) -> None:
-    """Add an integrator to the registry; a name is taken once."""
+def register_scheme(scheme: Scheme) -> None:
+    """Add ``scheme`` to ``SCHEMES``; raise ``ValueError`` if its name is there already."""
     if scheme.name in SCHEMES:
         raise ValueError(f"scheme {scheme.name!r} is registered already")
     SCHEMES[scheme.name] = scheme
 
 
 def euler_step(system: System, dt: float) -> LinearMap:
-    """Return ``x' = (1 + A h) x + σ √h z`` (Maruyama, Rend. Circ. Mat. Palermo 4, 1955, 48).
+    """Return Euler's rule ``x' = (1 + A h) x + σ √h z`` with the step h = ``dt``.
 
-    It feeds energy to undamped vibration, ``(1 + h² ω²)`` in each step, and needs h well below
-    ``2 ζ/ω`` to have a stationary state at all.
+    Maruyama, Rend. Circ. Mat. Palermo 4, 1955, 48. Each step multiplies the energy of undamped
+    vibration by ``1 + h² ω²``; there is a stationary state only for h below ``2 ζ/ω``.
     """
     propagator = np.eye(2 * system.n) + dt * drift_matrix(system)
-    return LinearMap(propagator, factored(dt * diffusion_matrix(system)))
+    return LinearMap(propagator, covariance_factor(dt * diffusion_matrix(system)))
 
 
 def drift_damp_drift(system: System, dt: float) -> LinearMap:
     """Return A O A of BAOAB over ``dt``: half drift, exact damping and noise, half drift.
 
-    The two half kicks that meet between steps are one (Leimkuhler and Matthews, Appl. Math. Res.
-    Express 2013, 34).
+    The half kicks B that meet between two steps are joined in the kick (Leimkuhler and Matthews,
+    Appl. Math. Res. Express 2013, 34).
     """
     n = system.n
     velocity = np.diag(1.0 / system.mass)
@@ -151,10 +151,10 @@ def drift_damp_drift(system: System, dt: float) -> LinearMap:
     one, zero = np.eye(n), np.zeros((n, n))
     drift = np.block([[one, 0.5 * dt * velocity], [zero, one]])
     damp = np.block([[one, zero], [zero, damped]])
-    noise = factored(covariance)
+    noise = covariance_factor(covariance)
     return LinearMap(drift @ damp @ drift, drift @ np.vstack([np.zeros_like(noise), noise]))
 
 
-register(Scheme("baoab", 2, drift_damp_drift, springs_kicked=True))
-register(Scheme("euler_maruyama", 1, euler_step, kick_first=False))
-register(Scheme("exact_flow", 4, exact_flow, modified=1.0 / 12.0))
+register_scheme(Scheme("baoab", 2, drift_damp_drift, springs_kicked=True))
+register_scheme(Scheme("euler_maruyama", 1, euler_step, kick_first=False))
+register_scheme(Scheme("exact_flow", 4, exact_flow, modified=1.0 / 12.0))

@@ -17,42 +17,50 @@ from fpk.system.system import System
 from sim.step.schemes import Scheme
 
 REACHED = 5.0
-"""Potential energy, in units of kT, up to which a mass is expected to push into its stop."""
+"""Potential energy, in units of kT, for which the step resolves the contact (``chosen_step``)."""
 
 BEYOND_BALANCE = 1.5
-"""Energy up to which a step is to be stable, in units of the last at which damping and noise
-balance: kT says nothing of the upper of two humps of its density."""
+"""Energy for which the step must be stable with damping terms, in units of the highest energy at
+which damping and noise balance. kT would not do: the density may have a second maximum far
+above."""
 
 STEP_PER_FREQUENCY = 0.45
-"""Step times the frequency in contact, springs included. The bias grows with the fourth power: at
-0.65 the L1 of p(q2) shows it beside a sampling error of 3e-4 (B = 1, 10); at 0.45 it does not."""
+"""Step times the angular frequency in contact, springs included. The bias grows with the fourth
+power of the step: beside a sampling error of 3e-4 of the L1 norm of p(q2) (B = 1 and 10) it is
+visible at 0.65 and not at 0.45."""
 
 STEP_WITH_TERMS = 0.22
-"""Step times the frequency in contact where damping terms act, too: their bias then grows with the
-square of the step, and is 1e-3 of the kinetic balance of a mass that both act on."""
+"""The same with damping terms, whose bias near a stop grows with the square of the step: it is then
+1e-3 of the kinetic balance of the mass."""
 
 STEP_PER_RATE = 0.1
-"""Step times the steepest rate of the damping terms that is reached, see ``chosen_step``."""
+"""Step times the largest rate of the damping terms (``chosen_step``). Between steps the
+displacement of a first passage then leaves the cubic by (√3/8) 0.1^1.5 = 0.7 % of its standard
+deviation (``sim.questions.limits``, rates of the limit and of the amplitudes)."""
 
 BIAS = 0.02
-"""Factor of the bias at a stop, see ``step_for``: measured at 1 and 1.8 times the step of
-``STEP_PER_FREQUENCY``, 0.017 to 0.018 of bilinear stops and 0.012 to 0.017 of Hertz ones."""
+"""Relative bias of p(q) at a stop in units of X^e (``step_for``). Measured at 1 and 1.8 times the
+step of ``STEP_PER_FREQUENCY``: 0.017 to 0.018 for bilinear stops, 0.012 to 0.017 for Hertz
+stops."""
 
 JOINT_BIAS = 0.1
-"""Factor of the bias of a joint density at a stop, see ``step_for``: measured 0.06 of Hertz stops
-and 0.10 of bilinear ones at X = 0.1. The trapezoidal rule across the kink of the force gives these
-(sup |B₂|/2) max(u² e^(−u²/4)) = 0.12, B₂ Bernoulli's polynomial, v = u √(kT/m)."""
+"""Relative bias of a joint density at a stop in units of X (``step_for``). Measured at X = 0.1:
+0.06 for Hertz stops, 0.10 for bilinear stops. The trapezoidal rule across the kink of the force
+gives (sup |B₂|/2) max(u² e^(−u²/4)) = 0.12, B₂ Bernoulli's polynomial, v = u √(kT/m)."""
 
 CHANCE = exp(-100.0)
-"""Probability that a state has more energy. Of 1e13 states one in 1e30 has it by chance; where the
-density is not Gibbs', and falls by e^−30 only instead of e^−100, none of them has."""
+"""Probability that the energy of a stable trajectory exceeds ``largest_reached``. Even if a density
+that is not Gibbs' falls by e^−30 only, none of 1e13 states exceeds it by chance."""
 
 STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8
-"""Wall time, in s, to a factor 2, of a step of up to three masses and of a sample, by a thread."""
+"""Wall time in s, to a factor 2, that one thread needs for a step of three masses, for a sample."""
 
 
 def temperature(system: System) -> float:
-    """Return kT = Σ(N_ii/m_i) / Σ(c_ii/m_i), N = f D fᵀ, or ``equivalent_temperature``."""
+    """Return kT = Σ(N_ii/m_i) / Σ(c_ii/m_i), N = f D fᵀ; inf without damping.
+
+    With damping terms it is the ``equivalent_temperature``.
+    """
     if system.damping_terms:
         return equivalent_temperature(system)
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
@@ -63,14 +71,14 @@ def temperature(system: System) -> float:
 def contact_frequency(
     system: System, *, springs: bool = False, energy: float = 0.0, kT: float | None = None
 ) -> float:
-    """Return the largest √(g'/m) that is reached, with ``springs`` √((g' + K_ii)/m_i); 0 if none.
+    """Return the largest angular frequency in contact √(g'/m); 0 if no stop is reached.
 
-    A mass that moves alone, the others following statically, has the potential
-    ``½ k_eff q² + U(q)``. It reaches ``REACHED`` kT, or one kT of contact energy where the stop is
-    too far for that, or ``energy`` where that is more. ``kT`` None: the ``temperature``.
+    With ``springs`` it is √((g' + K_ii)/m_i). A mass that moves alone, the others following
+    statically, has the potential ``½ k_eff q² + U(q)``. It is taken to reach the largest of
+    ``REACHED`` kT, of one kT of contact energy, and of ``energy``. ``kT`` None: ``temperature``.
     """
     square, kT = 0.0, temperature(system) if kT is None else kT
-    kT = kT if isfinite(kT) else 0.0  # of undamped motion ``energy`` alone counts
+    kT = kT if isfinite(kT) else 0.0  # undamped motion: ``energy`` alone counts
 
     def excess(q: float, i: int, sign: float, k_eff: float, level: float) -> float:
         return 0.5 * k_eff * q * q + float(system.contact_energy(i, sign * q)) - level
@@ -94,16 +102,16 @@ def highest_frequency(system: System) -> float:
 
 
 def sampling_interval(system: System) -> float:
-    """Return the time between samples, 1/8 of the shortest natural period: closer ones repeat."""
+    """Return the time between two samples: 1/8 of the shortest natural period."""
     return 2.0 * pi / highest_frequency(system) / 8.0
 
 
 def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None) -> float:
-    """Return the step of ``exact_flow``; of a linear system any is exact: the sampling interval.
+    """Return the step of ``exact_flow`` from its bias; for a linear system the sampling interval.
 
-    Damping terms need it short beside the natural periods and beside their largest rate of a mass,
-    Σ (1 + power of v_i) |c̃_ij| v_j/(m_i v_i) where each coordinate alone, and H, has the energy of
-    ``REACHED`` and of ``BEYOND_BALANCE``.
+    Stops limit it by ``contact_frequency`` for ``energy`` and ``kT``. Damping terms need it short
+    beside the natural periods and beside their largest rate of a mass, Σ (1 + power of v_i) |c̃_ij|
+    v_j/(m_i v_i), each coordinate and H having the energy ``REACHED`` kT or ``BEYOND_BALANCE``.
     """
     frequency = contact_frequency(system, springs=True, energy=energy, kT=kT)
     steps, share = [sampling_interval(system)], STEP_PER_FREQUENCY
@@ -124,14 +132,15 @@ def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None)
 def step_for(
     system: System, error: float, *, kT: float | None = None, observables: Sequence[Observable] = ()
 ) -> float:
-    """Return the step, up to ``chosen_step``, whose bias at the stops is a third of ``error`` of p.
+    """Return the step, up to ``chosen_step``, whose relative bias at the stops is ``error``/3.
 
-    Within v h of a stop, v the thermal velocity, the force is not smooth over a step: of a force
-    ``B x^e`` the bias of p(q) there is ``BIAS X^e`` of itself, ``X = h² e B (v h)^(e−1)/m`` the
-    square of the phase that the contact adds in a step. In a density of q and p, or of one of them
-    and an energy, the biases of v and −v do not cancel: it is ``JOINT_BIAS X``, and bounded where
-    ``observables`` contain one. Farther stops are visited less often, and known to a larger error,
-    up to one third of p itself.
+    ``error`` is the relative error that p shall have near its maximum, ``kT`` None:
+    ``temperature``. Within v h of a stop, v the thermal velocity, the force is not smooth over a
+    step: for a force ``B x^e`` the relative bias of p(q) there is ``BIAS X^e``, ``X = h² e B (v
+    h)^(e−1)/m`` the square of the phase that the contact adds in a step. In a density of q and p,
+    or of q or p and an energy, the biases of v and −v do not cancel: it is ``JOINT_BIAS X``, which
+    counts if ``observables`` contain such a density. At stops that are reached less often a larger
+    error is allowed, up to a third of p itself.
     """
     kT = temperature(system) if kT is None else kT
     steps, joint = [chosen_step(system, kT=kT)], set[int | None]()
@@ -151,14 +160,14 @@ def step_for(
     return min(steps)
 
 
-def expected_error(samples: float) -> float:
-    """Return about what relative error p has near its maximum, from the samples to be taken."""
+def relative_sampling_error(samples: float) -> float:
+    """Return the expected relative error of p near its maximum after so many ``samples``."""
     return 7.0 / sqrt(samples)  # 5.8 to 7.7 in runs of 1e9 samples
 
 
 def samples_in(system: System, dt: float, seconds: float) -> float:
-    """Return about how many samples one thread takes in ``seconds`` of wall time."""
-    size = max(1.0, system.n / 3) ** 2  # the map of a step is a full matrix
+    """Return the number of samples, to a factor 2, of one thread in ``seconds`` by steps ``dt``."""
+    size = max(1.0, system.n / 3) ** 2  # the linear map is a full matrix
     steps = max(1.0, sampling_interval(system) / dt)
     return seconds / (STEP_SECONDS * size * steps + SAMPLE_SECONDS)
 
@@ -166,10 +175,11 @@ def samples_in(system: System, dt: float, seconds: float) -> float:
 def stability_limit(
     system: System, scheme: Scheme, *, energy: float = 0.0, kT: float | None = None
 ) -> float:
-    """Return 2/ω, where steps become unstable; ω of the contact, with the springs if they kick.
+    """Return the largest stable step 2/ω, ω the ``contact_frequency`` for ``energy`` and ``kT``.
 
-    Of Euler's rule it is the least −2 Re λ/|λ|², λ the eigenvalues of the drift out of contact;
-    damping terms count as constant damping that balances the noise.
+    Springs that kick are part of ω. For a scheme whose kick is last it is the least −2 Re λ/|λ|², λ
+    the eigenvalues of the drift out of contact, with constant damping that balances the noise in
+    place of damping terms.
     """
     if scheme.kick_first:
         square = contact_frequency(system, energy=energy, kT=kT) ** 2
@@ -184,12 +194,12 @@ def stability_limit(
 
 
 def relaxation_time(system: System) -> float:
-    """Return the longest decay time of the motion without contact; inf if some never decays.
+    """Return the longest decay time of the motion without contact; inf if a mode never decays.
 
-    With damping terms modes are taken for Gaussian at temperatures θ_m that balance,
-    ``dθ_m/dt = S_m − P_m(θ)``: S_m the power of the noise, P_m that of all damping; an eigenvalue
-    of ∂P/∂θ there is the decay rate of an energy. One temperature for all modes gives a second
-    estimate, 2n/P'(θ), and the longer one counts. Passages between coexisting states take longer.
+    With damping terms modes are taken to be Gaussian with temperatures θ_m, ``dθ_m/dt = S_m −
+    P_m(θ)``, S_m the power of the noise and P_m the power lost to damping; the eigenvalues of ∂P/∂θ
+    in equilibrium are decay rates of energies. An equal temperature of all modes gives a second
+    estimate, 2n/P'(θ); the longer time is returned. Passages between coexisting states take longer.
     """
     if not system.damping_terms:
         return decay_time(system)
@@ -205,7 +215,7 @@ def relaxation_time(system: System) -> float:
         ]
         rates = np.linalg.eigvals(np.transpose(change) / (2e-4 * balance)).real
         if np.all(rates > 0):
-            # Of x'' + rate x' + ω² x = 0; creeping has (rate/2 + √…)/ω².
+            # x'' + rate x' + ω² x = 0 decays in 2/rate; if overdamped, in (rate/2 + √…)/ω².
             creep = np.sqrt(np.maximum((0.5 * rates) ** 2 - slowest**2, 0.0))
             creeping = (0.5 * rates + creep) / slowest**2
             times += np.where(0.5 * rates > slowest, creeping, 2.0 / rates).tolist()
@@ -213,7 +223,7 @@ def relaxation_time(system: System) -> float:
 
 
 def modal_temperatures(system: System) -> Array:
-    """Return the temperatures θ (n,) of ``relaxation_time`` at which modes balance; none: empty."""
+    """Return the equilibrium temperatures θ (n,) of ``relaxation_time``; empty if none is found."""
     shapes, _ = natural_modes(system)
     noise = np.einsum("im,ij,jm->m", shapes, system.noise_matrix, shapes)
     start = np.full(system.n, equivalent_temperature(system))
@@ -223,9 +233,10 @@ def modal_temperatures(system: System) -> Array:
 
 
 def modal_powers(system: System, temperatures: Array) -> Array:
-    """Return E P_m (Tᵀ c M⁻¹ p)_m of modes, independent Gaussians of ``temperatures`` (n,).
+    """Return the mean power (n,) that each mode loses to damping, E P_m (Tᵀ c M⁻¹ p)_m.
 
-    H^e of a term stands for E H^e of the Gibbs state of the same mean energy.
+    Modes are independent Gaussians of ``temperatures`` (n,). H^e of a term is replaced by E H^e of
+    the Gibbs density of the same mean temperature.
     """
     n, (shapes, omega) = system.n, natural_modes(system)
     displacements = (shapes * (temperatures / omega**2)) @ shapes.T
@@ -245,18 +256,18 @@ def modal_powers(system: System, temperatures: Array) -> Array:
     return np.asarray(power)
 
 
-def undamped_mode(system: System) -> bool:
-    """Return whether neither the constant damping nor any term acts on some mode."""
+def has_undamped_mode(system: System) -> bool:
+    """Return whether there is a mode that neither constant damping nor any damping term acts on."""
     shapes, omega = natural_modes(system)
-    reached = np.abs(np.diag(shapes.T @ system.damping @ shapes)) > ROUND_OFF * omega[-1]
+    has_damping = np.abs(np.diag(shapes.T @ system.damping @ shapes)) > ROUND_OFF * omega[-1]
     size = np.abs(shapes) * np.sqrt(system.mass)[:, None]  # at most 1
     for term in system.damping_terms:
-        reached |= size[term.row] * size[term.column] > ROUND_OFF
-    return not bool(np.all(reached))
+        has_damping |= size[term.row] * size[term.column] > ROUND_OFF
+    return not bool(np.all(has_damping))
 
 
 def loudest(system: System) -> System:
-    """Return the system under constant noise, as strong as its modulation makes it at the most."""
+    """Return the system with constant noise of the largest intensity of its modulation."""
     if system.modulation is None:
         return system
     most = system.modulation.largest * system.noise_intensity
@@ -264,9 +275,9 @@ def loudest(system: System) -> System:
 
 
 def hottest(system: System) -> float:
-    """Return the least T with N <= T c, as quadratic forms of v; inf where some v is not damped.
+    """Return the least T with N <= T c as quadratic forms of v; inf if noise acts on undamped v.
 
-    With damping terms it is the largest temperature of a mode, or that of all.
+    With damping terms it is the largest ``modal_temperatures``, or ``temperature`` if larger.
     """
     if system.damping_terms:
         return float(max(temperature(system), *modal_temperatures(system)))
@@ -277,22 +288,22 @@ def hottest(system: System) -> float:
         return inf
     roots = np.sqrt(rates[damped])
     ratios = np.linalg.eigvalsh(noise[damped][:, damped] / np.outer(roots, roots))
-    return float(np.max(ratios, initial=0.0))  # of none where nothing is damped and no noise acts
+    return float(np.max(ratios, initial=0.0))  # 0 without damping and noise
 
 
 def largest_reached(system: System, energy: float, time: float) -> Array:
-    """Return the largest |q| and |p| (2n,) by the ``time`` since a start of up to ``energy``.
+    """Return bounds of |q| and |p| (2n,) at the ``time`` after a start with up to ``energy``.
 
-    The linear motion from there and that by the noise add up, of which the second has 2n normal
-    coordinates in units of √T: T is that of the ``hottest`` mode or, as energy comes from the noise
-    alone, twice all that by then. Stops and springs only take room away.
+    Free motion and motion by the noise add up. The latter has 2n normal coordinates in units of √T:
+    T is ``hottest`` or, if less, twice the energy that the noise has brought by then. Stops only
+    make displacements smaller. A state exceeds the bounds with the probability ``CHANCE``.
     """
     T = system.fact(hottest)
     if system.damping_terms:
         energy = max(energy, BEYOND_BALANCE * system.fact(damping_balance).energy)
     else:
         T = min(T, 2.0 * time * float(np.sum(np.diag(system.noise_matrix) / system.mass)))
-    # Twice: a stable kick keeps ½p² + ½(1 − h²ω²/4) ω²q², a quarter of H at the least up to
-    # hω = √3 of at most 2.
+    # Twice √energy: a stable kick conserves ½p² + ½(1 − h²ω²/4) ω²q², which is a quarter of H or
+    # more up to hω = √3; the largest stable hω is 2.
     root = 2.0 * sqrt(energy) + sqrt(T * float(scipy.special.gammainccinv(system.n, CHANCE)))
     return root * np.sqrt(2.0 * np.concatenate([np.diag(system.compliance), system.mass]))

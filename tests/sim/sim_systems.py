@@ -1,43 +1,37 @@
-"""Systems that the tests of the simulation share."""
+"""Systems that the tests of the simulation share, and how they ask for answers in time."""
 
-from collections.abc import Sequence
 from functools import partial
+from itertools import count
 from typing import Any
 
 import numpy as np
 
-from fpk.answer.dynamics import Passage
+from cases.compare.routes import method_for
 from fpk.answer.method import silent
-from fpk.answer.names import parse_limit, parse_start
+from fpk.answer.names import Coordinate, parse_limit, parse_observable, parse_start
 from fpk.answer.question import Asked
+from fpk.numeric.machine import working_time
 from fpk.system.contact import Contact
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.passage import passage_of
-from sim.sample.diagnostics import Report
-from sim.sample.ensemble import Ensemble
-from sim.sample.histogram import Histogram, axis_of, covering, extremes
+from sim.sample.histogram import axis_of, covering, extremes
+
+CIR_RATE = 0.13742123052434
+"""Failure rate of dH = (kT − H) dt + √(2 kT H) dB at 3 kT: 1F1(−λ; 1; 3) = 0, per decay time."""
+CIR_MEAN = 8.25803
+"""Its mean time from 0: Ei(3) − ln 3 − γ."""
 
 
-def fig6(*, clearance: float = 0.5) -> System:
-    return System(
-        mass=[1.0, 1.0],
-        stiffness=[1.0, 1.0],
-        damping=[0.08, 0.04],
-        noise_intensity=[0.01, 0.02],
-        contacts=(Contact(2, "both", 10.0, clearance),),
-    )
+def fig6(*, clearance: float = 0.5, stiffness: float = 10.0) -> System:
+    contacts = (Contact(2, "both", stiffness, clearance),)
+    return System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=contacts)
 
 
 def exact(*, clearance: float = 0.5) -> System:
     """c_i/D_i = 2 for both: the stationary density is exp(−2 H)."""
-    return System(
-        mass=[1.0, 1.0],
-        stiffness=[1.0, 1.0],
-        damping=[0.2, 0.4],
-        noise_intensity=[0.1, 0.2],
-        contacts=(Contact(2, "both", 10.0, clearance),),
-    )
+    contacts = (Contact(2, "both", 10.0, clearance),)
+    return System([1.0, 1.0], [1.0, 1.0], [0.2, 0.4], [0.1, 0.2], contacts=contacts)
 
 
 def mixed() -> System:
@@ -56,46 +50,80 @@ def mixed() -> System:
 
 
 def linear(n: int = 2) -> System:
-    return System(
-        mass=[1.0 + 0.3 * i for i in range(n)],
-        stiffness=[1.0] * n,
-        damping=[0.1] * n,
-        noise_intensity=[0.05] * n,
-    )
+    return System([1.0 + 0.3 * i for i in range(n)], [1.0] * n, [0.1] * n, [0.05] * n)
+
+
+def oscillator(damping: float = 0.05, kT: float = 0.5) -> System:
+    return System([1.0], [1.0], [damping], [damping * kT])
+
+
+def one_mass(kT: float, side: str, B: float, gap: float, law: str = "hertz") -> System:
+    contact = Contact(1, side, B, gap, law=law)
+    return System([1.0], [1.0], [0.4], [0.4 * kT], contacts=(contact,))
+
+
+def simulation(**settings: Any) -> MonteCarlo:
+    return MonteCarlo(**({"threads": 1, "paths": 4096} | settings))
+
+
+def passed(
+    system: System, limit: str, start: str = "rest", times: Any = (), *, method: Any = None,
+    **settings: Any,
+) -> Any:  # fmt: skip
+    """First passage, by simulation of the full system if no ``method`` is given."""
+    end, begin = parse_limit(limit, system.n), parse_start(start, system)
+    times = np.array(times, dtype=float)
+    method = method or simulation(**settings)
+    return method.passage(system, end, begin, times, tol=None, progress=silent)
+
+
+def transient(
+    system: System, of: str, start: str, times: Any, *at: Any, tol: float | None = None,
+    method: Any = None, **settings: Any,
+) -> Any:  # fmt: skip
+    """Transient densities, by simulation of the full system if no ``method`` is given."""
+    asked = parse_observable(of, system.n), parse_start(start, system), np.array(times, dtype=float)
+    points = tuple(np.asarray(x, dtype=float) for x in at)
+    method = method or simulation(**settings)
+    return method.transient(system, *asked, points, tol=tol, progress=silent)
+
+
+def curve(
+    question: str, system: System, row: int, at: Any, *, route: str | None = None,
+    tol: float | None = None, **settings: Any,
+) -> Any:  # fmt: skip
+    """Crossings, spectrum or correlation of q, by simulation or by the method named ``route``."""
+    method = method_for(route, threads=1) if route else simulation(**settings)
+    q = (Coordinate("q", row),)
+    return getattr(method, question)(system, q, np.asarray(at), tol=tol, progress=silent)
 
 
 def estimated(
     fine: Any, coarse: Any, until: Any, times: Any = (), *, limit: str = "H=1", step: float = 0.0,
     memory: float = 0.0, tol: float | None = None,
-) -> Passage:  # fmt: skip
+) -> Any:  # fmt: skip
     """First passage from failure times at half the step and at the step, some cut short."""
     system = linear(1)
-    asked = Asked(
-        system,
-        tol,
-        silent,
-        start=parse_start("rest", system),
-        limit=parse_limit(limit, 1),
-        times=np.array(times, dtype=float),
-    )
+    known: Any = {"start": parse_start("rest", system), "limit": parse_limit(limit, 1)}
+    asked = Asked(system, tol, silent, times=np.array(times, dtype=float), **known)
     return passage_of(np.stack([fine, coarse, until]), asked, tol, step, memory, {})
 
 
-def report_of(method: MonteCarlo, system: System, observables: Sequence[Any] = ()) -> Report:
-    """The report of a simulation."""
-    report = method.solve(system, observables).report
-    assert isinstance(report, Report)
-    return report
+def slow_clock(monkeypatch: Any) -> None:
+    """The clock of questions goes on by 0.03 s with each look, however busy the machine is."""
+    begin, looks = working_time(), count(1)
+    monkeypatch.setattr("sim.questions.rounds.working_time", lambda: begin + 0.03 * next(looks))
 
 
-def place(ensemble: Ensemble, states: Any) -> None:
+def place(ensemble: Any, states: Any) -> None:
     """Go on from other ``states`` (blocks, 2n, LANES), whose energy it may reach from then on."""
     ensemble.restore({**ensemble.saved(), "states": states})
-    energy = float(np.max(ensemble.system.hamiltonian(*ensemble.phase_points())))
-    ensemble.energy = energy
+    ensemble.energy = float(np.max(ensemble.system.hamiltonian(*ensemble.phase_points())))
 
 
-def ranged(system: System, observables: Sequence[Any], q: Any, p: Any) -> tuple[Histogram, ...]:
-    """Histograms that cover the states ``q``, ``p`` (samples, n) with a margin."""
-    reached = extremes(system, observables, q, p)
+def ranged(system: System, names: Any, size: float = 1.0) -> Any:
+    """Histograms of the observables ``names`` that cover q, p = ± ``size`` with a margin."""
+    q = size * np.array([[-1.0] * system.n, [1.0] * system.n])
+    observables = [parse_observable(name, system.n) for name in names]
+    reached = extremes(system, observables, q, q)
     return covering(observables, reached, partial(axis_of, system))

@@ -29,7 +29,7 @@ from fpk.numeric.recognition import canonical
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.sample.settings import ANYWHERE
-from sim.sample.workers import PROGRAM, program_checksum, workers_of
+from sim.sample.workers import program_checksum, workers_of
 
 METHODS = ("exact", "linear", "nonintegrable", "integrable")
 """Methods that are asked where none is named: they take milliseconds a point."""
@@ -118,7 +118,7 @@ def every_answer(
         "methods": asked,
         "reference": solver,
         "simulation": simulation,
-        "program": program_checksum(rooms=PROGRAM),
+        "program": program_checksum(),
     }
     timed = simulation.seconds is not None or simulation.tol is not None
     identity = {} if folder is None else canonical(about, () if timed else ANYWHERE)

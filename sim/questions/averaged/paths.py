@@ -1,4 +1,4 @@
-"""Averaged energies as an ensemble, and their questions: densities, first passage, transients."""
+"""Ensembles of averaged energies, and their stationary densities, first passage and transients."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -20,32 +20,30 @@ from fpk.numeric.arrays import ROUND_OFF, Array, Flags, Integers
 from fpk.numeric.errors import InvalidInput
 from fpk.system.modulation import Modulation
 from sim.questions.averaged.square_root import SquareRootForm, square_root_step
-from sim.questions.limits import CHUNK, STEP_TO_LIMIT, first_step
+from sim.questions.limits import CHUNK_STEPS, first_step
 from sim.questions.passage import Run, noise_end, passage_in_rounds
 from sim.questions.passing import pass_under
 from sim.questions.rounds import MOST_SUMS, Watch, motions
-from sim.questions.transient import counted_in_rounds
+from sim.questions.transient import transient_in_rounds
 from sim.sample.ensemble import Reader
-from sim.sample.histogram import MARGIN, binned, covering, log_states, sampled_density
+from sim.sample.histogram import MARGIN, bin_axis, covering, density_of_counts, log_states
 from sim.sample.workers import workers_of
-from sim.step.arrays import GROUPS, LANES, in_blocks
+from sim.step.arrays import LANES, MAX_BATCHES, in_blocks
 from sim.step.random import stream_of
+from sim.step.step_size import STEP_PER_RATE
 
 GROUP = 4
-"""Blocks of paths that have one stream of random numbers, and are one task of a thread."""
-
-STARTS = 1 << 63
-"""Number of the first stream of a seed from which starts are drawn; steps have those before it."""
+"""Blocks of paths that share a stream of random numbers and make one task of a thread."""
 
 MOST_DRAWS = 3e7
-"""Random numbers of a passage at most where no wall time is given, some 20 s of one core."""
+"""Largest number of random numbers of a passage without a wall time: about 20 s on one core."""
 
 
 @dataclass(eq=False)
 class EnergyEnsemble:
-    """Paths of X (paths, d) that advance together from the time ``begin``: an ``Ensemble`` of them.
+    """Paths of X (paths, d) that advance together from the time ``begin``, as an ``Ensemble`` does.
 
-    Each ``GROUP`` of blocks has a stream of its own of the ``seed``, from ``number`` · 2**32 on.
+    Each ``GROUP`` of blocks has its own stream of the ``seed``, from number ``number`` · 2**32 on.
     """
 
     form: SquareRootForm
@@ -60,7 +58,7 @@ class EnergyEnsemble:
     done: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
-        """Make the streams, unless the motion goes on."""
+        """Make the streams, unless the motion continues with given streams."""
         groups = range(len(self.streams), -(-len(self.X) // (GROUP * LANES)))
         self.streams += [stream_of(self.seed, (self.number << 32) + group) for group in groups]
 
@@ -70,9 +68,9 @@ class EnergyEnsemble:
         return self.begin + self.done * self.dt
 
     def advance(self, steps: int, *arrays: Array, read: Reader | None = None, **_: Any) -> None:
-        """Advance all paths; ``read`` sees each state, and the one before them, with its arrays."""
+        """Advance by ``steps``; ``read`` gets the first and all later states, and ``arrays``."""
 
-        def advanced(group: int) -> Array:
+        def advance_group(group: int) -> Array:
             stream, first = self.streams[group], self.X[group * GROUP * LANES :][: GROUP * LANES]
             trace = deque([first], None if read else 1)
             for k in range(steps):
@@ -84,15 +82,15 @@ class EnergyEnsemble:
             return trace[-1]
 
         groups = range(-(-len(self.X) // (GROUP * LANES)))
-        self.X = np.concatenate(list(self.workers.executor.map(advanced, groups)))
+        self.X = np.concatenate(list(self.workers.executor.map(advance_group, groups)))
         self.done += steps
 
     def onward(self, dt: float) -> "EnergyEnsemble":
-        """Return the motion from the last state on, in steps of another ``dt``."""
+        """Return a new ensemble that continues from the last state in steps of ``dt``."""
         return replace(self, dt=dt, begin=self.time)
 
     def keep(self, lanes: Integers) -> None:
-        """Go on with the paths ``lanes``."""
+        """Continue with the paths number ``lanes`` alone."""
         self.X = self.X[lanes]
 
 
@@ -112,15 +110,19 @@ def simulate_energies(
     failures: Sequence[str] = (),
     progress: Progress = silent,
 ) -> tuple[SampledDensity, ...]:
-    """Return sampled densities of energies H_i, pairs of them and H = Σ H_i, with their errors.
+    """Return sampled densities of energies H_i, of pairs of them and of H = Σ H_i, certified.
 
-    ``paths`` are sampled every ``interval``, in ``steps`` steps, for ``time`` after ``burn_in``, at
-    whose end they give the ranges of the histograms, or for ``seconds`` of wall time. Raises
-    ``InvalidInput`` for paths that fill no batches.
+    ``paths`` are sampled every ``interval``, in ``steps`` steps, for ``time`` after ``burn_in``,
+    whose last states give the ranges of the histograms, or for ``seconds`` of wall time. ``tol``:
+    tolerance of the expected L1 error. Raises ``InvalidInput`` if ``paths`` is no multiple of the
+    number of batches.
     """
-    if paths < 4 * GROUPS or paths % GROUPS:
-        raise InvalidInput("paths", paths, f"use a multiple of {GROUPS}, {4 * GROUPS} or more")
-    start = stream_of(seed, STARTS).exponential(form.scales, (paths, form.scales.size))
+    if paths < 4 * MAX_BATCHES or paths % MAX_BATCHES:
+        raise InvalidInput(
+            "paths", paths, f"use a multiple of {MAX_BATCHES}, {4 * MAX_BATCHES} or more"
+        )
+    stream = stream_of(seed, 0, of_starts=True)
+    start = stream.exponential(form.scales, (paths, form.scales.size))
     watch, samples, taken = Watch(seconds or inf, lambda: False), max(1, round(time / interval)), 0
     with workers_of(None, threads) as workers:
         ensemble = EnergyEnsemble(form, start, interval / steps, seed, 0, workers)
@@ -130,24 +132,28 @@ def simulate_energies(
         over = f"{seconds or 0.0:.3g} s were over in the burn-in; give it more time"
         failures = [*failures, over] if watch.ends() else failures
         H = form.energies(ensemble.X)
-        reached = np.array([(0.0, x.max()) for o in observables for x in columns(o, H)])
+        reached = np.array([(0.0, x.max()) for o in observables for x in energy_columns(o, H)])
         histograms = covering(observables, reached, partial(energy_axis, form))
-        counts = [np.zeros((GROUPS, h.size + 1), dtype=np.int64) for h in histograms]
+        counts = [np.zeros((MAX_BATCHES, h.size + 1), dtype=np.int64) for h in histograms]
         while taken < samples and not (taken and watch.ends()):
             ensemble.advance(steps)
             H, taken = form.energies(ensemble.X), taken + 1
             for total, histogram in zip(counts, histograms, strict=True):
-                total += histogram.counted(columns(histogram.observable, H), GROUPS)
+                total += histogram.counted(energy_columns(histogram.observable, H), MAX_BATCHES)
             progress(taken, samples, "averaged simulation")
-    known: Any = {"residual": nan, "tol": tol, "failures": failures}  # no identity is evaluated
-    found = zip(histograms, counts, strict=True)
-    return tuple(sampled_density(h, total, taken=paths * taken, **known) for h, total in found)
+    return tuple(  # without moment identities
+        density_of_counts(h, total, taken=paths * taken, residual=nan, tol=tol, failures=failures)
+        for h, total in zip(histograms, counts, strict=True)
+    )
 
 
 def burnt_in(
     form: SquareRootForm, paths: int, stream: Generator, dt: float, steps: int, threads: int
 ) -> Array:
-    """Return the energies (paths, d) after ``steps``, from exponential X."""
+    """Return the energies (``paths``, d) after ``steps`` of ``dt`` from exponential X.
+
+    ``stream`` draws X and the seed of the steps, made by so many ``threads``.
+    """
     start, seed = stream.exponential(form.scales, (paths, form.scales.size)), stream.integers(2**63)
     with workers_of(None, threads) as workers:
         ensemble = EnergyEnsemble(form, start, dt, int(seed), 0, workers)
@@ -159,16 +165,19 @@ def energy_axis(
     form: SquareRootForm, coordinate: Coordinate, low: float, high: float, bins: int,
     *, rises: bool = False,
 ) -> BinAxis:  # fmt: skip
-    """Return bins of an energy seen up to ``high``, as ``sim.sample.histogram.axis_of`` does."""
+    """Return bins of an energy from 0 to ``high``, as ``sim.sample.histogram.axis_of`` does.
+
+    ``low``, its least sampled value, is not used.
+    """
     total = coordinate.index is None
     kinks = [*([0.0] if rises else []), *(form.kinks if total else ())]
     reference = partial(log_states, form.degrees_of_freedom if total else 1)
     high = (1.0 + 2.0 * MARGIN) * high
-    return binned(0.0, high, kinks, bins, widening=True, reference=reference)
+    return bin_axis(0.0, high, kinks, bins, widening=True, reference=reference)
 
 
-def columns(observable: Observable, H: Array) -> list[Array]:
-    """Return those columns of the energies H (paths, d), or their sum."""
+def energy_columns(observable: Observable, H: Array) -> list[Array]:
+    """Return the coordinates of ``observable``: columns of ``H`` (paths, d), or their sum."""
     return [H.sum(axis=1) if c.index is None else H[:, c.index] for c in observable]
 
 
@@ -186,33 +195,34 @@ def energy_passage(
     seconds: float | None = None,
     tol: float | None = None,
 ) -> Passage:
-    """Return the first passage of any of ``limits`` in steps of dt/2, beside steps of ``dt``.
+    """Return the first passage of any of ``limits`` in steps of dt/2, and of ``dt`` for comparison.
 
-    Weights (limits, d) · X reach values (limits,). Where steps are exact (``form.damping`` None)
-    both see the same paths, else paths of their own. ``starts`` draws energies (paths, d). Paths
-    are followed for ``MOST_DRAWS`` or ``seconds``; ``memory`` is as of ``passage_of``.
+    Limits: weights (limits, d) · X reach values (limits,). Exact steps (``form.damping`` None) are
+    made once and read at both steps; else each step has its own paths. ``starts(paths, stream)``
+    draws energies (paths, d). ``paths`` are simulated for ``MOST_DRAWS`` or ``seconds``; ``tol``:
+    relative error of the mean; ``memory``: see ``passage_of``.
     """
-    own, exact = min(-(-paths // LANES) * LANES, MOST_SUMS // CHUNK), form.damping is None
+    own, exact = min(-(-paths // LANES) * LANES, MOST_SUMS // CHUNK_STEPS), form.damping is None
     (weights, values), d, modulation = limits, form.noise.size, asked.system.modulation
-    # From rest the mean of Σ w X under the largest noise is the limit L at the time L/(w · d).
+    # From rest the mean of Σ w X with the largest noise reaches the limit L at the time L/(w · d).
     loudest = 1.0 if modulation is None else modulation.largest
-    dt = min(dt, STEP_TO_LIMIT / (loudest * float(np.max(weights @ form.noise / values))))
+    dt = min(dt, STEP_PER_RATE / (loudest * float(np.max(weights @ form.noise / values))))
     rounds, first = -(-paths // own), first_step(dt, asked.times)
     most = MOST_DRAWS / ((2 if exact else 3) * rounds * own * d)
-    most = (most if seconds is None else 2.0**40) * dt  # the wall time ends it before
+    most = (most if seconds is None else 2.0**40) * dt  # with seconds the wall time ends it
     longest = max(min(most, noise_end(modulation)), float(np.max(asked.times, initial=0.0)))
     known: Any = {"modulation": modulation, "diffusion": form.diffusion(weights)}
     known |= {"rows": d + np.arange(values.size), "limits": values, "first": 0}
 
     def see(trace: Array, samples: int, done: int, *arrays: Array, dt: float, begin: float) -> None:
-        """Read every step, and for two more arrays every second one, of the same paths."""
+        """Read every step of ``trace``, and every second step if there are two more arrays."""
         for k in range(1, len(arrays) // 2 + 1):
             X, times = trace[:, ::k], arrays[2 * k - 2 : 2 * k]
             rows = np.concatenate([np.sqrt(X), weights @ X], axis=2)
             pass_under(rows, samples // k, done // k, *times, dt=k * dt, begin=begin, **known)
 
     def begun(number: int) -> tuple[list[Run], Flags, Array]:
-        stream = stream_of(seed, STARTS + number)
+        stream = stream_of(seed, number, of_starts=True)
         X = form.inverse(starts(own, stream))
         past = np.any((1.0 - ROUND_OFF) * values <= X @ weights.T, axis=1)
         reader = lambda motion: partial(see, dt=motion.dt, begin=motion.begin)  # noqa: E731
@@ -241,27 +251,28 @@ def energy_transient(
     seconds: float | None = None,
     tol: float | None = None,
 ) -> Transient:
-    """Return the densities of energies that are asked for, with standard errors.
+    """Return the densities of energies ``asked.observable`` at ``asked.times``, certified.
 
-    Exact steps (``form.damping`` None) lead from time to time; else both steps, ``dt`` and dt/2,
-    have paths of their own. Two rounds of ``paths`` are made; with ``tol`` one, and more until the
-    expected L1 error is below it at all times, or ``seconds`` of wall time have passed.
+    Exact steps (``form.damping`` None) lead from time to time; else steps ``dt`` and dt/2 have
+    their own paths. ``starts(paths, stream)`` draws energies (paths, d). Two rounds of ``paths``
+    are made; with ``tol`` one, and more until the expected L1 error is below it at all times, or
+    ``seconds`` of wall time have passed.
     """
     exact, modulation = form.damping is None, asked.system.modulation
     longest, many = (inf, (1,)) if exact else (dt, (2, 1))
 
-    def states(number: int, ended: Callable[[float], bool]) -> Iterable[tuple[Array, ...]]:
-        X = form.inverse(starts(paths, stream_of(seed, STARTS + number)))
+    def states(number: int, begin: Callable[[], Any]) -> Iterable[tuple[Array, ...]]:
+        X = form.inverse(starts(paths, stream_of(seed, number, of_starts=True)))
 
         begun = lambda dt, halved: EnergyEnsemble(  # noqa: E731
             form, X, dt, seed, 2 * number + halved, workers, modulation
         )
         seen = lambda ensemble: form.energies(ensemble.X)  # noqa: E731
-        return motions(begun, form.energies(X), seen, asked.times, longest, many, ended)
+        return motions(begun, form.energies(X), seen, asked.times, longest, many, begin)
 
     with workers_of(None, threads) as workers:
-        # Without an error that is wanted two rounds are enough, whatever the time.
+        # Without a tolerance, two rounds whatever the time: no error is above inf.
         watch = Watch(seconds or inf, lambda: False, inf if tol is None else tol)
         settings = {"seed": seed, "steps": "exact" if exact else "Strang splitting"}
-        read, axis = partial(columns, asked.observable), partial(energy_axis, form)
-        return counted_in_rounds(asked, watch, states, read, axis, 2, paths, dt, settings)
+        read, axis = partial(energy_columns, asked.observable), partial(energy_axis, form)
+        return transient_in_rounds(asked, watch, states, read, axis, 2, paths, dt, settings)

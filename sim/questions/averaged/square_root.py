@@ -1,4 +1,4 @@
-"""Averaged energies as square-root processes, Eqs. (9), (17): their form and exact steps."""
+"""Averaged energies as square-root processes, Eqs. (9), (17): coefficients and steps."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,34 +11,34 @@ from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
 from fpk.system.modulation import Modulation
 from fpk.system.process import Process, log_density_slope
-from sim.questions.passing import NATS, Diffusion
+from sim.questions.passing import NEGLIGIBLE_NATS, Diffusion
 
 Function = Callable[[Array], Array]
 
-FIRST = 8
-"""Cells next to 0 with the γ of the next one: a difference of equal numbers is divided by X."""
+FIRST_CELLS = 8
+"""Cells next to X = 0 in which γ is taken from the next cell, as (d − μ)/X cancels near 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class SquareRootForm:
     """``dX_i = (d_i − γ_i(X) X_i) dt + √(β_i X_i) dB_i``, i = 1 … d, noises independent, Eq. (17).
 
-    p(Σ H_i) is in proportion to H^(n−1) next to 0, n the ``degrees_of_freedom``, and may not be
-    smooth at ``kinks``.
+    p(Σ H_i) is proportional to H^(n−1) near H = 0, n ``degrees_of_freedom``; at ``kinks`` it may
+    not be smooth.
     """
 
     noise: Array  # (d,), d
     slope: Array  # (d,), β
-    damping: Function | None  # γ − γ₀ at X (paths, d); None: constant, any step is exact
+    damping: Function | None  # γ − γ₀ at X (paths, d); None: γ is constant, and any step is exact
     linear: Array  # (d,), γ₀
     energies: Function  # H (paths, d) of X
-    scales: Array  # (d,), X of the order of the mean
-    quiet: tuple[Array, Function] | None = None  # γ₀, γ − γ₀ without noise where these are others
+    scales: Array  # (d,), order of magnitude of the mean of X
+    quiet: tuple[Array, Function] | None = None  # γ₀ and γ − γ₀ without noise; None: the same
     degrees_of_freedom: int = 1
     kinks: tuple[float, ...] = ()
 
     def under(self, factor: float) -> "SquareRootForm":
-        """Return the form under so many times the noise."""
+        """Return the form with ``factor`` times the noise intensity."""
         louder = replace(self, noise=factor * self.noise, slope=factor * self.slope)
         if self.quiet is None or self.damping is None:
             return louder
@@ -62,12 +62,13 @@ class SquareRootForm:
         return np.asarray(high)
 
     def diffusion(self, weights: Array) -> Diffusion:
-        """Return how the noise moves the sums ``weights`` (limits, d) · X, by the momenta √X.
+        """Return the diffusion of the sums ``weights`` (limits, d) · X, as forms of momenta √X.
 
-        σ² = Σ w² β X; as the noise moves a sum by 1 it moves σ² by Σ w³ β² X/σ².
+        σ² = Σ w² β X; its slope in the direction of the noise is Σ w³ β² X/σ².
         """
-        w, one, slope = weights[:, :, None], np.eye(self.slope.size), self.slope[:, None]
-        return Diffusion(w**2 * slope * one, w**3 * slope**2 * one, np.max(w * slope, axis=(1, 2)))
+        w, unit, slope = weights[:, :, None], np.eye(self.slope.size), self.slope[:, None]
+        beta = np.max(w * slope, axis=(1, 2))
+        return Diffusion(w**2 * slope * unit, w**3 * slope**2 * unit, beta)
 
 
 def square_root_form(process: Process) -> SquareRootForm:
@@ -92,15 +93,15 @@ def square_root_form(process: Process) -> SquareRootForm:
         return np.asarray((d - process.at(safe).drift) / safe)
 
     rates = rate(probes)
-    # Read at large energies: next to 0 the difference of equal numbers is divided by H_i.
+    # At the largest energies: near 0 the difference d − drift cancels.
     constant = rates[probes.argmax(axis=0), np.arange(scales.size)]
     round_off = ROUND_OFF * (np.abs(d / probes) + np.abs(constant))
-    alike = bool(np.all(np.abs(rates - constant) <= round_off))
-    linear = constant if alike else rate(np.zeros((1, scales.size)))[0]
+    is_constant = bool(np.all(np.abs(rates - constant) <= round_off))
+    linear = constant if is_constant else rate(np.zeros((1, scales.size)))[0]
     return SquareRootForm(
         noise=d,
         slope=slope,
-        damping=None if alike else lambda H: rate(H) - linear,
+        damping=None if is_constant else lambda H: rate(H) - linear,
         linear=linear,
         energies=lambda H: H,
         scales=scales,
@@ -109,37 +110,37 @@ def square_root_form(process: Process) -> SquareRootForm:
 
 
 def line_form(process: Process) -> SquareRootForm:
-    """Return the form of X = R², R = ∫ dH/√b from 0: a square-root process whatever b(H) is.
+    """Return the form of X = R², R = ∫ dH/√b from 0, which is a square-root process for any b(H).
 
     By Ito's formula ``dX = μ dt + 2 √X dB``, ``μ = 1 + 2 R (s − b'/4)/√b``, and μ(0) = d = 2n with
-    n degrees of freedom. Where contact has no clearance γ is steep next to 0, and steps are not of
-    weak order two. Raises ``NotApplicable`` where the density does not fall off.
+    n degrees of freedom. For a stop without clearance γ is steep near 0, and the steps are not of
+    weak order two. Raises ``NotApplicable`` if the stationary density does not decay.
     """
     grid = process.energy_scale * np.logspace(-3.0, 3.0, 600)
     slope = log_density_slope(process.coefficients(grid))
     log_p = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(grid))])
-    deep = np.flatnonzero(np.maximum.accumulate(log_p) - log_p > NATS)
+    deep = np.flatnonzero(np.maximum.accumulate(log_p) - log_p > NEGLIGIBLE_NATS)
     if not deep.size:
         raise NotApplicable("the density of the energy does not fall off: nothing is stationary")
-    # Linear interpolation between 4096 cells is good to 1e-7.
+    # Linear interpolation in 4096 cells has a relative error of 1e-7.
     nodes = float(grid[deep[0]]) * np.linspace(0.0, 1.0, 4097) ** 2
     # H = t²: the integrand 2 t/√b(t²) is smooth at 0, where b ~ H.
     t, w = panel_rule(np.sqrt(nodes), 4)
     b = process.coefficients((t**2).ravel()).diffusion.reshape(t.shape)
     R = np.concatenate([[0.0], np.cumsum(np.sum(w * 2.0 * t / np.sqrt(b), axis=1))])
-    # H/R² varies slowly; H itself would be off by the square of a cell next to 0.
+    # H/R² varies slowly; the interpolation error of H itself would be large near 0.
     ratio = nodes[1:] / R[1:] ** 2
-    inner, c = R[1 + FIRST :], process.coefficients(nodes[1 + FIRST :])
+    inner, c = R[1 + FIRST_CELLS :], process.coefficients(nodes[1 + FIRST_CELLS :])
     noise, sigma = 2.0 * process.degrees_of_freedom, np.sqrt(c.diffusion)
     mu = 1.0 + 2.0 * inner * (c.drift - 0.25 * c.divergence) / sigma
     gamma, alone = (noise - mu) / inner**2, -2.0 * c.dissipation / sigma / inner
     table, rest = gamma - gamma[0], alone - alone[0]
-    # What the table itself is good for counts as nothing.
-    alike = float(np.max(np.abs(table))) <= 1e-6 * abs(float(gamma[-1]))
+    # Up to the error of the table itself.
+    is_constant = float(np.max(np.abs(table))) <= 1e-6 * abs(float(gamma[-1]))
     return SquareRootForm(
         noise=np.array([noise]),
         slope=np.array([4.0]),
-        damping=None if alike else lambda X: np.interp(np.sqrt(X), inner, table),
+        damping=None if is_constant else lambda X: np.interp(np.sqrt(X), inner, table),
         linear=gamma[:1],
         energies=lambda X: np.asarray(X * np.interp(np.sqrt(X), R[1:], ratio)),
         scales=np.interp(np.array([process.energy_scale]), nodes, R) ** 2,
@@ -157,34 +158,35 @@ def square_root_step(
     modulation: Modulation | None = None,
     begin: float = 0.0,
 ) -> Array:
-    """Draw X (paths, d) one step later, by Strang splitting of weak order two; it stays positive.
+    """Return X (paths, d) after a step ``dt``, drawn from ``stream``; it stays positive.
 
-    Half a step of the damping beyond the linear, ``dX = −(γ(X) − γ₀) X dt`` by an exponential
-    midpoint rule, the exact step of the rest, and the other half. The rest has X(t) = k χ'², k = β
-    (1 − e^{−γ₀t})/(4γ₀), noncentral chi-square with 4 d/β degrees of freedom and noncentrality
-    X e^{−γ₀t}/k. Of modulated noise, from ``begin`` on, (1 − e^{−γ₀t})/γ₀ is ∫e(s)² e^{−γ₀(t−s)} ds
-    and γ that of the mean of e². Raises ``NotCertified`` where a step is unstable.
+    Strang splitting of weak order two: half a step of the nonlinear damping, ``dX = −(γ(X) − γ₀) X
+    dt``, by an exponential midpoint rule, an exact step of the rest, and the other half. The exact
+    step is X(t) = k χ'², k = β (1 − e^{−γ₀t})/(4γ₀), χ'² noncentral chi-square with 4 d/β degrees
+    of freedom and noncentrality X e^{−γ₀t}/k. With modulated noise e, from the time ``begin`` on,
+    (1 − e^{−γ₀t})/γ₀ is replaced by ∫e(s)² e^{−γ₀(t−s)} ds, and γ is taken for the mean of e².
+    Raises ``NotCertified`` if the step is unstable.
     """
     factor = 1.0 if modulation is None else float(modulation.mean_square(np.array(begin), dt))
     form = form if modulation is None else form.under(factor)
 
-    def damped(X: Array) -> Array:
+    def half_step(X: Array) -> Array:
         if form.damping is None:
             return X
         middle = X * np.exp(-0.25 * dt * form.damping(X))
         return np.asarray(X * np.exp(-0.5 * dt * form.damping(middle)))
 
-    X = damped(X)
+    X = half_step(X)
     # (1 − e^{−γt})/γ, also for γ = 0.
     nonzero = np.where(form.linear, form.linear, 1.0)
     grown = np.where(form.linear == 0.0, dt, -np.expm1(-form.linear * dt) / nonzero)
     decay = np.exp(-form.linear * dt)
     if factor == 0.0:
-        return damped(X * decay)
+        return half_step(X * decay)
     if modulation is not None:
         grown = modulation.faded(begin, begin + dt, form.linear) / factor
     k = 0.25 * form.slope * grown
-    X = damped(k * stream.noncentral_chisquare(4.0 * form.noise / form.slope, X * decay / k))
+    X = half_step(k * stream.noncentral_chisquare(4.0 * form.noise / form.slope, X * decay / k))
     if not np.isfinite(X).all():
         words = "energies left the range of double precision: steps of"
         raise NotCertified(f"{words} {dt:g} are unstable; use a smaller step")

@@ -1,7 +1,7 @@
-"""The full system (6) towards a limit: starts, score, and compiled paths with their records.
+"""Splitting of paths of the full system (6): starts, the score, and the compiled paths.
 
 A trajectory is a block of one lane. The score ranks paths by the share of the limit that they have
-reached and by the time that is left.
+reached and by the remaining time.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,37 +18,35 @@ from fpk.system.compiled_laws import of_law
 from fpk.system.linear import natural_modes
 from fpk.system.system import System
 from sim.questions import limits, passing
-from sim.questions.rounds import drawn_states
-from sim.sample.plan import step_arrays, watched
+from sim.questions.rounds import initial_states
+from sim.sample.plan import observation_arrays, step_arrays
 from sim.step import forces
 from sim.step.arrays import StepArrays, WatchArrays
 from sim.step.kernel import KernelKey, kernel_checksum, map_state, once
-from sim.step.lanes import form_of, kick, row
-from sim.step.random import GOLDEN, fill_normals, mixed_seed, mixed_word, place_of
+from sim.step.lanes import kick, quadratic_form, row
+from sim.step.random import GOLDEN, fill_normals, splitmix64, stream_offset, word_place
 from sim.step.schemes import SCHEMES
 
 ScoreFunction = Callable[[Array, Array], Array]
-"""ln P(failure within a time | energy), or any approximation of it: a function of energies (m,)
-below the limit, ascending, and times (k,) > 0, ascending, to (k, m)."""
+"""ln P(failure within a time | energy) or an approximation: maps energies (m,) below the limit and
+times (k,) > 0, both ascending, to (k, m)."""
 
-LEVELS = 2048
-"""Levels of the score from 0 to failure: few enough that the records of a path stay short, each a
-factor of 1.01 to 1.05 of the probabilities from 1e-10 to 1e-40."""
+SCORE_LEVELS = 2048
+"""Levels of the score from 0 to failure. For probabilities of 1e-10 to 1e-40 a level is a factor of
+1.01 to 1.05, and the list of records of a path stays short."""
 
 ROWS, COLUMNS = 128, 256
-"""Cells of the table over the root of the remaining time and over the share of the limit."""
-
-SHARES = np.maximum(np.arange(COLUMNS), 0.5) / COLUMNS
-"""Shares x of the limit at which scores are asked; the first stands for 0."""
+"""Cells of the score table: over the root of the remaining time, over the share of the limit."""
 
 
 def least_action(
     energies: Array, times: Array, *, limit: float, noise: float, decay: float
 ) -> Array:
-    """Return minus the least action by which ``dH = (D' − γ H) dt + √(2 D' H) dB`` fails in time.
+    """Return −(least action) of failure of ``dH = (D' − γ H) dt + √(2 D' H) dB``.
 
-    ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))`` with ``noise`` D' and ``decay`` γ, which may be
-    0 or negative: the exponent of the Gaussian transition of an oscillator's amplitude.
+    ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))``, H in ``energies``, τ in ``times``, H_f
+    ``limit``, D' ``noise``, γ ``decay`` of any sign: the exponent of the Gaussian transition of an
+    oscillator's amplitude.
     """
     tau = times[:, None]
     grown = tau if decay == 0.0 else -np.expm1(-decay * tau) / decay
@@ -56,119 +54,125 @@ def least_action(
     return np.asarray(-np.square(np.maximum(short, 0.0)) / (noise * grown))
 
 
-def score_tables(scores: Sequence[ScoreFunction], energies: Sequence[Array], time: float) -> Array:
-    """Return levels (coordinates, rows + 1, columns + 1); ``energies`` are those at ``SHARES``.
+def score_tables(
+    scores: Sequence[ScoreFunction], energies: Sequence[Callable[[Array], Array]], time: float
+) -> Array:
+    """Return the level of each coordinate's score, (coordinates, rows + 1, columns + 1).
 
-    x = column/columns is the share of the limit, and (row/rows)² that of the time which is left. A
-    score counts from its value at energy 0 with all of ``time`` left; no failure has a larger one
-    than energies just below it.
+    x = column/columns is the share of the limit, where the coordinate has the energy
+    ``energies[i](x)``; (row/rows)² is the remaining share of ``time``. The level is 0 at energy 0
+    with the whole time, and nowhere falls with the energy or with the remaining time.
     """
     left, tables = time * (np.arange(1, ROWS + 1) / ROWS) ** 2, []
+    shares = np.maximum(np.arange(COLUMNS), 0.5) / COLUMNS  # ½ in place of 0
     for score, energy in zip(scores, energies, strict=True):
         table = np.zeros((ROWS + 1, COLUMNS + 1))
-        table[:, -1] = LEVELS
-        values = score(energy, left)
+        table[:, -1] = SCORE_LEVELS
+        values = score(energy(shares), left)
         lowest = values[-1, 0]
         if np.isfinite(lowest) and lowest < 0.0:
             share = np.where(np.isnan(values), 0.0, 1.0 - values / lowest)
             ascending = np.maximum.accumulate(np.clip(share, 0.0, 1.0), axis=1)
-            table[1:, :-1] = LEVELS * np.maximum.accumulate(ascending, axis=0)
-        else:  # the score cannot tell: x alone does
-            table[:, :-1] = LEVELS * np.arange(COLUMNS) / COLUMNS
+            table[1:, :-1] = SCORE_LEVELS * np.maximum.accumulate(ascending, axis=0)
+        else:  # no finite negative score at energy 0: rank by x alone
+            table[:, :-1] = SCORE_LEVELS * np.arange(COLUMNS) / COLUMNS
         tables.append(table)
     return np.array(tables)
 
 
 class Paths(NamedTuple):
-    """The states at which the score of each replica rose to a new level, the last its largest."""
+    """Records of each replica: the states at which its score rose to a new largest level."""
 
     state: Array  # (replicas, records, coordinates)
     level: Integers  # (replicas, records), ascending
-    step: Integers  # (replicas, records), number of steps made by then
-    best: Integers  # (replicas,), largest level; LEVELS is failure
-    moved: Integers  # (replicas,), steps simulated so far
+    step: Integers  # (replicas, records), steps from the start to the record
+    best: Integers  # (replicas,), largest level; SCORE_LEVELS is failure
+    moved: Integers  # (replicas,), steps that were computed
 
 
 class LimitArrays(NamedTuple):
-    """The limit of a first passage: of c energies or, with c = 1, of one displacement q_i."""
+    """The limit of a first passage: of c energies, or of one displacement q_i with c = 1."""
 
     values: Array  # (c,)
-    diffusion: passing.Diffusion  # of the energies, none of a displacement
-    reach: Array  # (n,), √(H_m/E_f) times these add up to √(E_i/E_f) without contact
+    diffusion: passing.Diffusion  # of the energies; not used for a displacement
+    reach: Array  # (n,), Σ reach_m √H_m = √(E_i/E_f) without contact, see ``SystemProblem``
     energy: float  # E_f
-    mass: int  # of the displacement, from 0
+    mass: int  # index of the displacement, from 0
 
 
 class CompiledReplicas:
-    """Paths of one repetition from ``states`` (N, d), with room for so many ``steps``.
+    """Replicas of one repetition: N paths from ``states`` (N, d) of up to ``steps`` steps.
 
-    A compiled ``function`` renews them by the numbers ``model``, each with a stream of its own.
+    The compiled ``function`` with the arguments ``model`` simulates them; each new path has the
+    next stream of the ``seed``.
     """
 
     def __init__(
         self, function: Any, model: tuple[Any, ...], states: Array, steps: int, seed: int
     ) -> None:
-        """Make the paths from their starts."""
-        (replicas, coordinates), records = states.shape, min(steps, LEVELS) + 1
-        # Only what is written takes memory.
-        state = np.empty((replicas, records, coordinates))
+        """Simulate all paths from ``states``."""
+        (replicas, coordinates), records = states.shape, min(steps, SCORE_LEVELS) + 1
+        state = np.empty((replicas, records, coordinates))  # only written pages take memory
         state[:, 0] = states
         level, step = (np.empty((replicas, records), dtype=np.int64) for _ in range(2))
         level[:, 0] = step[:, 0] = 0
         self.best, moved = np.zeros((2, replicas), dtype=np.int64)
         self.paths = Paths(state, level, step, self.best, moved)
-        self.function, self.model, self.offset = function, model, mixed_seed(seed)
+        self.function, self.model, self.offset = function, model, stream_offset(seed)
         self.streams, every = 0, np.arange(replicas)
         self.renew(every, every, -1)
 
     def renew(self, dead: Integers, parents: Integers, level: int) -> None:
-        """Replace ``dead`` by ``parents`` up to where they exceed ``level``, then by new paths."""
+        """Replace replicas ``dead`` by copies of ``parents`` until these exceed ``level``.
+
+        From there on they are simulated anew. The arguments are numbers of replicas, and a level.
+        """
         self.function(dead, parents, level, self.streams, self.offset, *self.model, self.paths)
         self.streams += dead.size
 
 
 @njit_inline
-def begin(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
-    """Make the first record of ``parent`` above ``level`` the only one of ``i``, and its state x.
+def restart_from(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
+    """Copy the first record of ``parent`` above ``level`` to replica ``i``, as its only record.
 
-    Returns the number of steps made by then.
+    Its state is written to ``x``. Returns the number of steps from the start to this record.
     """
     m = 0
     while paths.level[parent, m] <= level:
         m += 1
     x[:] = paths.state[parent, m]
-    record(paths, i, 0, x, paths.level[parent, m], paths.step[parent, m])
+    write_record(paths, i, 0, x, paths.level[parent, m], paths.step[parent, m])
     return int(paths.step[i, 0])
 
 
 @njit_inline
-def record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) -> None:
-    """Write a state as the record number ``records`` of replica i."""
+def write_record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) -> None:
+    """Write the state ``x``, its ``level`` and ``step`` as record ``records`` of replica ``i``."""
     paths.state[i, records] = x
     paths.level[i, records], paths.step[i, records] = level, step
 
 
 @njit_inline
 def level_of(t: Array, x: float, elapsed: float) -> int:
-    """Return the level of the share x of the limit and of the time, by one of ``score_tables``.
+    """Return the level at the share ``x`` of the limit and the ``elapsed`` share of the time.
 
-    Failure is x >= 1, whatever the table says.
+    Bilinear interpolation in the score table ``t``; x >= 1 is failure in any case.
     """
     if not x < 1.0:
-        return LEVELS if x >= 1.0 else 0
+        return SCORE_LEVELS if x >= 1.0 else 0
     rows, columns = t.shape[0] - 1, t.shape[1] - 1
     u, v = x * columns, np.sqrt(1.0 - elapsed) * rows
     j, k = min(int(u), columns - 1), min(int(v), rows - 1)
     a, b = u - j, v - k
     low = t[k, j] + a * (t[k, j + 1] - t[k, j])
     high = t[k + 1, j] + a * (t[k + 1, j + 1] - t[k + 1, j])
-    return min(int(low + b * (high - low)), LEVELS - 1)
+    return min(int(low + b * (high - low)), SCORE_LEVELS - 1)
 
 
 @njit_inline
 def uniform(place: np.uint64) -> float:
-    """Return the uniform number in (0, 1) of the word at a place."""
-    return (np.float64(mixed_word(place) >> np.uint64(11)) + 0.5) * 2.0**-53
+    """Return the uniform number in (0, 1) of the word at ``place`` in the sequence."""
+    return (np.float64(splitmix64(place) >> np.uint64(11)) + 0.5) * 2.0**-53
 
 
 @njit_inline
@@ -176,9 +180,10 @@ def look(
     seen: Array, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, law: Any,
     of_q: bool,
 ) -> None:  # fmt: skip
-    """Write, of each limit at the observed state, four numbers.
+    """Write four numbers of each limit to ``seen`` (c, 4), for the observed state in ``s``.
 
-    They are the distance to it; q and v of a displacement, or σ² and its growth; x = √(E/E_f).
+    They are: the distance to the limit; q and v of a displacement, or σ² and its growth of an
+    energy; and the share x = √(E/E_f).
     """
     at = watch.at
     if of_q:
@@ -195,16 +200,16 @@ def look(
     else:
         noise = limit.diffusion
         for m in range(limit.values.size):
-            form_of(seen[m, 1:2], s, at.p, noise.variance[m], 1.0, 1)
-            form_of(seen[m, 2:3], s, at.p, noise.growth[m], 1.0, 1)
+            quadratic_form(seen[m, 1:2], s, at.p, noise.variance[m], 1.0, 1)
+            quadratic_form(seen[m, 2:3], s, at.p, noise.growth[m], 1.0, 1)
             H, value = s[watch.traced[m]], limit.values[m]
             seen[m, 0] = passing.distance_to(value, H, seen[m, 1], seen[m, 2], noise.at_rest[m])
             seen[m, 3] = sqrt(max(H, 0.0) / value)
 
 
 @once
-def compiled_paths(key: KernelKey, kind: str) -> Any:
-    """Return the function that renews paths; ``kind`` is that of the limit."""
+def path_function_for(key: KernelKey, kind: str) -> Any:
+    """Return the compiled function that simulates paths; ``kind``: the ``Limit.kind``."""
     laws, _, damping, energy_damping, energy, _, pairs, _ = key
     force, slope, law = key.parts_of_laws()
     displacement, sources = kind == "q", kernel_checksum(laws)
@@ -215,10 +220,10 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
         step: StepArrays, watch: WatchArrays, limit: LimitArrays, tables: Array, steps: int,
         paths: Paths,
     ) -> int:  # fmt: skip
-        """Replace the paths ``dead`` by ``parents`` up to where they exceed ``level``, then anew.
+        """Copy ``parents`` to ``dead`` up to where they exceed ``level``; simulate the rest anew.
 
-        ``first`` is the number of the stream of the first one. Recorded states lie in the middle of
-        the damping and before the kick. Returns the checksum of its sources.
+        ``first``: number of the stream of ``dead[0]``; ``steps`` of a whole path. States are
+        recorded in the middle of the damping and before the kick. Returns ``kernel_checksum``.
         """
         n, h, at = step.matrix.shape[0] // 2, step.dt, watch.at
         s, c = np.zeros(at.total), limit.values.size
@@ -226,12 +231,12 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
         seen, before = np.zeros((c, 4)), np.zeros((c, 4))
         for number in range(dead.size):
             i = dead[number]
-            done = begin(paths, i, parents[number], level, x)
+            done = restart_from(paths, i, parents[number], level, x)
             begun, top, records, place = done, paths.level[i, 0], 1, np.uint64(0)
-            if level < 0:  # the start is to be recorded anew
+            if level < 0:  # a new path: its start is recorded below
                 top, records = -1, 0
             while True:
-                # Up to the middle of the damping, where a start is in the middle of the kick, too.
+                # To the middle of the damping. A start is also in the middle of the kick.
                 forces.contact_forces(s, at.contact, step, force, slope, 1)
                 if energy_damping:
                     forces.potential_energy(s, 0, at.work + 1, step, law, 1)
@@ -252,28 +257,30 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
                         gone, a, b = seen[m, 0] <= 0.0, before[m], seen[m]
                         if done > begun and displacement:
                             cubic = passing.cubic_of(a[1], a[2], b[1], b[2], h)
-                            gone = passing.first_passage(cubic, limit.values[m]) <= 1.0
+                            gone = passing.cubic_passage(cubic, limit.values[m]) <= 1.0
                         elif done > begun:  # of a Brownian bridge between both
                             nats, u = 2.0 * a[0] * b[0] / h, place + np.uint64(pairs + m) * GOLDEN
                             if a[0] <= 0.0:
                                 gone = True
-                            elif nats < passing.NATS and not gone:
+                            elif nats < passing.NEGLIGIBLE_NATS and not gone:
                                 gone = uniform(u) < exp(-nats)
-                        # What has not passed the limit has not failed, to round-off either.
-                        inside = min(level_of(tables[m], seen[m, 3], done / steps), LEVELS - 1)
-                        reached = max(reached, LEVELS if gone else inside)
+                        # By round-off the table may give failure without passage.
+                        inside = min(
+                            level_of(tables[m], seen[m, 3], done / steps), SCORE_LEVELS - 1
+                        )
+                        reached = max(reached, SCORE_LEVELS if gone else inside)
                     if reached > top:
                         top = reached
-                        record(paths, i, records, x, top, done)
+                        write_record(paths, i, records, x, top, done)
                         records += 1
-                if done >= steps or top >= LEVELS:
+                if done >= steps or top >= SCORE_LEVELS:
                     break
 
                 # Kick, the other half of the damping in reverse, and the linear map.
                 forces.kick_by_contact(s, at.contact, step, n, 1)
                 if damping:
                     forces.term_flows(s, at.work, step, True, energy_damping, 1)
-                place = place_of(first + number, (done - begun) * (pairs + c), offset)
+                place = word_place(first + number, (done - begun) * (pairs + c), offset)
                 fill_normals(z, words, place, pairs, 1)
                 map_state(s, z, step.matrix, pairs, 1)
                 done += 1
@@ -286,7 +293,7 @@ def compiled_paths(key: KernelKey, kind: str) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class SystemProblem:
-    """Failure of ``system`` at ``limit`` before ``time``; see ``run.repetition``."""
+    """Failure of ``system`` at ``limit`` before ``time``, from ``start``, by steps up to ``dt``."""
 
     system: System
     limit: Limit
@@ -298,12 +305,12 @@ class SystemProblem:
     def replicas(
         self, count: int, steps: int, seed: int, stream: np.random.Generator
     ) -> CompiledReplicas:
-        """Return ``count`` paths of ``steps`` steps from their starts, drawn from ``stream``.
+        """Return ``count`` paths of ``steps`` steps by ``seed``, with starts drawn from ``stream``.
 
-        Of |q_i| the score is of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the largest
-        |q_i| of free motion and k the static stiffness at mass i. E_i is not above H, and not below
-        its value E_f = ½ k a² + U_i(a) where |q_i| passes a. |q_i| itself would be a poor score:
-        the next peak of a path that has set out for it is no longer open.
+        For |q_i| < a the score is a function of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2
+        H_m)/ω_m the largest |q_i| of free motion, k the static stiffness at mass i. E_i <= H, and
+        E_i >= E_f = ½ k a² + U_i(a) when |q_i| passes a. |q_i| itself would be a poor score: the
+        height of the next peak is decided long before the path is there.
         """
         system, limit, n = self.system, self.limit, self.system.n
         at, reach, energy, mass = limits.energies_at(system, limit), np.zeros(n), 1.0, 0
@@ -314,9 +321,9 @@ class SystemProblem:
         scheme = SCHEMES["exact_flow"]
         step = step_arrays(system, scheme, self.time / steps)
         energies = limits.energies_of(limit, n) or [Coordinate("H", m) for m in range(n)]
-        key, watch = watched(system, scheme, step, (), (), energies)
-        starts = drawn_states(system, self.start, int(stream.integers(2**63)), count)
+        key, watch = observation_arrays(system, scheme, step, (), (), energies)
+        starts = initial_states(system, self.start, int(stream.integers(2**63)), count)
         numbers = LimitArrays(at, passing.diffusion_of(system, limit), reach, energy, mass)
         model = step, watch, numbers, self.tables, steps
-        renew = compiled_paths(key, limit.kind)
+        renew = path_function_for(key, limit.kind)
         return CompiledReplicas(renew, model, np.hstack(starts), steps, seed)

@@ -1,10 +1,11 @@
-"""Adaptive multilevel splitting of paths, in repetitions at two steps until the error is small.
+"""Adaptive multilevel splitting of paths, in repetitions at two steps.
 
 Cerou and Guyader, Stoch. Anal. Appl. 25, 2007, 417, in the unbiased form of Brehier, Gazeau,
 Goudenege, Lelievre and Rousset, Ann. Appl. Probab. 26, 2016, 3559: at each level Z all replicas
-whose score has not exceeded Z are killed, ties included, and their share counts. Each is replaced
-by a copy of a survivor up to the first time at which its score exceeds Z, and by new noise from
-there. For a Markov chain in discrete time and any score the probability has the mean P exactly.
+whose score has not exceeded Z are killed, ties included; the estimate is the product of the shares
+that survive. A killed replica is replaced by a copy of a survivor up to the first time when its
+score exceeds Z, and continued with new noise. For a Markov chain in discrete time and any score the
+mean of the estimate is exactly P.
 """
 
 from collections.abc import Mapping
@@ -25,44 +26,31 @@ from fpk.system.modulation import require_constant_noise
 from fpk.system.system import System
 from sim.questions import limits
 from sim.questions.passage import most_events
-from sim.questions.rounds import Watch, drawn_states
+from sim.questions.rounds import Watch, initial_states
 from sim.questions.splitting import kernel
-from sim.questions.splitting.kernel import LEVELS, SHARES, ScoreFunction, SystemProblem
-from sim.sample.settings import check_settings
+from sim.questions.splitting.kernel import SCORE_LEVELS, ScoreFunction, SystemProblem
+from sim.sample.settings import NOT_IN_STATE, check_settings
 from sim.sample.workers import checkpoint_of, interruptible, workers_of
+from sim.step.arrays import MAX_TRAJECTORIES
 from sim.step.random import stream_of
-from sim.step.step_size import chosen_step, temperature
+from sim.step.step_size import STEP_PER_RATE, chosen_step, temperature
 
 LEAST_REPETITIONS = 8
-"""Repetitions below which their spread says too little of the error."""
+"""Least number of repetitions for an estimate of the error from their spread."""
 
-NOT_IN_REPETITION = {
-    "Splitting.threads": "the random numbers belong to a repetition",
-    "Splitting.cluster": "wherever it is made",
-    "Splitting.checkpoint": "it says where the repetitions are stored",
-    "Splitting.partial": "it says what Ctrl-C does, after which one goes on",
-    "Splitting.repetitions": "it says how many are made, each of which is numbered",
-    "Splitting.tol": "so does this",
-    "Splitting.seconds": "and this",
-}
-"""Fields on which a finished repetition does not depend."""
-
-MOST_STEPS = 2**32
-"""Steps of a path at most: a stream has words for 2**40 divided by a few."""
-
-RESOLVED = 0.3
-"""Relative standard error up to which the spread of a few repetitions tells it."""
+LARGEST_SPREAD = 0.3
+"""Largest relative standard error that the spread of a few repetitions can show."""
 
 
 @dataclass(frozen=True)
 class Splitting:
-    """How rare failure is sampled; times in the unit of time of the system, but for ``seconds``.
+    """Settings of splitting; times are in the system's unit, except for ``seconds``.
 
-    A repetition has so many ``replicas``, of which each level kills ``killed`` at least.
-    ``repetitions`` are made at the step dt and as many at dt/2, then as many again until the
-    relative error is ``tol`` or ``seconds`` of wall time have passed; without ``tol`` no more are
-    made. ``dt`` None: that of the system. ``threads``, ``cluster``, ``checkpoint`` and ``partial``
-    as of ``MonteCarlo``: the numbers depend on none of them.
+    A repetition has ``replicas`` paths, of which each level kills ``killed`` or more.
+    ``repetitions`` are made at the step dt and as many at dt/2; with ``tol`` this is repeated until
+    the relative error is ``tol``, at most for ``seconds`` of wall time. ``dt`` None: a step chosen
+    for the system. ``threads``, ``cluster``, ``checkpoint`` and ``partial``: see ``MonteCarlo``;
+    the numbers do not depend on them.
 
     A small one::
 
@@ -85,23 +73,22 @@ class Splitting:
 
     def __post_init__(self) -> None:
         """Check every field."""
-        replicas = "replicas", 2, 8190  # a seed has words for 2**24 pieces of paths
+        replicas = "replicas", 2, 8190  # times 2048 levels: a seed has 2**24 streams
         others = ("killed", 1, self.replicas - 1), ("repetitions", LEAST_REPETITIONS, 2**20)
         check_settings(self, ("dt", "tol", "seconds"), replicas, *others)
 
 
 @dataclass(frozen=True)
 class RareFailure:
-    """The probability that a limit is passed before a time, and how well it is known.
+    """The probability that a limit is passed before a time, with its error.
 
-    ``probability`` is the mean of ``values`` (repetitions,) at the step ``dt``; ``error`` is one
-    standard error of it and the difference ``bias`` of the mean at 2 dt from it, or the standard
-    error of that if it is larger, added in squares. It is inf where the repetitions are so
-    scattered that their mean may be off by more than they show: take more replicas.
-    ``upper_bound`` holds with 95 % confidence. Where the error is inf it is that of the paths from
-    the start alone; so it is where no replica has failed: the probability is then given as 0, with
-    that bound as its error. ``extinct`` repetitions had no replica left. ``log_probability`` is
-    right where the probability is too small to be a number. ::
+    ``probability`` is the mean of ``values`` (repetitions,) at the step ``dt``. ``error``: its
+    standard error, and ``bias``, the mean at 2 dt minus this mean, or the standard error of the
+    difference if larger, added in squares. It is inf if the repetitions scatter so much that their
+    mean may be off by more than the spread shows: use more replicas. ``upper_bound`` holds with
+    95 % confidence; if the error is inf, it follows from the unsplit paths alone. If no replica
+    failed, the probability is 0 with this bound as its error. ``extinct``: number of repetitions in
+    which a level killed all replicas. ``log_probability`` is correct even if exp underflows. ::
 
         settings = Splitting(replicas=64, repetitions=8, seed=1)
         rare = rare_failure(system, parse_limit("H=2", 2), REST, 5.0, settings=settings)
@@ -117,26 +104,26 @@ class RareFailure:
     bias_error: float  # one standard error
     values: Array
     extinct: int
-    levels: float  # mean number of levels
+    levels: float  # mean number of levels of a repetition
     dt: float
-    steps: int  # all that were simulated
-    seconds: float  # their wall time
+    steps: int  # of all repetitions at both steps
+    seconds: float  # wall time
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
 
     @property
     def relative_error(self) -> float:
-        """The error in units of the probability; inf where that is 0."""
+        """The error in units of the probability; inf if the probability is 0."""
         return self.error / self.probability if self.probability > 0.0 else inf
 
 
 def split(
     replicas: Any, failure: int, killed: int, stream: np.random.Generator, until: float = inf
 ) -> tuple[float, int, int]:
-    """Return ln of the estimated probability that a path's score reaches ``failure``, and levels.
+    """Return ln of the estimated P(score >= ``failure``), the number of levels, and early failures.
 
-    Third come the replicas that failed before any was killed. ``replicas`` are as
-    ``CompiledReplicas``; each level kills ``killed`` of them at least, and ties. The logarithm is
-    −inf where no replica is left, not a number where it takes beyond the working time ``until``.
+    Early failures are replicas that fail before any is killed. ``replicas`` have ``best`` and
+    ``renew`` (``CompiledReplicas``); each level kills ``killed`` of them, and ties. The logarithm
+    is −inf if a level kills all replicas, NaN if the working time ``until`` has passed.
     """
     log_probability, levels = 0.0, 0
     failed = int(np.sum(replicas.best >= failure))
@@ -163,17 +150,18 @@ def system_problem(
     dt: float | None,
     score: ScoreFunction | None,
 ) -> SystemProblem:
-    """Return the problem with its step, chosen as in a plain simulation, and its score.
+    """Return failure of ``limit`` before ``time`` with its score, and its step, by default chosen.
 
-    Raises as ``rare_failure``, and ``InvalidInput`` for a ``dt`` that is ``limits.TOO_LONG``.
+    Raises as ``rare_failure`` does, and ``InvalidInput`` for ``dt`` beyond ``limits.TOO_LONG``
+    times the chosen step.
     """
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: whether the limit is passed is no chance")
-    # A share of a random start may have failed at once.
-    states = () if start.kind == "noise" else drawn_states(system, start, 0, 64)
-    if states and np.all(limits.beyond(system, limit, *states)):
+    # Some states of a random start may lie beyond the limit.
+    states = () if start.kind == "noise" else initial_states(system, start, 0, 64)
+    if states and np.all(limits.states_beyond(system, limit, *states)):
         raise InvalidInput("start", str(start), f"must lie below the limit {limit}")
-    # By default the score of least action of each coordinate.
+    # The default score: the least action of each energy.
     tops = limits.energies_at(system, limit)
     if limit.kind == "modal":
         noise = limits.modal_rates(system, limit, system.noise_matrix)
@@ -190,11 +178,12 @@ def system_problem(
         if len(scores) > 1:
             raise InvalidInput("score", score, "must be left out where there are several limits")
         scores = [score]
-    tables = kernel.score_tables(scores, [top * SHARES**2 for top in tops], time)
-    reach = limits.reach_of(system, limit, start, time)
+    energies = [lambda x, top=top: top * x**2 for top in tops]
+    tables = kernel.score_tables(scores, energies, time)
+    reach = limits.motion_reach(system, limit, start, time)
     soon = min(reach.limit, reach.start) if start.kind == "state" else reach.limit
     longest = chosen_step(system, energy=reach.energy, kT=reach.kT)
-    longest = min(longest, limits.STEP_TO_LIMIT * soon, time / limits.STEPS_SINCE_START)
+    longest = min(longest, STEP_PER_RATE * soon, time / limits.STEPS_SINCE_START)
     if dt is not None and dt > limits.TOO_LONG * longest:
         raise InvalidInput("dt", dt, f"is too long to see a passage; use {longest:.2g}")
     return SystemProblem(system, limit, start, time, dt or longest, tables)
@@ -210,54 +199,55 @@ def rare_failure(
     settings: Splitting | None = None,
     progress: Progress = silent,
 ) -> RareFailure:
-    """Return P(T <= ``time``), T the first passage of ``limit`` from ``start`` by Eq. (6).
+    """Return P(T <= ``time``), T the time of first passage of ``limit`` from ``start`` by Eq. (6).
 
-    ``score`` None: that of the least action of the averaged linear system. Any score gives the same
-    mean; a good one, as ln P of an averaged equation is, gives a smaller error. Of |q_i| it takes
-    the least potential energy at that displacement. ::
+    ``score`` None: minus the least action of the averaged linear system. Any score gives the same
+    mean; a good score, such as ln P of an averaged equation, gives a smaller error. For a limit on
+    |q_i| its energies are potential energies of that displacement. ::
 
         rare_failure(system, parse_limit("H=4", system.n), REST, 10.0)
 
     Raises ``InvalidInput`` for a start at or beyond the limit or a time that is not finite and > 0,
-    ``NotApplicable`` where no noise acts, ``NotCertified`` where ``seconds`` or Ctrl-C leave too
-    few repetitions.
+    ``NotApplicable`` without noise, ``NotCertified`` if ``seconds`` or Ctrl-C leave too few
+    repetitions.
     """
     own = settings or Splitting()
     if not (isfinite(time) and time > 0.0):
         raise InvalidInput("time", time, "must be a finite number > 0")
     require_constant_noise(system.modulation)
     problem = system_problem(system, limit, start, time, dt=own.dt, score=score)
-    return failure_of(problem, own, progress)
+    return sample_failure(problem, own, progress)
 
 
 def repetition(
     problem: Any, settings: Splitting, left: float, number: int, fine: int
 ) -> tuple[int, int, tuple[float, ...]]:
-    """Return one repetition at the step dt / 2**``fine``: its ``number``, ``fine``, its result.
+    """Make repetition ``number`` at the step dt / 2**``fine``; return both and its result.
 
-    That is the result of ``split``, within ``left`` seconds, and the steps made, with streams of
-    its own. ``problem`` is a dataclass as ``SystemProblem``.
+    The result is what ``split`` returns, within ``left`` seconds, and the number of steps.
+    ``problem`` has the fields and methods of ``SystemProblem``.
     """
     until, stream = working_time() + left, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
     replicas = problem.replicas(settings.replicas, steps, seed, stream)
-    result = split(replicas, LEVELS, settings.killed, stream, until)
+    result = split(replicas, SCORE_LEVELS, settings.killed, stream, until)
     return number, fine, (*result, int(replicas.paths.moved.sum()))
 
 
 def step_count(problem: Any) -> int:
-    """Return the number of the longer steps in the time."""
+    """Return the number of the longer steps in the time; a path has 2**40 words, 2**8 a step."""
     steps: int = ceil(problem.time / problem.dt * (1.0 - 1e-12))
-    if not 1 <= steps <= MOST_STEPS:
-        raise InvalidInput("dt", problem.dt, f"makes {steps:g} steps; use at most {MOST_STEPS}")
+    most = 2**56 // MAX_TRAJECTORIES
+    if not 1 <= steps <= most:
+        raise InvalidInput("dt", problem.dt, f"makes {steps:g} steps; use at most {most}")
     return steps
 
 
-def failure_of(problem: Any, settings: Splitting, progress: Progress) -> RareFailure:
+def sample_failure(problem: Any, settings: Splitting, progress: Progress) -> RareFailure:
     """Return the probability of failure in ``problem``; see ``rare_failure``."""
     dt, s = 0.5 * problem.time / step_count(problem), settings
-    checkpoint = checkpoint_of(s.checkpoint, (problem, s), "splitting", less=NOT_IN_REPETITION)
-    # The numbers of repetitions at dt and dt/2, (numbers, 2, made); NaN where one is not finished.
+    checkpoint = checkpoint_of(s.checkpoint, (problem, s), "splitting", less=NOT_IN_STATE)
+    # Results of the repetitions at dt and dt/2, (results, 2, made); NaN until one is finished.
     made, seconds = np.zeros((4, 2, 0)), 0.0
 
     def repeated(number: int) -> float | None:
@@ -277,10 +267,10 @@ def failure_of(problem: Any, settings: Splitting, progress: Progress) -> RareFai
             progress(finished(), wanted, "splitting")
             if watch.ends():
                 return None
-        return estimated(made[:, :, :wanted], dt, seconds, s).relative_error
+        return failure_estimate(made[:, :, :wanted], dt, seconds, s).relative_error
 
     def finished() -> int:
-        """How many of the first repetitions are finished at both steps."""
+        """Return the number n of which the repetitions 0 to n − 1 are finished at both steps."""
         return int(np.argmax(np.append(np.isnan(made[0]).any(axis=0), True)))
 
     with (
@@ -297,34 +287,36 @@ def failure_of(problem: Any, settings: Splitting, progress: Progress) -> RareFai
             f"{whole} repetitions were finished in {seconds:.3g} s, and {LEAST_REPETITIONS}"
             " are needed: allow more seconds or take fewer replicas"
         )
-    return estimated(made[:, :, :whole], dt, seconds, s)
+    return failure_estimate(made[:, :, :whole], dt, seconds, s)
 
 
 def mean_and_error(log_values: Array) -> tuple[float, float]:
     """Return the mean of exp(``log_values``) (repetitions,) and its standard error.
 
-    Estimates of splitting are nearly log-normal. Of few with a large spread the largest ones are
-    missing, and mean and deviation are both too small: the error is that by the variance s² of the
-    logarithms, with a share e of zeros ``mean √((e^{s²}/(1 − e) − 1)/count)``, where it is the
-    larger one; and inf where it exceeds ``RESOLVED``, as the mean may then be off by decades.
+    Estimates of splitting are nearly log-normal. A small sample with a large spread lacks the
+    largest values, and its mean and deviation are too small. The error is therefore the larger of
+    the usual standard error and ``mean √((e^{s²}/(1 − e) − 1)/count)``, s² the variance of the
+    logarithms and e the share of zeros; inf if it exceeds ``LARGEST_SPREAD`` times the mean, which
+    may then be wrong by orders of magnitude.
     """
     values = np.exp(log_values)
     mean, error = float(values.mean()), float(values.std(ddof=1))
     positive = log_values[np.isfinite(log_values)]
     if positive.size == 0:
         return 0.0, 0.0
-    most = 500.0  # so that it stays a number
+    most = 500.0  # so that exp does not overflow
     spread = min(float(positive.var(ddof=1)), most) if positive.size > 1 else most
     square = np.exp(spread) * values.size / positive.size - 1.0
     error = max(error, mean * float(np.sqrt(square))) / float(np.sqrt(values.size))
-    return mean, error if error <= RESOLVED * mean else inf
+    return mean, error if error <= LARGEST_SPREAD * mean else inf
 
 
-def estimated(made: Array, dt: float, seconds: float, settings: Splitting) -> RareFailure:
-    """Return the probability from repetitions ``made`` (numbers, 2, count) at 2 ``dt`` and ``dt``.
+def failure_estimate(made: Array, dt: float, seconds: float, settings: Splitting) -> RareFailure:
+    """Return the probability from repetitions ``made`` (results, 2, count) at 2 ``dt`` and ``dt``.
 
-    The bias at dt/2 is at most the difference from dt where it falls as dt or faster. A difference
-    below its own standard error counts as that: it may be small by chance.
+    If the bias falls at least as fast as the step, it is at most the difference of the two means. A
+    difference below its standard error may be small by chance: then this error is taken for it.
+    ``seconds``: wall time.
     """
     (coarse, fine), levels, failures, steps = made
     paths, unit = settings.replicas * fine.size, float(np.max(made[0]))

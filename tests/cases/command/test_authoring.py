@@ -22,7 +22,7 @@ from cases.scene.written import duration
 from fpk.answer.contacts import stop_clearances
 from fpk.system.contact_law import LAWS
 from sim.montecarlo import MonteCarlo
-from sim.sample.settings import expected_seconds
+from sim.sample.settings import estimate_seconds
 
 QUICK = ("list", "new", "check", "schema", "show", "passage", "transient", "density", "crossings")
 """Commands whose first example takes a second or less once the program is compiled."""
@@ -125,7 +125,7 @@ def test_the_cost_of_a_simulation_is_that_of_all_its_systems(fpk):
     """A number of seconds for each curve, all added up; how good it is depends on the machine."""
     scene = load_scene("fig6a")
     expected = json.loads(fpk("check", "fig6a", "--json")[1])["simulation_seconds"]
-    own = [expected_seconds(MonteCarlo(), curve.system) for curve in scene.curves]
+    own = [estimate_seconds(MonteCarlo(), curve.system) for curve in scene.curves]
     assert min(own) > 0.0 and expected == pytest.approx(sum(own), rel=1e-12)
 
 

@@ -83,7 +83,7 @@ def test_a_map_is_built_by_one_process_at_a_time(fpk, tmp_path):
 @pytest.mark.parametrize("command", [["run", "fig6a"], ["density", *DENSITY],
                                      ["regime", "fig6a", *GRID]])  # fmt: skip
 def test_a_cluster_that_does_not_answer_is_one_line(command, fpk, monkeypatch):
-    monkeypatch.setattr("sim.sample.workers.PATIENCE", 0.5)
+    monkeypatch.setattr("sim.sample.workers.SCHEDULER_TIMEOUT", 0.5)
     status, out, err = fpk(*command, "--cluster", "tcp://127.0.0.1:9")
     assert (status, out) == (2, "") and "no Dask scheduler" in err and err.count("\n") == 1
 

@@ -1,5 +1,6 @@
-"""A simulation that was killed goes on bitwise; damaged and foreign files are refused."""
+"""A simulation that was killed goes on bitwise, here or on a cluster; damaged files are refused."""
 
+import logging
 import os
 import random
 import signal
@@ -7,21 +8,26 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from sim_systems import fig6
+from sim_systems import fig6, ranged
 
-from fpk.answer.names import parse_observable
-from fpk.numeric.errors import Unavailable
+from fpk.answer.names import REST, parse_limit, parse_observable
+from fpk.numeric.compiling import ROOT
+from fpk.numeric.errors import NotCertified, Unavailable
 from sim.montecarlo import MonteCarlo
-from sim.sample.diagnostics import Report
+from sim.questions.splitting import Splitting, rare_failure
+from sim.sample.diagnostics import Report, moment_products
 from sim.sample.ensemble import Ensemble
-from sim.sample.workers import Checkpoint, checkpoint_of, interruptible
+from sim.sample.simulation import Record
+from sim.sample.workers import Checkpoint, Workers, checkpoint_of, interruptible, workers_of
 from sim.step.arrays import LANES
 from sim.step.schemes import SCHEMES
 
@@ -34,7 +40,7 @@ from pathlib import Path
 import numpy as np
 import sim.sample.workers
 from dataclasses import replace
-from test_sim_checkpoint import METHOD, OBSERVABLES, arrays_of
+from test_sample_workers import METHOD, OBSERVABLES, arrays_of
 from sim_systems import fig6
 sim.sample.workers.INTERVAL = float(sys.argv[3])
 method = replace(METHOD, checkpoint=Path(sys.argv[1]), time=float(sys.argv[4]))
@@ -57,11 +63,6 @@ def arrays_of(result: Any) -> dict[str, Any]:
 
 
 def same(a: Any, b: Any) -> None:
-    assert len(a) > 5
-    same_arrays(a, b)
-
-
-def same_arrays(a: Any, b: Any) -> None:
     assert set(a) == set(b)
     for name in a:
         np.testing.assert_array_equal(a[name], b[name], err_msg=name)
@@ -69,21 +70,14 @@ def same_arrays(a: Any, b: Any) -> None:
 
 def in_pieces(folder: Path, out: Path, time: float) -> "subprocess.Popen[str]":
     """A process that has imported all and simulates when it is sent a line."""
-    tests = Path(__file__).parent
-    environment = {**os.environ, "PYTHONPATH": f"{tests.parents[1]}{os.pathsep}{tests}"}
+    paths = [ROOT, ROOT / "tests/sim", Path(__file__).parent]
     process = subprocess.Popen(
         [sys.executable, "-c", IN_PIECES, str(folder), str(out), "0.05", str(time)],
-        env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))},
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stdout is not None and process.stdout.readline() == "begun\n"
     return process
-
-
-def let_go(process: "subprocess.Popen[str]") -> None:
-    assert process.stdin is not None
-    process.stdin.write("\n")
-    process.stdin.flush()
 
 
 def wait_for_another(folder: Path, process: "subprocess.Popen[str]") -> None:
@@ -97,19 +91,27 @@ def wait_for_another(folder: Path, process: "subprocess.Popen[str]") -> None:
         time.sleep(0.005)
 
 
-def assert_kills_change_nothing(method: MonteCarlo, kills: int, folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("kills", "length"), [(2, 4000.0), pytest.param(20, 30000.0, marks=pytest.mark.slow)]
+)
+def test_killed_often_the_answer_is_bitwise_the_same(
+    kills: int, length: float, tmp_path: Path
+) -> None:
     """Kill a simulation so many times, at random moments; the answer is that of one never killed.
 
     A second process on the same folder is refused while the first one lives, and leaves its
     answer alone. Two in three live until they have kept a state, or there would be no end under
     load.
     """
+    method, folder = replace(METHOD, time=length), tmp_path
     expected = arrays_of(method.solve(fig6(), OBSERVABLES))
     draw, refused, out = random.Random(20261121), 0, folder / "found.npz"
     for number in range(kills):
-        process = in_pieces(folder, out, method.time)
-        second = in_pieces(folder, folder / "second.npz", method.time) if number % 3 else None
-        let_go(process)
+        process = in_pieces(folder, out, length)
+        second = in_pieces(folder, folder / "second.npz", length) if number % 3 else None
+        assert process.stdin is not None
+        process.stdin.write("\n")
+        process.stdin.flush()
         if second is not None:
             wait_for_another(folder, process)
             _, err = second.communicate("\n")
@@ -121,33 +123,16 @@ def assert_kills_change_nothing(method: MonteCarlo, kills: int, folder: Path) ->
         assert process.returncode == -signal.SIGKILL  # it had not ended by itself
     assert refused >= kills // 2 and any(folder.glob("*.checkpoint"))
     assert not (folder / "second.npz").exists()
-    process = in_pieces(folder, out, method.time)
-    process.communicate("\n")
-    assert process.returncode == 0 and not list(folder.glob("*.part"))
-    with np.load(out) as answer:
-        same(answer, expected)
-    # Once more from its last state: nothing is left to do, and the answer stays.
-    same(arrays_of(replace(method, checkpoint=folder).solve(fig6(), OBSERVABLES)), expected)
-
-
-def test_killed_twice_the_answer_is_bitwise_the_same(tmp_path: Path) -> None:
-    assert_kills_change_nothing(replace(METHOD, time=4000.0), 2, tmp_path)
-
-
-@pytest.mark.slow
-def test_killed_twenty_times_the_answer_is_bitwise_the_same(tmp_path: Path) -> None:
-    assert_kills_change_nothing(replace(METHOD, time=30000.0), 20, tmp_path)
+    # From its last state to the end; once more there is nothing left to do.
+    for _ in range(2):
+        same(arrays_of(replace(method, checkpoint=folder).solve(fig6(), OBSERVABLES)), expected)
+    assert not list(folder.glob("*.part"))
 
 
 def stopped_after(pieces: int) -> Callable[[], bool]:
     """What says after so many pieces that it is time to stop."""
-    left = [pieces]
-
-    def stopped() -> bool:
-        left[0] -= 1
-        return left[0] < 0
-
-    return stopped
+    left = iter(range(pieces))
+    return lambda: next(left, None) is None
 
 
 def test_the_state_goes_to_disk_and_comes_back(tmp_path: Path) -> None:
@@ -176,7 +161,7 @@ def test_no_damaged_state_and_no_other_identity_is_ever_read(tmp_path: Path) -> 
         damaged[place] ^= 1 << place % 8
         path.write_bytes(damaged)
         try:
-            same_arrays(checkpoint.load(), arrays)
+            same(checkpoint.load(), arrays)
         except Unavailable as refusal:
             assert "\n" not in str(refusal)
             refused += 1
@@ -188,7 +173,7 @@ def test_no_damaged_state_and_no_other_identity_is_ever_read(tmp_path: Path) -> 
     path.write_bytes(whole)
     with pytest.raises(Unavailable, match="another simulation"):
         replace(checkpoint, identity="two").load()
-    same_arrays(checkpoint.load(), arrays)
+    same(checkpoint.load(), arrays)
 
 
 def test_where_nothing_can_be_written_it_is_one_line_and_what_was_there_stays(
@@ -206,30 +191,22 @@ def test_where_nothing_can_be_written_it_is_one_line_and_what_was_there_stays(
     assert checkpoint.load()["a"].size == 5
     with pytest.raises(Unavailable, match="cannot be written"):
         Checkpoint(tmp_path / "none" / "state.checkpoint", "one").save({})
-
     assert [p.name for p in tmp_path.iterdir()] == ["state.checkpoint"]  # no .part of a full disk
 
 
 def test_two_writers_of_one_state_never_damage_it(tmp_path: Path) -> None:
     """Without the lock, too: each writes a part of its own name."""
     path, size = tmp_path / "state.checkpoint", 200_000
-    failures: list[BaseException] = []
 
     def write(number: int) -> None:
-        try:
-            for _ in range(30):
-                Checkpoint(path, "one").save({"a": np.full(size, number)})
-                saved = Checkpoint(path, "one").load()["a"]
-                assert saved.size == size and saved.min() == saved.max()
-        except BaseException as failure:
-            failures.append(failure)
+        for _ in range(30):
+            Checkpoint(path, "one").save({"a": np.full(size, number)})
+            saved = Checkpoint(path, "one").load()["a"]
+            assert saved.size == size and saved.min() == saved.max()
 
-    threads = [threading.Thread(target=write, args=(number,)) for number in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not failures and [p.name for p in tmp_path.iterdir()] == ["state.checkpoint"]
+    with ThreadPoolExecutor(3) as executor:
+        list(executor.map(write, range(3)))
+    assert [p.name for p in tmp_path.iterdir()] == ["state.checkpoint"]
 
 
 def test_a_state_is_of_one_simulation_at_a_time_and_parts_of_killed_ones_are_removed(
@@ -254,8 +231,18 @@ def test_whatever_the_numbers_depend_on_is_in_the_identity(tmp_path: Path) -> No
     names = {
         checkpoint_of(tmp_path, (s, 0.2, 4096, seed)).path for s in settings for seed in (1, 2)
     }
-    assert len(names) == 6
-    assert checkpoint_of(tmp_path, (fig6(), 0.2, 4096, 1)).path in names
+    assert len(names) == 6 and checkpoint_of(tmp_path, (fig6(), 0.2, 4096, 1)).path in names
+
+
+def interrupt_after(pieces: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Ctrl-C comes after so many pieces."""
+
+    @contextmanager
+    def pressed(partial: bool) -> Iterator[Callable[[], bool]]:
+        yield stopped_after(pieces)
+
+    monkeypatch.setattr("sim.sample.workers.INTERVAL", 0.02)
+    monkeypatch.setattr("sim.sample.simulation.interruptible", pressed)
 
 
 def test_control_c_leaves_a_partial_result_that_goes_on_later(
@@ -263,8 +250,7 @@ def test_control_c_leaves_a_partial_result_that_goes_on_later(
 ) -> None:
     expected = arrays_of(METHOD.solve(fig6(), OBSERVABLES))
     method = replace(METHOD, partial=True, checkpoint=tmp_path)
-    monkeypatch.setattr("sim.sample.workers.INTERVAL", 0.02)
-    monkeypatch.setattr("sim.sample.simulation.interruptible", lambda partial: _pressed_after(10))
+    interrupt_after(10, monkeypatch)
     found = method.solve(fig6(), OBSERVABLES)
     assert found.partial and isinstance(found.report, Report)
     assert found.report.interrupted.startswith("partial: interrupted after")
@@ -276,17 +262,24 @@ def test_control_c_leaves_a_partial_result_that_goes_on_later(
     same(arrays_of(replace(method, partial=False).solve(fig6(), OBSERVABLES)), expected)
 
 
-class _pressed_after:
-    """A Ctrl-C after so many pieces."""
+def test_the_speed_after_a_resumed_burn_in_counts_the_steps_that_were_timed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    method = replace(METHOD, partial=True, checkpoint=tmp_path, time=20.0)
+    interrupt_after(2, monkeypatch)
+    assert "of the burn-in" in method.solve(fig6(), OBSERVABLES).report.interrupted
+    monkeypatch.undo()
+    records = list[Record]()
 
-    def __init__(self, pieces: int) -> None:
-        self.pieces = pieces
+    def recorded(*arguments: Any, **fields: Any) -> Record:
+        records.append(Record(*arguments, **fields))
+        return records[-1]
 
-    def __enter__(self) -> Callable[[], bool]:
-        return stopped_after(self.pieces)
-
-    def __exit__(self, *_: object) -> None:
-        pass
+    monkeypatch.setattr("sim.sample.simulation.Record", recorded)
+    report, (record,) = method.solve(fig6(), OBSERVABLES).report, records
+    assert 0 < record.untimed < record.ensemble.done
+    timed = (record.ensemble.done - record.untimed) * 4096
+    assert report.ns_per_particle_step == pytest.approx(1e9 * record.elapsed / timed)
 
 
 def test_a_second_control_c_interrupts_at_once() -> None:
@@ -310,3 +303,123 @@ def test_other_threads_do_not_receive_it() -> None:
     thread.start()
     thread.join()
     assert answers == [False]
+
+
+EXACT_FLOW = SCHEMES["exact_flow"]
+FEW, MANY = 5 * LANES - 17, 70 * LANES - 17
+"""Five batches of one block each; seventy blocks in sixty-four batches, of which some have two."""
+
+
+@contextmanager
+def cluster(workers: int) -> Iterator[tuple[Workers, Any, str]]:
+    """Worker processes of one thread on this machine, and a client of them; they log nothing."""
+    dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
+    with (
+        dask.config.set({"distributed.logging.distributed": "critical"}),
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0",
+            silence_logs=logging.CRITICAL,
+        ) as local,
+        workers_of(local.scheduler_address) as those,
+        distributed.Client(local, set_as_default=False) as client,
+    ):  # fmt: skip
+        yield those, client, local.scheduler_address
+
+
+def of_fig6(paths: int, workers: Any = None) -> Ensemble:
+    return Ensemble(fig6(), EXACT_FLOW, 0.1, paths, 31, 2, workers)
+
+
+def sampled(ensemble: Any, *, between: Callable[[], None] = lambda: None) -> dict[str, Any]:
+    """What is found in three chunks, ``between`` being called after each."""
+    ensemble.advance(20)
+    ensemble.watch(ranged(fig6(), ("q1", "q2,p2")), moment_products(2))
+    for _ in range(3):
+        ensemble.advance(31, stride=3)
+        between()
+    q, p = ensemble.phase_points()
+    return {**ensemble.saved(), "q": q, "p": p, "means": ensemble.batch_means()}
+
+
+def kill_one(client: Any) -> Callable[[], None]:
+    """What kills the first worker there is, once."""
+    left = [signal.SIGKILL]
+
+    def kill() -> None:
+        if left:
+            os.kill(next(iter(client.run(os.getpid).values())), left.pop())
+
+    return kill
+
+
+def test_a_task_on_a_cluster_leaves_its_arguments_as_they_were() -> None:
+    def add(array: Any, number: float) -> Any:
+        array += number
+        return array
+
+    array = np.zeros(3)
+    with ThreadPoolExecutor(1) as executor:
+        (added,) = Workers(executor, 1, remote_errors=(OSError,)).map(add, [array], [1.0])
+        np.testing.assert_array_equal(added, np.ones(3))
+        assert not array.any()
+        assert Workers(executor, 1).map(add, [array], [1.0])[0] is array  # of this process: none
+
+
+def test_bitwise_the_same_on_two_workers_of_which_one_is_killed() -> None:
+    """Also what is saved here and goes on there, and the other way round."""
+    expected = sampled(of_fig6(FEW))
+    with cluster(2) as (workers, client, _):
+        ensemble = of_fig6(FEW, workers)
+        assert ensemble.threads == 2
+        same(sampled(ensemble, between=kill_one(client)), expected)
+        stopped = of_fig6(FEW)
+        stopped.advance(20)
+        stopped.watch(ensemble.histograms, ensemble.products)
+        stopped.advance(50, stride=3)
+        ensemble = of_fig6(FEW, workers)
+        ensemble.watch(stopped.histograms, stopped.products)
+        ensemble.restore(stopped.saved())
+        ensemble.advance(12, stride=3)
+        stopped.restore(ensemble.saved())
+        stopped.advance(31, stride=3)
+        same(stopped.saved(), {name: expected[name] for name in stopped.saved()})
+
+
+@pytest.mark.slow
+def test_bitwise_the_same_on_four_workers() -> None:
+    quick = Splitting(replicas=64, killed=4, repetitions=8, threads=1)
+    failure: Any = fig6(), parse_limit("H=2", 2), REST, 20.0
+    with cluster(4) as (workers, client, address):
+        same(sampled(of_fig6(MANY, workers)), sampled(of_fig6(MANY)))
+        there = rare_failure(*failure, settings=replace(quick, cluster=address))
+        np.testing.assert_array_equal(there.values, rare_failure(*failure, settings=quick).values)
+        killed = sampled(of_fig6(MANY, workers), between=kill_one(client))
+        same(killed, sampled(of_fig6(MANY)))
+
+
+def fail_with_the_system(share: int) -> int:
+    os._exit(1)
+
+
+@pytest.mark.slow
+def test_a_task_that_kills_every_worker_ends_in_one_line() -> None:
+    with cluster(2) as (workers, *_):
+        with pytest.raises(NotCertified, match="lost on the way") as end:
+            workers.map(fail_with_the_system, [1])
+        assert "\n" not in str(end.value)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "", "tcp://[::1"])
+def test_an_address_that_does_not_answer_is_one_line(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.sample.workers.SCHEDULER_TIMEOUT", 0.5)
+    with pytest.raises(Unavailable, match="no Dask scheduler") as end, workers_of(address):
+        pass
+    assert "\n" not in str(end.value)
+
+
+def test_where_dask_is_missing_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(Unavailable, match=r"vibro-fpk\[cluster\]"), workers_of("tcp://x:1"):
+        pass

@@ -6,18 +6,16 @@ from functools import partial
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from sim_systems import fig6, passed, transient
 
 from averaging.nonintegrable import NonIntegrable
 from cases.compare.averaged import AveragedSimulation
-from fpk.answer.method import silent
-from fpk.answer.names import parse_limit, parse_observable, parse_start
+from fpk.answer.names import REST, parse_limit
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
-from fpk.system.contact import Contact
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
-from sim import MonteCarlo
 from sim.questions.passing import spread_of
 from sim.questions.rounds import motions, states_of
 from sim.sample.ensemble import ensemble_from
@@ -28,7 +26,18 @@ ENVELOPE = Modulation([0.0, 2.0, 4.0, 9.0], [0.0, 1.5, 1.5, 0.0])
 ONE = System([1.5], [2.0], [0.3], [0.03], modulation=ENVELOPE)
 TIMES = np.array([1.0, 3.0, 9.0, 15.0])
 PATHS = 1 << 16
-SETTINGS = {"tol": None, "progress": silent}
+TWO = fig6()
+LIGHT = System([1.5], [2.0], [0.03], [0.003])
+RISING = Modulation([0.0, 20.0, 40.0, 90.0], [0.0, 1.5, 1.5, 1.0])
+FADING = Modulation([0.0, 20.0, 40.0, 90.0], [0.0, 1.5, 1.5, 0.0])
+
+
+def modulated(system, times, factors):
+    return replace(system, modulation=Modulation(times, factors))
+
+
+def averaged(**settings):
+    return AveragedSimulation("nonintegrable", **{"paths": 4096, "threads": 1, **settings})
 
 
 def covariance(system, time):
@@ -50,21 +59,18 @@ def by_steps(system, time, dt):
     return S
 
 
-def test_steps_of_modulated_noise_have_the_covariance_of_their_rule():
+def test_steps_of_modulated_noise_have_the_covariance_of_their_rule_which_is_of_second_order():
     rest = np.zeros((PATHS, 1))
     begun = partial(ensemble_from, ONE, rest, rest, seed=3, modulation=ENVELOPE)
     rows = list(motions(begun, np.hstack([rest, rest]), states_of, TIMES, 0.5))
     for time, (fine, coarse) in zip(TIMES, rows, strict=True):
         for states, dt in ((fine, 0.25), (coarse, 0.5)):
-            wanted = by_steps(ONE, time, dt)
-            spread = np.sqrt((wanted**2 + np.outer(np.diag(wanted), np.diag(wanted))) / PATHS)
+            right = by_steps(ONE, time, dt)
+            spread = np.sqrt((right**2 + np.outer(np.diag(right), np.diag(right))) / PATHS)
             # Of 24 entries one is beyond 4.5 standard errors in 1 of 6000 samples.
-            assert np.all(np.abs(np.cov(states.T) - wanted) <= 4.5 * spread)
+            assert np.all(np.abs(np.cov(states.T) - right) <= 4.5 * spread)
     # Without the envelope it would not be: twice the noise of the end.
     assert by_steps(ONE, 15.0, 0.25)[0, 0] < 0.5 * by_steps(ONE, 4.0, 0.25)[0, 0]
-
-
-def test_the_bias_of_the_step_is_of_second_order():
     exact = covariance(ONE, 3.0)
     errors = [np.abs(by_steps(ONE, 3.0, 0.5 / 2**k) - exact).max() for k in range(5)]
     ratios = np.log2(np.array(errors[:-1]) / errors[1:])
@@ -73,54 +79,37 @@ def test_the_bias_of_the_step_is_of_second_order():
 
 def test_transient_densities_are_within_their_errors():
     at = np.linspace(-0.3, 0.3, 5)
-    asked = parse_observable("q1", 1), parse_start("rest", ONE), TIMES, (at,)
-    answer = MonteCarlo(paths=8192, threads=1).transient(ONE, *asked, **SETTINGS)
     variance = np.array([[covariance(ONE, t)[0, 0]] for t in TIMES])
     exact = np.exp(-0.5 * at**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+    answer, steady = (
+        transient(system, "q1", "rest", TIMES, at, paths=8192)
+        for system in (ONE, replace(ONE, modulation=None))
+    )
     # Of 20 points one is beyond 4.4 standard errors in 1 of 4600 samples.
     assert np.all(np.abs(answer.values - exact) <= 4.4 * answer.errors)
-    steady = replace(ONE, modulation=None)
-    other = MonteCarlo(paths=8192, threads=1).transient(steady, *asked, **SETTINGS)
-    assert np.any(np.abs(other.values - exact) > 10.0 * other.errors)
+    assert np.any(np.abs(steady.values - exact) > 10.0 * steady.errors)
 
 
-TWO = System(
-    [1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=(Contact(2, "both", 10.0, 0.5),)
-)
+def slow(row):
+    return pytest.param(row, marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize(
-    "limit",
-    ["H=0.4", *(pytest.param(x, marks=pytest.mark.slow) for x in ("q2=0.6", "H1=0.3,H2=0.3"))],
-)
+@pytest.mark.parametrize("limit", ["H=0.4", slow("q2=0.6"), slow("H1=0.3,H2=0.3")])
 def test_a_constant_factor_is_that_much_more_noise(limit):
     # The same random numbers and steps: the bridges between steps see the same noise, too.
-    half = replace(TWO, noise_intensity=0.25 * TWO.noise_intensity)
-    half = replace(half, modulation=Modulation([0.0], [2.0]))
-    asked = parse_limit(limit, 2), parse_start("rest", TWO), np.array([5.0, 10.0, 20.0])
-    method = MonteCarlo(paths=4096, threads=1)
-    a, b = (method.passage(system, *asked, **SETTINGS) for system in (TWO, half))
+    half = modulated(replace(TWO, noise_intensity=0.25 * TWO.noise_intensity), [0.0], [2.0])
+    a, b = (passed(system, limit, times=[5.0, 10.0, 20.0]) for system in (TWO, half))
     # Factors are single precision: a trajectory or two may pass in another step.
     assert np.all(np.abs(a.survival - b.survival) <= 2.0 / 4096)
     assert a.mean.value == pytest.approx(b.mean.value, rel=1e-3)
 
 
-LIGHT = System([1.5], [2.0], [0.03], [0.003])
-RISING = Modulation([0.0, 20.0, 40.0, 90.0], [0.0, 1.5, 1.5, 1.0])
-FADING = Modulation([0.0, 20.0, 40.0, 90.0], [0.0, 1.5, 1.5, 0.0])
-
-
 @pytest.mark.parametrize("modulation", [RISING, FADING])
 def test_the_averaged_equation_fails_as_the_elements_say(modulation):
     system = replace(LIGHT, modulation=modulation)
-    asked = (
-        parse_limit("H=0.15", 1),
-        parse_start("rest", system),
-        np.array([20.0, 40.0, 90.0, 150.0]),
-    )
-    solved = NonIntegrable("fem").passage(system, *asked, tol=1e-4, progress=silent)
-    sampled = AveragedSimulation("nonintegrable", paths=4096, threads=1, step=0.05)
-    sampled = sampled.passage(system, *asked, **SETTINGS)
+    asked = parse_limit("H=0.15", 1), REST, np.array([20.0, 40.0, 90.0, 150.0])
+    solved = NonIntegrable("fem").passage(system, *asked, tol=1e-4)
+    sampled = averaged(step=0.05).passage(system, *asked)
     assert solved.certificate.certified and sampled.certificate.certified
     # Of six numbers one is beyond 4.2 standard errors in 1 of 6000 samples.
     assert np.all(np.abs(sampled.survival - solved.survival) <= 4.2 * sampled.survival_error)
@@ -134,12 +123,10 @@ def test_the_averaged_equation_fails_as_the_elements_say(modulation):
 
 @pytest.mark.parametrize("system", [LIGHT, TWO])
 def test_the_averaged_transient_is_that_of_the_elements(system):
-    modulation = Modulation([0.0, 5.0, 10.0, 20.0], [0.0, 0.0, 1.5, 0.0])
-    system, at = replace(system, modulation=modulation), np.array([0.02, 0.1, 0.3])
-    times = np.array([8.0, 20.0, 30.0])
-    asked = parse_observable("H", system.n), parse_start("rest", system), times, (at,)
-    solved = NonIntegrable("fem").transient(system, *asked, tol=1e-5, progress=silent)
-    sampled = AveragedSimulation("nonintegrable", threads=1).transient(system, *asked, **SETTINGS)
+    system, at = modulated(system, [0.0, 5.0, 10.0, 20.0], [0.0, 0.0, 1.5, 0.0]), [0.02, 0.1, 0.3]
+    asked = system, "H", "rest", [8.0, 20.0, 30.0], at
+    solved = transient(*asked, method=NonIntegrable("fem"), tol=1e-5)
+    sampled = transient(*asked, method=averaged(paths=16384))
     assert solved.certificate.certified
     # Of nine points one is beyond 4.4 standard errors in 1 of 10,000 samples.
     error = np.hypot(sampled.errors, solved.errors)
@@ -147,32 +134,24 @@ def test_the_averaged_transient_is_that_of_the_elements(system):
 
 
 def test_full_system_after_the_noise():
-    system = replace(TWO, modulation=Modulation([0.0, 2.0, 6.0], [0.0, 2.0, 0.0]))
-    asked = parse_limit("H=0.4", 2), parse_start("rest", system), np.array([3.0, 6.0, 30.0])
-    answer = MonteCarlo(paths=4096, threads=1).passage(system, *asked, **SETTINGS)
+    system, times = modulated(TWO, [0.0, 2.0, 6.0], [0.0, 2.0, 0.0]), [3.0, 6.0, 30.0]
+    answer = passed(system, "H=0.4", times=times)
     assert answer.certificate.certified and answer.mean.value == np.inf and answer.rate is None
-    assert (
-        0.0 < answer.survival[1] < answer.survival[0] and answer.survival[1] == answer.survival[2]
-    )
+    assert 0.0 < answer.survival[1] < answer.survival[0]
+    assert answer.survival[1] == answer.survival[2]
     with pytest.raises(NotApplicable, match="no noise"):
-        silence = replace(TWO, modulation=Modulation([0.0], [0.0]))
-        MonteCarlo(paths=4096).passage(silence, *asked, **SETTINGS)
-
-
-def test_after_the_noise_moments_are_infinite_though_all_of_the_sample_failed():
-    loud = replace(ONE, modulation=Modulation([0.0, 3.0, 4.0], [3.0, 3.0, 0.0]))
-    asked = parse_limit("H=0.01", 1), parse_start("rest", loud), np.array([1.0])
-    answer = AveragedSimulation("nonintegrable", paths=4096, threads=1, step=0.02)
-    answer = answer.passage(loud, *asked, **SETTINGS)
+        passed(modulated(TWO, [0.0], [0.0]), "H=0.4", times=times)
+    # Moments are infinite though all of the sample failed.
+    loud = modulated(ONE, [0.0, 3.0, 4.0], [3.0, 3.0, 0.0])
+    answer = passed(loud, "H=0.01", times=[1.0], method=averaged(step=0.02))
     assert answer.settings["not failed"] == 0
     assert answer.mean.value == answer.variance.value == np.inf and answer.rate is None
 
 
 def test_motions_without_modulation_are_what_they_were():
-    plain = replace(TWO, modulation=None)
     q = p = np.zeros((128, 2))
     held, free = (
-        ensemble_from(plain, q, p, 0.05, 7, modulation=m) for m in (Modulation([0.0], [1.0]), None)
+        ensemble_from(TWO, q, p, 0.05, 7, modulation=m) for m in (Modulation([0.0], [1.0]), None)
     )
     for motion in (held, free):
         motion.advance(20)
@@ -180,27 +159,25 @@ def test_motions_without_modulation_are_what_they_were():
 
 
 def test_what_comes_after_the_simulation_ended_is_not_known_while_noise_changes():
-    rising = replace(ONE, modulation=Modulation([0.0, 40.0], [0.2, 2.0]))
-    asked = parse_limit("H=1", 1), parse_start("rest", rising), np.array([2.0, 60.0])
-    answer = MonteCarlo(paths=4096, threads=1, time=4.0).passage(rising, *asked, **SETTINGS)
+    answer = passed(modulated(ONE, [0.0, 40.0], [0.2, 2.0]), "H=1", times=[2.0, 60.0], time=4.0)
     assert answer.survival_error[0] < 0.1 and answer.survival_error[1] == np.inf
     assert not answer.certificate.certified
 
 
-def test_a_noise_that_ends_does_not_override_the_time_or_the_cost_that_a_user_allows():
+@pytest.mark.parametrize(
+    ("bound", "most"), [({"time": 2.0}, 2.0), ({"dt": 0.02, "most_steps": 3000}, 20.0)]
+)
+def test_a_noise_that_ends_does_not_override_the_time_or_the_cost_that_a_user_allows(bound, most):
     # 2e7 units of time are 4e8 steps: the array of all their strengths would be 3 GB.
-    long = replace(TWO, modulation=Modulation([0.0, 2e7, 3e7], [1.0, 1.0, 0.0]))
-    asked = parse_limit("H=5", 2), parse_start("rest", long), np.array([1.0])
-    for bound, most in ({"time": 2.0}, 2.0), ({"dt": 0.02, "most_steps": 3000}, 20.0):
-        answer = MonteCarlo(paths=4096, threads=1, **bound).passage(long, *asked, **SETTINGS)
-        # Trajectories go on to the end of the step in which the time ends.
-        assert 1.0 <= answer.settings["followed until"] <= most + answer.settings["coarse dt"]
-        assert answer.mean.value == np.inf
+    long = modulated(TWO, [0.0, 2e7, 3e7], [1.0, 1.0, 0.0])
+    answer = passed(long, "H=5", times=[1.0], **bound)
+    # Trajectories go on to the end of the step in which the time ends.
+    assert 1.0 <= answer.settings["followed until"] <= most + answer.settings["coarse dt"]
+    assert answer.mean.value == np.inf
 
 
 def test_the_spread_of_a_chunk_is_that_of_its_own_steps():
     e, dt = Modulation([0.0, 2.0, 5.0], [0.0, 1.5, 0.5]), 0.25
-    chunk = spread_of(e, dt, 7, 16)
-    ends = dt * np.arange(7, 24)
-    np.testing.assert_allclose(chunk, np.diff(e.energy(ends)), rtol=1e-12)
+    right = np.diff(e.energy(dt * np.arange(7, 24)))
+    np.testing.assert_allclose(spread_of(e, dt, 7, 16), right, rtol=1e-12)
     assert np.all(spread_of(None, dt, 7, 16) == dt)

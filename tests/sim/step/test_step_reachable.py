@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from scipy.special import gammaincc
+from sim_systems import passed, transient
 
-from fpk.answer.names import REST, parse_limit, parse_observable, parse_start
+from fpk.answer.names import REST, parse_limit, parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.contact import Contact
 from fpk.system.system import System
@@ -61,19 +62,14 @@ def test_a_biased_step_below_the_limit_is_not_certified(dt: float) -> None:
     assert any("standard errors" in f for f in result.densities[0].certificate.failures)
 
 
-def test_readers_of_motions_in_time_end_in_one_line() -> None:
-    system, at, times = hertz(), np.array([0.2]), np.array([40.0])
+@pytest.mark.parametrize("question", ["passage", "transient", "crossings", "correlation"])
+def test_motions_in_time_end_in_one_line(question: str) -> None:
+    at, times = np.array([0.2]), np.array([40.0])
     own = small(dt=1.5, allow_unstable=True, time=40.0)
-    asked = {
-        "passage": lambda: own.passage(system, parse_limit("q1=9", 1), REST, times),
-        "transient": lambda: own.transient(system, Q, REST, times, (at,)),
-        "crossings": lambda: own.crossings(system, Q, at),
-        "correlation": lambda: own.correlation(system, Q, at),
-    }
-    for name, question in asked.items():
-        words = "are unstable; use a dt below|no step of 1.5 begins in the start; use a smaller dt"
-        with pytest.raises((NotCertified, NotApplicable), match=words):
-            pytest.fail(f"{name}: {question()}")
+    asked = {"passage": (parse_limit("q1=9", 1), REST, times), "transient": (Q, REST, times, (at,))}
+    words = "are unstable; use a dt below|no step of 1.5 begins in the start; use a smaller dt"
+    with pytest.raises((NotCertified, NotApplicable), match=words):
+        getattr(own, question)(hertz(), *asked.get(question, (Q, at)))
 
 
 def test_the_range_holds_whatever_the_noise_and_the_start() -> None:
@@ -87,6 +83,10 @@ def test_the_range_holds_whatever_the_noise_and_the_start() -> None:
     assert np.all(soon < 0.07 * np.array([q, p]))
     started = largest_reached(free, 40.0, 0.0)
     assert np.all(started >= np.sqrt(2.0 * 40.0 * np.array([1.0 / 8.0, 2.0])))
+    still = System([1.0, 2.0], [1.0, 1.0], [0.0, 0.0], [0.0, 0.0])  # the energy of the start is all
+    assert hottest(still) == 0.0
+    largest = largest_reached(still, 1.0, 1e6)
+    assert np.all(np.isfinite(largest)) and np.all(largest > 0.0)
 
 
 def test_a_mass_that_is_hotter_than_the_others_stays_within() -> None:
@@ -98,30 +98,25 @@ def test_a_mass_that_is_hotter_than_the_others_stays_within() -> None:
 
 
 def test_motions_without_damping_or_from_far_stay_within() -> None:
-    system, later = hertz(), np.array([0.5, 3.0])
-    loose = System([1.0], [1e-4], [0.0], [0.5])
     own = small(most_steps=4000)
-    far = own.transient(system, Q, parse_start("q1=6", system), later, (np.array([0.0]),))
+    far = transient(hertz(), "q1", "q1=6", [0.5, 3.0], [0.0], method=own)
     assert np.all(np.isfinite(far.values))
-    grown = own.transient(loose, Q, REST, np.array([100.0]), (np.zeros(1),))
+    loose = System([1.0], [1e-4], [0.0], [0.5])
+    grown = transient(loose, "q1", "rest", [100.0], [0.0], method=own)
     # Var q = (2/3) D t³ but for the soft spring, which takes a tenth of it.
     assert grown.values[0, 0] == pytest.approx((2 * np.pi * 2 / 3 * 0.5 * 1e6) ** -0.5, rel=0.3)
 
 
 def test_energies_that_grow_beyond_all_bounds_end_in_one_line() -> None:
     """dX = … + X² dt without bound: it escapes, whatever the step."""
-    form = SquareRootForm(
-        noise=np.ones(1), slope=np.ones(1), damping=lambda X: -X, linear=np.ones(1),
-        energies=lambda X: X, scales=np.ones(1),
-    )  # fmt: skip
-    stream, X = np.random.default_rng(1), np.full((64, 1), 10.0)
+    one, stream = np.ones(1), np.random.default_rng(1)
+    form = SquareRootForm(one, one, lambda X: -X, one, lambda X: X, one)
+    X = np.full((64, 1), 10.0)
     with np.errstate(over="ignore"), pytest.raises(NotCertified, match="use a smaller step"):
         for _ in range(40):
             X = square_root_step(form, X, 1.0, stream)
 
 
-def test_without_damping_and_noise_the_energy_of_the_start_is_all() -> None:
-    system = System([1.0, 2.0], [1.0, 1.0], [0.0, 0.0], [0.0, 0.0])
-    assert hottest(system) == 0.0
-    largest = largest_reached(system, 1.0, 1e6)
-    assert np.all(np.isfinite(largest)) and np.all(largest > 0.0)
+def test_no_noise_is_refused() -> None:
+    with pytest.raises(NotApplicable, match="no noise"):
+        passed(System([1.0], [1.0], [0.1], [0.0]), "H=1")

@@ -1,0 +1,169 @@
+"""Transient densities of the full system by simulation, against exact ones; their resolution."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.stats import norm
+from sim_systems import exact, fig6, linear, transient
+
+from cases.compare.routes import method_for
+from fpk.answer.names import parse_observable
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import InvalidInput
+from fpk.system.contact import Contact
+from fpk.system.linear import diffusion_matrix, drift_matrix, natural_modes
+from fpk.system.system import System
+from sim.step.schemes import flow_covariance
+
+Z = 4.5
+"""|z| that chance explains: of some 40 points 3e-4, of 100 1e-3."""
+
+
+def gaussian(system: System, t: float, start: Any) -> Any:
+    """Mean and covariance of (q, p) at t from a state."""
+    A, C = flow_covariance(drift_matrix(system), diffusion_matrix(system), t)
+    return A @ np.asarray(start), C
+
+
+def test_a_linear_system_from_a_state_is_gaussian_at_any_time() -> None:
+    system, times = linear(2), [0.1, 2.0, 40.0]
+    x = np.linspace(-1.5, 1.5, 13)
+    answer = transient(system, "q2", "q1=0.5,p2=0.2", times, x)
+    assert answer.certificate.certified and answer.error_kind == "sampling"
+    assert answer.values.shape == (3, 13)
+    for k, t in enumerate(times):
+        mean, C = gaussian(system, t, [0.5, 0.0, 0.0, 0.2])
+        s = np.sqrt(C[1, 1])
+        off = np.abs(answer.values[k] - norm(mean[1], s).pdf(x)) / answer.errors[k]
+        wrong = np.abs(answer.values[k] - norm(mean[1] + 0.2 * s, s).pdf(x)) / answer.errors[k]
+        assert np.all(off < Z) and (t < 1.0 or np.max(wrong) > Z)  # at 0.1 it is between two points
+
+
+def test_a_pair_of_a_linear_system_from_rest() -> None:
+    grid = np.linspace(-0.8, 0.8, 5)
+    x = np.stack([a.ravel() for a in np.meshgrid(grid, grid)])
+    answer = transient(linear(1), "q1,p1", "rest", [3.0], *x)
+    _, C = gaussian(linear(1), 3.0, [0.0, 0.0])
+    square = np.einsum("ik,ij,jk->k", x, np.linalg.inv(C), x)
+    expected = np.exp(-0.5 * square) / (2.0 * np.pi * np.sqrt(np.linalg.det(C)))
+    assert np.all(np.abs(answer.values[0] - expected) < Z * answer.errors[0])
+
+
+@pytest.mark.parametrize("start", ["noise=1", "H=0.4", "rest"])
+def test_with_contact_it_ends_in_the_stationary_density(start: str) -> None:
+    # After 20 of the slowest decay times, and from it (noise = 1) at any time.
+    at, time = np.linspace(-0.8, 0.8, 9), 1.0 if start == "noise=1" else 150.0
+    answer = transient(exact(), "q2", start, [time], at)
+    z = []
+    for system in (exact(), exact(clearance=0.8)):
+        (density,) = method_for("exact", None).solve(system, [parse_observable("q2", 2)]).densities
+        z.append(np.max(np.abs(answer.values[0] - density.at(at)[0]) / answer.errors[0]))
+    assert z[0] < Z < z[1]
+
+
+def test_times_between_steps_and_the_number_of_times_change_nothing_but_chance() -> None:
+    # The step is cut at every time that is asked for; both answers have their own steps.
+    at = np.linspace(-0.6, 0.6, 7)
+    alone = transient(fig6(), "q2", "q2=0.45", [3.21], at)
+    among = transient(fig6(), "q2", "q2=0.45", [0.01, 0.5, 1.2345, 3.21], at, seed=5)
+    error = np.hypot(alone.errors[0], among.errors[-1])
+    assert np.all(np.abs(alone.values[0] - among.values[-1]) < Z * error)
+
+
+def test_a_narrow_density_of_the_energy_is_resolved() -> None:
+    # At t the energy of a shell E has moved by √(2 D ⟨v²⟩ t), of 2 % of E here, and its density has
+    # no kink but that: Gaussian but for O(t). Judged by its integral and its width to 5 %.
+    E, t = 0.5, 0.002
+    width = np.sqrt(2.0 * 0.05 * E * t)
+    x = E + np.linspace(-4.0, 4.0, 81) * width
+    p = transient(linear(1), "H", f"H={E}", [t], x).values[0] * (x[1] - x[0])
+    assert float(np.sum(p)) == pytest.approx(1.0, abs=0.02)
+    assert np.sqrt(np.sum(p * (x - E) ** 2)) == pytest.approx(width, rel=0.05)
+
+
+def test_undamped_motion_against_a_stop_has_a_transient() -> None:
+    # Of kT = ∞ no step follows, nor from the 1e5 periods of rest: from the energy by then it does.
+    stop = Contact(1, "both", 2.0, 0.0, law="bilinear")  # always touched: a spring
+    held, free = (
+        System([1.0], [k], [0.0], [0.5], contacts=c) for k, c in ((1e-8, (stop,)), (2, ()))
+    )
+    at, times = np.linspace(-1.0, 1.0, 5), [0.5, 3.0]
+    answer = transient(held, "q1", "rest", times, at, paths=8192)
+    for k, t in enumerate(times):
+        right = norm.pdf(at, scale=np.sqrt(gaussian(free, t, [0.0, 0.0])[1][0, 0]))
+        assert np.all(np.abs(answer.values[k] - right) < 5.0 * answer.errors[k])
+    assert answer.certificate.certified and np.all(answer.errors < 0.1)
+
+
+def test_the_same_for_any_threads_and_a_tolerance_takes_more() -> None:
+    at = np.array([0.0, 0.2])
+    one, two = (transient(fig6(), "q2", "rest", [5.0], at, threads=k) for k in (1, 2))
+    np.testing.assert_array_equal(one.values, two.values)
+    finer = transient(linear(1), "q1", "rest", [5.0], at, tol=0.008)
+    assert finer.certificate.certified
+    assert int(finer.settings["trajectories"]) > int(one.settings["trajectories"])
+    never = transient(linear(1), "q1", "rest", [5.0], at, tol=1e-4, longest=0.3)
+    assert any("exceeds the tolerance" in words for words in never.certificate.failures)
+
+
+@pytest.mark.parametrize(
+    ("words", "change"),
+    [
+        ("ascend", {"times": [2.0, 1.0]}),
+        ("ascend", {"times": [np.nan]}),
+        ("one value at t = 0", {"times": [0.0]}),
+        ("one value at t = 0", {"of": "H", "start": "H=0.3", "times": [0.0]}),
+        ("exact_flow", {"scheme": "baoab"}),
+    ],
+)
+def test_bad_input_is_one_line(words: str, change: dict[str, Any]) -> None:
+    asked: Any = {"of": "q2", "start": "rest", "times": [1.0]} | change
+    with pytest.raises(InvalidInput, match=words) as error:
+        transient(fig6(), asked.pop("of"), asked.pop("start"), asked.pop("times"), [0.0], **asked)
+    assert "\n" not in str(error.value)
+
+
+def energy_density(system: System, t: float, E: Array) -> Array:
+    """p(H) of one mass at rest before, m = k = 1: the mean of a Gaussian of (q, p) on a circle.
+
+    In coordinates scaled by the standard deviations, ρ and φ, H = ρ² g(φ)/2; trapezoids in φ.
+    """
+    C = gaussian(system, t, [0.0, 0.0])[1]
+    sizes = np.sqrt(np.diag(C))
+    own = C / np.outer(sizes, sizes)
+    phi = np.arange(0.5, 20000.0) * 2.0 * np.pi / 20000.0
+    u = np.stack([np.cos(phi), np.sin(phi)])
+    a = np.einsum("ik,ij,jk->k", u, np.linalg.inv(own), u)
+    g = sizes**2 @ u**2
+    exponents = -np.asarray(E)[:, None] * a / g
+    return np.asarray(np.mean(np.exp(exponents) / g, axis=1) / np.sqrt(np.linalg.det(own)))
+
+
+@pytest.mark.parametrize("t", [1e-9, 0.1, 0.3, 3.0])
+def test_a_spike_of_the_energy_has_an_error(t: float) -> None:
+    # At early times p(H) ~ H^(−1/2) down to H ~ D t³, where it ends at √3/(D t²).
+    x = 0.1 * t * np.concatenate([[0.0, 1e-9, 1e-5], np.linspace(1e-3, 0.1, 30)])
+    answer = transient(linear(1), "H", "rest", [t], x, paths=8192)
+    right, error = energy_density(linear(1), t, x), answer.errors[0]
+    assert np.all(np.abs(answer.values[0] - right) < Z * error)
+    assert answer.certificate.certified and np.all(error[-5:] < 0.1 * right[-5:])
+
+
+def test_energies_of_two_masses_have_an_error_at_a_spike_and_at_rest() -> None:
+    """p(0, 0) = 1/(ω₁ ω₂ √det C), C the covariance of the modes' displacements and momenta.
+
+    p(H) ~ H vanishes at H = 0, in far less than a bin: 5 standard errors above 0 by bins alone.
+    """
+    system, times = linear(2), [1e-3, 30.0]
+    shapes, omega = natural_modes(system)
+    to_modes = block_diag(shapes.T * system.mass, shapes.T)
+    for t in times:
+        C = to_modes @ gaussian(system, t, [0.0] * 4)[1] @ to_modes.T
+        right = 1.0 / (np.prod(omega) * np.sqrt(np.linalg.det(C)))
+        answer = transient(system, "H1,H2", "rest", [t], [0.0], [0.0])
+        assert abs(answer.values[0, 0] - right) < Z * answer.errors[0, 0]
+    assert answer.errors[0, 0] < 0.2 * right
+    answer = transient(system, "H", "rest", times, [0.0], paths=8192)
+    assert np.all(np.abs(answer.values) < Z * answer.errors)

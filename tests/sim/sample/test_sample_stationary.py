@@ -1,0 +1,373 @@
+"""The method: against exact densities, identities, refusals, limits of time. Seeds drawn once."""
+
+from dataclasses import FrozenInstanceError, replace
+from itertools import pairwise
+from math import exp, inf, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.linalg import solve_continuous_lyapunov
+from scipy.stats import chi2
+from sim_systems import curve, exact, fig6, linear, mixed
+
+from fpk.answer.method import Result
+from fpk.answer.names import parse_observable
+from fpk.answer.sampled_density import SampledDensity
+from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.system.contact import Contact
+from fpk.system.linear import diffusion_matrix, drift_matrix, natural_modes
+from fpk.system.system import System
+from sim.montecarlo import MonteCarlo
+from sim.sample.plan import Setup, observation_arrays
+from sim.sample.simulation import simulate
+from sim.sample.workers import workers_of
+from sim.step.schemes import SCHEMES
+from sim.step.step_size import chosen_step, contact_frequency, relaxation_time
+
+Q2 = (parse_observable("q2", 2),)
+
+
+def weight(q: float, clearance: float = 0.5) -> float:
+    """exp(−2 V) of the exact system with q1 integrated out: k_eff = ½ and B = 10."""
+    return exp(-2.0 * (0.25 * q * q + 4.0 * max(abs(q) - clearance, 0.0) ** 2.5))
+
+
+def exact_square(clearance: float = 0.5) -> float:
+    known: Any = {"points": [clearance], "epsabs": 1e-13}
+    norm = quad(lambda q: weight(q, clearance), 0, 6, **known)[0]
+    return quad(lambda q: q * q * weight(q, clearance), 0, 6, **known)[0] / norm
+
+
+def block_chi_square(density: SampledDensity, clearance: float) -> float:
+    """Probability of so large a χ² of 12 blocks of equal probability of |q|, by Hotelling's T²."""
+    half = density.batch_values.shape[1] // 2
+    e, blocks = density.edges[0][half:], 12
+    np.testing.assert_allclose(density.batch_values, density.batch_values[:, ::-1], rtol=1e-12)
+    norm = quad(weight, 0, 6, points=[clearance], args=(clearance,))[0]
+    exact_bins = np.array([quad(weight, a, b, args=(clearance,))[0] / norm for a, b in pairwise(e)])
+    group = np.minimum((np.cumsum(exact_bins) * blocks).astype(int), blocks - 1)
+    join = np.equal.outer(np.arange(blocks - 1), group).astype(float)
+    batches = 2.0 * density.batch_values[:, half:] * np.diff(e) @ join.T
+    difference = batches.mean(axis=0) - join @ exact_bins
+    covariance = np.cov(batches.T) / batches.shape[0]
+    n, k = batches.shape[0], blocks - 1
+    square = difference @ np.linalg.solve(covariance, difference) * (n - k) / (n - 1)
+    return float(chi2.sf(square, k))
+
+
+@pytest.fixture(scope="module")
+def sampled() -> Result:
+    return MonteCarlo(paths=8192, time=2500.0, seed=20406).solve(exact(), Q2)
+
+
+def test_moments_and_identities_of_the_exact_system(sampled: Result) -> None:
+    moments = sampled.report.moments  # type: ignore[attr-defined]
+    for name, right, most in (
+        ("q2²", exact_square(), 2e-4),
+        ("v1²", 0.5, 1e-3),
+        ("v2²", 0.5, 1e-3),
+    ):
+        assert abs(moments[name].value - right) < 4.0 * moments[name].error < 4.0 * most
+        assert sampled.settings[f"E {name}"] == moments[name].value
+    assert len(sampled.identities) == 5
+    assert all(identity.error > 0 and abs(identity.z) < 4.0 for identity in sampled.identities)
+
+
+def test_density_of_the_exact_system_and_not_of_another_clearance(sampled: Result) -> None:
+    (density,) = sampled.densities
+    assert isinstance(density, SampledDensity)
+    assert density.certificate.certified and density.certificate.tail_mass < 1e-6
+    assert block_chi_square(density, 0.5) > 1e-4
+    assert block_chi_square(density, 0.55) < 1e-12
+    # Points at no particular place in their bins. Smoothing makes z dependent over eleven bins, so
+    # that 200 points are some 40 independent ones: rms 1 ± 0.11, and 1.6 is beyond five of these.
+    norm = 2.0 * quad(weight, 0.0, 4.0, points=[0.5])[0]
+    x = np.linspace(-1.0, 1.0, 200) + 0.00123
+    value, error = density.at(x)
+    for shift, near in ((0.0, True), (0.02, False)):
+        p = np.array([weight(abs(point + shift)) for point in x]) / norm
+        assert (np.sqrt(np.mean(((value - p) / error) ** 2)) < 1.6) == near
+
+
+def small(**fields: object) -> MonteCarlo:
+    return MonteCarlo(**{"paths": 4096, "time": 150.0, "seed": 733, **fields})  # type: ignore[arg-type]
+
+
+ONE_STOP = System([1.0], [1.0], [0.2], [0.1], contacts=(Contact(1, "right", 4.0, 0.0),))
+NOISE_ON_ONE = System([1.0, 2.0], [1.0, 1.0], [0.2, 0.2], [0.2, 0.0])
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        mixed(),
+        *(pytest.param(s, marks=pytest.mark.slow) for s in (ONE_STOP, NOISE_ON_ONE, linear(5))),
+    ],
+    ids=["mixed", "one-mass", "noise-on-one", "five"],
+)
+def test_other_systems_keep_their_identities(system: System) -> None:
+    n = system.n
+    names = ["q1", f"p{n}", "H", f"q{n},p{n}"]
+    result = small().solve(system, [parse_observable(name, n) for name in names])
+    assert len(result.identities) == 2 * n + 1
+    assert all(abs(identity.z) < 4.5 for identity in result.identities)
+    for density in result.densities:
+        assert density.certificate.certified, density.certificate
+        assert density.certificate.mass_defect < 1e-12
+
+
+@pytest.mark.parametrize("dt", [0.01, 1.0, 10.0])
+def test_without_contact_any_step_gives_the_gaussian(dt: float) -> None:
+    system = linear(2)
+    covariance = solve_continuous_lyapunov(drift_matrix(system), -diffusion_matrix(system))
+    variances = np.diag(covariance) / np.array([1.0, 1.0, *system.mass**2])
+    time = 20.0 if dt < 0.1 else 100.0 * max(1.0, dt)
+    report: Any = small(dt=dt, time=time, burn_in=6.0).solve(system, Q2).report
+    assert [*report.moments] == ["q1²", "q2²", "v1²", "v2²"]
+    for m, truth in zip(report.moments.values(), variances, strict=True):
+        assert abs(m.value - truth) < 4.5 * m.error
+
+
+def test_modal_energies_of_a_linear_system_against_its_gaussian() -> None:
+    # E H_m of the Lyapunov covariance; 4.5 standard errors.
+    system = linear(3)
+    asked = [parse_observable(name, 3) for name in ("H1", "H3", "H1,H2")]
+    *single, joint = MonteCarlo(paths=8192, time=400.0, seed=77).solve(system, asked).densities
+    shapes, omega = natural_modes(system)
+    cov = solve_continuous_lyapunov(drift_matrix(system), -diffusion_matrix(system))
+    for density, m in zip(single, (0, 2), strict=True):
+        a, b = system.mass * shapes[:, m] * omega[m], shapes[:, m]
+        right = 0.5 * (a @ cov[:3, :3] @ a + b @ cov[3:, 3:] @ b)
+        e = density.edges[0]
+        assert e[0] == 0.0 and density.certificate.certified
+        means = density.batch_values @ (0.5 * (e[1:] + e[:-1]) * np.diff(e))
+        assert abs(means.mean() - right) < 4.5 * means.std(ddof=1) / np.sqrt(means.size)
+    # The same samples in coarser bins: a bin's midpoint stands for its samples, error h²/12 p'.
+    assert joint.values.shape == (128, 128)
+    centres, widths = zip(*((0.5 * (e[1:] + e[:-1]), np.diff(e)) for e in joint.edges), strict=True)
+    mean = (joint.values @ widths[1]) @ (centres[0] * widths[0])
+    assert mean == pytest.approx(single[0].moment(1).value, rel=0.01)
+
+
+def test_damping_term_of_the_observed_momentum(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kinetic balance of the mass in contact holds with (h²/12) c_ik g_k/m_k only."""
+    contacts = (Contact(2, "both", 10.0, 0.5),)
+    system = System([1.0, 1.0], [1.0, 1.0], [0.8, 0.8], [0.4, 0.4], contacts=contacts)
+    method = small(paths=8192, dt=0.2, time=400.0)
+    assert abs(method.solve(system, Q2).identities[-1].z) < 4.0
+
+    def without(*arguments: Any, **settings: Any) -> Any:
+        key, arrays = observation_arrays(*arguments, **settings)
+        return key, arrays._replace(cross=0.0 * arrays.cross)
+
+    monkeypatch.setattr("sim.sample.ensemble.observation_arrays", without)
+    assert abs(method.solve(system, Q2).identities[-1].z) > 7.0
+
+
+def test_euler_is_biased_and_the_reported_mean_is_that_of_the_histogram() -> None:
+    """Euler at 0.02 is off by 8 %, and so is the mean that is reported.
+
+    A sample lies within w/2 of the middle m of its bin: ``|q² − m²| <= w |q| + w²/4``, and the
+    moment of the density has w²/12 more.
+    """
+    result = small(scheme="euler_maruyama", dt=0.02, seed=5).solve(exact(), Q2)
+    moments, (density,) = result.report.moments, result.densities  # type: ignore[attr-defined]
+    assert moments["v2²"].value - 0.5 > 8.0 * moments["v2²"].error
+    assert any("standard errors" in f for f in density.certificate.failures)
+    square, w = moments["q2²"], float(np.diff(density.edges[0])[0])
+    tail = density.certificate.tail_mass * (3.0 * float(density.edges[0][-1])) ** 2
+    assert abs(square.value - density.moment(2).value) < w * sqrt(square.value) + w**2 / 3.0 + tail
+    assert square.value / exact_square() - 1.0 > 5.0 * square.error
+
+
+def test_refusals() -> None:
+    silent, undamped = (System([1.0], [1.0], [c], [D]) for c, D in ((0.1, 0.0), (0.0, 0.1)))
+    q1 = parse_observable("q1", 1)
+    assert "no noise" in (MonteCarlo().refusal(silent, q1) or "")
+    assert "not damped" in (MonteCarlo().refusal(undamped, q1) or "")
+    assert MonteCarlo().refusal(fig6(), Q2[0]) is None
+    with pytest.raises(NotApplicable, match="no noise"):
+        MonteCarlo().solve(silent, [q1])
+    with pytest.raises(InvalidInput, match="more random numbers"):
+        small(dt=1e-300).solve(fig6(), Q2)
+
+
+def test_step_choice_and_its_limit() -> None:
+    # By hand: kT = 0.03/0.12 = ¼; at 5 kT of ¼ q² + 4 (q − ½)^2.5 the mass is at q = 1.0664, where
+    # the stop is as stiff as 15 √0.5664 = 11.29 and the springs as K_22 = 1: ω = 3.51 with m = 1.
+    assert pytest.approx(1.25, rel=1e-3) == 0.25 * 1.0664**2 + 4.0 * 0.5664**2.5
+    assert chosen_step(fig6()) == pytest.approx(0.45 / sqrt(11.29 + 1.0), rel=1e-3)
+    limit = 2.0 / contact_frequency(fig6())
+    for name in sorted(SCHEMES):
+        with pytest.raises(InvalidInput, match="stability limit"):
+            small(scheme=name, dt=1.01 * limit).solve(fig6(), Q2)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("scheme", "rk4"), ("paths", 10), ("seed", -1), ("seed", 2**64), ("threads", 0),
+     ("threads", 100_000), ("relaxations", 0.0), ("most_steps", 0), ("time", 0.0),
+     ("seconds", 0.0), ("dt", inf), ("tol", -1.0), ("burn_in", float("nan"))],
+)  # fmt: skip
+def test_fields_are_checked(key: str, value: object) -> None:
+    with pytest.raises(InvalidInput, match=key):
+        small(**{key: value})
+
+
+def test_target_error_is_met_or_the_certificate_says_so_for_any_number_of_threads() -> None:
+    calls: list[tuple[int, int, str]] = []
+    one, two = (
+        small(tol=0.02, time=60.0, threads=k).solve(
+            exact(), Q2, progress=lambda *c: calls.append(c)
+        )
+        for k in (1, 2)
+    )
+    assert list(dict.fromkeys(what for *_, what in calls)) == ["burn-in", "simulation"]
+    assert all(d <= t for d, t, _ in calls)
+    a, b = one.densities[0], two.densities[0]
+    np.testing.assert_array_equal(a.batch_values, b.batch_values)
+    for part in ("diagnosis", "moments"):
+        assert getattr(one.report, part) == getattr(two.report, part)
+    assert a.certificate.certified and a.l1_error == b.l1_error <= 0.02
+    missed = small(tol=1e-9, longest=0.01, time=40.0).solve(exact(), Q2)
+    assert any("exceeds the tolerance" in f for f in missed.densities[0].certificate.failures)
+    timed = small(time=60.0, seconds=0.05).solve(exact(), Q2)
+    assert not any("tolerance" in f for f in timed.densities[0].certificate.failures)
+    assert small(tol=0.1).refined().tol == 0.05
+
+
+def test_pair_of_steps_sees_euler_and_not_the_exact_flow() -> None:
+    euler = small(seed=9, step_pair=True, scheme="euler_maruyama", dt=0.02).solve(exact(), Q2)
+    bias = euler.report.step_biases["q2"]  # type: ignore[attr-defined]
+    assert bias.value > 2.5 * bias.error
+    report: Any = small(seed=9, step_pair=True).solve(exact(), Q2).report
+    assert report.step_biases["q2"].value < 2.0 * report.step_biases["q2"].error
+    for name in report.moments:
+        assert abs(report.step_biases[name].value) < 4.5 * report.step_biases[name].error
+    assert report.step_pair == report.settings(())["step bias"] == "dt against dt/2"
+
+
+def test_the_settings_of_a_result_are_those_of_its_frozen_report() -> None:
+    result = MonteCarlo(paths=4096, time=40.0, seed=3).solve(fig6(), Q2)
+    report: Any = result.report
+    (density,) = result.densities
+    settings = report.settings([density])
+    assert dict(result.settings) == settings == dict(density.provenance)
+    assert settings["sampling error of q2"] == density.l1_error
+    assert "returned at points" in str(settings["sampling error"])
+    assert report.step_pair == settings["step bias"] == "not measured" and not report.step_biases
+    assert not report.interrupted and not result.partial and report.limited_by == ""
+    assert relaxation_time(fig6()) == report.relaxation_time
+    with pytest.raises(FrozenInstanceError):
+        report.interrupted = "no"
+
+
+@pytest.mark.slow
+def test_displacement_of_the_exact_system_to_three_parts_in_ten_thousand() -> None:
+    s = MonteCarlo(paths=16384, time=8000.0, seed=61).solve(exact(), Q2).settings
+    assert float(s["standard error of E q2²"]) < 1e-4 * exact_square()
+    assert float(s["E q2²"]) == pytest.approx(exact_square(), rel=3e-4)
+
+
+@pytest.mark.slow
+def test_weak_order_of_the_displacement_in_the_step() -> None:
+    """At large steps, where the bias of the plain mean stands above the sampling error.
+
+    The error of the order is that of the two biases; the stability limit is 0.55, and higher orders
+    add to the fourth.
+    """
+    steps, biases, errors = (0.32, 0.42), [], []
+    scheme = SCHEMES["exact_flow"]
+    for dt in steps:
+        setup = Setup(MonteCarlo(paths=65536, seed=97), exact(), (), scheme, dt=dt, time=6000.0)
+        with workers_of(None, 2) as workers:
+            square = simulate(setup, workers=workers).report.moments["q2²"]
+        biases.append(square.value / exact_square() - 1.0)
+        errors.append(square.error / abs(square.value - exact_square()))
+    wide = np.log(steps[1] / steps[0])
+    order, error = np.log(biases[1] / biases[0]) / wide, np.hypot(*errors) / wide
+    assert error < 0.35 and order > scheme.weak_order - 0.5
+
+
+SHORT = MonteCarlo(paths=4096, threads=1, seconds=0.5)
+
+
+def light() -> System:
+    """A system whose burn-in takes 1e7 steps: hours."""
+    s = fig6()
+    damping, noise = 1e-6 * s.damping, 1e-6 * s.noise_intensity
+    return System(s.mass, s.stiffness, damping, noise, contacts=s.contacts)
+
+
+@pytest.mark.parametrize("step_pair", [False, True])
+@pytest.mark.parametrize(("system", "dt"), [(light(), None), (fig6(), 1e-6)])
+def test_the_limit_holds_for_the_burn_in(system: System, dt: float | None, step_pair: bool) -> None:
+    result = replace(SHORT, dt=dt, step_pair=step_pair).solve(system, Q2)
+    (density,), report = result.densities, result.report
+    assert report.diagnosis is None and not result.partial  # type: ignore[attr-defined]
+    (failure,) = density.certificate.failures  # and no step is blamed
+    assert failure.startswith("the limit of") and "of the burn-in" in failure
+    assert report.burn_in < 10.0 * report.relaxation_time  # type: ignore[attr-defined]
+    assert np.all(np.isfinite(density(np.linspace(-0.5, 0.5, 5))))
+
+
+def stiff() -> System:
+    """The burn-in takes 4e6 steps, tens of seconds."""
+    return System([1.0], [1.0], [0.1], [0.05], contacts=(Contact(1, "both", 1e8, 0.0),))
+
+
+@pytest.mark.parametrize(
+    ("system", "fields", "words"),
+    [  # a chunk that takes 1e5 times the limit; a first sample that is far from stationary
+        (fig6(), {"time": 1e9, "burn_in": 0.01, "seconds": 1.0}, "in its first chunk, before any"),
+        (
+            stiff(),
+            {"burn_in": 1e-4, "seconds": 1e-9},
+            "after all of the burn-in; give it more time",
+        ),
+    ],
+)
+def test_the_limit_holds_for_the_first_chunk_and_judges_no_step(system, fields, words: str) -> None:
+    method = MonteCarlo(threads=1, paths=4096, **fields)
+    (density,) = method.solve(system, [parse_observable("q1", system.n)]).densities
+    (failure,) = density.certificate.failures
+    assert words in failure
+
+
+def test_a_burn_in_that_the_limit_ended_goes_on_from_its_state(tmp_path: Path) -> None:
+    """With the state of the first run a second one comes to the end of the burn-in."""
+    method = replace(SHORT, dt=0.002, seconds=0.3, checkpoint=tmp_path)
+    shares = []
+    for _ in range(2):
+        failure = method.solve(fig6(), Q2).densities[0].certificate.failures[0]
+        shares.append(float(failure.split("after ")[1].split(" ")[0]))
+    assert 0.0 < shares[0] < shares[1]
+
+
+def test_the_limit_holds_for_the_second_simulation_of_a_pair(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A second simulation that is ten thousand times as slow ends when its share is over."""
+    setups: list[Setup] = []
+
+    def slow(setup: Setup, **options: Any) -> Any:
+        if setups:
+            setup = replace(setup, dt=1e-4 * setup.dt)
+        setups.append(setup)
+        return simulate(setup, **options)
+
+    monkeypatch.setattr("sim.sample.simulation.simulate", slow)
+    method = replace(SHORT, step_pair=True, burn_in=0.1, seconds=3.0)
+    report: Any = method.solve(fig6(), Q2).report
+    assert report.diagnosis is not None
+    assert [s.seconds for s in setups] == pytest.approx([1.0, 2.0])
+    assert report.step_pair == "not measured: the limit of time came" and not report.step_biases
+
+
+@pytest.mark.parametrize("question", ["crossings", "spectrum", "correlation"])
+def test_seconds_that_end_in_the_burn_in_of_a_question_are_refused(question: str) -> None:
+    with pytest.raises(InvalidInput, match=r"burn-in, which takes about .* s; give it more"):
+        curve(question, stiff(), 0, [0.0], seconds=0.05)

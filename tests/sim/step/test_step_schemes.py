@@ -1,0 +1,206 @@
+"""Each integrator against a few lines of NumPy on the same stream; the exact flow; a new scheme."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import expm, solve_continuous_lyapunov
+from sim_systems import exact, fig6, linear, mixed, place
+
+from fpk.answer.names import parse_observable
+from fpk.system.contact import Contact
+from fpk.system.contact_law import LAWS, ContactLaw
+from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.system import System
+from sim.montecarlo import MonteCarlo
+from sim.sample.ensemble import Ensemble
+from sim.step.random import normals
+from sim.step.schemes import (
+    SCHEMES,
+    LinearMap,
+    Scheme,
+    covariance_factor,
+    exact_flow,
+    flow_covariance,
+    lower_trapezoidal,
+    register_scheme,
+)
+
+Array = NDArray[np.float64]
+Step = Callable[[System, float, Array, Array, Callable[[int], Array]], tuple[Array, Array]]
+
+
+def contact(system: System, q: Array) -> tuple[Array, Array]:
+    """g and g' (n, paths) at the displacements q."""
+    g, slope = np.zeros_like(q), np.zeros_like(q)
+    for stop in system.stops:
+        overlap = np.maximum(stop.sign * q[stop.index] - stop.clearance, 0.0)
+        g[stop.index] += stop.sign * stop.force(overlap)
+        slope[stop.index] += np.where(overlap > 0, stop.slope(overlap), 0.0)
+    return g, slope
+
+
+def exact_flow_twin(system, h, q, p, draw):
+    g, slope = contact(system, q)
+    m = system.mass[:, None]
+    flow = exact_flow(system, h)
+    x = np.vstack([q, p - h * g * (1 - h**2 * slope / (12 * m))])
+    x = flow.propagator @ x + lower_trapezoidal(flow.factor) @ draw(flow.factor.shape[1])
+    return x[: system.n], x[system.n :]
+
+
+def baoab_twin(system, h, q, p, draw):
+    m, c = system.mass[:, None], system.damping / system.mass
+    p = p - h * (contact(system, q)[0] + system.stiffness_matrix @ q)  # two half kicks
+    q = q + h / 2 * p / m
+    L = lower_trapezoidal(covariance_factor(flow_covariance(-c, 2 * system.noise_matrix, h)[1]))
+    p = expm(-c * h) @ p + L @ draw(L.shape[1])
+    return q + h / 2 * p / m, p
+
+
+def euler_twin(system, h, q, p, draw):
+    m, n = system.mass[:, None], system.n
+    force = contact(system, q)[0] + system.stiffness_matrix @ q + system.damping @ (p / m)
+    zero = np.zeros((n, n))
+    covariance = np.block([[zero, zero], [zero, 2 * h * system.noise_matrix]])
+    L = lower_trapezoidal(covariance_factor(covariance))[n:]
+    return q + h * p / m, p - h * force + L @ draw(L.shape[1])
+
+
+TWINS: dict[str, Step] = {
+    "exact_flow": exact_flow_twin,
+    "baoab": baoab_twin,
+    "euler_maruyama": euler_twin,
+}
+
+
+def cubic(monkeypatch: pytest.MonkeyPatch) -> System:
+    """A system with a contact law that somebody else has registered."""
+    law = ContactLaw("cubic", 3.0, lambda x, e: x**3, lambda x, e: x**4 / 4, lambda x, e: 3 * x * x)
+    monkeypatch.setitem(LAWS, law.name, law)
+    contacts = (Contact(2, "both", 10.0, 0.5, law="cubic"),)
+    return System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.1, 0.1], contacts=contacts)
+
+
+SLOW = [("baoab", mixed), ("euler_maruyama", mixed), *((name, lambda: linear(5)) for name in TWINS)]
+
+
+@pytest.mark.parametrize(
+    ("name", "make"),
+    [
+        *((name, make) for name in TWINS for make in (fig6, linear)),
+        ("exact_flow", exact),
+        ("exact_flow", lambda: linear(1)),
+        ("exact_flow", mixed),
+        ("exact_flow", cubic),
+        *(pytest.param(*row, marks=pytest.mark.slow) for row in SLOW),
+    ],
+)
+def test_kernel_equals_its_twin(name: str, make, monkeypatch: pytest.MonkeyPatch) -> None:
+    system = make(monkeypatch) if make is cubic else make()
+    h, paths, seed = 0.02 if name == "euler_maruyama" else 0.11, 150, 977
+    ensemble = Ensemble(system, SCHEMES[name], h, paths, seed, 1)
+    q, p = (x.T * 3.0 for x in ensemble.phase_points())
+    place(ensemble, 3.0 * ensemble.states)
+    for step in range(20):
+        pairs = ensemble.step.pairs
+        draw = lambda r, s=step, k=pairs: normals(seed, paths, s * k, max(r, 1))[:r]  # noqa: E731
+        q, p = TWINS[name](system, h, q, p, draw)
+    ensemble.advance(20)
+    for own, twin in zip(ensemble.phase_points(), (q, p), strict=True):
+        np.testing.assert_allclose(own.T, twin, rtol=0, atol=1e-12 * np.abs(twin).max())
+
+
+def test_every_scheme_has_a_twin() -> None:
+    assert set(SCHEMES) == set(TWINS)
+
+
+@pytest.mark.parametrize("dt", [0.01, 1.0, 10.0])
+def test_covariance_after_any_number_of_steps_is_that_of_one_long_step(dt: float) -> None:
+    for system in (linear(2), mixed()):
+        flow, covariance = exact_flow(system, dt), np.zeros((2 * system.n, 2 * system.n))
+        E, own = flow.propagator, flow.factor @ flow.factor.T
+        A, b = drift_matrix(system), diffusion_matrix(system)
+        stationary = solve_continuous_lyapunov(A, -b)
+        close = {"rtol": 0, "atol": 1e-12 * np.abs(stationary).max()}
+        np.testing.assert_allclose(E @ stationary @ E.T + own, stationary, **close)
+        for steps in range(1, 65):
+            covariance = E @ covariance @ E.T + own
+            if steps in (1, 7, 64):
+                expected = flow_covariance(A, b, steps * dt)[1]
+                np.testing.assert_allclose(
+                    covariance, expected, rtol=0, atol=1e-12 * np.abs(expected).max()
+                )
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.2, 10.0])
+def test_noise_on_one_mass_of_five_and_no_noise(dt: float) -> None:
+    for noise in (0.3, 0.0):
+        system = System([1.0] * 5, [1.0] * 5, [0.1] * 5, [noise, 0.0, 0.0, 0.0, 0.0])
+        _, covariance = flow_covariance(drift_matrix(system), diffusion_matrix(system), dt)
+        L = covariance_factor(covariance)
+        assert np.all(np.isfinite(L))
+        np.testing.assert_allclose(L @ L.T, covariance, rtol=0, atol=1e-13 * covariance.max())
+    assert L.shape[1] == 0
+
+
+def test_singular_covariance_draws_as_many_normals_as_its_rank() -> None:
+    X = np.array([[1.0, 2.0, 0.0], [1e-6, 0.0, 3e-6], [3.0, 6.0, 0.0], [0.0, 0.0, 0.0]])
+    L = covariance_factor(X @ X.T)
+    assert L.shape == (4, 2)
+    np.testing.assert_allclose(L @ L.T, X @ X.T, rtol=1e-12, atol=1e-25)
+
+
+@pytest.mark.parametrize("units", [(1e60, 1.0, 1e90), (1e-50, 1e-25, 1e-70), (1e-3, 1e7, 1e5)])
+@pytest.mark.parametrize("dt", [0.1, 3.0])
+def test_the_flow_is_the_same_in_any_units(units: tuple[float, float, float], dt: float) -> None:
+    # Units of mass, time and noise; a displacement has √(noise time) time/mass, a momentum √(…).
+    m, t, noise = units
+
+    def scaled(m: float, t: float, noise: float) -> tuple[Array, Array]:
+        k, c, D = (x * np.array([1.0, 2.0]) for x in (m / t**2, 0.1 * m / t, 0.05 * noise))
+        system = System([m, 1.3 * m], k, c, D)
+        return flow_covariance(drift_matrix(system), diffusion_matrix(system), t * dt)
+
+    p = np.sqrt(noise * t)
+    size = np.array([p * t / m, p * t / m, p, p])
+    (A, C), (B, D) = scaled(1.0, 1.0, 1.0), scaled(m, t, noise)
+    # Some hundred roundings of numbers of size 1; doublings add up those of the covariance.
+    assert np.max(np.abs(B / size[:, None] * size - A)) < 1e-13
+    assert np.max(np.abs(D / size[:, None] / size - C)) < 1e-11 * np.max(C)
+
+
+def midpoint(system: System, dt: float) -> LinearMap:
+    """Implicit midpoint: (1 − A)⁻¹ (1 + A), A = L h/2, noise factor of (1 − A)⁻¹ 2D h (1 − A)⁻ᵀ.
+
+    Its stationary covariance P is exact whatever h is: (1 − A) P (1 − A)ᵀ = (1 + A) P (1 + A)ᵀ +
+    2D h is L P + P Lᵀ + 2D = 0, the equation of the process itself.
+    """
+    half, one = 0.5 * dt * drift_matrix(system), np.eye(2 * system.n)
+    back = np.linalg.inv(one - half)
+    noise = covariance_factor(back @ diffusion_matrix(system) @ back.T * dt)
+    return LinearMap(back @ (one + half), noise)
+
+
+@pytest.fixture
+def toy() -> Iterator[str]:
+    register_scheme(Scheme(name="midpoint", weak_order=2, linear_map=midpoint))
+    yield "midpoint"
+    del SCHEMES["midpoint"]
+
+
+def test_a_scheme_of_one_file_samples(toy: str) -> None:
+    """σ² of q and v is D/(c k) = ½; Euler's rule is off by far more at a fifth of the step."""
+
+    def variances(scheme: str, dt: float):
+        method = MonteCarlo(scheme=scheme, dt=dt, paths=4096, relaxations=20.0, seed=3)
+        free = System([1.0], [1.0], [0.2], [0.1])
+        return method.solve(free, [parse_observable("q1", 1)]).report.moments
+
+    own, euler = variances(toy, 0.5), variances("euler_maruyama", 0.1)
+    for name in ("q1²", "v1²"):
+        assert own[name].error < 0.01 and abs(own[name].value - 0.5) < 5.0 * own[name].error
+        assert abs(euler[name].value - 0.5) > 20.0 * euler[name].error
+    with pytest.raises(ValueError, match="already"):
+        register_scheme(SCHEMES[toy])
