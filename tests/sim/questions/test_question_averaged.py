@@ -11,7 +11,7 @@ from scipy.stats import chi2, ncx2
 from sim_systems import CIR_MEAN, CIR_RATE, fig6, linear, oscillator, passed, transient
 
 from cases.compare.averaged import AveragedSimulation
-from cases.compare.compare import chance_l1, compared
+from cases.compare.compare import chance_l1, compare_densities
 from cases.compare.routes import method_for
 from cases.scene.scene import load_scene
 from fpk.answer.certificate import Certificate
@@ -174,7 +174,7 @@ def test_as_a_method_it_agrees_with_another_solver_and_is_judged(
 ) -> None:
     system = load_scene(scene).system
     results = [method_for(theory, s).solve(system, observables) for s in ("simulation", solver)]
-    comparisons = compared(results, averaging_is_exact=False)
+    comparisons = compare_densities(results, averaging_is_exact=False)
     assert len(comparisons) == len(observables)
     for found in comparisons:
         assert found.measures == "sampling"
