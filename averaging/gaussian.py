@@ -67,7 +67,10 @@ class Gaussian:
         if len(observable) < 2:
             return None
         rows, _, L = self._standardised(observable)
-        if np.min(np.abs(np.diag(L))) > 8.0 * EPS * rows.shape[1]:
+        least, round_off = np.min(np.abs(np.diag(L))), 8.0 * EPS * rows.shape[1]
+        # With a relative error of 1 or more the covariance may be singular: then a conditional
+        # variance at its round-off is none.
+        if least**2 > round_off or (least > round_off and self.relative_error < 1.0):
             return None
         name = observable_name(observable)
         return f"{name}: one is a multiple of the other at all times: there is no joint density"

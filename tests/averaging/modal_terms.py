@@ -3,17 +3,9 @@
 import numpy as np
 
 from averaging.modal.analysis import modal_analysis
-from fpk.answer.method import silent
+from fpk import DampingTerm, System
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
-from fpk.system.damping import DampingTerm
-from fpk.system.system import System
-
-
-def solved(method, system, *names):
-    """Densities of the averaged equations, also where the motion itself escapes far out."""
-    observables = [parse_observable(name, system.n) for name in names]
-    return method.prepare(system).solve(observables, silent).densities
 
 
 def refusal(method, system, name):
@@ -28,22 +20,10 @@ def random_system(rng, n):
     """Random masses, springs, full damping and terms: odd powers, off the diagonal, energies."""
     terms = [DampingTerm(i + 1, i + 1, 0.3, energy=e) for i in range(n) for e in (1, 3)]
     for _ in range(6):
-        i, j, *at = rng.integers(n, size=4)
-        a, b, e = rng.integers([1, 1, 0], [4, 3, 2])
-        size = 0.01 * rng.normal()
-        terms.append(
-            DampingTerm(int(i) + 1, int(j) + 1, size, ((int(at[0]) + 1, int(a)),), (), int(e))
-        )
-        terms.append(
-            DampingTerm(
-                int(i) + 1,
-                int(j) + 1,
-                size,
-                ((int(at[0]) + 1, int(a)),),
-                ((int(at[1]) + 1, int(b)),),
-                int(e),
-            )
-        )
+        i, j, *at = (int(k) + 1 for k in rng.integers(n, size=4))
+        a, b, e = (int(k) for k in rng.integers([1, 1, 0], [4, 3, 2]))
+        size, q = 0.01 * rng.normal(), ((at[0], a),)
+        terms += [DampingTerm(i, j, size, q, v, e) for v in ((), ((at[1], b),))]
     c = np.diag(rng.uniform(0.05, 0.1, n)) + 0.01 * rng.normal(size=(n, n))
     f = rng.normal(size=(n, n))
     mass, stiffness = rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 2.0, n)
@@ -64,25 +44,25 @@ def in_masses(base, matrix, monomial, coefficient):
     inverse = np.linalg.inv(modal_analysis(base).mode_shapes)
     physical = coefficient * inverse.T @ matrix @ inverse
     terms = []
-    for i in range(base.n):
-        for j in range(base.n):
-            for a in range(base.n):
-                for b in range(base.n):
-                    powers = ((a + 1, 2),) if a == b else ((a + 1, 1), (b + 1, 1))
-                    size = physical[i, j] * inverse[monomial, a] * inverse[monomial, b]
-                    terms.append(DampingTerm(i + 1, j + 1, size, powers))
+    for i, j, a, b in np.ndindex(*(4 * (base.n,))):
+        powers = ((a + 1, 2),) if a == b else ((a + 1, 1), (b + 1, 1))
+        size = physical[i, j] * inverse[monomial, a] * inverse[monomial, b]
+        terms.append(DampingTerm(i + 1, j + 1, size, powers))
     return terms
+
+
+def by_modes(base, damping, noise, terms):
+    """The system of ``base`` with diagonal modal damping and noise, and terms."""
+    inverse = np.linalg.inv(modal_analysis(base).mode_shapes)
+    c, D = (inverse.T @ np.diag(x) @ inverse for x in (damping, noise))
+    return System(base.mass, base.stiffness, c, 0.5 * (D + D.T), damping_terms=tuple(terms))
 
 
 def modal_van_der_pol(own=0.03, others=0.03, mass=(1.0, 1.0)):
     """c*_11 = −0.004 + own Q1² + others Q2², c*_22 = 0.01, as monomials in the masses' q."""
-    base = System(mass, [1.0, 1.0], [0.1, 0.1], [1.0, 1.0])
-    inverse = np.linalg.inv(modal_analysis(base).mode_shapes)
-    first = np.diag([1.0, 0.0])
+    base, first = System(mass, [1.0, 1.0], [0.1, 0.1], [1.0, 1.0]), np.diag([1.0, 0.0])
     terms = in_masses(base, first, 0, own) + in_masses(base, first, 1, others)
-    damping = inverse.T @ np.diag([-0.004, 0.01]) @ inverse
-    noise = inverse.T @ np.diag([2e-4, 2e-4]) @ inverse
-    return System(mass, [1.0, 1.0], damping, 0.5 * (noise + noise.T), damping_terms=tuple(terms))
+    return by_modes(base, [-0.004, 0.01], [2e-4, 2e-4], terms)
 
 
 PROPORTIONAL = np.array([[0.02, 0.005], [0.005, 0.01]])
@@ -91,8 +71,7 @@ PROPORTIONAL = np.array([[0.02, 0.005], [0.005, 0.01]])
 def noise_proportional(h0, h1, *, mass=(1.0, 2.0), scale=1.0):
     """c = (h0 + h1 H) f D fᵀ: condition (8), so the density is C exp(−h0 H − h1 H²/2)."""
     D = scale * PROPORTIONAL
-    entries = [(0, 0), (0, 1), (1, 0), (1, 1)]
-    terms = tuple(DampingTerm(i + 1, j + 1, h1 * D[i, j], energy=1) for i, j in entries)
+    terms = tuple(DampingTerm(i + 1, j + 1, h1 * D[i, j], energy=1) for i, j in np.ndindex(2, 2))
     return System(mass, [1.0, 1.5], h0 * D, D, damping_terms=terms)
 
 

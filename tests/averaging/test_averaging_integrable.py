@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from averaging_systems import both, exact_system, fig6, integral
+from asked import solved
 from mpmath import mp, mpf
-from scipy.integrate import quad
-from scipy.stats import expon, gamma
+from processes import integral
+from scipy.stats import expon
+from systems import both, exact_system, fig6
 
-from averaging.gaussian import Linear, gamma_sum
-from averaging.integrable import Integrable
+from averaging import Exact, Integrable, Linear, NonIntegrable
+from averaging.gaussian import gamma_sum
 from averaging.modal.analysis import modal_analysis
 from averaging.modal.observables import gaussian_modes
 from averaging.modal.resonance import (
@@ -19,8 +20,6 @@ from averaging.modal.resonance import (
     require_no_resonance,
     resonances,
 )
-from averaging.nonintegrable import NonIntegrable
-from averaging.theory import Exact
 from fpk.answer.contacts import stop_clearances
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
@@ -41,41 +40,16 @@ SYSTEMS = {
 }
 
 
-@pytest.fixture(params=SYSTEMS)
-def system(request):
-    return SYSTEMS[request.param]
-
-
-def solved(method, system, *names):
-    observables = [parse_observable(name, system.n) for name in names]
-    return method.solve(system, observables).densities
-
-
 def modal_covariance(modes):
     factor = gaussian_modes(modes).factor
     return factor @ factor.T
 
 
-def two_modes():
-    """Fig. 6 by hand: ω² = (3 ∓ √5)/2, T = (1, (1 ± √5)/2) up to its length."""
-    squares = np.array([(3 - np.sqrt(5)) / 2, (3 + np.sqrt(5)) / 2])
-    shapes = np.array([[1.0, 1.0], 2.0 - squares])
-    lengths = np.sqrt(np.sum(shapes**2, axis=0))
-    return squares, shapes, lengths
-
-
-def test_modes_diagonalise(system):
-    modes = modal_analysis(system)
-    T = modes.mode_shapes
-    K = np.diag(modes.natural_frequency**2)
-    np.testing.assert_allclose(T.T @ np.diag(system.mass) @ T, np.eye(system.n), atol=1e-13)
-    np.testing.assert_allclose(T.T @ system.stiffness_matrix @ T, K, atol=1e-13)
-    assert np.all(np.diff(modes.natural_frequency) > 0)
-
-
 def test_temperatures_of_fig6_by_hand():
     # θ_i = Σ D_r T_ri²/Σ c_r T_ri², whatever the length of T.
-    _, shapes, _ = two_modes()
+    # ω² = (3 ∓ √5)/2, T = (1, 2 − ω²) up to its length.
+    squares = (3.0 + np.array([-1.0, 1.0]) * np.sqrt(5.0)) / 2.0
+    shapes = np.array([[1.0, 1.0], 2.0 - squares])
     expected = [0.01, 0.02] @ shapes**2 / ([0.08, 0.04] @ shapes**2)
     theta = modal_analysis(fig6()).temperature
     np.testing.assert_allclose(theta, expected, rtol=1e-14)
@@ -99,7 +73,9 @@ def test_round_off_of_the_modes_is_covered():
     assert 1e-15 < modes.relative_error < 1e-9
 
 
-def test_process_is_the_one_of_each_mode(system):
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_process_is_the_one_of_each_mode(name):
+    system = SYSTEMS[name]
     modes = modal_analysis(system)
     process = modes.process()
     assert process.dimension == system.n
@@ -120,49 +96,22 @@ def test_process_is_the_one_of_each_mode(system):
     assert not off.any()
 
 
-def test_drift_and_diffusion_are_phase_averages(system):
-    # (18) corrected, averaged over the phases by the trapezoidal rule, exact for such polynomials.
-    modes = modal_analysis(system)
-    n, H = system.n, np.array([modes.temperature * (0.3 + k) for k in range(3)])
-    phase = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
-    theta = np.stack(np.meshgrid(*[phase] * n), axis=-1).reshape(-1, n)
-    for energies in H:
-        v = -np.sqrt(2 * energies) * np.sin(theta)
-        s = -np.einsum("xi,ij,xj->xi", v, modes.modal_damping, v).mean(axis=0)
-        s += modes.noise
-        b = 2 * modes.modal_noise * np.einsum("xi,xj->ij", v, v) / theta.shape[0]
-        process = modal_analysis(system).process()
-        scale = np.max(np.abs(b))
-        np.testing.assert_allclose(process.at(energies[None]).drift[0], s, atol=1e-14)
-        np.testing.assert_allclose(process.at(energies[None]).diffusion[0], b, atol=1e-14 * scale)
-
-
 @pytest.mark.parametrize("solver", ["closed-form", "quadrature", "fem"])
-def test_moments_of_the_square_root_process(solver, system):
+@pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-10])
+def test_the_energy_of_a_mode_is_exponential_to_the_stated_error(solver, tol):
     # dH = κ(θ − H) dt + √(2κθH) dB has a gamma density of shape 1: E H^k = k! θ^k.
-    names = [f"H{i + 1}" for i in range(system.n)]
-    for density, theta in zip(
-        solved(Integrable(solver=solver), system, *names),
-        modal_analysis(system).temperature,
-        strict=True,
-    ):
-        assert density.certificate.certified and density.l1_error < 1e-10
-        assert density.moment(0).value == pytest.approx(1.0, abs=1e-11)
-        for k, factorial in ((1, 1.0), (2, 2.0), (3, 6.0)):
-            assert density.moment(k).value == pytest.approx(factorial * theta**k, rel=1e-8)
-        H = theta * np.linspace(0.0, 12.0, 31)
-        p, error = density.at(H)
-        exact = expon.pdf(H, scale=theta)
-        assert np.all(np.abs(p - exact) <= error + 1e-13 / theta)
-
-
-@pytest.mark.parametrize("solver", ["quadrature", "fem"])
-def test_solvers_agree_with_the_closed_form_within_their_estimates(solver):
     system = SYSTEMS["three, full"]
-    for tol in (1e-4, 1e-8, 1e-11):
-        one = solved(Integrable(solver=solver, tol=tol), system, "H2")[0]
-        distance = l1_distance(one, solved(Integrable(), system, "H2")[0])
-        assert distance <= one.l1_error <= tol
+    (density,) = solved(Integrable(solver, tol), system, "H2")
+    theta = modal_analysis(system).temperature[1]
+    assert density.certificate.certified and density.l1_error <= tol
+    for k, factorial in ((0, 1.0), (1, 1.0), (3, 6.0)):
+        moment = density.moment(k)
+        assert abs(moment.value - factorial * theta**k) <= moment.error + 1e-13 * theta**k
+    H = np.linspace(0.0, 0.999 * density.panels[0][-1], 2001)
+    p, error = density.at(H)
+    assert np.all(np.abs(p - expon.pdf(H, scale=theta)) <= error)
+    distance = l1_distance(density, solved(Integrable(), system, "H2")[0])
+    assert distance <= density.l1_error
 
 
 @pytest.mark.parametrize("solver", ["closed-form", "quadrature", "fem"])
@@ -180,12 +129,10 @@ def test_modal_energies_are_independent(solver):
 @pytest.mark.parametrize(
     "theta",
     [
-        [1.0, 0.2],
         [1.0, 1.0],
         [1.0, 1.0 + 1e-9],
         [0.3, 0.30001, 0.3],
-        [1.0, 1e-3, 0.5],
-        [1.0, 1e-6],
+        [1.0, 1e-6, 0.5],
     ],
 )
 def test_sum_of_exponentials_against_convolution_in_forty_digits(theta):
@@ -211,92 +158,44 @@ def test_sum_of_exponentials_against_convolution_in_forty_digits(theta):
     )
 
 
-def test_sum_of_exponentials_against_quad_and_gamma():
-    H = np.array([0.05, 0.7, 3.0])
-    a, b = 1.0, 2.5
-    expected = [quad(lambda y, x=x: a * b * np.exp(-a * y - b * (x - y)), 0, x)[0] for x in H]
-    p, _ = gamma_sum(1.0 / np.array([a, b]), 1.0, np.zeros(2), H)
-    np.testing.assert_allclose(p, expected, rtol=1e-12)
-    p, _ = gamma_sum(np.full(7, 0.5), 1.0, np.zeros(7), H)
-    np.testing.assert_allclose(p, gamma.pdf(H, 7, scale=0.5), rtol=1e-13)
-
-
-def test_total_energy_has_the_moments_of_the_sum(system):
-    (density,) = solved(Integrable(), system, "H")
-    theta = modal_analysis(system).temperature
-    mean = density.moment(1).value
-    assert density.moment(0).value == pytest.approx(1.0, abs=1e-13)
-    assert mean == pytest.approx(theta.sum(), rel=1e-13)
-    assert density.moment(2).value - mean**2 == pytest.approx(np.sum(theta**2), rel=1e-12)
-
-
-def test_total_energy_of_very_different_modes():
-    # The stiff mode is 1e4 colder: the panels must resolve it beside the warm one.
-    system = System(
-        [1.0, 1.0], [1.0, 50.0], [[0.02, 0.0], [0.0, 0.02]], [[0.02, 0.0196], [0.0196, 0.0194]]
-    )
-    theta = modal_analysis(system).temperature
-    assert theta.max() / theta.min() > 50
-    (density,) = solved(Integrable(), system, "H")
-    assert density.moment(0).value == pytest.approx(1.0, abs=1e-12)
-    assert density.moment(1).value == pytest.approx(theta.sum(), rel=1e-12)
-
-
-def test_back_transformation_is_gaussian_with_modal_temperatures(system):
+@pytest.mark.parametrize("name", ["masses", "three, full"])
+def test_back_transformation_is_gaussian_with_modal_temperatures(name):
     # Through the modes one by one: Q_i and P_i of mode i have the variances θ/K* and θ M*.
-    modes, T = modal_analysis(system), modal_analysis(system).mode_shapes
-    covariance = modal_covariance(modes)
-    n = system.n
-    q = sum(
-        modes.temperature[i] / modes.natural_frequency[i] ** 2 * np.outer(T[:, i], T[:, i])
-        for i in range(n)
-    )
+    system = SYSTEMS[name]
+    modes, n = modal_analysis(system), system.n
+    T, covariance = modes.mode_shapes, modal_covariance(modes)
     MT = np.diag(system.mass) @ T
+    q = (T * (modes.temperature / modes.natural_frequency**2)) @ T.T
     p = (MT * modes.temperature) @ MT.T
     np.testing.assert_allclose(covariance[:n, :n], q, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(covariance[n:, n:], p, rtol=1e-12, atol=1e-15)
     assert not covariance[:n, n:].any()
-    # Energies back from the state: E H_i = θ_i.
-    Q, P = np.linalg.inv(T), T.T
-    kinetic = np.diag(P @ covariance[n:, n:] @ P.T) / 2
-    potential = np.diag(Q @ covariance[:n, :n] @ Q.T) * modes.natural_frequency**2 / 2
-    np.testing.assert_allclose(kinetic + potential, modes.temperature, rtol=1e-12)
     for i in range(n):
         one, two = solved(Integrable(), system, f"q{i + 1}", f"p{i + 1}")
         assert one.moment(2).value == pytest.approx(q[i, i], rel=1e-12)
         assert two.moment(2).value == pytest.approx(p[i, i], rel=1e-12)
-    if n > 1:
-        joint, single = solved(Integrable(), system, "q1,q2", "q2")
-        assert joint.moment(1, 1).value == pytest.approx(q[0, 1], rel=1e-11, abs=1e-14)
-        for y in (0.0, 0.3):
-            marginal = integral(lambda x, y=y: joint.pdf(x, np.full_like(x, y)), joint.panels[0])
-            assert marginal == pytest.approx(single.pdf(np.array([y]))[0], rel=1e-11)
+    joint, single = solved(Integrable(), system, "q1,q2", "q2")
+    assert joint.moment(1, 1).value == pytest.approx(q[0, 1], rel=1e-11, abs=1e-14)
+    for y in (0.0, 0.3):
+        marginal = integral(lambda x, y=y: joint.pdf(x, np.full_like(x, y)), joint.panels[0])
+        assert marginal == pytest.approx(single.pdf(np.array([y]))[0], rel=1e-11)
 
 
 def test_printed_inverse_elements_and_periods_are_slips():
-    system = fig6(mass=(0.5, 3.0))
-    modes = modal_analysis(system)
-    covariance = modal_covariance(modes)
-    theta, T = modes.temperature, modes.mode_shapes
-    K, M = modes.natural_frequency**2, np.ones(2)
-
-    def joint_peak(period):
-        """p(0) of (20): Π 1/θ_i over Π T_i; canonical, so the same in (q, p)."""
-        return 1.0 / np.prod(theta) / np.prod(period)
-
+    modes = modal_analysis(fig6(mass=(0.5, 3.0)))
+    covariance, theta, T = modal_covariance(modes), modes.temperature, modes.mode_shapes
+    K = modes.natural_frequency**2
+    # p(0) of (20) is Π 1/θ_i over Π T_i; canonical, so the same in (q, p).
     gaussian_peak = 1.0 / ((2 * np.pi) ** 2 * np.sqrt(np.linalg.det(covariance)))
-    assert joint_peak(2 * np.pi * np.sqrt(M / K)) == pytest.approx(gaussian_peak, rel=1e-12)
-    printed = 2 * np.pi * np.sqrt(K / M)
+    right, printed = (1.0 / np.prod(theta * 2 * np.pi * x) for x in (1.0 / np.sqrt(K), np.sqrt(K)))
+    assert right == pytest.approx(gaussian_peak, rel=1e-12)
     # Π K_i/M_i = det K/Π m_i = 2/3 here, and the peak is off by its inverse: by one half.
-    assert joint_peak(printed) / gaussian_peak == pytest.approx(1.5, rel=1e-12)
-
-    def precision(inverse):
-        """Σ K*_i/θ_i (T⁻¹)_i (T⁻¹)_iᵀ, the quadratic form in (35)."""
-        return (inverse.T * (K / theta)) @ inverse
-
+    assert printed / gaussian_peak == pytest.approx(1.5, rel=1e-12)
+    # Σ K*_i/θ_i (T⁻¹)_i (T⁻¹)_iᵀ, the quadratic form in (35).
+    right, printed = ((x.T * (K / theta)) @ x for x in (np.linalg.inv(T), 1.0 / T))
     inverse_covariance = np.linalg.inv(covariance[:2, :2])
-    np.testing.assert_allclose(precision(np.linalg.inv(T)), inverse_covariance, rtol=1e-11)
-    assert np.max(np.abs(precision(1.0 / T) / inverse_covariance - 1)) > 0.5
+    np.testing.assert_allclose(right, inverse_covariance, rtol=1e-11)
+    assert np.max(np.abs(printed / inverse_covariance - 1)) > 0.5
 
 
 ALL = ("q1", "q2", "p1", "p2", "H", "q2,p2", "q1,q2", "q1,p2")
@@ -309,9 +208,9 @@ def test_for_equal_modal_temperatures_four_theories_agree():
     for four in zip(*(solved(m, system, *ALL) for m in methods), strict=True):
         for other in four[:3]:
             assert l1_distance(other, four[3]) < 1e-10, other.name
-    np.testing.assert_allclose(
-        modal_covariance(modal_analysis(system)), stationary_covariance(system), atol=1e-14
-    )
+    # Where damping and noise are not in proportion averaging errs.
+    for one, two in zip(*(solved(m, fig6(), *ALL[:5]) for m in methods[1:3]), strict=True):
+        assert l1_distance(one, two) > 1e-3
 
 
 def test_strongly_correlated_displacements_keep_to_their_error():
@@ -345,29 +244,25 @@ def test_without_contact_what_is_left_is_the_averaging_error():
     assert left(0.1) / left(0.01) == pytest.approx(100.0, rel=0.005)
 
 
-def test_neglected_correlation_is_that_of_the_lyapunov_equation():
+@pytest.mark.parametrize("split", [1.0, 0.1, 1e-3])
+def test_neglected_correlation_is_that_of_the_lyapunov_equation(split):
     # Weakly coupled modes at several detunings, resonance included: first order in the coupling.
-    for split in (1.0, 0.1, 0.01, 1e-3):
-        k2 = split
-        c = np.array([[0.02, 0.0], [0.0, 0.03]])
-        base = System([1.0, 1.0], [1.0, k2], c, [0.01, 0.02])
-        T = modal_analysis(base).mode_shapes
-        Tm = np.linalg.inv(T)
-        coupling = np.array([[0.02, 1e-6], [1e-6, 0.03]])
-        noise = np.array([[0.01, 3e-6], [3e-6, 0.02]])
-        system = System([1.0, 1.0], [1.0, k2], Tm.T @ coupling @ Tm, Tm.T @ noise @ Tm)
-        neglected = correlations(modal_analysis(system))[0, 1]
-        S = stationary_covariance(system)
-        modal = np.block([[Tm, np.zeros((2, 2))], [np.zeros((2, 2)), T.T]])
-        S = modal @ S @ modal.T
-        size = np.sqrt(np.diag(S))
-        R = np.abs(S / np.outer(size, size))
-        largest = max(R[0, 1], R[2, 3], R[0, 3], R[1, 2])
-        assert neglected == pytest.approx(largest, rel=1e-3)
+    base = System([1.0, 1.0], [1.0, split], [0.02, 0.03], [0.01, 0.02])
+    T = modal_analysis(base).mode_shapes
+    Tm = np.linalg.inv(T)
+    c, D = np.array([[0.02, 1e-6], [1e-6, 0.03]]), np.array([[0.01, 3e-6], [3e-6, 0.02]])
+    system = System([1.0, 1.0], [1.0, split], Tm.T @ c @ Tm, Tm.T @ D @ Tm)
+    modal = np.block([[Tm, np.zeros((2, 2))], [np.zeros((2, 2)), T.T]])
+    S = modal @ stationary_covariance(system) @ modal.T
+    size = np.sqrt(np.diag(S))
+    R = np.abs(S / np.outer(size, size))
+    largest = max(R[0, 1], R[2, 3], R[0, 3], R[1, 2])
+    assert correlations(modal_analysis(system))[0, 1] == pytest.approx(largest, rel=1e-3)
 
 
-@pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
-def test_nearest_resonance_by_going_through_all(system):
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_nearest_resonance_by_going_through_all(name):
+    system = SYSTEMS[name]
     modes = modal_analysis(system)
     reach = np.arange(-MIN_ORDER, MIN_ORDER + 1)
     grid = np.stack(np.meshgrid(*[reach] * system.n), axis=-1).reshape(-1, system.n)
@@ -404,12 +299,8 @@ def test_resonance_is_refused_only_where_it_matters():
     integers, detuning = resonances(modes.natural_frequency, MIN_ORDER, range(1, MIN_ORDER + 1))[0]
     assert np.abs(integers) @ modes.half_bandwidth > 0.5 * detuning
     require_no_resonance(harmless, modes)
-    np.testing.assert_allclose(
-        modal_covariance(modal_analysis(harmless)),
-        stationary_covariance(harmless),
-        rtol=1e-9,
-        atol=1e-11,
-    )
+    exact = stationary_covariance(harmless)
+    np.testing.assert_allclose(modal_covariance(modes), exact, rtol=1e-9, atol=1e-11)
     # Equal temperatures alone do not make it harmless: correlated noise on one mode of two.
     modes = modal_analysis(near(4.0 * noise, noise))
     inverse = np.linalg.inv(modes.mode_shapes)
@@ -434,27 +325,19 @@ def test_what_is_left_out_is_said():
     assert ratios[0] == pytest.approx(1.5 / np.sqrt(stationary_covariance(system)[1, 1]))
 
 
-def unit_pair(damping, noise):
-    return System([1.0] * 2, [1.0] * 2, damping, noise)
-
-
-def one_mode_still():
-    """Damping or noise on mode 2 alone: c = M T⁻ᵀ diag(0, 1) T⁻¹ M."""
-    inverse = np.linalg.inv(modal_analysis(fig6()).mode_shapes)
-    return 0.1 * np.outer(inverse[1], inverse[1])
+STILL = 0.1 * np.outer(*(2 * [np.linalg.inv(modal_analysis(fig6()).mode_shapes)[1]]))
+"""Damping or noise on mode 2 alone: c = M T⁻ᵀ diag(0, 1) T⁻¹ M."""
 
 
 @pytest.mark.parametrize(
     "method, system, observable, reason",
     [
-        (Integrable(), unit_pair([0.1, 0.1], one_mode_still()), "q1", "mode 1 .* no noise"),
+        (Integrable(), System([1, 1], [1, 1], [0.1, 0.1], STILL), "q1", "mode 1 .* no noise"),
         (Integrable(), System([1.0], [1.0], [0.1], [0.0]), "H1", "mode 1 .* no noise"),
-        (Integrable(), unit_pair(one_mode_still(), [0.1, 0.1]), "q1", "mode 1 .* not damped"),
+        (Integrable(), System([1, 1], [1, 1], STILL, [0.1, 0.1]), "q1", "mode 1 .* not damped"),
         (Integrable(), fig6(), "H,H1", "both must be modal energies"),
-        (Integrable(), fig6(), "H1,q1", "both must be modal energies"),
         (Integrable(), fig6(), "p1,H", "both must be modal energies"),
         (Integrable("fem"), fig6(), "q2", "use closed-form"),
-        (Integrable("quadrature"), fig6(), "H", "use closed-form"),
         (Integrable("quadrature"), fig6(), "q1,p1", "use closed-form"),
     ],
 )  # fmt: skip
@@ -466,12 +349,10 @@ def test_a_refusal_gives_its_reason(method, system, observable, reason):
     assert str(caught.value) == given and "\n" not in given
 
 
+@pytest.mark.parametrize("method", [Integrable, NonIntegrable])
 @pytest.mark.parametrize("field, value", [("solver", "magic"), ("tol", 0.0), ("tol", 1e-13)])
-def test_a_bad_choice_is_named(field, value):
+def test_a_bad_choice_is_named_and_refinement_tightens_the_tolerance(method, field, value):
     with pytest.raises(InvalidInput, match=rf"^{field} = "):
-        Integrable(**{field: value})
-
-
-def test_refinement_tightens_the_tolerance():
-    assert Integrable(tol=1e-8).refined().tol == pytest.approx(1e-9)
-    assert Integrable(tol=1e-12).refined().tol == 1e-12
+        method(**{field: value})
+    assert method(tol=1e-8).refined().tol == pytest.approx(1e-9)
+    assert method(tol=1e-12).refined().tol == 1e-12

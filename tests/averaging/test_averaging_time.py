@@ -1,93 +1,276 @@
-"""Averaged energies in time: the method nonintegrable and closed forms."""
+"""The averaged total energy in time, under constant and modulated noise: exact square-root
+processes against elements."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from asked import assert_agree, assert_near, passage, transient
 
-from averaging.nonintegrable import NonIntegrable
+from averaging import Integrable, NonIntegrable
+from averaging.energy_process import energy_process
+from fpk import Contact, DampingTerm, System
 from fpk.answer.method import silent
-from fpk.answer.names import parse_limit, parse_observable, parse_start
+from fpk.answer.names import parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.system.contact import Contact
-from fpk.system.system import System
+from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.line.time.elements import element_pair
+from fpk.solvers.line.time.modulated import radau_steps
+from fpk.system.modulation import Modulation
 
 FREE = System([1.0, 2.0], [1.0, 3.0], [0.1, 0.3], [0.02, 0.05])
 """c = Σ(c_i/m_i)/2 = 0.125 and d = Σ(D_i/m_i)/2 = 0.0225, so that the temperature is 0.18."""
 TOUCHING = replace(FREE, contacts=(Contact(2, "both", 10.0, 0.5),))
-SETTINGS = {"tol": None, "progress": silent}
+FADING = replace(FREE, modulation=Modulation([0.0, 4.0, 10.0], [0.2, 1.4, 0.0]))
+FEM, CLOSED, QUADRATURE = (NonIntegrable(s) for s in ("fem", "closed-form", "quadrature"))
+MODES = Integrable("closed-form")
 
 
-def transient(system, start, times, at, solver="fem", observable="H", **settings):
-    method = NonIntegrable(solver=solver)
-    named = parse_observable(observable, system.n), parse_start(start, system)
-    return method.transient(system, *named, np.array(times), (np.array(at),), **SETTINGS | settings)
-
-
-def passage(system, limit, start="rest", times=(), solver="fem"):
-    method = NonIntegrable(solver=solver)
-    named = parse_limit(limit, system.n), parse_start(start, system)
-    return method.passage(system, *named, np.array(times), **SETTINGS)
-
-
-@pytest.mark.parametrize("start", ["rest", "H=0.5", "q1=0.3,p2=-0.4", "noise=0.5", "noise=0"])
+@pytest.mark.parametrize("start", ["rest", "q1=0.3,p2=-0.4", "noise=0.5", "noise=0"])
 def test_solvers_agree_on_the_transient_density(start):
     times, at = [0.1, 3.0, 100.0], np.linspace(-0.1, 2.0, 15)
-    a, b = (transient(FREE, start, times, at, solver) for solver in ("fem", "closed-form"))
-    assert a.certificate.certified and b.certificate.certified
-    assert np.all(np.abs(a.values - b.values) <= a.errors + b.errors)
+    a, b = (transient(m, FREE, "H", start, times, at, tol=None) for m in (FEM, CLOSED))
+    assert b.certificate.certified
+    assert_near(a, b)
     assert a.errors.max() < 1e-9 and np.all(a.values[:, 0] == 0.0)
 
 
 def test_a_state_begins_with_its_energy():
     start = parse_start("q1=0.3,p2=-0.4", TOUCHING)
     energy = float(TOUCHING.hamiltonian(*start.state(2)))
-    a, b = (passage(TOUCHING, "H=2", name) for name in ("q1=0.3,p2=-0.4", f"H={energy!r}"))
+    a, b = (passage(FEM, TOUCHING, "H=2", s) for s in ("q1=0.3,p2=-0.4", f"H={energy!r}"))
     assert a.mean == b.mean
 
 
 def test_solvers_agree_on_first_passage_and_rates():
-    times = [0.0, 5.0, 50.0]
-    a, b = (passage(FREE, "H=0.9", times=times, solver=s) for s in ("fem", "closed-form"))
-    for x, y in ((a.mean, b.mean), (a.variance, b.variance), (a.rate, b.rate)):
-        assert abs(x.value - y.value) <= x.error + y.error < 1e-10 * x.value
-    assert np.all(np.abs(a.survival - b.survival) <= a.survival_error + b.survival_error)
-    fem, closed = (
-        NonIntegrable(solver=s).relaxation(FREE, 4, **SETTINGS) for s in ("fem", "closed-form")
-    )
+    a, b = (passage(m, FREE, "H=0.9", times=[0.0, 5.0, 50.0], tol=None) for m in (FEM, CLOSED))
+    assert_agree(a, b)
+    assert a.mean.error < 1e-10 * a.mean.value
+    fem, closed = (m.relaxation(FREE, 4, tol=None, progress=silent) for m in (FEM, CLOSED))
     np.testing.assert_allclose(closed.values, 0.125 * np.arange(1, 5), rtol=1e-14)
-    assert np.all(np.abs(fem.values - closed.values) <= fem.errors + closed.errors)
+    assert_near(fem, closed)
 
 
 def test_with_contact_it_ends_in_the_stationary_density():
     at = np.linspace(0.05, 2.0, 9)
-    late = transient(TOUCHING, "rest", [1.0, 2e3], at)
+    late = transient(FEM, TOUCHING, "H", "rest", [1.0, 2e3], at)
     (density,) = NonIntegrable().solve(TOUCHING, [parse_observable("H", 2)]).densities
     p, error = density.at(at)
     assert np.all(np.abs(late.values[1] - p) <= late.errors[1] + error)
-    # Without the time the assertion fails.
     assert np.max(np.abs(late.values[0] - p)) > 0.1
 
 
-REFUSED = [
-    (lambda: transient(FREE, "rest", [1.0], [0.1], observable="H1"), NotApplicable, "total energy"),
-    (lambda: transient(FREE, "rest", [1.0], [0.1], "quadrature"), NotApplicable, "use fem"),
-    (lambda: transient(TOUCHING, "rest", [1.0], [0.1], "closed-form"), NotApplicable, "contacts"),
-    (lambda: transient(FREE, "H1=1,H2=1", [1.0], [0.1]), NotApplicable, "total energy"),
-    (lambda: transient(FREE, "rest", [0.0, 1.0], [0.1]), InvalidInput, "no density"),
-    (lambda: transient(FREE, "rest", [2.0, 1.0], [0.1]), InvalidInput, "ascend"),
-    (lambda: transient(FREE, "rest", [np.nan], [0.1]), InvalidInput, "finite"),
-    (lambda: passage(FREE, "H1=1"), NotApplicable, "total energy"),
-    (lambda: passage(FREE, "q1=1"), NotApplicable, "total energy"),
-    (lambda: passage(FREE, "H=1", "H=1"), InvalidInput, "below the limit"),
-    (lambda: passage(FREE, "H=1000"), InvalidInput, "beyond the range"),
-    (lambda: passage(FREE, "H=1", times=[-1.0]), InvalidInput, "0 or later"),
-    (lambda: passage(FREE, "H=1", "noise=2", solver="closed-form"), NotApplicable, "use fem"),
-    (lambda: passage(replace(FREE, noise_intensity=[0, 0]), "H=1"), NotApplicable, "no noise"),
+def drawn(seed):
+    """Draw a modulation of 2 to 5 times, with pauses at the start and at the end in turn."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(2, 6))
+    factor = rng.uniform(0.2, 2.0, count)
+    factor[-1] *= seed % 2
+    if seed % 3 == 0:
+        factor = np.concatenate([[0.0, 0.0], factor])
+    times = np.append(0.0, np.cumsum(rng.uniform(0.5, 6.0, factor.size - 1)))
+    return Modulation(times, factor)
+
+
+def spread_of(modulation, time, c=0.125, d=0.0225):
+    """∫ d e² exp(−c (t − s)) ds by quadrature, which a gamma density from rest is scaled by."""
+    nodes = np.unique(np.append(modulation.times[modulation.times < time], time))
+    s, w = panel_rule(nodes, 30)
+    return float((w * d * modulation(s) ** 2 * np.exp(-c * (time - s))).sum())
+
+
+@pytest.mark.parametrize(
+    ("seed", "start"),
+    [
+        (0, "rest"),
+        (1, "noise=0.3"),
+        *(pytest.param(seed, "H=0.2", marks=pytest.mark.slow) for seed in (2, 5)),
+    ],
+)
+def test_random_modulations_by_both_solvers(seed, start):
+    modulation = drawn(seed)
+    system, last = replace(FREE, modulation=modulation), float(modulation.times[-1])
+    times, at = [0.4 * last, last, last + 3.0, last + 50.0], [0.0, 1e-3, 0.05, 0.3, 0.9]
+    times = [t for t in times if start != "rest" or t > modulation.quiet]
+    exact, fem = (transient(m, system, "H", start, times, at, tol=1e-6) for m in (CLOSED, FEM))
+    assert exact.certificate.certified
+    assert_near(fem, exact)
+    if start == "rest":
+        theta = np.array([[spread_of(modulation, t)] for t in times])
+        gamma = np.array(at) / theta**2 * np.exp(-np.array(at) / theta)
+        # Tables of the reference: the exponent counts.
+        np.testing.assert_allclose(exact.values, gamma, rtol=1e-10)
+
+
+@pytest.mark.parametrize("factor", [1e-6, pytest.param(1e-3, marks=pytest.mark.slow), 3.0])
+def test_modulated_noise_after_much_less_or_more_noise(factor):
+    # From the stationary state it stays a gamma density; no element saw a narrow one.
+    at = np.array([1e-8, 1e-3, 0.02, 0.1, 0.3])
+    found = transient(FEM, FADING, "H", f"noise={factor}", [0.3], at, tol=1e-9)
+    assert found.certificate.certified
+    theta = spread_of(FADING.modulation, 0.3) + factor * 0.18 * np.exp(-0.125 * 0.3)
+    exact = at / theta**2 * np.exp(-at / theta)
+    assert np.all(np.abs(found.values[0] - exact) <= found.errors[0])
+    assert found.errors.max() < 1e-8 * exact.max()
+    if factor < 1.0:  # more than two halvings of the steps: Radau IIA of five stages
+        assert found.settings["observed order"] == pytest.approx(9.0, abs=0.6)
+
+
+def test_the_stationary_density_is_without_the_modulation():
+    a, b = (FEM.solve(s, [parse_observable("H", 2)]).densities[0] for s in (FREE, FADING))
+    assert a(0.3) == b(0.3)
+
+
+def test_free_decay_shrinks_the_density():
+    # Damping c of all energies: p(H, t) = e^(ct) p(e^(ct) H, 0).
+    grown, at = np.exp(0.125 * 20.0), np.array([0.001, 0.01, 0.03])
+    end = transient(FEM, FADING, "H", "rest", [10.0], at * grown, tol=1e-6)
+    late = transient(FEM, FADING, "H", "rest", [30.0], at, tol=1e-6)
+    bound = late.errors + grown * end.errors
+    assert np.all(np.abs(late.values - grown * end.values) <= bound)
+    assert late.certificate.certified and np.all(bound < 1e-4 * late.values)
+
+
+@pytest.mark.parametrize(("name", "unit"), [("q1", FREE.compliance[0, 0]), ("p2", 2.0)])
+def test_states_by_elements_are_the_exact_gaussian_from_rest(name, unit):
+    # From rest each coordinate is Gaussian: θ(t) times its variance at temperature one.
+    at, times = np.array([0.0, 0.3, 0.8]), [5.0, 10.0]
+    variance = np.array([[spread_of(FADING.modulation, t)] for t in times]) * unit
+    found = transient(FEM, FADING, name, "rest", times, at, tol=1e-6)
+    exact = np.exp(-0.5 * at**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+    assert found.certificate.certified
+    assert np.all(np.abs(found.values - exact) <= found.errors)
+    assert np.max(found.errors) < 1e-3
+
+
+def test_modal_energies_under_modulated_noise_in_closed_form():
+    at = np.array([0.0, 0.1, 0.4])
+    joint = transient(MODES, FADING, "H1,H2", "rest", [6.0, 30.0], at, at)
+    each = [transient(MODES, FADING, f"H{i}", "rest", [6.0, 30.0], at) for i in (1, 2)]
+    np.testing.assert_allclose(joint.values, each[0].values * each[1].values, rtol=1e-12)
+    state = transient(MODES, FADING, "q1", "rest", [6.0], at)
+    assert joint.certificate.certified and state.certificate.certified
+
+
+@pytest.mark.parametrize("start", ["rest", "noise=0.5"])
+def test_constant_modulation_is_constant_noise(start):
+    times, constant = (
+        [5.0, 20.0, 50.0],
+        replace(FREE, modulation=Modulation([0.0, 1.0], [1.0, 1.0])),
+    )
+    steady, modulated = (passage(FEM, s, "H=0.9", start, times, 1e-5) for s in (FREE, constant))
+    assert_agree(modulated, steady)
+    assert modulated.survival_error.max() < 1e-5
+
+
+def test_the_failed_part_of_the_start_has_an_error_of_its_own():
+    # A gamma density of two masses beyond the limit: e^(−x)(1 + x), x = H/θ, θ = 0.3 d/c.
+    x = 0.9 / (0.3 * 0.0225 / 0.125)
+    answer = passage(FEM, FADING, "H=0.9", "noise=0.3", [0.0, 5.0], 1e-5)
+    off = abs(answer.survival[0] - (1.0 - np.exp(-x) * (1.0 + x)))
+    # The digits of d and c as they are written here are those of 1 of the survival.
+    assert off <= answer.survival_error[0] + 1e-15
+    assert answer.survival_error[0] < 1e-12
+
+
+@pytest.mark.parametrize("name", ["H", "q1"])
+def test_the_tolerance_that_is_asked_for_decides(name, monkeypatch):
+    # Steps halved once: their error is above 1e-10, and nothing may loosen that.
+    monkeypatch.setattr("fpk.solvers.line.time.modulated.STEP_HALVINGS", (0, 1))
+    answer = transient(FEM, FADING, name, "rest", [5.0], [0.1], tol=1e-10)
+    assert answer.settings["tol"] == 1e-10 and answer.certificate.missed > 1e-10
+
+
+def test_steps_of_nothing_have_no_residual_and_nan_stays(recwarn):
+    process = energy_process(FREE)
+    e, _ = element_pair(process, np.linspace(0.0, 4.0 * process.energy_scale, 9), 6)
+    always, times = Modulation([0.0], [1.0]), np.array([1.0])
+    nothing = np.zeros(e.load.shape)
+    evolved, _, _, mass = radau_steps(e, nothing, always, 1.0, times, level=0)
+    assert evolved.residual == 0.0 and not evolved.values.any() and not recwarn.list
+    assert not mass.any()
+    nothing[2, 1] = np.nan
+    assert np.isnan(radau_steps(e, nothing, always, 1.0, times, level=0)[0].residual)
+
+
+def test_after_the_noise_none_fails():
+    answer = passage(FEM, FADING, "H=0.9", times=[0.0, 5.0, 10.0, 100.0], tol=1e-5)
+    assert answer.certificate.certified
+    assert answer.survival[0] == 1.0 and 0.0 < answer.survival[2] < answer.survival[1]
+    assert answer.survival[2] == answer.survival[3]
+    assert answer.mean.value == np.inf and answer.rate is None
+    # The same and noise again: the reliability until then is the same.
+    again = Modulation([0.0, 4.0, 10.0, 12.0, 14.0], [0.2, 1.4, 0.0, 0.0, 1.0])
+    other = passage(FEM, replace(FREE, modulation=again), "H=0.9", times=[5.0, 10.0], tol=1e-5)
+    bound = other.survival_error + answer.survival_error[1:3]
+    assert np.all(np.abs(other.survival - answer.survival[1:3]) <= bound)
+    assert np.isfinite(other.mean.value) and other.rate is not None
+
+
+def test_a_pause_before_the_noise_only_shifts_a_motion_from_rest():
+    at_once, later = (
+        replace(FREE, modulation=Modulation(t, e))
+        for t, e in (([0.0, 4.0], [0.0, 1.0]), ([0.0, 3.0, 7.0], [0.0, 0.0, 1.0]))
+    )
+    a = passage(FEM, at_once, "H=0.9", times=[5.0, 20.0], tol=1e-5)
+    b = passage(FEM, later, "H=0.9", times=[2.0, 8.0, 23.0], tol=1e-5)
+    assert b.survival[0] == 1.0
+    np.testing.assert_allclose(b.survival[1:], a.survival, rtol=1e-14)
+    assert b.mean.value - a.mean.value == pytest.approx(3.0, abs=2.0 * a.mean.error)
+    assert b.variance.value == pytest.approx(a.variance.value, rel=1e-12)
+
+
+QUIET = replace(FREE, modulation=Modulation([0.0, 3.0, 4.0], [0.0, 0.0, 1.0]))
+SILENT = replace(FREE, modulation=Modulation([0.0], [0.0]))
+ENDING = Modulation([0.0, 10.0], [1.0, 0.0])
+DRIVEN = (DampingTerm(1, 1, 0.2, q=((1, 2),)),)
+FED = System([1.0], [1.0], [-0.1], [0.02], damping_terms=DRIVEN, modulation=ENDING)
+TRANSIENTS = [
+    (FEM, FREE, "H1", "rest", [1.0], NotApplicable, "total energy"),
+    (QUADRATURE, FREE, "H", "rest", [1.0], NotApplicable, "use fem"),
+    (CLOSED, TOUCHING, "H", "rest", [1.0], NotApplicable, "contacts"),
+    (FEM, FREE, "H", "H1=1,H2=1", [1.0], NotApplicable, "total energy"),
+    (FEM, FREE, "H", "rest", [0.0, 1.0], InvalidInput, "no density"),
+    (FEM, FREE, "H", "rest", [2.0, 1.0], InvalidInput, "ascend"),
+    (FEM, FREE, "H", "rest", [np.nan], InvalidInput, "finite"),
+    (FEM, QUIET, "H", "H=0.2", [5.0], InvalidInput, "decays without noise"),
+    (FEM, QUIET, "H", "rest", [2.0], InvalidInput, "no noise has acted"),
+    (CLOSED, QUIET, "H", "rest", [2.0], InvalidInput, "no noise has"),
+    (FEM, FADING, "q1", "rest", [20.0], NotApplicable, "after the end of the noise"),
+    (FEM, FED, "H", "rest", [12.0], NotApplicable, "feeds energy in"),
+]
+PASSAGES = [
+    (FEM, FREE, "H1=1", "rest", (), NotApplicable, "total energy"),
+    (FEM, FREE, "q1=1", "rest", (), NotApplicable, "total energy"),
+    (FEM, FREE, "H=1", "H=1", (), InvalidInput, "below the limit"),
+    (FEM, FREE, "H=1000", "rest", (), InvalidInput, "beyond the range"),
+    (FEM, FREE, "H=1", "rest", [-1.0], InvalidInput, "0 or later"),
+    (CLOSED, FREE, "H=1", "noise=2", (), NotApplicable, "use fem"),
+    (FEM, replace(FREE, noise_intensity=[0, 0]), "H=1", "rest", (), NotApplicable, "no noise"),
+    (CLOSED, FADING, "H=1", "rest", [1.0], NotApplicable, "modulated"),
+    (MODES, FADING, "H1=1", "rest", [1.0], NotApplicable, "modulated"),
+    (Integrable("fem"), FADING, "H1=1", "rest", [1.0], NotApplicable, "modulated"),
+    (FEM, QUIET, "H=0.9", "H=0.2", [5.0], InvalidInput, "decays without noise"),
+    (FEM, SILENT, "H=0.9", "rest", [5.0], NotApplicable, "no noise at any time"),
+    (FEM, FED, "H=0.05", "rest", [12.0], NotApplicable, "feeds energy in"),
 ]
 
 
-@pytest.mark.parametrize(("ask", "error", "word"), REFUSED)
-def test_what_is_not_given_is_refused(ask, error, word):
-    with pytest.raises(error, match=word):
-        ask()
+@pytest.mark.parametrize(
+    ("ask", "method", "system", "name", "start", "times", "error", "words"),
+    [*((transient, *row) for row in TRANSIENTS), *((passage, *row) for row in PASSAGES)],
+)
+def test_refusals_are_one_line(ask, method, system, name, start, times, error, words):
+    points = [[0.1]] if ask is transient else []
+    with pytest.raises(error, match=words) as caught:
+        ask(method, system, name, start, times, *points)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_with_contact_it_decays_and_fails_less():
+    system = replace(FADING, contacts=TOUCHING.contacts)
+    answer = transient(FEM, system, "H", "rest", [8.0, 40.0], [0.05, 0.2], tol=1e-6)
+    assert answer.certificate.certified and answer.values[1, 1] < 1e-3 * answer.values[0, 1]
+    fading, steady = (passage(FEM, s, "H=0.9", times=[40.0], tol=1e-5) for s in (system, TOUCHING))
+    assert fading.certificate.certified and fading.survival[0] > steady.survival[0]

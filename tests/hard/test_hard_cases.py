@@ -11,7 +11,7 @@ import pytest
 from hard_battery import Check, HardCase, in_units, mirrored
 from hard_scenes import plain_elements
 from page import page_text
-from state_damping import damping_at
+from systems import damping_at
 
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene

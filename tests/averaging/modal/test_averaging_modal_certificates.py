@@ -3,16 +3,16 @@
 import mpmath
 import numpy as np
 import pytest
-from averaging_systems import fig6
-from modal_terms import modal_van_der_pol, solved
+from asked import solved
+from modal_terms import modal_van_der_pol
+from systems import fig6
 
-from averaging.gaussian import Linear
-from averaging.integrable import Integrable
+from averaging import Integrable, Linear
 from averaging.modal.analysis import ModalAnalysis, modal_analysis
 from averaging.zero_flux import flux_residual
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput
-from fpk.system.linear import linear_covariance
+from fpk.system.linear import diffusion_matrix, drift_matrix, linear_covariance
 from fpk.system.system import System
 
 METHODS = [Linear(), *(Integrable(solver) for solver in ("closed-form", "quadrature", "fem"))]
@@ -24,7 +24,7 @@ def nearly_alike(split):
     return System([1.0, 1.0], [1.0, split], 4.0 * D, D)
 
 
-@pytest.mark.parametrize("name", ["H1", "H2,H1", "H", "q1", "p2", "q1,q2"])
+@pytest.mark.parametrize("name", ["H2,H1", "H", "q1", "q1,q2"])
 def test_a_closed_form_is_judged_by_the_tolerance(name):
     # ω1 and ω2 differ by 1e-7 of their size: θ is known to 1e-9 or so.
     for tol, certified in ((1e-6, True), (1e-12, False)):
@@ -53,17 +53,6 @@ def test_what_is_certified_was_measured(method):
     assert c.certified
     assert c.residual < 1e-12 and 0.0 < c.tail_mass < 1e-10
     assert c.mass_defect <= density.l1_error + 1e-14
-
-
-@pytest.mark.parametrize("solver", ["closed-form", "quadrature", "fem"])
-@pytest.mark.parametrize("tol", [1e-4, 1e-6, 1e-8, 1e-10])
-def test_the_stated_error_holds_at_every_point(solver, tol):
-    # The difference of two finite element solutions has zeros; the error has them elsewhere.
-    (density,) = solved(Integrable(solver, tol), fig6(), "H1")
-    theta = modal_analysis(fig6()).temperature[0]
-    H = np.linspace(0.0, 0.999 * density.panels[0][-1], 2001)
-    p, error = density.at(H)
-    assert np.all(np.abs(p - np.exp(-H / theta) / theta) <= error)
 
 
 def test_residual_of_a_wrong_density_is_not_round_off():
@@ -104,36 +93,25 @@ def linear_system(rng):
 
 
 def exact_covariance(system):
-    """Covariance of (q, p) in forty digits: every entry of A Σ + Σ Aᵀ + b = 0 as unknown."""
-    n, mp = system.n, mpmath
-    k = [mp.mpf(float(x)) for x in system.stiffness]
-    A, b = mp.matrix(2 * n, 2 * n), mp.matrix(2 * n, 2 * n)
-    for i in range(n):
-        A[i, n + i] = 1 / mp.mpf(float(system.mass[i]))
-        A[n + i, i] = -k[i] - (k[i + 1] if i + 1 < n else 0)
-        if i:
-            A[n + i, i - 1] = A[n + i - 1, i] = k[i]
-        for j in range(n):
-            A[n + i, n + j] = -mp.mpf(float(system.damping[i, j])) / mp.mpf(float(system.mass[j]))
-            b[n + i, n + j] = 2 * mp.mpf(float(system.noise_matrix[i, j]))
-    place = {}
-    for i in range(2 * n):
-        for j in range(i, 2 * n):
-            place[i, j] = place[j, i] = len(set(place.values()))
-    size = n * (2 * n + 1)
-    M, right = mp.matrix(size, size), mp.matrix(size, 1)
-    for i in range(2 * n):
-        for j in range(i, 2 * n):
-            row = place[i, j]
-            for m in range(2 * n):
-                M[row, place[m, j]] += A[i, m]
-                M[row, place[i, m]] += A[j, m]
-            right[row] = -b[i, j]
-    x = mp.lu_solve(M, right)
-    return mp.matrix([[x[place[i, j]] for j in range(2 * n)] for i in range(2 * n)])
+    """Covariance of (q, p) in forty digits: A Σ + Σ Aᵀ + b = 0 as a system of (2n)² equations."""
+    n, mp = 2 * system.n, mpmath
+    A = mp.matrix(drift_matrix(system).tolist())
+    m, k = ([mp.mpf(float(x)) for x in y] for y in (system.mass, system.stiffness))
+    for i in range(system.n):  # entries that are rounded in double
+        A[i, system.n + i] = 1 / m[i]
+        A[system.n + i, i] = -k[i] - (k[i + 1] if i + 1 < system.n else 0)
+        for j in range(system.n):
+            A[system.n + i, system.n + j] = -mp.mpf(float(system.damping[i, j])) / m[j]
+    M, one = mp.matrix(n * n, n * n), mp.eye(n)
+    for i, j, a, c in np.ndindex(n, n, n, n):
+        M[n * i + j, n * a + c] = A[i, a] * one[j, c] + one[i, a] * A[j, c]
+    x = mp.lu_solve(M, mp.matrix((-diffusion_matrix(system).ravel()).tolist()))
+    return mp.matrix([[x[n * i + j] for j in range(n)] for i in range(n)])
 
 
-@pytest.mark.parametrize("seed", [20261122, 1, 2, 3, 4, 5])
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (20261122, 2, 3, 4, 5))]
+)
 def test_random_linear_systems_keep_to_their_error(seed):
     rng = np.random.default_rng(seed)
     system = linear_system(rng)
@@ -162,55 +140,6 @@ def test_random_linear_systems_keep_to_their_error(seed):
                 p, stated = density.at(*(np.array([v]) for v in x))
                 assert abs(p[0] - float(exact)) <= stated[0], name
             assert density.certificate.certified, density.certificate
-
-
-def exact_modes(system):
-    """ω², T with Tᵀ M T = 1 and the modal temperatures, in the working digits of mpmath."""
-    n, mp = system.n, mpmath
-    k = [mp.mpf(float(x)) for x in system.stiffness]
-    root = [mp.sqrt(mp.mpf(float(x))) for x in system.mass]
-    B = mp.matrix(n, n)
-    for i in range(n):
-        B[i, i] = (k[i] + (k[i + 1] if i + 1 < n else 0)) / root[i] ** 2
-        if i:
-            B[i, i - 1] = B[i - 1, i] = -k[i] / (root[i] * root[i - 1])
-    squares, V = mp.eigsy(B)
-    T = mp.matrix([[V[i, j] / root[i] for j in range(n)] for i in range(n)])
-    c, d = (T.T * mp.matrix(x.tolist()) * T for x in (system.damping, system.noise_matrix))
-    return squares, T, [d[i, i] / c[i, i] for i in range(n)]
-
-
-@pytest.mark.parametrize("seed", [20261122, 1, 2, 3, 4, 5])
-def test_random_modal_densities_keep_to_their_error(seed):
-    rng = np.random.default_rng(seed)
-    system = linear_system(rng)
-    n, method = system.n, Integrable()
-    if method.refusal(system, parse_observable("H1", n)):
-        pytest.skip("in resonance")
-    with mpmath.workdps(40):
-        squares, T, theta = exact_modes(system)
-        for name in ("H1", f"H{n}", "H", "q1", f"p{n}"):
-            (density,) = solved(method, system, name)
-            (coordinate,) = density.observable
-            i = coordinate.index
-            for share in rng.exponential(size=4):
-                if coordinate.kind == "H" and i is not None:
-                    x = share * float(theta[i])
-                    exact = mpmath.exp(-mpmath.mpf(x) / theta[i]) / theta[i]
-                elif coordinate.kind == "H":
-                    x, exact = share * float(sum(theta)), mpmath.mpf(0)
-                    for a in theta:
-                        others = [a / (a - b) for b in theta if b is not a]
-                        exact += mpmath.exp(-mpmath.mpf(x) / a) / a * mpmath.fprod(others)
-                else:
-                    factor = [1 / w for w in squares] if coordinate.kind == "q" else [1] * n
-                    size = 1 if coordinate.kind == "q" else mpmath.mpf(float(system.mass[i]))
-                    variance = sum((size * T[i, m]) ** 2 * theta[m] * factor[m] for m in range(n))
-                    x = share * float(mpmath.sqrt(variance))
-                    exact = mpmath.npdf(mpmath.mpf(x), 0, mpmath.sqrt(variance))
-                p, stated = density.at(np.array([x]))
-                assert abs(p[0] - float(exact)) <= stated[0] + 2.3e-16 * p[0], name
-            assert density.certificate.certified == (density.l1_error <= method.wanted(system))
 
 
 @pytest.mark.parametrize("name", ["q1", "p2", "H"])

@@ -31,7 +31,7 @@ def wrong(system, factor):
     return Reference(right.slope, right.offset, factor * right.covariance, right.weight / factor)
 
 
-@pytest.mark.parametrize("row", [0, 1])
+@pytest.mark.parametrize("row", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_crossings_of_a_gibbs_state_are_exact_from_a_wrong_temperature(row):
     contact = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
     system = fpk.System([1, 2], [1, 1], [0.08, 0.08], [0.02, 0.02], contacts=(contact,))

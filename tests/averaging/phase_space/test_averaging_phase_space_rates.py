@@ -125,17 +125,6 @@ def test_rates_keep_to_their_error_against_a_finer_solution():
     assert np.all(fine.values.real > 0.0) and np.all(fine.values.imag >= 0.0)
 
 
-@pytest.mark.slow
-def test_a_spectrum_has_a_peak_at_the_slowest_rate_that_turns():
-    # S near the slowest rate, of real part a and frequency w, has a peak of width a at w.
-    system = fpk.System([1.0], [1.0], [0.1], [0.02], contacts=(ONE_SIDED,))
-    rates = relaxation(system, 8, tol=2e-2).values
-    slowest = rates[rates.imag > 0.1][0]
-    w = np.linspace(0.5, 2.0, 151)
-    S = ask(PhaseSpace(), "spectrum", system, 0, w, tol=1e-2).values
-    assert abs(w[S.argmax()] - slowest.imag) < slowest.real
-
-
 def test_what_is_not_sought_is_said(monkeypatch):
     monkeypatch.setattr(resolvent, "DISCS", 1)
     monkeypatch.setattr(resolvent, "VECTORS", 50)

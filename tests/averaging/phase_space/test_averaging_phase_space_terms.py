@@ -17,13 +17,11 @@ from averaging.phase_space.equation.elimination import expand
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference, make_reference
 from averaging.phase_space.method import PhaseSpace
 from averaging.theory import Exact
-from cases.compare.compare import compare_densities
 from fpk.answer.density import l1_distance
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate, parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.system.damping import gaussian_moment
-from sim.montecarlo import MonteCarlo
 
 Term = fpk.DampingTerm
 
@@ -107,7 +105,9 @@ def assert_within_stated_error(system, tol, *, factor):
     assert sum(heat) == pytest.approx(power.expected - power.value, abs=1e-14)
 
 
-@pytest.mark.parametrize(("tol", "factor"), [(1e-2, 0.8), (1.5e-3, 1.25)])
+@pytest.mark.parametrize(
+    ("tol", "factor"), [(1e-2, 0.8), pytest.param(1.5e-3, 1.25, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("name", ONE_MASS)
 def test_one_mass_damped_by_its_energy_is_found_within_the_stated_error(name, tol, factor):
     assert_within_stated_error(ONE_MASS[name], tol, factor=factor)
@@ -115,16 +115,13 @@ def test_one_mass_damped_by_its_energy_is_found_within_the_stated_error(name, to
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(x, marks=[pytest.mark.slow] * ("odd" in x or "mirrored" in x))
-        for x in TWO_MASSES
-    ],
+    [pytest.param(x, marks=[pytest.mark.slow] * ("contact" not in x)) for x in TWO_MASSES],
 )
 def test_two_masses_are_found_within_the_stated_error(name):
     assert_within_stated_error(*TWO_MASSES[name], factor=1.2)
 
 
-@pytest.mark.parametrize("contacts", [(), stop(1)])
+@pytest.mark.parametrize("contacts", [pytest.param((), marks=pytest.mark.slow), stop(1)])
 def test_averaging_of_one_mass_errs_by_the_square_of_the_damping(contacts):
     """Damping by q²: the energy process (24) is the limit of light damping; half of it, a quarter.
 
@@ -266,22 +263,6 @@ def drawn(rng, n):
     return fpk.System(
         mass, stiffness, damping, noise, contacts=contacts, damping_terms=tuple(terms)
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
-def test_simulations_of_random_systems_agree_and_of_other_terms_do_not(seed):
-    system = drawn(np.random.default_rng([20261125, 2, seed]), 2)
-    observables = [parse_observable(o, 2) for o in ("q1", "p2")]
-    answer = PhaseSpace(tol=3e-2).solve(system, observables)
-    assert all(d.certificate.certified for d in answer.densities)
-    first, *others = system.damping_terms
-    stronger = (replace(first, coefficient=4.0 * first.coefficient), *others)
-    for other, agrees in ((system, True), (replace(system, damping_terms=stronger), False)):
-        sampled = MonteCarlo(seconds=10.0, seed=seed, tol=1e-6).solve(other, observables)
-        comparisons = compare_densities([answer, sampled], averaging_is_exact=False)
-        assert len(comparisons) == 2
-        assert all(c.holds for c in comparisons) == agrees
 
 
 @pytest.mark.slow

@@ -17,12 +17,12 @@ Q1, PAIR = parse_observable("q1", 1), parse_observable("q1,p1", 1)
 BATCHES = 64
 
 
-def contents(p, edges) -> np.ndarray:
+def contents(p, edges):
     """Integrals of ``p`` over the bins between ``edges``, which hold its kinks."""
     return np.array([quad(p, a, b, epsabs=1e-18, epsrel=1e-11)[0] for a, b in pairwise(edges)])
 
 
-def drawn(axis: BinAxis, share, samples: float, seed: int) -> SampledDensity:
+def drawn(axis, share, samples, seed):
     """A density of independent samples in equal batches."""
     share = np.append(share, max(1.0 - share.sum(), 0.0))
     counts = np.random.default_rng(seed).multinomial(
@@ -32,8 +32,8 @@ def drawn(axis: BinAxis, share, samples: float, seed: int) -> SampledDensity:
     return SampledDensity(Q1, (axis,), values.mean(axis=0), values, PASSED, samples=samples)
 
 
-@pytest.mark.parametrize("bins", [24, 128, 1024])
-def test_polynomials_of_ln_p_are_exact_everywhere(bins: int) -> None:
+@pytest.mark.parametrize("bins", [24, pytest.param(1024, marks=pytest.mark.slow)])
+def test_polynomials_of_ln_p_are_exact_everywhere(bins):
     """Times the reference, at both ends, too: of exact contents only the quadrature is left."""
     axis = BinAxis(np.linspace(0.0, 2.0, bins + 1), (), lambda y, bins: -3.0 * y**2)
 
@@ -50,8 +50,8 @@ def test_polynomials_of_ln_p_are_exact_everywhere(bins: int) -> None:
     np.testing.assert_allclose(density(x), p(x), rtol=1e-5)
 
 
-@pytest.mark.parametrize("width", [0.25, 0.02, 1e-3])
-def test_a_layer_of_any_width_beyond_a_stop_is_right(width: float) -> None:
+@pytest.mark.parametrize("width", [0.25, 1e-3])
+def test_a_layer_of_any_width_beyond_a_stop_is_right(width):
     """A normal density cut off by a Hertz stop, ``width`` standard deviations of it to e⁻¹.
 
     Bins end at the stop and, beyond it, are on the scale of the layer. The temperature of the
@@ -80,36 +80,7 @@ def test_a_layer_of_any_width_beyond_a_stop_is_right(width: float) -> None:
     assert 0.45 < np.mean(np.square(z)) < 1.85 and np.abs(z).max() < 5.0
 
 
-@pytest.mark.parametrize("known", [True, False])
-def test_a_cusp_is_right_where_it_is_known_and_where_it_is_not(known: bool) -> None:
-    """p = 1 − √(x − 1) above 1: right everywhere if 1 is an edge, else right or unresolved."""
-
-    def p(x):
-        return 1.0 - 0.9 * np.sqrt(np.maximum(x - 1.0, 0.0))
-
-    if known:
-        edges = np.concatenate(
-            [np.linspace(0.0, 1.0, 513), 1.0 + np.linspace(0.0, 1.0, 513)[1:] ** 3]
-        )
-    else:
-        edges = np.linspace(0.0, 2.0, 1000)
-    axis, whole = BinAxis(edges, (1.0,) if known else ()), 0.0
-    share = np.array(
-        [quad(p, a, b, points=[1.0] if a < 1.0 < b else None)[0] for a, b in pairwise(edges)]
-    )
-    whole = share.sum()
-    x = 1.0 + np.array([-0.5, -0.1, -1e-2, -1e-3, 0.0, 1e-3, 1e-2, 0.1, 0.5])
-    for seed in range(3):
-        density = drawn(axis, share / whole, 64e6, seed)
-        value, error = density.at(x)
-        away = ~density.are_unresolved(x[None])
-        z = ((value - p(x) / whole) / error)[away]
-        assert np.abs(z).max() < 5.0
-        assert not known or away.all()
-        assert away[[0, -1]].all()
-
-
-def test_a_spike_within_a_bin_is_unresolved() -> None:
+def test_a_spike_within_a_bin_is_unresolved():
     edges = np.linspace(-1.0, 1.0, 257)
     share = np.diff(norm.cdf(edges, 0.3, 1e-4)) * 0.5 + np.diff(norm.cdf(edges, 0.0, 0.2)) * 0.5
     density = drawn(BinAxis(edges), share, 64e4, 1)
@@ -117,7 +88,7 @@ def test_a_spike_within_a_bin_is_unresolved() -> None:
     assert density.are_unresolved(x[None]).tolist() == [False, True, False]
 
 
-def test_two_coordinates_have_the_errors_they_state() -> None:
+def test_two_coordinates_have_the_errors_they_state():
     """A normal pair of correlation 0.6 with a kink at x = 0.5: z of nine points, ten seeds."""
     edges = np.concatenate([np.linspace(-5.0, 0.5, 65), np.linspace(0.5, 4.0, 33)[1:]])
     axes = BinAxis(edges, (0.5,)), BinAxis(np.linspace(-5.0, 5.0, 97))
@@ -161,7 +132,7 @@ def excursions(*, batches, per_visit, rng, edges, visits):
     return np.bincount(where, minlength=times.size).reshape(times.shape)
 
 
-def test_rare_bins_are_worth_their_visits_not_their_samples() -> None:
+def test_rare_bins_are_worth_their_visits_not_their_samples():
     """Twelve samples a visit: |z| where the expected number of visits is 0.2 to 20, 40 seeds.
 
     With the floor of one sample the mean square is above 20.

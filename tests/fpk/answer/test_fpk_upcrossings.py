@@ -12,8 +12,17 @@ from fpk.answer.names import parse_observable
 AT = np.array([-2.0, 0.0, 0.7, 5.0])
 
 
-@pytest.mark.parametrize("panels", [1, 2, 3, 8, 40])
-@pytest.mark.parametrize("reach", [1.5, 3.0, 6.0, 9.0, 50.0])
+def joint_of(pdf, nodes, error=0.0, q=9.0):
+    """The density ``pdf`` of q1 and p1 on panels to ±``q`` and between ``nodes``."""
+    pair, measured = parse_observable("q1,p1", 1), Measured(1e-12, 0.0, 0.0, 0.0, 0.0)
+    nodes = np.linspace(-q, q, 19), nodes
+    return certify_density(
+        pair, nodes, pdf, lambda q, p: error + 0.0 * (q + p), measured=measured, tol=1.0
+    )
+
+
+@pytest.mark.parametrize("panels", [1, 3, 40])
+@pytest.mark.parametrize("reach", [1.5, 9.0, 50.0])
 @pytest.mark.parametrize("correlation", [0.0, 0.6])
 def test_the_error_holds_on_any_mesh(panels, reach, correlation):
     """Of a Gaussian known exactly: E max(p, 0) of a normal p | q, by its mean and deviation."""
@@ -24,10 +33,7 @@ def test_the_error_holds_on_any_mesh(panels, reach, correlation):
         return np.exp(-0.5 * square) / (2.0 * np.pi * own)
 
     nodes = np.linspace(-reach, reach, 2 * panels + 1)
-    joint = certify_density(
-        parse_observable("q1,p1", 1), (np.linspace(-9.0, 9.0, 19), nodes), pdf,
-        lambda q, p: 0.0 * (q + p), measured=Measured(1e-12, 0.0, 0.0, 0.0, 0.0), tol=1.0,
-    )  # fmt: skip
+    joint = joint_of(pdf, nodes)
     values, errors = upcrossings(joint, 2.0, AT)
     z = correlation * AT / own
     flow = own * (np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) + 0.5 * z * erfc(-z / np.sqrt(2.0)))
@@ -45,11 +51,7 @@ def test_a_kink_within_a_panel_is_in_the_error(power):
     def pdf(q, p):
         return np.maximum(1.0 - 0.5 * (q**2 + p**2), 0.0) ** power
 
-    nodes = np.linspace(-2.0, 2.0, 9)
-    joint = certify_density(
-        parse_observable("q1,p1", 1), (nodes, nodes), pdf,
-        lambda q, p: 0.0 * (q + p), measured=Measured(1e-12, 0.0, 0.0, 0.0, 0.0), tol=1.0,
-    )  # fmt: skip
+    joint = joint_of(pdf, np.linspace(-2.0, 2.0, 9), q=2.0)
     at = np.linspace(0.0, 1.2, 2001)
     values, errors = upcrossings(joint, 1.0, at)
     exact = np.maximum(1.0 - 0.5 * at**2, 0.0) ** (power + 1.0) / (power + 1.0)
@@ -67,9 +69,6 @@ def test_round_off_at_the_end_does_not_decide_the_error(slope):
         end = 1e-14 * (1.0 + slope * 1e14 * (8.0 - p))
         return np.where(np.abs(p) < 7.0, np.exp(-0.5 * (q * q + p * p)) / (2.0 * np.pi), end)
 
-    joint = certify_density(
-        parse_observable("q1,p1", 1), (np.linspace(-9.0, 9.0, 19), np.linspace(-8.0, 8.0, 17)), pdf,
-        lambda q, p: 1e-12 + 0.0 * (q + p), measured=Measured(1e-12, 0.0, 0.0, 0.0, 0.0), tol=1.0,
-    )  # fmt: skip
+    joint = joint_of(pdf, np.linspace(-8.0, 8.0, 17), error=1e-12)
     _, errors = upcrossings(joint, 1.0, np.zeros(1))
     assert errors[0] < 2e-10  # 1e-12 (e + l) l, l = 8, and what the momenta below that add

@@ -16,7 +16,7 @@ def test_a_fit_is_the_function_and_so_is_its_integral():
     assert f.antiderivative()(6.0) == pytest.approx(1.0 - np.cos(6.0), abs=1e-14)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 5, 12])
+@pytest.mark.parametrize("degree", [0, 1, 12])
 def test_polynomials_of_the_degree_are_exact_and_one_degree_more_is_not(degree):
     power = fit(lambda x: x**degree, NODES, np.inf, degree=degree)
     np.testing.assert_allclose(power(X), X**degree, rtol=1e-10, atol=1e-12)
@@ -69,15 +69,11 @@ def test_outside_its_nodes_it_is_what_it_is_said_to_be():
     np.testing.assert_allclose(f([0.0, 6.0]), np.cos([0.0, 6.0]), atol=1e-14)
 
 
-def tensor() -> PiecewiseTensor:
+def test_a_tensor_at_points_and_on_a_grid():
     first = legendre_coefficients(np.sin, NODES[:-1], NODES[1:], 14)
     nodes = np.array([0.0, 1.0, 6.0])
     second = legendre_coefficients(np.exp, nodes[:-1], nodes[1:], 17)
-    return PiecewiseTensor((NODES, nodes), np.einsum("ki,lj->klij", first, second))
-
-
-def test_a_tensor_at_points_and_on_a_grid():
-    f, y = tensor(), X[::-1]
+    f, y = PiecewiseTensor((NODES, nodes), np.einsum("ki,lj->klij", first, second)), X[::-1]
     np.testing.assert_allclose(f(X, y), np.sin(X) * np.exp(y), rtol=1e-9, atol=1e-9)
     grid = np.sin(X)[:, None] * np.exp(y[:50])
     np.testing.assert_allclose(f(X[:, None], y[:50]), grid, rtol=1e-9, atol=1e-9)

@@ -16,6 +16,11 @@ def moments(n, x):
     return first, first**2 - 2 * second
 
 
+def rate(n, x, guess):
+    """The failure rate: the least zero in a of 1F1(−a; n; x)."""
+    return mp.findroot(lambda a: mp.hyp1f1(-a, n, x, maxterms=10**6), guess, verify=False)
+
+
 def failure(n, start, limit, t):
     """P(T <= t) by Talbot's inverse transform of 1F1(s; n; x_0)/1F1(s; n; x_f)/s."""
 

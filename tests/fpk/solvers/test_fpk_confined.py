@@ -1,33 +1,27 @@
-"""Behaviour far out: no certificate where nothing brings the energy back, none refused where so."""
+"""Far out: no certificate where nothing brings the energy back, none refused elsewhere."""
 
 import numpy as np
 import pytest
-from fpk_processes import both, by_hand, chain
-from processes import process_of
+from processes import by_hand, process_of
 
-from averaging.energy_process import energy_process
 from averaging.zero_flux import solve_by_quadrature
 from fpk.numeric.errors import NotCertified
 from fpk.solvers.line.stationary import solve_stationary
 from fpk.solvers.plane.stationary import solve_plane
 from fpk.system.ends import require_confined
-from fpk.system.process import Process
 
 WEAK_NOISE = 1e-6
 """So little that the bulk, at 1e-5, ends 5e5 times below the energy where damping turns around."""
 
 
-def turning(first: float, second: float, third: float = 0.0, *, d: float = WEAK_NOISE) -> Process:
+def turning(first, second, third=0.0, *, d=WEAK_NOISE):
     """Damping γ(H) = first + second H + third H²."""
-    return by_hand(
-        lambda H: -H * (first + H * (second + third * H)), d=d, scale=d / max(first, 1e-3)
-    )
+    scale = d / max(first, 1e-3)
+    return by_hand(lambda H: -H * (first + H * (second + third * H)), d=d, scale=scale)
 
 
 @pytest.mark.parametrize("solve", [solve_stationary, solve_by_quadrature])
-@pytest.mark.parametrize(
-    "rate", [(0.1, -0.02), (0.1, -0.01), (0.1, -0.03), (0.1, 0.1, -1e-6), (0.1, 0.0, -1e-12)]
-)
+@pytest.mark.parametrize("rate", [(0.1, -0.02), (0.1, 0.1, -1e-6), (0.1, 0.0, -1e-12)])
 @pytest.mark.parametrize("d", [WEAK_NOISE, 1e-3])
 def test_damping_that_turns_into_driving_far_out_is_refused(solve, rate, d):
     with pytest.raises(NotCertified, match="the drift points outwards"):
@@ -46,56 +40,35 @@ def test_driving_in_between_makes_no_false_certificate(d, resolved):
         assert np.log(high / low) == pytest.approx(0.1 / d * (55.0 - 10.0 - 100.0 / 3.0), rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    "rate", [(0.1, 0.0), (0.1, 1e-9), (0.1, 0.1, 1e-6), (-0.1, 0.1), (0.1, -0.02, 0.002)]
-)
-def test_damping_that_holds_is_solved(rate):
-    for d in (1e-3, 0.1):
-        assert solve_stationary(turning(*rate, d=d), tol=1e-8).certificate.certified
+@pytest.mark.parametrize("rate", [(0.1, 1e-9), (0.1, 0.1, 1e-6), (-0.1, 0.1), (0.1, -0.02, 0.002)])
+@pytest.mark.parametrize("d", [1e-3, 0.1])
+def test_damping_that_holds_is_solved(rate, d):
+    assert solve_stationary(turning(*rate, d=d), tol=1e-8).certificate.certified
 
 
-@pytest.mark.parametrize("n", [1, 2, 7, 50])
-@pytest.mark.parametrize("law", ["hertz", "bilinear"])
-@pytest.mark.parametrize("stiffness, clearance", [(1e-3, 0.0), (10.0, 0.5), (1e8, 1e-3)])
-def test_averaged_chains_are_confined(n, law, stiffness, clearance):
-    process = energy_process(chain(n, both(stiffness, clearance, law, mass=0)))
-    assert solve_stationary(process, tol=1e-6).certificate.certified
-
-
-def pair(coupling, *, scales=(1.0, 1.0)) -> Process:
+def pair(coupling, scales=(1.0, 1.0)):
     """Two energies with the damping γ = 0.1 + coupling H and unit noise of each."""
     A = np.array(coupling)
-
-    def drift(H):
-        return 0.1 - H * (0.1 + H @ A.T)
-
     return process_of(
-        drift, lambda H: 0.2 * H[:, :, None] * np.eye(2), lambda H: np.full(H.shape, 0.2), scales
+        lambda H: 0.1 - H * (0.1 + H @ A.T),
+        lambda H: 0.2 * H[:, :, None] * np.eye(2),
+        lambda H: np.full(H.shape, 0.2),
+        scales,
     )
-
-
-def refusal(process: Process) -> str:
-    """Why two energies are refused before any mesh; nothing where they are not."""
-    try:
-        require_confined(process)
-    except NotCertified as error:
-        return str(error)
-    return ""
 
 
 @pytest.mark.parametrize(
     "coupling",
     [
-        [[-1e-3, 0.0], [0.0, 0.1]],
         [[-1e-9, 0.0], [0.0, 0.1]],
         [[1.0, -2.0], [-2.0, 1.0]],  # outwards on the ray H1 = H2 alone, which attracts
         [[0.0, -1e-5], [-1e-5, 0.0]],
     ],
 )
 def test_two_energies_that_leave_for_infinity_are_refused(coupling):
-    assert "does not fall off" in refusal(pair(coupling))
-    with pytest.raises(NotCertified, match="does not fall off"):
-        solve_plane(pair(coupling))
+    for refuse in (require_confined, solve_plane):
+        with pytest.raises(NotCertified, match="does not fall off"):
+            refuse(pair(coupling))
 
 
 @pytest.mark.parametrize(
@@ -103,11 +76,11 @@ def test_two_energies_that_leave_for_infinity_are_refused(coupling):
     [
         [[0.0, 0.0], [0.0, 0.0]],
         [[1.0, -0.5], [-0.5, 1.0]],
-        [[0.1, -3.0], [3.0, 0.1]],  # what one loses the other gains
+        [[0.1, -3.0], [3.0, 0.1]],  # each energy gains as much as the other loses
         [[0.1, -3.0], [0.03, 0.1]],  # ... a hundred times less: Σ H_i/θ_i rises on some rays
         [[1.0, 1.0], [1e-6, 1e-6]],
     ],
 )
 @pytest.mark.parametrize("scales", [(1.0, 1.0), (1.0, 0.05)])
 def test_two_energies_that_come_back_are_not_refused(coupling, scales):
-    assert refusal(pair(coupling, scales=scales)) == ""
+    require_confined(pair(coupling, scales))

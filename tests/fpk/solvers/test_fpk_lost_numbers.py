@@ -1,10 +1,10 @@
-"""What is no number is not lost where the largest of several residuals is taken."""
+"""NaN is not lost where the largest of several residuals is taken."""
 
 from itertools import count
 
 import numpy as np
 import pytest
-from fpk_processes import both, chain
+from systems import both, fig6
 from test_fpk_plane import square_root_process
 from test_fpk_plane_time import density
 
@@ -29,7 +29,7 @@ def nan_at(k):
 
 @pytest.mark.parametrize("k", [0, 1])
 def test_of_contours(monkeypatch, k):
-    process = energy_process(chain(2, both(10.0)))
+    process = energy_process(fig6(both(10.0)))
     e, _ = element_pair(process, np.linspace(0.0, 4.0 * process.energy_scale, 9), degree_for(1e-4))
     own, residual = resolvent.chain_resolvent, nan_at(k)
     monkeypatch.setattr(
@@ -38,7 +38,7 @@ def test_of_contours(monkeypatch, k):
     assert np.isnan(resolvent.inverse_laplace(e, Source().load(e), TIMES).residual)
 
 
-@pytest.mark.parametrize("k", range(5))
+@pytest.mark.parametrize("k", [0, 2, 4])
 def test_of_krylov_spaces(monkeypatch, k):
     nodes = root_spaced_nodes((5.0, 5.0), 3)
     op = PlaneOperator(square_root_process((0.1, 0.2), (0.1, 0.2)), nodes, 5)
@@ -65,7 +65,7 @@ def test_of_a_reliability(monkeypatch):
     assert np.isnan(answer.certificate.residual) and not answer.certificate.certified
 
 
-@pytest.mark.parametrize(("i", "j"), [(0, 0), (1, 3), (2, 1)])
+@pytest.mark.parametrize(("i", "j"), [(0, 0), (1, 3)])
 def test_of_an_element(i, j):
     A = np.ones((2, 3, 4))
     A[1, i, j] = np.nan

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from fpk_processes import both, chain, cox_ingersoll_ross
-from mpmath import findroot, hyp1f1, mpf
-from square_root_exact import failure, moments
+from mpmath import mpf
+from processes import cox_ingersoll_ross
+from square_root_exact import failure, moments, rate
+from systems import both, fig6
 
 from averaging.energy_process import energy_process
 from fpk.numeric.errors import InvalidInput, NotApplicable
@@ -22,7 +23,8 @@ def process(n, c=1.0, d=1.0):
 
 
 # Masses, limit in temperatures: mean times of 1e-4 to 4e291 units.
-CASES = [(1, 1e-4), (1, 3.0), (1, 200.0), (2, 30.0), (4, 680.0), (20, 40.0), (100, 150.0)]
+CASES = [(1, 1e-4), (2, 30.0), (4, 680.0), (100, 150.0)]
+CASES += [pytest.param(*c, marks=pytest.mark.slow) for c in ((1, 3.0), (1, 200.0), (20, 40.0))]
 
 
 @pytest.mark.parametrize(("n", "x"), CASES)
@@ -55,21 +57,20 @@ def test_the_failure_rate_is_the_least_zero_of_the_confluent_function(n, x):
     assert error < 1e-11 * value and closed.error < 1e-11 * value
     assert abs(value - closed.value) <= error + closed.error
     if x < 100.0:
-        root = findroot(lambda a: hyp1f1(-a, n, x, maxterms=10**6), value)
-        assert abs(value - root) <= error
+        assert abs(value - rate(n, x, value)) <= error
 
 
 def test_the_failure_rate_of_the_literature_value():
+    # c = 0.1, D' = 0.05, H_f = 3 D'/c.
     value, error = chain_first_passage(process(1, 0.1, 0.05), 1.5, times=NONE).rate()
     assert value == pytest.approx(0.013742123052434, abs=5e-16) and error < 1e-14
+    assert SquareRoot(1, 0.1, 0.05).rate(1.5).value == pytest.approx(value, rel=1e-12)
 
 
-@pytest.mark.parametrize(("n", "x"), [(1, 3.0), (4, 12.0)])
-def test_the_probability_of_failure_at_any_time(n, x):
-    times = np.array([0.0, 1e-2, 0.1, 1.0, 100.0])
-    starts = np.array([0.0, 0.3, 0.99]) * x
-    solved = chain_first_passage(process(n), x, times=times)
-    p, error = solved.failure(times, starts)
+def test_the_probability_of_failure_at_any_time():
+    n, x = 4, 12.0
+    times, starts = np.array([0.0, 1e-2, 0.1, 1.0, 100.0]), np.array([0.0, 0.3, 0.99]) * x
+    p, error = chain_first_passage(process(n), x, times=times).failure(times, starts)
     assert error.max() < 1e-10
     assert np.all(p[0] == 0.0)
     for i, t in enumerate(times[1:], start=1):
@@ -81,9 +82,8 @@ def test_the_closed_form_of_the_reliability_or_the_reason_why_not():
     times = np.array([0.0, 0.3, 1.0, 5.0, 20.0])
     closed = SquareRoot(2, 1.0, 1.0).passage(4.0, 0.0, times, tol=1e-10)
     solved = fem_passage(process(2), 4.0, Source(0.0), times, tol=1e-10)
-    assert np.all(
-        np.abs(closed.survival - solved.survival) <= closed.survival_error + solved.survival_error
-    )
+    gap = np.abs(closed.survival - solved.survival)
+    assert np.all(gap <= closed.survival_error + solved.survival_error)
     with pytest.raises(NotApplicable, match="cancels"):
         SquareRoot(2, 1.0, 1.0).passage(4.0, 3.9, np.array([1e-6]), tol=1e-10)
 
@@ -107,20 +107,23 @@ def nested(process, limit, start):
 
 
 CONTACTS = {
-    "two masses": chain(2, both(10.0)),
-    "one mass": chain(1, (Contact(1, "both", 10.0, 0.3),)),
-    "bilinear, one side": chain(1, (Contact(1, "right", 50.0, 0.2, "bilinear"),)),
-    "stiff": chain(2, both(1e6, 0.3)),
-    "no clearance": chain(2, both(10.0, 0.0)),
+    "two masses": fig6(both(10.0)),
+    "one mass": fig6((Contact(1, "both", 10.0, 0.3),), n=1),
+    "bilinear, one side": fig6((Contact(1, "right", 50.0, 0.2, "bilinear"),), n=1),
+    "stiff": fig6(both(1e6, 0.3)),
+    "no clearance": fig6(both(10.0, 0.0)),
 }
+IN_TIME = [
+    name if name in ("one mass", "stiff") else pytest.param(name, marks=pytest.mark.slow)
+    for name in CONTACTS
+]
 
 
-@pytest.mark.parametrize("name", CONTACTS)
+@pytest.mark.parametrize("name", IN_TIME)
 def test_contacts_by_the_formula_of_the_mean_and_the_forward_equation(name):
     p = energy_process(CONTACTS[name])
     limit, start = 3.0 * p.energy_scale, 0.6 * p.energy_scale
-    times = np.array([0.5, 5.0, 50.0, 500.0])
-    answer = fem_passage(p, limit, Source(start), times, tol=1e-10)
+    answer = fem_passage(p, limit, Source(start), np.array([0.5, 5.0, 50.0, 500.0]), tol=1e-10)
     assert answer.certificate.certified
     # The reliability by the backward equation is the mass that the forward equation leaves.
     assert answer.certificate.mass_defect < 1e-10 and answer.certificate.residual < 1e-13
@@ -128,13 +131,11 @@ def test_contacts_by_the_formula_of_the_mean_and_the_forward_equation(name):
     assert answer.mean.value == pytest.approx(nested(p, limit, start), rel=1e-12)
     assert answer.mean.error < 1e-11 * answer.mean.value
     # ∫_0^∞ P(T > t) dt = E T, by the trapezoidal rule in ln t from e^(−12) E T on.
-    s = np.arange(-12.0, 12.0, 0.05)
-    t = answer.mean.value * np.exp(s)
+    t = answer.mean.value * np.exp(np.arange(-12.0, 12.0, 0.05))
     survival = (
         1.0 - chain_first_passage(p, limit, times=t[::40]).failure(t, np.array([start]))[0][:, 0]
     )
-    late = t < 40.0 / answer.rate.value
-    total = 0.05 * (t * survival)[late].sum()
+    total = 0.05 * (t * survival)[t < 40.0 / answer.rate.value].sum()
     assert total == pytest.approx(answer.mean.value, rel=1e-4)
 
 
@@ -146,41 +147,29 @@ def test_starts_at_once_and_stationary_starts():
         assert one.variance.value == pytest.approx(curve.variance[k], rel=1e-12)
     assert curve.mean[-1] <= curve.mean_error[-1] < 1e-12
     assert curve.variance[-1] <= curve.variance_error[-1] < 1e-10
-    # From the stationary state: E T is the mean over gamma, what is beyond the limit has failed.
-    mixed = fem_passage(process(2), 5.0, Source(process=process(2)), np.array([0.0]), tol=1e-10)
-    assert mixed.survival[0] == pytest.approx(1.0 - 6.0 * np.exp(-5.0), abs=1e-12)
-    x, w = panel_rule(np.linspace(0.0, 5.0, 9), 20)
-    solved = chain_first_passage(process(2), 5.0, times=NONE)
-    mean = solved.moments(x.ravel())[0] * solved.longest
-    expected = (w * x * np.exp(-x)).ravel() @ mean
-    assert abs(mixed.mean.value - expected) < 1e-12 * expected
 
 
-@pytest.mark.parametrize("noise", [1e-9, 1e-3, 1e-2, 0.1, 3.0, 1e6])
+@pytest.mark.parametrize("noise", [1e-9, 1e-2, 1.0, 1e6])
 def test_a_start_under_much_less_or_more_noise_is_seen(noise):
     source = Source(process=process(2, d=noise))
     answer = fem_passage(process(2), 5.0, source, np.array([0.0, 1.0]), tol=1e-10)
-    # A gamma density of shape 2 and scale ``noise``; what is beyond the limit has failed.
+    # A gamma density of shape 2 and scale ``noise``; the part beyond the limit has failed.
     beyond = (1.0 + 5.0 / noise) * np.exp(-5.0 / noise)
     assert abs(answer.failure[0] - beyond) <= answer.failure_error[0] < 1e-12
     x, w = panel_rule(np.linspace(0.0, min(5.0, 60.0 * noise), 41), 20)
     x, w = x.ravel(), (w * x * np.exp(-x / noise)).ravel() / noise**2
     solved = chain_first_passage(process(2), 5.0, times=np.ones(1))
-    mean, failure = (
-        w @ solved.moments(x)[0] * solved.longest,
-        w @ solved.failure(np.ones(1), x)[0][0] + beyond,
-    )
+    mean = w @ solved.moments(x)[0] * solved.longest
+    failed = w @ solved.failure(np.ones(1), x)[0][0] + beyond
     # The reference states 1e-12 of its own, besides.
     assert abs(answer.mean.value - mean) <= answer.mean.error + 1e-12 * mean
-    assert abs(answer.failure[1] - failure) <= answer.failure_error[1] + 1e-12
+    assert abs(answer.failure[1] - failed) <= answer.failure_error[1] + 1e-12
     assert answer.certificate.certified
 
 
 @pytest.mark.parametrize("limit", [800.0, 1e10])
 def test_a_limit_whose_mean_time_is_beyond_double_precision_is_refused(limit):
-    for solver in (
-        lambda: fem_passage(process(1), limit, Source(), NONE, tol=1e-10),
-        lambda: SquareRoot(1, 1.0, 1.0).passage(limit, 0.0, NONE, tol=1e-10),
-    ):
-        with pytest.raises(InvalidInput, match="beyond the range"):
-            solver()
+    with pytest.raises(InvalidInput, match="beyond the range"):
+        fem_passage(process(1), limit, Source(), NONE, tol=1e-10)
+    with pytest.raises(InvalidInput, match="beyond the range"):
+        SquareRoot(1, 1.0, 1.0).passage(limit, 0.0, NONE, tol=1e-10)

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from test_fpk_plane import Log, l1_error, manufactured, van_der_pol
+from test_fpk_plane import l1_error, manufactured, van_der_pol
 from test_fpk_plane_weight import mixture
 
 from fpk.answer.certificate import DISTANCE_FACTOR
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.plane.stationary import solve_plane
-from fpk.system.process import Process
 
 LARGEST_RATIO = 2.1
 """Error over the distance to the enriched solution, named at ``DISTANCE_FACTOR``."""
@@ -16,7 +15,7 @@ ROUND_OFF = 2e-14
 """Round-off of the reference's own mass."""
 
 
-def drawn(seed: int) -> tuple[Process, Log, float]:
+def drawn(seed):
     """A mixture of exponentials, a manufactured or a van der Pol density, and a tolerance."""
     rng = np.random.default_rng(seed)
     tol = 10.0 ** rng.integers(-11, -2)
@@ -35,7 +34,7 @@ def drawn(seed: int) -> tuple[Process, Log, float]:
     return *van_der_pol((g1, g2), (a1, a2), rng.uniform(0.0, 14.0), (d1, d2)), tol
 
 
-def assert_within(seeds: range) -> None:
+def assert_within(seeds):
     certified = 0
     for seed in seeds:
         process, log_p, tol = drawn(seed)
@@ -48,14 +47,10 @@ def assert_within(seeds: range) -> None:
     assert certified >= 0.95 * len(seeds)
 
 
-def test_random_densities_are_within_their_stated_error() -> None:
-    assert_within(range(20))
-
-
-def test_errors_at_points_hold_where_the_distance_vanishes() -> None:
+def test_errors_at_points_hold_where_the_distance_vanishes():
     """.06 % of the points of 300 seeds are outside; by the distance at a point alone 2.7 %."""
     outside, count = 0, 0
-    for seed in range(30):
+    for seed in range(16):
         process, log_p, tol = drawn(seed)
         solution = solve_plane(process, tol=tol)
         if not solution.certificate.certified:
@@ -69,15 +64,16 @@ def test_errors_at_points_hold_where_the_distance_vanishes() -> None:
         seen = p > 1e-14 * p.max()
         outside += np.count_nonzero(missed[seen] > solution.pointwise_error(x, y)[seen])
         count += np.count_nonzero(seen)
-    assert count > 5e4 and outside < 1e-3 * count
+    assert count > 2e4 and outside < 1e-3 * count
 
 
-def test_the_mass_of_a_density_is_known_by_a_finer_rule() -> None:
-    # 20 and 22 points on two panels were both off by 3.5e-13, of one another by 1.1e-13.
-    assert_within(range(2467, 2468))
+# Of seed 2467, 20 and 22 points on two panels were both off by 3.5e-13, of one another by 1.1e-13.
+@pytest.mark.parametrize("seeds", [range(10), range(2467, 2468)])
+def test_random_densities_are_within_their_stated_error(seeds):
+    assert_within(seeds)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, 3000, 250))
-def test_three_thousand_random_densities(first: int) -> None:
+def test_three_thousand_random_densities(first):
     assert_within(range(first, first + 250))

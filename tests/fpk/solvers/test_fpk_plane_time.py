@@ -56,12 +56,12 @@ def assert_within(seed):
 
 
 def test_random_transients_are_within_their_stated_errors():
-    assert sum(map(assert_within, range(4))) >= 3
+    assert sum(map(assert_within, range(3))) >= 2
 
 
 @pytest.mark.slow
 def test_a_hundred_random_transients():
-    assert sum(map(assert_within, range(4, 104))) >= 80
+    assert sum(map(assert_within, range(3, 104))) >= 80
 
 
 @pytest.mark.parametrize("limit", [PlaneLimit(0.6, 0.5), PlaneLimit(total=0.7)])
@@ -84,22 +84,18 @@ def test_one_equation_written_twice(limit):
     assert_allclose(mean, by_weight.mean.value, rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("degree", "tol", "gap"),
-    [(8, 1e-8, 1e-9), pytest.param(11, 1e-10, 1e-10, marks=pytest.mark.slow)],
-)
-def test_reliability_is_the_mass_that_the_absorbing_forward_equation_keeps(degree, tol, gap):
+def test_reliability_is_the_mass_that_the_absorbing_forward_equation_keeps():
     # Another assembly, of scikit-fem, and another exponential.
     process, _ = manufactured(0.4, 0.2)
     nodes = (np.array([0.0, 0.1, 0.3, 0.6]), np.array([0.0, 0.1, 0.25, 0.5]))
-    forward = Operator(process, nodes, degree, degree + 4, absorbing=(0, 1))
+    forward = Operator(process, nodes, 8, 12, absorbing=(0, 1))
     at = forward.basis.probes(np.array([[0.2], [0.15]])).toarray()[0][forward.free]
     step = expm(0.2 * np.linalg.solve(forward.M.toarray(), forward.A.toarray()))
     p = step @ np.linalg.solve(forward.M.toarray(), at)
     start, times = PlaneStart(np.array([0.2, 0.15])), np.array([0.2])
-    answer = plane_first_passage(density(process), start, PlaneLimit(0.6, 0.5), times, tol=tol)
+    answer = plane_first_passage(density(process), start, PlaneLimit(0.6, 0.5), times, tol=1e-8)
     assert answer.certificate.certified, answer.certificate.failures
-    assert abs(answer.survival[0] - forward.shares @ p) <= gap
+    assert abs(answer.survival[0] - forward.shares @ p) <= 1e-9
 
 
 def test_a_time_by_which_all_have_failed_spoils_no_other():
@@ -115,7 +111,7 @@ def test_a_time_by_which_all_have_failed_spoils_no_other():
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "ridge")) for n in COUPLED]
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "one of two modes")) for n in COUPLED]
 )
 def test_the_slowest_rate_is_that_of_a_finer_tolerance(name):
     process, _ = COUPLED[name]
@@ -131,8 +127,15 @@ def test_degenerate_rates_are_all_there():
     assert np.all(np.abs(rates.values - exact) <= rates.errors)
 
 
-@pytest.mark.parametrize("name", ["Gibbs of H1 + H2", "ridge"])
-@pytest.mark.parametrize("seen", [(0, 1), (0,), ()])
+@pytest.mark.parametrize(
+    ("name", "seen"),
+    [
+        ("ridge", (0, 1)),
+        ("ridge", ()),
+        ("Gibbs of H1 + H2", (0,)),
+        *(pytest.param("Gibbs of H1 + H2", s, marks=pytest.mark.slow) for s in ((0, 1), ())),
+    ],
+)
 def test_coupled_transients_relax_to_the_exact_density(name, seen):
     process, log_p = COUPLED[name]
     of = density(process)
@@ -155,32 +158,19 @@ def test_coupled_transients_relax_to_the_exact_density(name, seen):
     assert np.all(np.abs(answer.values[0] - exact) <= answer.errors[0] + 1e-12)
 
 
-@pytest.mark.slow
-def test_coupled_passage_at_a_loose_tolerance_is_within_its_error():
-    process, _ = COUPLED["one of two modes"]
-    of, times = density(process), np.array([5.0, 50.0])
-    for limit in (PlaneLimit(total=2.0), PlaneLimit(1.8, None)):
-        loose, tight = (
-            plane_first_passage(of, PlaneStart(np.array([0.1, 0.3])), limit, times, tol=tol)
-            for tol in (1e-3, 1e-8)
-        )
-        assert tight.certificate.certified, tight.certificate.failures
-        for key in ("mean", "variance", "rate"):
-            a, b = getattr(loose, key), getattr(tight, key)
-            assert abs(a.value - b.value) <= a.error + b.error
-        gap = np.abs(loose.survival - tight.survival)
-        assert np.all(gap <= loose.survival_error + tight.survival_error)
+def passage_from_rest(c, d, total, times=()):
+    """First passage of H1 + H2 = ``total`` from rest, of two square-root processes."""
+    of = density(square_root_process(c, d))
+    limit, start = PlaneLimit(total=total), PlaneStart(np.zeros(2))
+    return plane_first_passage(of, start, limit, np.array(times), tol=1e-8)
 
 
 def test_a_failure_of_probability_1e_17_keeps_its_digits():
     c, d = 0.1, 0.05
-    answer = plane_first_passage(
-        density(square_root_process((c, c), (d, d))), PlaneStart(np.zeros(2)),
-        PlaneLimit(total=40.0 * d / c), np.array([1.0, 1e15, 1e17]), tol=1e-8,
-    )  # fmt: skip
+    answer = passage_from_rest((c, c), (d, d), 40.0 * d / c, [1.0, 1e15, 1e17])
     assert answer.certificate.certified, answer.certificate.failures
     # E T of the gamma process of two: ∫_0^40 e^z (1 − (1 + z) e^−z)/z² dz/c (mpmath).
-    exact = RARE_MEAN / c
+    exact = 155086592685738.702 / c
     assert abs(answer.mean.value - exact) <= answer.mean.error <= 1e-8 * exact
     # The reliability at such times is e^(−λt).
     expected = np.exp(-answer.rate.value * answer.times)
@@ -189,17 +179,10 @@ def test_a_failure_of_probability_1e_17_keeps_its_digits():
     assert abs(answer.survival[0] - expected[0]) <= answer.survival_error[0] < 1e-9
 
 
-RARE_MEAN = 155086592685738.702
-
-
-@pytest.mark.parametrize("small", [1e-60, 1e-100])
-def test_a_tiny_limit_is_passed_as_by_the_same_motion_without_damping(small):
+def test_a_tiny_limit_is_passed_as_by_the_same_motion_without_damping():
     # Below it dH = 2 d dt + √(2 d H) dB: E T = H_f/(2 d), E T² − (E T)² = H_f²/(12 d²).
-    c, d = 0.1, 0.05
-    answer = plane_first_passage(
-        density(square_root_process((c, c), (d, d))), PlaneStart(np.zeros(2)),
-        PlaneLimit(total=small), np.zeros(0), tol=1e-8,
-    )  # fmt: skip
+    c, d, small = 0.1, 0.05, 1e-100
+    answer = passage_from_rest((c, c), (d, d), small)
     assert answer.certificate.certified, answer.certificate.failures
     # What damping does is of the relative size c H_f/d.
     assert abs(answer.mean.value - small / (2.0 * d)) <= answer.mean.error < 1e-8 * small / d
@@ -208,21 +191,16 @@ def test_a_tiny_limit_is_passed_as_by_the_same_motion_without_damping(small):
     assert variance.error <= 1e-8 * variance.value
 
 
-def test_a_limit_that_nobody_reaches_is_refused():
-    c, d = FIG8
-    with pytest.raises(InvalidInput, match="beyond the range"):
-        plane_first_passage(
-            density(square_root_process(c, d)), PlaneStart(np.zeros(2)), PlaneLimit(total=1e4),
-            np.zeros(0), tol=1e-8,
-        )  # fmt: skip
-
-
-def test_a_failure_too_rare_for_memory_is_refused_before_any_work():
-    with pytest.raises(InvalidInput, match="more equations than fit into memory"):
-        plane_first_passage(
-            density(square_root_process((0.1, 0.1), (0.05, 0.025))), PlaneStart(np.zeros(2)),
-            PlaneLimit(total=140.0), np.zeros(0), tol=1e-8,
-        )  # fmt: skip
+@pytest.mark.parametrize(
+    ("c", "d", "total", "words"),
+    [
+        (*FIG8, 1e4, "beyond the range"),
+        ((0.1, 0.1), (0.05, 0.025), 140.0, "more equations than fit into memory"),
+    ],
+)
+def test_a_limit_too_far_is_refused_before_any_work(c, d, total, words):
+    with pytest.raises(InvalidInput, match=words):
+        passage_from_rest(c, d, total)
 
 
 @pytest.mark.parametrize("collapsed", [False, True])

@@ -1,11 +1,14 @@
-"""The linear part of a system in any units, and with springs that differ by many decades."""
+"""The linear part of a system: modes, covariance and decay, in any units."""
 
 import numpy as np
 import pytest
+from systems import in_units
 
+from fpk.numeric.errors import NotApplicable
 from fpk.system.linear import (
     decay_time,
     diffusion_matrix,
+    displacements_given,
     drift_matrix,
     natural_modes,
     stationary_covariance,
@@ -13,42 +16,53 @@ from fpk.system.linear import (
 from fpk.system.system import System
 
 EPS = np.finfo(float).eps
+PAIR = [1.0, 2.0], [3.0, 4.0]
 
 
 @pytest.mark.parametrize(
-    ("m", "k", "c"),
-    [(1, 1e8, 1), (100, 1e6, 1), (1e-8, 1e8, 1e-2), (1e10, 1e-10, 1e-4)],
+    ("m", "k", "c"), [(1, 1e8, 1), (100, 1e6, 1), (1e-8, 1e8, 1e-2), (1e10, 1e-10, 1e-4)]
 )
 def test_one_mass_has_the_variances_of_its_temperature(m, k, c):
     """E q² = D/(c k), E p² = m D/c, E q p = 0, whatever the units."""
     D = 3.0
-    covariance = stationary_covariance(System([m], [k], [c], [D]))
+    system = System([m], [k], [c], [D])
     exact = np.diag([D / (c * k), m * D / c])
     size = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
     # The decay c/m is found to EPS times the largest rate.
-    rate = np.max(np.abs(np.linalg.eigvals(drift_matrix(System([m], [k], [c], [D])))))
-    allowed = 50 * EPS * rate * decay_time(System([m], [k], [c], [D]))
-    np.testing.assert_array_less(np.abs(covariance - exact), allowed * size)
+    rate = np.max(np.abs(np.linalg.eigvals(drift_matrix(system))))
+    difference = np.abs(stationary_covariance(system) - exact)
+    np.testing.assert_array_less(difference, 50 * EPS * rate * decay_time(system) * size)
 
 
 def test_the_covariance_is_that_of_the_same_system_in_other_units():
-    rng = np.random.default_rng(61)
-    m, k, c, D = rng.uniform(0.5, 2.0, (4, 5)) * [[1.0], [1.0], [0.1], [1.0]]
-    base = stationary_covariance(System(m, k, c, D))
-    M, X, T = 1e-7, 1e5, 1e-4
-    other = stationary_covariance(System(M * m, M / T**2 * k, M / T * c, (M * X) ** 2 / T**3 * D))
+    m, k, c, D = np.random.default_rng(61).uniform(0.5, 2.0, (4, 5))
+    system, M, X, T = System(m, k, 0.1 * c, D), 1e-7, 1e5, 1e-4
+    base = stationary_covariance(system)
+    other = stationary_covariance(in_units(system, M, X, T))
     unit = np.array([X] * 5 + [M * X / T] * 5)
     # A Lyapunov solution loses the digits of the slowest decay beside the fastest motion.
     size = np.sqrt(np.outer(np.diag(base), np.diag(base)))
     assert np.max(np.abs(other / np.outer(unit, unit) - base) / size) < 1e-11
-    A, b = drift_matrix(System(m, k, c, D)), diffusion_matrix(System(m, k, c, D))
-    assert np.max(np.abs(A @ base + base @ A.T + b)) < 1e3 * EPS * np.max(np.abs(base))
+
+
+def test_modes_solve_the_eigenproblem():
+    rng = np.random.default_rng(62)
+    for n in (1, 2, 30):
+        m, k = rng.uniform(0.5, 2.0, (2, n))
+        system = System(m, k, np.ones(n), np.ones(n))
+        T, omega = natural_modes(system)
+        assert np.all(np.diff(omega) > 0)
+        np.testing.assert_allclose(T.T @ np.diag(m) @ T, np.eye(n), atol=100 * EPS)
+        residual = system.stiffness_matrix @ T - np.diag(m) @ T * omega**2
+        assert np.max(np.abs(residual)) < 100 * EPS * omega[-1] ** 2
+    # det(K − ω² M) = 0 for m = (1, 2), k = (3, 4): 2 ω⁴ − (2·7 + 4) ω² + 12 = 0.
+    omega = natural_modes(System(*PAIR, [0.1, 0.2], [0.3, 0.4]))[1]
+    np.testing.assert_allclose(omega**2, np.sort(np.roots([2.0, -18.0, 12.0])), rtol=1e-13)
 
 
 def test_a_spring_of_1e16_leaves_the_slow_modes_their_digits():
     """Two masses that it joins move as one: k = (1, 1), m = (1, 2), 2 ω⁴ − 5 ω² + 1 = 0."""
-    system = System([1.0, 1.0, 1.0], [1.0, 1.0, 1e16], [0.1] * 3, [0.1] * 3)
-    shapes, omega = natural_modes(system)
+    shapes, omega = natural_modes(System([1.0] * 3, [1.0, 1.0, 1e16], [0.1] * 3, [0.1] * 3))
     slow = np.sqrt((5.0 + np.array([-1.0, 1.0]) * np.sqrt(17.0)) / 4.0)
     # Round-off of the largest singular value, 1.4e8, is 3e-8; a coupling of 1e-16 is left out.
     np.testing.assert_allclose(omega[:2], slow, atol=10 * EPS * omega[2])
@@ -56,13 +70,55 @@ def test_a_spring_of_1e16_leaves_the_slow_modes_their_digits():
     np.testing.assert_allclose(shapes.T @ shapes, np.eye(3), atol=1e-14)
 
 
-def test_modes_solve_the_eigenproblem():
-    rng = np.random.default_rng(62)
-    for n in (1, 2, 7, 30):
-        m, k = rng.uniform(0.5, 2.0, (2, n))
-        system = System(m, k, np.ones(n), np.ones(n))
-        T, omega = natural_modes(system)
-        assert np.all(np.diff(omega) > 0)
-        np.testing.assert_allclose(T.T @ np.diag(m) @ T, np.eye(n), atol=100 * EPS)
-        left = system.stiffness_matrix @ T - np.diag(m) @ T * omega**2
-        assert np.max(np.abs(left)) < 100 * EPS * omega[-1] ** 2
+def test_covariance_solves_the_lyapunov_equation():
+    gain = [[1.0], [0.2]]
+    one = System(*PAIR, [[0.1, 0.05], [-0.02, 0.2]], [0.3], noise_gain=gain)
+    A, b, S = drift_matrix(one), diffusion_matrix(one), stationary_covariance(one)
+    # Backward stable to some ε of A Σ, n = 4.
+    np.testing.assert_allclose(A @ S + S @ A.T, -b, rtol=0, atol=1e-13 * np.abs(A @ S).max())
+    np.testing.assert_array_equal(S, S.T)
+    assert np.linalg.eigvalsh(S)[0] > 0
+    # The drift matrix acts as Eq. (6): q' = p/m, p' = −K q − c p/m.
+    q, p = np.array([0.3, -0.4]), np.array([0.5, 0.6])
+    v = p / one.mass
+    expected = np.concatenate([v, -one.stiffness_matrix @ q - one.damping @ v])
+    np.testing.assert_allclose(A @ np.concatenate([q, p]), expected, rtol=1e-15)
+
+
+@pytest.mark.parametrize("h", [0.5, 20.0])
+def test_covariance_is_that_of_gibbs_where_damping_is_h_times_noise(h):
+    D = np.array([[0.05, 0.02], [0.02, 0.08]])
+    one = System(*PAIR, h * D, D)
+    S = stationary_covariance(one)
+    # Condition of the Lyapunov equation: |A| over the decay rate, below 1e4 here.
+    tol = 1e4 * EPS * np.abs(S).max()
+    np.testing.assert_allclose(S[:2, :2], np.linalg.inv(one.stiffness_matrix) / h, atol=tol)
+    np.testing.assert_allclose(S[2:, 2:], np.diag(one.mass) / h, atol=tol)
+    np.testing.assert_allclose(S[:2, 2:], 0.0, atol=tol)
+    wrong = stationary_covariance(System(*PAIR, h * np.diag([0.05, 0.08]), D))
+    assert np.abs(wrong - S).max() > 1e-2 * np.abs(S).max()
+
+
+def test_an_undamped_mode_is_refused():
+    for damping in ([0.0, 0.0], [[0.0, 0.3], [-0.3, 0.0]]):
+        undamped = System(*PAIR, damping, [0.3, 0.4])
+        assert decay_time(undamped) == np.inf
+        with pytest.raises(NotApplicable, match="not damped"):
+            stationary_covariance(undamped)
+    # One damper reaches both modes of the chain through the springs.
+    assert decay_time(System(*PAIR, [0.1, 0.0], [0.3, 0.4])) < 1e4
+
+
+def test_compliance_is_the_inverse_of_the_stiffness_matrix():
+    one = System([1.0] * 4, [1.0, 1e6, 3.0, 2e-3], [0.1] * 4, [0.1] * 4)
+    np.testing.assert_allclose(one.compliance @ one.stiffness_matrix, np.eye(4), atol=1e-8)
+
+
+@pytest.mark.parametrize("given", [[], [2], [1, 3], [0, 4]])
+def test_displacements_between_given_masses_are_a_bridge(given):
+    system = System([1.0] * 5, [1.0, 3.0, 2.0, 5.0, 0.5], [0.1] * 5, [0.1] * 5)
+    free = [i for i in range(5) if i not in given]
+    expected = np.zeros((5, 5))
+    expected[np.ix_(free, free)] = np.linalg.inv(system.stiffness_matrix[np.ix_(free, free)])
+    found = displacements_given(system, given)[1]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)

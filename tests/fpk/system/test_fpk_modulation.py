@@ -1,4 +1,4 @@
-"""The factor of modulated noise: its energy, what damping leaves of it, what is refused."""
+"""The factor of modulated noise: its energy, the part that damping leaves, and refusals."""
 
 import mpmath
 import numpy as np
@@ -16,8 +16,8 @@ def test_the_energy_of_the_modulation():
     assert modulation.energy(30.0) == pytest.approx(float((w * modulation(s) ** 2).sum()))
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_what_is_left_of_the_noise_against_mpmath(seed):
+@pytest.mark.parametrize("seed", range(8))
+def test_the_part_of_the_noise_that_damping_leaves_against_mpmath(seed):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 6))
     times = np.append(0.0, np.cumsum(rng.uniform(0.5, 6.0, count - 1)))
@@ -28,13 +28,14 @@ def test_what_is_left_of_the_noise_against_mpmath(seed):
     with mpmath.workdps(30):
         exact = mpmath.mpf(0)
         for a, b in zip([begin, *inner], [*inner, end], strict=True):
-            low, high = (mpmath.mpf(float(modulation(np.array(x)))) for x in (a, b))
             # A square in s times an exponential, integrated by parts.
-            k, h, slope = mpmath.mpf(rate), mpmath.mpf(b) - a, (high - low) / (mpmath.mpf(b) - a)
-            at = [high**2 / k - 2 * slope * high / k**2 + 2 * slope**2 / k**3,
-                  low**2 / k - 2 * slope * low / k**2 + 2 * slope**2 / k**3]  # fmt: skip
-            part = at[0] - mpmath.exp(-k * h) * at[1]
-            exact += mpmath.exp(-k * (mpmath.mpf(end) - b)) * part
+            k, h = mpmath.mpf(rate), mpmath.mpf(b) - a
+            low, high = (mpmath.mpf(float(modulation(np.array(x)))) for x in (a, b))
+            slope = (high - low) / h
+            lower, upper = (
+                e**2 / k - 2 * slope * e / k**2 + 2 * slope**2 / k**3 for e in (low, high)
+            )
+            exact += mpmath.exp(-k * (mpmath.mpf(end) - b)) * (upper - mpmath.exp(-k * h) * lower)
         got = mpmath.mpf(float(modulation.faded(begin, end, np.array(rate))))
         # 30 digits less those that 1/k³ cancels at the least rate, and those of e(t) in double.
         assert abs(got - exact) <= (LARGEST_LOG * EPS + 1e-12) * exact
@@ -44,15 +45,9 @@ def test_what_is_left_of_the_noise_against_mpmath(seed):
 def test_energy_fed_in_grows_where_damping_is_negative(rate):
     modulation = Modulation([0.0, 1.0, 3.0], [0.5, 2.0, 0.0])
     s, w = panel_rule(np.array([0.0, 1.0, 2.5]), 30)
-    wanted = float((w * modulation(s) ** 2 * np.exp(-rate * (2.5 - s))).sum())
+    expected = float((w * modulation(s) ** 2 * np.exp(-rate * (2.5 - s))).sum())
     # 1200 roundings of the sum by quadrature, at the most.
-    assert float(modulation.faded(0.0, 2.5, np.array(rate))) == pytest.approx(wanted, rel=3e-13)
-
-
-@pytest.mark.parametrize("factor", [1e160, 1e-170])
-def test_factors_whose_square_is_no_number_are_refused(factor):
-    with pytest.raises(InvalidInput, match="must be 0 or from"):
-        Modulation([0.0, 1.0], [1.0, factor])
+    assert float(modulation.faded(0.0, 2.5, np.array(rate))) == pytest.approx(expected, rel=3e-13)
 
 
 @pytest.mark.parametrize(
@@ -65,6 +60,8 @@ def test_factors_whose_square_is_no_number_are_refused(factor):
         ([], [], "list"),
         ([0, np.inf], [1.0, 1.0], "finite"),
         ("x", [1.0], "finite"),
+        ([0, 1], [1.0, 1e160], "must be 0 or from"),
+        ([0, 1], [1.0, 1e-170], "must be 0 or from"),
     ],
 )
 def test_modulations_that_make_no_sense_are_refused(times, factor, word):
@@ -72,7 +69,7 @@ def test_modulations_that_make_no_sense_are_refused(times, factor, word):
         Modulation(times, factor)
 
 
-@pytest.mark.parametrize("step", [1e-3, 0.3, 2.0])
+@pytest.mark.parametrize("step", [1e-3, 2.0])
 def test_the_mean_square_of_a_step_keeps_its_digits_after_loud_noise(step):
     """24 decades below what came before, and with kinks inside; by two points a segment, exact."""
     modulation = Modulation([0.0, 10.0, 10.5, 11.0, 20.0], [1e6, 1e6, 1e-6, 3e-6, 2e-6])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from sim_systems import fig6, place
-from state_damping import damping_at
+from systems import damping_at
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.method import Result, silent
