@@ -26,10 +26,12 @@ SAGITTA = 1.0
 its maximum: ln(p H) rises above its chord by at most an eighth of it."""
 PROBE_DEPTH = 100.0
 """Depth in ln(p H) below its maximum down to which a probe resolves p: 4e-44 of the mass."""
-ELEMENT_FALL = 4.0
-"""Fall n of ln(p/T) over one element. If ln(p/T) is linear in H, a polynomial of degree p has the
+ELEMENT_FALL = 3.0
+"""Fall of ln(p/T) over one element: degree 10 approximates exp(−3 t) to 1e-11."""
+SMOOTH_FALL = 4.0
+"""Fall n of ln(p/T) over one element if ln(p/T) is linear in H. A polynomial of degree p has the
 error n^(p+1)/((p+1)! 2^(2p+1)) of the maximum of e^(−x) (Chebyshev), 1e-1 to 1e-2 of a tolerance
-whose number of digits is p − 4; otherwise elements adapt."""
+whose number of digits is p − 4."""
 CONTACT_GROWTH = 20.0
 """Largest ratio of both ends of an element that begins at a contact energy."""
 GRADING = 0.15
@@ -226,7 +228,7 @@ def time_nodes(
     nodes ``more``. One of two nodes that nearly coincide is dropped.
     """
     n = process.degrees_of_freedom
-    nodes = initial_nodes(probe_process(process), end, process.nonsmooth)
+    nodes = initial_nodes(probe_process(process), end, process.nonsmooth, nats=SMOOTH_FALL)
     added = [nodes, more, end * np.array([0.25, 0.5, 0.75])]  # four elements at least
     if n > 2:
         # An error ~ (length/scale)^(k + 2) of the first element, of degree k, is round-off.
@@ -234,7 +236,7 @@ def time_nodes(
         scale = min([process.energy_scale, end, *beside_zero])
         first = 10.0 ** (-16.0 / (first_degree(degree - 1, n) + 2)) * scale
         # ln T ~ (n − 1) ln H.
-        ratio = min(math.exp(ELEMENT_FALL / (n - 1)), LENGTH_RATIO if beside_zero else np.inf)
+        ratio = min(math.exp(SMOOTH_FALL / (n - 1)), LENGTH_RATIO if beside_zero else np.inf)
         if first < 0.5 * nodes[1]:
             steps = int(math.log(end / first) / math.log(ratio))
             added.append(first * ratio ** np.arange(steps + 1.0))

@@ -20,6 +20,7 @@ from fpk.solvers.line.elements import Elements, NullVectors, element_rule, solve
 from fpk.solvers.line.mesh import (
     ELEMENT_FALL,
     GRADED_LAYERS,
+    SMOOTH_FALL,
     Probe,
     initial_nodes,
     probe_process,
@@ -169,7 +170,7 @@ def solve_stationary(
         # The error of an element is weighted by its mass, and rises as nats^(degree + 1). Up to 7
         # nats p at the far end exceeds the error of its element, so that p stays positive.
         fall = probe.log_mass.max() - probe.log_mass
-        nats = ELEMENT_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
+        nats = SMOOTH_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
     end, layers = probe.extent(1e-2 * tol), 0 if smooth else GRADED_LAYERS
     nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
