@@ -210,7 +210,7 @@ def test_random_modal_densities_keep_to_their_error(seed):
                     exact = mpmath.npdf(mpmath.mpf(x), 0, mpmath.sqrt(variance))
                 p, stated = density.at(np.array([x]))
                 assert abs(p[0] - float(exact)) <= stated[0] + 2.3e-16 * p[0], name
-            assert density.certificate.certified == (density.l1_error <= method.wanted(system))
+            assert density.certificate.certified == (density.l1_error <= method.tol_for(system))
 
 
 @pytest.mark.parametrize("name", ["q1", "p2", "H"])
