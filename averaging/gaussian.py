@@ -231,7 +231,8 @@ class Linear(Theory):
         if np.max(modes.variance) <= 0.0:
             raise NotApplicable("no noise reaches a mass, so its density is concentrated at rest")
 
-        variance = np.maximum(modes.variance, 0.0)
+        # A variance below its error is 0: its round-off would pass for independent motion.
+        variance = np.where(modes.variance > modes.variance_error, modes.variance, 0.0)
         # H = ½ |x|² of x = (ω Q, P).
         to_state = block_diag(modes.shapes / modes.omega, system.mass[:, None] * modes.shapes)
         gaussian = Gaussian(
