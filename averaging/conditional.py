@@ -182,7 +182,7 @@ def gibbs_integral(
             ) -> Array:
                 return np.asarray(over([law], x[None], rest) / top)
 
-            beyond = fit(in_units, np.linspace(-most, most, 9), ROUND_OFF)
+            beyond = fit(in_units, np.linspace(-most, most, 9), 0.1 * ROUND_OFF)
             assert beyond.error is not None
             error, scale = error * weight / top + float(beyond.error.max()), scale * top
         given = x[None] if observed else np.zeros((0, x.size))

@@ -67,10 +67,7 @@ class Gaussian:
         if len(observable) < 2:
             return None
         rows, _, L = self._standardised(observable)
-        least, round_off = np.min(np.abs(np.diag(L))), 8.0 * EPS * rows.shape[1]
-        # With a relative error of 1 or more the covariance may be singular: then a conditional
-        # variance at its round-off is none.
-        if least**2 > round_off or (least > round_off and self.relative_error < 1.0):
+        if np.min(np.abs(np.diag(L))) > 8.0 * EPS * rows.shape[1]:
             return None
         name = observable_name(observable)
         return f"{name}: one is a multiple of the other at all times: there is no joint density"
@@ -234,7 +231,8 @@ class Linear(Theory):
         if np.max(modes.variance) <= 0.0:
             raise NotApplicable("no noise reaches a mass, so its density is concentrated at rest")
 
-        variance = np.maximum(modes.variance, 0.0)
+        # A variance below its error is 0: its round-off would pass for independent motion.
+        variance = np.where(modes.variance > modes.variance_error, modes.variance, 0.0)
         # H = ½ |x|² of x = (ω Q, P).
         to_state = block_diag(modes.shapes / modes.omega, system.mass[:, None] * modes.shapes)
         gaussian = Gaussian(

@@ -43,7 +43,7 @@ class Coarse(NonIntegrable):
                 lambda x: d.pdf(x - self.shift),
                 lambda x: d.pointwise(x - self.shift),
                 measured=Measured(max(self.floor, d.l1_error), 0.0, 0.0, 0.0, 0.0),
-                tol=self.wanted(system),
+                tol=self.tol_for(system),
             )
 
         def solve(observables, progress):

@@ -100,7 +100,7 @@ def test_what_it_cannot_meet_is_not_certified():
 @pytest.mark.parametrize("method", [NonIntegrable, Integrable])
 def test_it_is_refined_from_its_own_default(method):
     at_first, finer = method("scikit-fem"), method("scikit-fem").refined()
-    assert finer.tol == 0.1 * at_first.wanted(load_scene("fig8b").system)
+    assert finer.tol == 0.1 * at_first.tol_for(load_scene("fig8b").system)
     assert finer.refined().tol == 0.1 * finer.tol
 
 
