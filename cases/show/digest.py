@@ -188,7 +188,7 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
 def quantity_row(quantity: Quantity, units: Units = NO_UNITS) -> Record:
     """Return the entry of a quantity by one route, with its ``unit`` where units have names.
 
-    Its ``name`` is the one that ``fpk sweep`` takes.
+    Its ``name`` is the argument of ``fpk sweep``.
     """
     unit = units.number(quantity.quantity, quantity.observable)
     level = quantity.definition.kind == "exceedance" and units.number("", quantity.observable)
@@ -228,7 +228,7 @@ def _theory(route: Route) -> str:
 
 
 def verify_row(digest: Record) -> Record:
-    """Return what the gate says of a scene; a curve about which nothing is judged is a problem."""
+    """Return the row of ``fpk verify`` for a scene; a curve without a judged comparison fails."""
     curves = curves_of(digest)
     unjudged = [
         f"{curve['label'] or digest['scene']}: no comparison was judged"

@@ -58,9 +58,9 @@ def show_record(scene: Scene) -> Record:
 
 
 def units_record(scene: Scene) -> Record | None:
-    """Return the units for JSON, with that of every contact's stiffness B; None without names.
+    """Return the units for JSON, also of the stiffness B of every contact; None without names.
 
-    The unit of the noise intensity D is empty where a noise gain is given: gains may have a
+    The unit of the noise intensity D is empty if a noise gain is given: gains may have a
     dimension of their own, and the unit of D depends on it.
     """
     record = scene.units.record()
@@ -74,10 +74,10 @@ def units_record(scene: Scene) -> Record | None:
 
 
 def check_record(scene: Scene) -> Record:
-    """Return the record of ``fpk check``: sizes, theories, questions, about what a run costs.
+    """Return the record of ``fpk check``: sizes, theories, questions, estimated seconds of a run.
 
     ``refused`` and ``applies`` are about stationary densities; ``stationary_refusal`` says why the
-    system has none, None where it has.
+    system has none, and is None if it has a stationary state.
     """
     listed = theories(scene)
     taken = [t["method"] for t in listed if t["applies"] and not t["left_out"]]
@@ -108,10 +108,10 @@ def check_record(scene: Scene) -> Record:
 
 
 def facts_record(system: System) -> Record:
-    """Return the system, its effects, and its regime: what decides between the theories.
+    """Return the system, its effects, and its regime: the facts that decide between the theories.
 
-    Masses count from 1. ``incompatible`` says why the compatibility condition (8) fails, None where
-    it holds.
+    Masses count from 1. ``incompatible`` says why the compatibility condition (8) fails; None if it
+    holds.
     """
     effects, stops = effects_of(system), system.fact(stop_clearances)
     beyond = [stop.beyond_rule for stop in stops]
@@ -141,7 +141,7 @@ def facts_record(system: System) -> Record:
 def theories(scene: Scene) -> list[Record]:
     """Return for every METHOD whether it applies to the scene's own system, and why not.
 
-    ``left_out`` says why ``fpk run`` leaves out one that applies, None where it takes it.
+    ``left_out`` says why ``fpk run`` leaves out a method that applies; None if it runs the method.
     """
     records = []
     for name in dict.fromkeys(route.method for route in listed_routes()):
@@ -179,7 +179,7 @@ def theories(scene: Scene) -> list[Record]:
 def _boundaries(system: System) -> list[Record]:
     """The ends of the averaged energies (24) and (17), of each theory that applies.
 
-    None where the motion escapes, which averages do not show.
+    Empty if the motion escapes, which averaged energies do not show.
     """
     ends: list[tuple[str, BoundaryClass]] = []
     if system.fact(escape):

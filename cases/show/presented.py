@@ -7,7 +7,7 @@ from typing import Any
 import matplotlib as mpl
 
 from cases.compare.answers import Answers
-from cases.scene.units import Units
+from cases.scene.units import CONSISTENT, Units
 from cases.scene.written import NOTE
 from cases.show.digest import quantity_row
 from cases.show.fields import density_variables
@@ -15,7 +15,7 @@ from cases.show.pictures.densities import HEIGHT, density_panel, joint_figure, l
 from cases.show.pictures.draw import column_figure, contour_figure, draw_curves
 from cases.show.pictures.panel import Field
 from cases.show.pictures.style import STYLE, density_words
-from cases.show.records import UNITS, plain, program_version
+from cases.show.records import plain, program_version
 from cases.show.text import html_table, quantity_rows
 from cases.show.variables import Variables
 from cases.show.words import named
@@ -45,7 +45,7 @@ def dataset(answers: Answers) -> Any:
     for observable in dict.fromkeys(d.observable for d in answers.values()):
         variables |= density_variables([answers], observable, Units())
     data = xarray.Dataset(
-        dict(variables), attrs={"units": UNITS, "program": f"vibro-fpk {program_version()}"}
+        dict(variables), attrs={"units": CONSISTENT, "program": f"vibro-fpk {program_version()}"}
     )
     return data.isel(curve=0, drop=True) if "curve" in data.dims else data
 

@@ -9,7 +9,7 @@ from pydantic_core import to_jsonable_python
 
 from cases.compare.doubt import averaging_notes
 from cases.scene.scene import Scene
-from cases.scene.units import CONSISTENT, DIMENSIONS, Units, bracketed
+from cases.scene.units import DIMENSIONS, Units, bracketed
 from cases.scene.written import bound
 from cases.show.variables import PASSAGE_CURVES, PASSAGE_NUMBERS
 from cases.show.words import with_key
@@ -20,8 +20,6 @@ from fpk.answer.question import QUESTIONS, Question
 from fpk.numeric.arrays import Array
 
 Record = dict[str, Any]
-
-UNITS = CONSISTENT
 
 
 def program_version() -> str:
@@ -35,7 +33,7 @@ def program_version() -> str:
 def plain(record: Any) -> Record:
     """Return a dictionary, or the fields of a record, as JSON has them: arrays become lists.
 
-    What is not finite becomes null.
+    Numbers that are not finite become null.
     """
     json_values: Record = to_jsonable_python(
         record, inf_nan_mode="null", fallback=lambda array: array.tolist()
@@ -55,8 +53,8 @@ def answer_record(
     """Return the record of a command that asks one method: the question, the answer, its checks.
 
     ``given`` are the words of the question, such as the observable and the points; values of a
-    curve or density are under ``key``. Numbers that there are not, or beyond range, are null.
-    ``averaging_notes`` has what is to be known of the averaging error.
+    curve or density are under ``key``. Missing numbers, and numbers beyond range, are null.
+    ``averaging_notes`` say how large the averaging error is, or that it is unknown.
     """
     own: Record
     match answer:
@@ -119,7 +117,7 @@ def passage_numbers(answer: Passage) -> Record:
 
 
 def listed(points: tuple[Array, ...]) -> Array:
-    """Return points as numbers, those of a pair of coordinates as pairs."""
+    """Return points as numbers, points of a pair of coordinates as pairs."""
     return points[0] if len(points) == 1 else np.stack(points, axis=-1)
 
 

@@ -179,12 +179,11 @@ def report_html(
 def headline_of(curves: list[Record]) -> str:
     """Return how far each averaged theory is from the full system, in one sentence.
 
-    Where the exact density of all curves is known, a sentence before it says so. Of each curve and
-    theory it is the largest L1 distance of a density, each by the reference with which its error is
-    least. Under modulated noise, which stationary densities know nothing of, the densities are
-    those at the times of the [[transient]] tables, or else it is P(T > t) of the [[passage]]
-    tables; without any the sentence says that it is about constant noise. Empty where nothing of it
-    is known.
+    If the exact density of all curves is known, a sentence before it says so. For each curve and
+    theory the largest L1 distance of a density is given, each density by the reference that leaves
+    the smallest error. Under modulated noise the densities at the times of the [[transient]] tables
+    are compared, or else P(T > t) of the [[passage]] tables; without any of these tables the
+    sentence says that it is about constant noise. Empty if no distance is known.
     """
     parts = []
     for curve in curves:
@@ -205,7 +204,7 @@ def headline_of(curves: list[Record]) -> str:
 
 
 def measure_of(curves: list[Record]) -> str:
-    """Return in words what a distance in the answer of ``headline_of`` is; empty without one."""
+    """Return the definition of the distances in ``headline_of`` in words; empty without any."""
     if not any(_asked(curve)[1] for curve in curves):
         return ""
     if _asked(curves[0])[0] == RELIABILITY:
@@ -266,7 +265,7 @@ def _number_words(name: str, row: Record) -> str:
 
 
 def _asked(curve: Record) -> tuple[str, list[Record]]:
-    """Words for what the distances are of, empty for stationary densities, and the distances."""
+    """Words for the subject of the distances, empty for stationary densities, and the distances."""
     if curve["system"]["modulation"] is None:
         return "", curve["averaging"]
     for words, questions, norm in (
@@ -287,7 +286,7 @@ def _asked(curve: Record) -> tuple[str, list[Record]]:
 def _worst(rows: list[Record]) -> dict[str, tuple[float, float]]:
     """By theory the L1 distance of the density that is furthest off, and its error; best first.
 
-    ``rows`` are those of ``_asked``; a theory's solution and its simulation count as one.
+    ``rows`` are the distances of ``_asked``; a theory's solution and its simulation count once.
     """
     best: dict[tuple[str, str], tuple[float, float]] = {}
     for row in sorted(rows, key=lambda row: row["error"]):

@@ -24,7 +24,7 @@ MOST_MODES = 12
 def slider_model(
     curve: Answers, observables: Sequence[Observable], units: Record | None = None
 ) -> tuple[Record | None, str]:
-    """Return the parameters of Eqs. (29), (30), (34) and (36), and in words what is not computed.
+    """Return the parameters of Eqs. (29), (30), (34), (36), and words for numbers not computed.
 
     The parameters are None if no closed form applies: constant damping, unmodulated noise, one
     contact mass and power laws are needed. ``B`` and ``delta`` of each contact, ``c`` and ``D`` of

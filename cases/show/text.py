@@ -65,7 +65,7 @@ def _templates() -> Environment:
 
 
 def _claim(claim: Record) -> str:
-    """Return the claim, the curve that it is about and what was measured."""
+    """Return the claim, the curve that it is about and the measured number in words."""
     where = f"{claim['curve']}: " if claim["curve"] else ""
     return named(f"{claim['claim']}; {where}{claim['measured']}")
 
@@ -108,9 +108,9 @@ def _answer_words(label: str, question: Record) -> str:
 
 
 def refusals_of(curve: Record) -> list[Record]:
-    """Return the refusals of one curve, those with the same reason joined in one entry.
+    """Return the refusals of one curve; refusals with the same reason are one entry.
 
-    ``routes`` has the theories, with their solvers where a theory has several.
+    ``routes`` has the theories, with their solvers if a theory has several.
     """
     joined: dict[tuple[str, bool, bool], Record] = {}
     for r in curve["methods"]:
@@ -180,8 +180,8 @@ def shown_rows(rows: Sequence[Record]) -> list[Record]:
 def theory_table(rows: Sequence[Record]) -> Record:
     """Return the theories as ``routes`` with what each ``solves``, and the cells by theory.
 
-    Of ``rows``, each with its observable (``of``), ``quantity`` and ``cells``, those of
-    ``shown_rows`` are taken; their units stand behind the quantities.
+    ``rows`` are the quantities of a curve, of which ``shown_rows`` are taken. Each row of the table
+    has its observable (``of``), its ``quantity`` with the unit, and ``cells`` by theory.
     """
     cells: dict[tuple[str, str], Record] = {}
     solves: dict[str, str] = {}
@@ -208,7 +208,7 @@ def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> 
 def quantity_rows(rows: Sequence[Record], *, every: bool = True) -> Iterator[list[tuple[str, ...]]]:
     """Yield a table of each observable: routes, the equations that they solve, quantities.
 
-    With ``every`` route, else with those of ``shown_rows``, by the names of the theories.
+    With ``every`` route, else with the routes of ``shown_rows``, by the names of the theories.
     """
     rows = rows if every else shown_rows(rows)
     for observable in dict.fromkeys(row["observable"] for row in rows):

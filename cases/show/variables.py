@@ -89,7 +89,7 @@ def by_route(
     First the coordinate of the routes and ``error_kind`` of each answer, empty for none, then other
     ``coordinates``, then for each of ``parts`` a variable and its error, NaN if there is no answer.
     ``name`` ends all names; ``count`` is the number of curves, ``of_curves`` has the attributes of
-    the variables of ``parts``, ``kinds`` those of ``error_kind``.
+    the variables of ``parts``, ``kinds`` the attributes of ``error_kind``.
     """
     routes = list(dict.fromkeys(route for _, route in answers))
     places = [(curve, routes.index(route)) for curve, route in answers]

@@ -16,11 +16,11 @@ CONSTANT_NOISE = (
     "The noise is modulated: quantities, densities and averaging errors that are not in time are"
     " those of the stationary state under constant noise, e = 1, which this motion need not reach."
 )
-"""Note on what is stationary, where the scene is not."""
+"""Note on stationary numbers of a scene whose noise is not stationary."""
 
 
 def stationary_note(system: System) -> str:
-    """Return what a reader of stationary numbers of ``system`` must know, empty where nothing."""
+    """Return ``CONSTANT_NOISE`` if the noise of ``system`` is modulated, else an empty text."""
     return CONSTANT_NOISE if system.modulation is not None else ""
 
 

@@ -7,7 +7,7 @@ from cases.show.pictures.style import SUBSCRIPTS
 from fpk.system.system import System
 
 SHOWN_MASSES = 8
-"""Masses that are drawn; of a longer chain the first ones, and the words say so."""
+"""Masses that are drawn; of a longer chain the first, and the description says so."""
 
 CELL, BOX, CEILING, TOP, FLOOR = 150, 46, 4, 52, 108
 """Width of a mass with what joins it to the one before, width of its box, and heights of the frame
