@@ -55,7 +55,7 @@ class Place:
         """
         if self.factor:
             return NUMBER
-        if self.field in ("noise_intensity", "noise_gain") and system.noise_gain is not None:
+        if self.field in ("noise_intensity", "noise_gain") and not has_unit_gain(system):
             return None
         if not self.name:
             return {"mass": (0, 1, 0), "noise_gain": NUMBER, **DERIVED}[self.field]
@@ -68,6 +68,11 @@ class Place:
         """Whether both change the same number."""
         same = (self.field, self.name) == (other.field, other.name)
         return same and (self.index == other.index or None in (self.index, other.index))
+
+
+def has_unit_gain(system: System) -> bool:
+    """Return whether the noise gain is the identity, so that D is the intensity of forces."""
+    return np.array_equal(np.asarray(system.noise_gain), np.eye(system.n))
 
 
 def _powers_of(record: Contact | DampingTerm, name: str) -> Powers:

@@ -8,7 +8,7 @@ from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
 from cases.compare.doubt import averaging_notes, incompatibility
 from cases.compare.routes import listed_routes, method_for
-from cases.scene.numbers import Place
+from cases.scene.numbers import Place, has_unit_gain
 from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
 from cases.show.records import Record, plain
@@ -65,7 +65,7 @@ def units_record(scene: Scene) -> Record | None:
     """
     record = scene.units.record()
     if record is not None:
-        if scene.system.noise_gain is not None:
+        if not has_unit_gain(scene.system):
             record["noise_intensity"] = ""
         places = [Place("contacts", "stiffness", (i,)) for i in range(len(scene.system.contacts))]
         powers = [place.powers(scene.system) or NUMBER for place in places]

@@ -233,6 +233,9 @@ def test_numbers_of_a_scene_have_units_that_keep_its_equations():
     np.testing.assert_array_equal(coefficient, of("system.damping[1]"))
     assert not of("system.damping").any() and not of("contact.exponent").any()
     assert SI.of(tuple(of("contact[1].stiffness"))) == "kg m^-0.5 s^-2"
+    # Beside gains with a dimension of their own the unit of D is not known.
+    system = System([1.0, 1.0], [1, 1], [0.1, 0.2], [0.01], noise_gain=[[1.0], [2.0]])
+    assert place_of("system.noise_intensity[1]", system).powers(system) is None
 
 
 def test_a_sweep_says_the_units_of_its_axes_and_values(scene):
