@@ -21,8 +21,8 @@ from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
 from averaging.theory import Exact
 from cases.scene.scene import load_scene
-from cases.study.equations import energy_equation, modal_equation, solve_on
-from cases.study.levels import density_of, errors, timed_first, timing
+from cases.study.equations import energy_density, energy_equation, errors, modal_equation, solve_on
+from cases.study.levels import time_call, timing
 from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.ends import classify
@@ -53,7 +53,7 @@ def one_energy() -> str:
         equation = energy_equation(own)
         solve = next(iter(equation.by_tolerance.values()))
         answers = [solve(equation.process, tol=tol) for tol in TOLERANCES]
-        densities = [density_of(equation.reference.observable, a) for a in answers]
+        densities = [energy_density(equation.reference.observable, a) for a in answers]
         distance = [errors(p, equation.reference)["L1"] for p in densities]
         rows += [
             [
@@ -76,7 +76,7 @@ def two_energies() -> str:
     for count in (2, 3, 4, 6, 8):
         nodes = tuple(np.linspace(0.0, end, count + 1) for end in equation.ends)
         work = partial(solve_on, equation.process, nodes, 8)
-        answer, first = timed_first(work)
+        answer, first = time_call(work)
         seconds.append(timing(work, first)["seconds"])
         N.append(float(answer.unknowns))
         rows.append([f"{count} x {count}", str(answer.unknowns), f"{1e3 * seconds[-1]:.1f}"])
@@ -96,10 +96,10 @@ def masses() -> str:
     energy = np.linspace(0.05, 5.0, 350)
     for n in MASSES:
         make = partial(made, n)
-        process, first = timed_first(make)
+        process, first = time_call(make)
         seconds = timing(make, first)["seconds"]
         work = partial(process.coefficients, energy * process.energy_scale)
-        _, warm = timed_first(work)
+        _, warm = time_call(work)
         times.append(timing(work, warm)["seconds"])
         rows.append([str(n), f"{1e3 * seconds:.2f}", f"{1e3 * times[-1]:.2f}"])
     words = (
@@ -123,12 +123,12 @@ def chain_of_stops(n: int) -> System:
 
 def answers_with_stops(n: int) -> list[str]:
     """Return the times of the first answers and the stated L1 errors of one chain."""
-    _, seconds = timed_first(lambda: classify(energy_process(chain_of_stops(n))))
+    _, seconds = time_call(lambda: classify(energy_process(chain_of_stops(n))))
     cells = [str(n), f"{seconds:.2f} s"]
     asked: list[tuple[Any, str]] = [(Exact(), f"q{n}"), (NonIntegrable(tol=1e-6), "H")]
     for method, name in asked:
         solve = partial(method.solve, chain_of_stops(n), [parse_observable(name, n)])
-        result, seconds = timed_first(solve)
+        result, seconds = time_call(solve)
         (density,) = result.densities
         certified = "" if density.certificate.certified else " (not certified)"
         cells += [f"{seconds:.2g} s", f"{density.l1_error:.1e}{certified}"]

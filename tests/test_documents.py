@@ -23,7 +23,7 @@ from cases.compare.routes import listed_routes
 from cases.scene import schema
 from cases.show import facts, text
 from cases.show.pictures import densities
-from cases.study import converge_page, cost_page, levels, orders
+from cases.study import converge, cost, levels, orders
 from cases.study.orders import grid_convergence
 from cases.study.sweep import answering as sweep_answering
 from fpk.answer import bins, contacts, quantities
@@ -271,9 +271,9 @@ def test_messages_and_help_state_the_limits_of_the_code():
                for x in ((21.0, 6.0, 2.25, 1.3125), (2.0, 1.0, 0.5, 0.25))]  # fmt: skip
     trusted = f"within {100 * orders.TRUSTED:.0f} % of theory, else {factors[1]:g}"
     words = f"Safety factor {factors[0]:g} where the observed order is {trusted}"
-    assert words in converge_page.GCI_WORDS
-    assert f"within {WORDS[orders.ABOVE_FLOOR]} times the floor" in converge_page.ORDER_WORDS
-    assert "the median of {} to {} runs".format(*levels.REPEATS) in cost_page.MEANING
+    assert words in converge.GCI_WORDS
+    assert f"within {WORDS[orders.ABOVE_FLOOR]} times the floor" in converge.ORDER_WORDS
+    assert "the median of {} to {} runs".format(*levels.REPEATS) in cost.MEANING
     assert densities.LOG_TAIL == 1e-6  # "to a millionth of the top"
     assert f"within {doubt.ACCEPTABLE_L1} in L1" in str(schema.EXPECT["acceptable"]["metadata"])
     system = {key: [1.0] for key in schema.SYSTEM["fields"]} | {"noise_gain": [[1.0]]}

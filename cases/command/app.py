@@ -15,6 +15,7 @@ import click
 from cases.command import authoring, completed, dynamics, parts, studies
 from cases.command.examples import EXAMPLES
 from cases.scene.errors import BadInput, misspelt, one_line
+from cases.study import STUDIES
 from fpk.answer.question import QUESTIONS
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
@@ -23,16 +24,17 @@ WIDEST = 10_000
 
 
 class Commands(click.Group):
-    """All commands, including the commands of questions that are registered later."""
+    """All commands, including commands of questions and studies that are registered later."""
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return the command of a name, None if there is none."""
-        return super().get_command(ctx, cmd_name) or dynamics.command_of(cmd_name)
+        command = super().get_command(ctx, cmd_name) or dynamics.command_of(cmd_name)
+        return command or studies.command_of(cmd_name)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands."""
         own = [name for name in QUESTIONS if dynamics.command_of(name)]
-        return sorted({*super().list_commands(ctx), *own})
+        return sorted({*super().list_commands(ctx), *own, *STUDIES})
 
 
 @click.group(

@@ -3,9 +3,11 @@
 These are ``fpk converge``, ``cost``, ``regime``, ``sweep``, ``verify`` and ``export``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import wraps
+from itertools import product
 from pathlib import Path
 from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any, get_args
@@ -14,23 +16,29 @@ import click
 
 from cases.command import completed, parts
 from cases.scene.errors import BadInput
+from cases.study import STUDIES
+from fpk.numeric.errors import NotApplicable
 
 if TYPE_CHECKING:
     from cases.scene.scene import Scene
-    from cases.show.study_page import Page
+    from fpk.answer.method import Method
 
 USUAL, COARSE, COARSE_PATHS = 38.0, 5.0, 4096
 """Relaxation times sampled on a path: a quarter of what ``fpk run`` takes. Bands are from the
 sample itself, so that a shorter simulation judges less sharply, never wrongly."""
+VERIFY_SECONDS = 300.0
+"""Seconds after which ``fpk verify`` cuts the simulations of a scene that are expected to need more
+(twice as much as the slowest shipped scene but two); an answer that is cut fails and says so."""
 FULL_WORK = 5e10
 """Largest number of multiplications of a solution of the full equation: about a second, with an
 error below the sampling error."""
 
 
-def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
+def study(work: Callable[..., Any]) -> click.Command:
     """Make the command of a study; ``work`` takes the scene, a progress callback and its options.
 
-    Options that are not given are not passed on: the defaults of the work itself hold.
+    It returns a result with ``record()``, ``page()`` and ``problems``. Options that are not given
+    are not passed on: the defaults of the work itself hold.
     """
 
     @click.command()
@@ -50,16 +58,32 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
         from cases.show.records import plain
 
         with progress_bar() as progress:
-            result, page = work(loaded, progress=progress, **given)
+            result = work(loaded, progress=progress, **given)
         from sim.montecarlo import MonteCarlo
 
         seed = "" if "seed" in given else f" --seed {MonteCarlo.seed}"
+        page = result.page()
         written = [] if out is None else page.write(out, command=parts.command_line() + seed)
         short, width = page.summary if written else "", get_terminal_size((0, 0)).columns
         record = plain(result.record())
         parts.end(record, lambda: short or page.shown(width), written, problems=result.problems)
 
     return command
+
+
+def command_of(name: str) -> click.Command | None:
+    """Return the command of a registered study, None where there is none."""
+    own = STUDIES.get(name)
+    if own is None:
+        return None
+
+    def work(scene: "Scene", **settings: Any) -> Any:
+        from cases.study.converge import study_own
+
+        return study_own(own, scene, **settings)
+
+    work.__name__, work.__doc__ = own.name, own.help
+    return study(work)
 
 
 @study
@@ -77,29 +101,25 @@ def study(work: Callable[..., tuple[Any, "Page"]]) -> click.Command:
 @parts.threads
 def converge(
     scene: "Scene", route: str | None = None, of: str | None = None, **settings: Any
-) -> tuple[Any, "Page"]:
+) -> Any:
     """Measure orders of convergence: in h, in p, in both, in the step and in samples."""
     from cases.study.converge import chosen_routes, study_convergence
-    from cases.study.converge_page import convergence_page
 
-    result = study_convergence(scene, chosen_routes(route, of), **settings)
-    return result, convergence_page(result)
+    return study_convergence(scene, chosen_routes(route, of), **settings)
 
 
 @study
 @click.option(
     "--simulate/--no-simulate", default=True, help="With the sampling routes, or without."
 )
-def cost(scene: "Scene", **settings: Any) -> tuple[Any, "Page"]:
+def cost(scene: "Scene", **settings: Any) -> Any:
     """Time every route whose answer agrees with the reference, and price each digit.
 
     Of the full system it says where a solution of its equation overtakes sampling.
     """
     from cases.study.cost import study_cost
-    from cases.study.cost_page import cost_page
 
-    result = study_cost(scene, **settings)
-    return result, cost_page(result)
+    return study_cost(scene, **settings)
 
 
 over_grid = parts.with_options(
@@ -136,15 +156,14 @@ def _over_grid(settings: dict[str, Any]) -> dict[str, Any]:
 
 @study
 @over_grid
-def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> tuple[Any, "Page"]:
+def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> Any:
     """Map the distance of each theory to the full system over one or two parameters.
 
     A map goes on from the finished points in its folder.
     """
-    from cases.study.regime_map import build_map, map_page
+    from cases.study.regime_map import build_map
 
-    result = build_map(scene, vary, **_over_grid(settings))
-    return result, map_page(result)
+    return build_map(scene, vary, **_over_grid(settings))
 
 
 @study
@@ -165,16 +184,14 @@ def sweep(
     quantity: tuple[str, ...],
     method: tuple[str, ...],
     **settings: Any,
-) -> tuple[Any, "Page"]:
+) -> Any:
     """Compute quantities by several methods over one or two numbers of the scene.
 
     A sweep goes on from the finished points in its folder.
     """
     from cases.study.sweep.sweep import sweep as sweep_system
-    from cases.study.sweep.sweep_page import sweep_page
 
-    result = sweep_system(scene, vary, quantity, methods=method, **_over_grid(settings))
-    return result, sweep_page(result, scene)
+    return sweep_system(scene, vary, quantity, methods=method, **_over_grid(settings))
 
 
 @click.command()
@@ -209,7 +226,7 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
     width = max(len(scene.name) for scene in loaded)
     rows = []
     for scene in loaded:
-        rows.append(verify_row(digest_of(parts.outcome_of(scene, methods))))
+        rows.append(verify_row(digest_of(parts.outcome_of(scene, _within_longest(methods, scene)))))
         if not click.get_current_context().meta["json"]:
             click.echo(rendered("verify_line.txt", {"row": rows[-1], "width": width}))
     verdicts = [claim["verdict"] for row in rows for claim in row["claims"]]
@@ -223,6 +240,21 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
         lambda: rendered("verify.txt", {"rows": rows}),
         problems=[f"{row['scene']}: {problem}" for row in rows for problem in row["problems"]],
     )
+
+
+def _within_longest(methods: Sequence["Method"], scene: "Scene") -> list["Method"]:
+    """Return ``methods``, simulations limited to ``VERIFY_SECONDS`` if they would exceed it."""
+    from sim.montecarlo import MonteCarlo
+    from sim.sample.settings import expected_seconds
+
+    expected, simulations = 0.0, [m for m in methods if isinstance(m, MonteCarlo)]
+    for method, curve in product(simulations, scene.curves):
+        with suppress(NotApplicable):  # such a simulation takes no time
+            expected += expected_seconds(method, curve.system)
+    if expected <= VERIFY_SECONDS:
+        return list(methods)
+    limit: dict[str, Any] = {"seconds": VERIFY_SECONDS}
+    return [replace(m, **limit) if hasattr(m, "seconds") else m for m in methods]  # type: ignore[type-var]
 
 
 @click.command()

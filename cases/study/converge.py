@@ -1,11 +1,11 @@
-"""The convergence study of a scene: every averaged equation, and the simulation.
+"""Convergence: the orders of every averaged equation, of the simulation and of own studies.
 
-An averaged equation is studied in h and p on given meshes and by tolerance, each a ``Ladder``.
+An averaged equation is studied in h and p on given meshes and by tolerance, each a ``Study``.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import reduce
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from math import isnan
 from time import perf_counter
 from typing import Any
 
@@ -13,61 +13,45 @@ import numpy as np
 
 from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
-from cases.study.equations import EQUATIONS, P_DEGREES, Equation
-from cases.study.levels import FUNCTIONALS, NORMS, Discretisation, Level, errors, refined_levels
-from cases.study.orders import (
-    LIMITS,
-    Convergence,
-    GridConvergence,
-    convergence,
-    grid_convergence,
+from cases.scene.units import DIMENSIONS, Units, bracketed
+from cases.show.pictures.panel import Curve, Panel
+from cases.show.study_page import Page, Table
+from cases.study import OwnStudy
+from cases.study.equations import DENSITY_ROUND_OFF, ELEMENTS, EQUATIONS, Equation
+from cases.study.levels import Ladder, Study
+from cases.study.orders import LIMITS
+from cases.study.simulation import (
+    ORDERS,
+    SECONDS,
+    SampleSlope,
+    WeakOrder,
+    sample_slope,
+    weak_order,
 )
-from cases.study.weak import SampleSlope, WeakOrder, sample_slope, weak_order
 from fpk.answer.method import Progress, silent
-from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotApplicable, NotCertified
 from sim.montecarlo import MonteCarlo
 
-H_DEGREES = {1: (1, 2, 4), 2: (1, 2, 3)}
-"""Degrees in h, by the number of energies."""
-H_LEVELS = {1: 7, 2: 5}
-"""Meshes, each the bisection of the one before, by the number of energies."""
-DIGITS = 12
-"""Tolerances are 1e-1 to 1e-12."""
-ROUND_OFF = 4e-15
-"""Relative floor of any answer, some twenty roundings of its largest values: sums in another order,
-as another processor takes them, differ by half of it."""
-SIMULATION = MonteCarlo().route.method
 SCHEMES_STUDIED = ("exact_flow", "baoab", "euler_maruyama")
-SECONDS = 10.0
-"""Processor time that the steps of one scheme may take where the resolution wanted needs more."""
-
-
-@dataclass(frozen=True)
-class Ladder:
-    """Levels from coarse to fine of one family, with their orders by norm and moment.
-
-    ``degree`` is that of the elements in h, None else; ``grid`` holds Richardson's value and the
-    grid convergence index by moment, in h only.
-    """
-
-    name: str
-    equation: str
-    dimension: int
-    family: str
-    degree: int | None
-    levels: tuple[Level, ...]
-    verdicts: dict[str, Convergence]
-    grid: dict[str, GridConvergence]
+GCI_WORDS = (
+    f"Safety factor 1.25 where the observed order is within 10 % of theory, else 3. {LIMITS}"
+)
+ORDER_WORDS = (
+    "Orders: in h powers of h; in p nats a degree; by tol nats a unit of √unknowns. Levels within"
+    " ten times the floor (reference, end of the mesh) give none. Where the nats do not fall"
+    " with the degree the error falls exponentially; above contact energies the coefficients have"
+    " half-integer powers of H - H_c, and at high degree the rate on a fixed mesh can drop."
+)
 
 
 @dataclass
 class ConvergenceStudy:
-    """All that was measured for a scene; ``refusals`` are routes that do not apply, with reason.
+    """All measured orders of a scene; ``refusals`` are routes that do not apply, with the reason.
 
-    ``equations`` describe the averaged equations, each with its ``ladders``; the last of (24) is
-    that in p of the same system without contacts, which shows whether the kink at the contact
-    energy costs the exponential convergence.
+    ``name`` is the command and the name of the files. ``equations`` describe the averaged equations
+    or the subjects of an own study, each with its ``ladders``; the last ladder of (24) is in p for
+    the same system without contacts, which shows whether the kink at the contact energy costs the
+    exponential convergence.
     """
 
     scene: Scene
@@ -76,6 +60,7 @@ class ConvergenceStudy:
     samples: SampleSlope | None = None
     refusals: dict[str, str] = field(default_factory=dict)
     seconds: float = 0.0
+    name: str = "converge"
 
     @property
     def ladders(self) -> list[Ladder]:
@@ -84,10 +69,15 @@ class ConvergenceStudy:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Every estimate that is below the true error, in words."""
+        """Every level whose stated error is below the true error, or that has no number."""
         return tuple(
-            f"{ladder.equation}, {ladder.name}, {level.settings}: the estimate {level.estimate:.2g}"
-            f" is below the true L1 error {level.error:.2g}"
+            f"{ladder.equation}, {ladder.name}, {level.settings}: "
+            + (
+                f"the density is no number: the mesh is too coarse, stated is {level.estimate:.2g}"
+                if isnan(level.error)
+                else f"the estimate {level.estimate:.2g} is below the true"
+                f" {next(iter(ladder.verdicts))} error {level.error:.2g}"
+            )
             for ladder in self.ladders
             for level in ladder.levels
             if not level.honest
@@ -95,13 +85,107 @@ class ConvergenceStudy:
 
     def record(self) -> dict[str, Any]:
         """Return the study as ``plain`` takes it."""
-        return {**vars(self), "scene": self.scene.name, "limits_of_the_index": LIMITS}
+        own = {key: value for key, value in vars(self).items() if key != "name"}
+        return {**own, "scene": self.scene.name, "limits_of_the_index": LIMITS}
+
+    def page(self) -> Page:
+        """Return the tables and pictures of the command, for the terminal and for files."""
+        units, tables = self.scene.units, self._ladder_tables()
+        square = units.of(DIMENSIONS["q"], DIMENSIONS["q"])
+        time = units.time
+        steps = [
+            {"scheme": s.scheme, **asdict(run), "step error": error, "its error": bar}
+            for s in self.schemes
+            for run, error, bar in zip(s.levels, s.errors, s.error_bars, strict=True)
+        ]
+        listed = ("levels", "errors", "error_bars")
+        weak = [{k: v for k, v in vars(s).items() if k not in listed} for s in self.schemes]
+        samples, slope, of = list[dict[str, Any]](), "", ""
+        if s := self.samples:
+            pairs = zip(s.sampled, s.errors, strict=True)
+            samples = [{"paths x time": time, "standard error": error} for time, error in pairs]
+            of, slope = s.observable, f"slope {s.slope:.3f} ± {s.slope_error:.3f}, theory -0.5"
+        step_words = (
+            f"Order: of the best fit to all steps; order error: from and to one standard error,"
+            f" {ORDERS[0]:g} or {ORDERS[-1]:g} where none is known. Orders: of consecutive resolved"
+            " steps, each with its error. Chi²: with the order of theory. Limit: the closed form"
+            " where there is one, else the intercept of that fit. Short: by how much the standard"
+            " errors are larger than wanted, in the time given. Unstable: no step is stable and"
+            " cheap enough."
+        )
+        tables += [
+            Table(
+                "steps",
+                f"Simulation: errors of the step in {of}",
+                steps,
+                units={
+                    "dt": time,
+                    "sampled": time,
+                    **dict.fromkeys(("value", "error", "step error", "its error"), square),
+                },
+            ),
+            Table(
+                "weak",
+                "Simulation: weak order in the step",
+                weak,
+                (step_words,),
+                dict.fromkeys(("limit", "limit_error", "wanted"), square),
+            ),
+            Table(
+                "samples",
+                f"Simulation: standard error of {of} in samples",
+                samples,
+                (slope,),
+                {"paths x time": time, "standard error": square},
+            ),
+            Table(
+                "refusals",
+                "Routes that do not apply",
+                [{"route": route, "reason": why} for route, why in self.refusals.items()],
+            ),
+        ]
+        title = f"{self.name.replace('converge', 'Convergence')}: {self.scene.title}"
+        return Page(self.name, self.scene, title, tables, study_panels(self))
+
+    def _ladder_tables(self) -> list[Table]:
+        """Return the tables of errors, of observed orders and of Richardson's values."""
+        errors, orders, index = (list[dict[str, Any]]() for _ in range(3))
+        for x in self.ladders:
+            names, finest = {"equation": x.equation, "family": x.name}, x.levels[-1].errors
+            for v in x.levels:
+                level = {"level": v.settings, "unknowns": v.unknowns, **v.errors}
+                errors.append({**names, **level, "estimate": v.estimate})
+            orders += [{**names, "error": key, **asdict(of)} for key, of in x.verdicts.items()]
+            for key, grid in x.grid.items():
+                true = {"functional": key, "true error": finest[key]}
+                index.append({**names, **true, **asdict(grid)})
+        about = [
+            "{equation}: p({observable}) against {reference}, itself within {reference_error:.1e}"
+            " in L1. By tolerance: {by_tolerance}".format(**e)
+            for e in self.equations
+            if "by_tolerance" in e
+        ]
+        about += [f"{e['equation']}: {e['help']}" for e in self.equations if "help" in e]
+        units, subject = (
+            self.scene.units,
+            "Averaged equations" if self.name == "converge" else self.name,
+        )
+        of_errors = {"mean energy": units.quantity("energy")}
+        if len(dimensions := {e["dimension"] for e in self.equations}) == 1 and units:
+            powers = np.array(DIMENSIONS["H"]) * -dimensions.pop()
+            of_errors |= {"L2": units.of(tuple(0.5 * powers)), "max": units.of(tuple(powers))}
+            of_errors["integral of p²"] = of_errors["max"]
+        return [
+            Table("errors", f"{subject}: errors", errors, tuple(about), of_errors),
+            Table("orders", f"{subject}: observed orders", orders, (ORDER_WORDS,)),
+            Table("index", "Richardson and grid convergence index (GCI)", index, (GCI_WORDS,)),
+        ]
 
 
 def chosen_routes(route: str | None, of: str | None) -> tuple[str, ...]:
     """Return the routes asked for by name, by observable or by both; ``BadInput`` for none."""
     known = {name: observable for name, (_, observable, _) in EQUATIONS.items()}
-    known |= {SIMULATION: ""}
+    known |= {MonteCarlo().route.method: ""}
     chosen = tuple(n for n, o in known.items() if route in (None, n) and of in (None, o))
     if not chosen:
         asked = " ".join(f"--{k} {v}" for k, v in (("route", route), ("of", of)) if v is not None)
@@ -121,16 +205,17 @@ def study_convergence(
     solver: str = "fem",
     progress: Progress = silent,
 ) -> ConvergenceStudy:
-    """Measure how the errors of ``routes`` fall; ``seconds`` is for the steps of each scheme.
+    """Measure how the errors of ``routes`` fall.
 
-    Elements on given meshes and by tolerance are those of ``solver``, "fem" or "scikit-fem".
-    Of several routes those that do not apply are named with the reason; one alone raises
-    ``NotApplicable`` or ``NotCertified``.
+    ``seconds`` of processor time are for the steps of each scheme; ``seed`` and ``threads`` are for
+    the simulation. Elements on given meshes and by tolerance are solved by ``solver``, "fem" or
+    "scikit-fem". A route among several that does not apply is named with the reason; a single route
+    raises ``NotApplicable`` or ``NotCertified``.
     """
     start, system, study = perf_counter(), scene.system, ConvergenceStudy(scene)
     for route in routes:
         try:
-            if route == SIMULATION:
+            if route not in EQUATIONS:
                 method = MonteCarlo(seed=seed, threads=threads)
                 for scheme in SCHEMES_STUDIED:
                     own = replace(method, scheme=scheme)
@@ -140,12 +225,12 @@ def study_convergence(
                 continue
             *_, make = EQUATIONS[route]
             equation = make(system, solver)
-            measured = list(ladders(equation, progress=progress))
+            measured = list(ladders(families(equation), equation.name, progress=progress))
             if equation.dimension == 1 and system.contacts:
                 try:
                     free = make(replace(system, contacts=()), solver)
                     free = replace(free, name=f"{free.name} without contact")
-                    measured.append(measured_ladder(free, free.degrees()))
+                    measured.append(free.study(free.degrees()).ladder())
                 except (NotApplicable, NotCertified) as reason:  # stops may be what makes it stable
                     study.refusals[f"{route} without contact"] = str(reason)
             study.equations.append(
@@ -168,57 +253,96 @@ def study_convergence(
     return study
 
 
-def ladders(equation: Equation, *, progress: Progress = silent) -> tuple[Ladder, ...]:
-    """Return the h-ladders, a p-ladder, and one by tolerance of the route by elements."""
-    route, results = next(iter(equation.by_tolerance)), []
-    by_degree = map(equation.elements, H_DEGREES[equation.dimension])
-    families = [*by_degree, equation.degrees(), equation.to_tolerance(route)]
-    for k, first in enumerate(families, start=1):
-        results.append(measured_ladder(equation, first))
-        progress(k, len(families), f"convergence of {equation.name}")
-    return tuple(results)
+def study_own(
+    own: OwnStudy, scene: Scene, *, seed: int = 1, progress: Progress = silent
+) -> ConvergenceStudy:
+    """Measure every study of ``own``, grouped by ``equation``; ``seed`` is for simulations.
 
-
-def measured_ladder(equation: Equation, first: Discretisation) -> Ladder:
-    """Return the levels from ``first`` on, with their observed orders."""
-    count = {"h": H_LEVELS[equation.dimension], "p": len(P_DEGREES), "tol": DIGITS}[first.family]
-    levels = [v for _, v in refined_levels(first, equation.reference, count)]
-    if first.family == "tol":  # two tolerances with the same answer are one level
-        most = np.maximum.accumulate([0, *(level.unknowns for level in levels)])
-        levels = [level for level, n in zip(levels, most, strict=False) if level.unknowns > n]
-    floor = floors(equation, given_mesh=first.family != "tol")
-    h, degree, theory = [level.size for level in levels], first.degree, dict[str, float]()
-    if degree:  # Galerkin duality doubles the order of moments
-        theory = dict.fromkeys(NORMS, degree + 1.0) | dict.fromkeys(FUNCTIONALS, 2.0 * degree)
-    verdicts = {
-        key: convergence(h, [v.errors[key] for v in levels], theory=theory.get(key), floor=low)
-        for key, low in floor.items()
-    }
-    grid = {
-        key: grid_convergence(
-            [v.functionals[key] for v in levels], theory=theory[key], floor=floor[key]
-        )
-        for key in FUNCTIONALS
-        if theory
-    }
-    name = f"h, p = {degree}" if degree else first.name
-    of = equation.name, equation.dimension, first.family, degree
-    return Ladder(name, *of, tuple(levels), verdicts, grid)
-
-
-def floors(equation: Equation, *, given_mesh: bool) -> dict[str, float]:
-    """Return what cannot be resolved in each norm: the reference's own error, relative to p.
-
-    On a ``given_mesh`` also what its end cuts off: the mass is missing there, and scales up what is
-    left; ∫p² takes twice that.
+    Raises what ``own.studies`` and the solvers raise.
     """
-    p, ends = equation.reference, equation.ends
-    relative, sizes = p.l1_error + ROUND_OFF, errors(p)
-    if not given_mesh:
-        return {key: relative * size for key, size in sizes.items()}
+    start, studies, subjects = perf_counter(), own.studies(scene, seed), dict[str, dict[str, Any]]()
+    for study, ladder in zip(studies, ladders(studies, own.name, progress=progress), strict=True):
+        new = {
+            "theory": own.name,
+            "equation": study.equation,
+            "dimension": study.dimension,
+            "help": own.help,
+            "ladders": [],
+        }
+        subjects.setdefault(study.equation, new)["ladders"].append(ladder)
+    result = ConvergenceStudy(scene, [*subjects.values()], name=own.name)
+    result.seconds = perf_counter() - start
+    return result
 
-    def beyond(*H: Array) -> Array:
-        return np.where(reduce(np.logical_or, map(np.greater, H, ends)), p(*H), 0.0)
 
-    cut = errors(replace(p, panels=tuple(map(np.union1d, p.panels, ends)), pdf=beyond))
-    return {key: (relative + 2.0 * cut["L1"]) * size + cut[key] for key, size in sizes.items()}
+def families(equation: Equation) -> list[Study]:
+    """Return studies in h of three degrees, one in p, one by tolerance of the route by elements."""
+    route = next(iter(equation.by_tolerance))
+    by_degree = map(equation.elements, [*ELEMENTS[equation.dimension]][:3])
+    first = [*by_degree, equation.degrees(), equation.to_tolerance(route)]
+    return [equation.study(each) for each in first]
+
+
+def ladders(
+    studies: Sequence[Study], name: str, *, progress: Progress = silent
+) -> Iterator[Ladder]:
+    """Yield the measured ladder of every study; ``progress`` names the ``convergence of name``."""
+    for k, study in enumerate(studies, start=1):
+        yield study.ladder()
+        progress(k, len(studies), f"convergence of {name}")
+
+
+def study_panels(study: ConvergenceStudy) -> list[Panel]:
+    """Return errors against unknowns and, in p, against the degree; the bias against the step.
+
+    Dashed lines have the slope of theory, below the finest levels.
+    """
+    panels = []
+    for e in study.equations:
+        name, own = e["equation"], [x for x in e["ladders"] if x.equation == e["equation"]]
+        key = next(iter(own[0].verdicts))
+        axis: dict[str, Any] = {"limits": (1e-16, 10.0)}
+        y = f"{key} error"
+        if "observable" in e:
+            y, axis["floor"] = (
+                f"L₁ error of p({e['observable']})",
+                e["reference_error"] + DENSITY_ROUND_OFF,
+            )
+        curves = [_in_unknowns(ladder, key) for ladder in own]
+        panels.append(Panel(f"{name}; dashed: order of theory", "unknowns N", y, curves, **axis))
+        in_degree = [x for x in e["ladders"] if x.family == "p" and e["dimension"] == 1]
+        curves = []
+        for ladder in in_degree:
+            degrees = [-np.log(level.size) for level in ladder.levels]
+            label = f"{ladder.equation}: exp(−{ladder.verdicts[key].order:.1f} p)"
+            curves.append(Curve(label, degrees, [level.errors[key] for level in ladder.levels]))
+        if in_degree:
+            x, axis["logarithmic"] = "degree p on a fixed mesh", False
+            panels.append(Panel("exponential in p", x, y, curves, **axis))
+    return [*panels, _step_panel(study.schemes, study.scene.units)] if study.schemes else panels
+
+
+def _in_unknowns(ladder: Ladder, key: str) -> Curve:
+    """Return the error of name ``key`` over the unknowns, with the order of theory, if any."""
+    N = np.array([level.unknowns for level in ladder.levels], dtype=float)
+    e = np.array([level.errors[key] for level in ladder.levels])
+    notes, verdict = [level.settings for level in ladder.levels], ladder.verdicts[key]
+    if verdict.theory is None:
+        return Curve(ladder.name, N, e, notes=notes)
+    dashed = N[-3:], 0.5 * e[-1] * (N[-3:] / N[-1]) ** -(verdict.theory / ladder.dimension)
+    return Curve(f"{ladder.name}: order {verdict.order:.2f}", N, e, dashed=dashed, notes=notes)
+
+
+def _step_panel(schemes: Sequence[WeakOrder], units: Units) -> Panel:
+    curves = []
+    for s in schemes:
+        dt, words = np.array([level.dt for level in s.levels]), f"{s.verdict} (theory {s.theory})"
+        if s.verdict in ("as theory", "pre-asymptotic") and not s.beyond:
+            words = f"order {s.order:.1f} ± {np.ptp(s.order_error) / 2:.1f} (theory {s.theory})"
+        line = (dt, abs(s.slope) * dt**s.theory) if dt.size else None
+        label, bar = f"{s.scheme}: {words}", np.array(s.error_bars)
+        curves.append(Curve(label, dt, s.errors, bar, dashed=line, style="none"))
+    x = f"step dt [{units.time}]" if units else "step dt, in the scene's unit of time"
+    square = units.of(DIMENSIONS["q"], DIMENSIONS["q"])
+    y = f"step error of {schemes[0].observable}{bracketed(square)}"
+    return Panel("full system (6), simulation; lines: theory", x, y, curves)

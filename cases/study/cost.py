@@ -1,8 +1,8 @@
 """The work-precision study of a scene: what each digit costs, by every route."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -11,32 +11,52 @@ import numpy as np
 
 from cases.compare.compare import distance_between
 from cases.scene.scene import Scene
-from cases.study.converge import H_LEVELS
-from cases.study.equations import EQUATIONS, Equation
-from cases.study.law import FULL, Law, averaged_route, full_routes, solved_routes
-from cases.study.levels import Discretisation, refined_levels, timed_first, timing
-from cases.study.prices import NotTimed, Priced, crossovers, passage_routes, price_list
+from cases.scene.written import bound, duration
+from cases.show.pictures.panel import Curve, Panel
+from cases.show.study_page import Page, Table
+from cases.show.words import theory_of_route
+from cases.study.equations import ELEMENTS, EQUATIONS, TOLERANCE_DIGITS, Equation
+from cases.study.law import FULL, Law, price_averaged_simulation, price_schemes, price_solutions
+from cases.study.levels import Discretisation, Level, time_call, timing
+from cases.study.prices import (
+    Cheapest,
+    NotTimed,
+    Priced,
+    by_equation,
+    crossovers,
+    passage_routes,
+    price_list,
+    price_route,
+)
 from cases.study.simulation import Reference, deterministic, full_reference
 from fpk.answer.method import Progress, silent
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.system import System
 
-DEGREES = (1, 2, 4, 8)
-"""Degrees of the elements that are timed."""
-TOLERANCES, STRIDE = 6, 2
-"""Tolerances that are timed, from 1e-2 on, and digits from one to the next."""
+STRIDE = 2
+"""Digits from one timed tolerance to the next."""
 JUDGE = 5e-4
-"""L1 error up to which a solution of (6) is its reference: that of a long simulation."""
-LONGEST = 0.4
+"""Largest L1 error of a solution of (6) that serves as reference: a long simulation has it."""
+SLOW_SOLVE = 0.4
 """Seconds of one solve beyond which a route is not refined further: the next takes up to ten times
 as long in two dimensions."""
+DRAWN_ERROR, DRAWN_SECONDS = 1e-4, 3600.0
+"""Error and seconds to which the law of sampling is drawn: an hour."""
+MEANING = (
+    "Processor times on one thread after a warm-up, the median of 3 to 21 runs where one takes"
+    " less than a second; simulations are run once. What a process remembers (integrals of two or"
+    " more contact masses, of damping that depends on the state) is in the first call only. Every"
+    " error is that of the route's own equation: numerical for the averaged equations and for the"
+    " full system where it is solved, sampling and step where it is simulated."
+)
 
 
 @dataclass(frozen=True)
 class Model:
     """An averaged theory as an answer to the full system: averaging error, never numerical.
 
-    ``distance`` is L1 of p(q_i) to the full system, known to ``error``.
+    ``distance`` is the L1 distance of p(q_i) to the full system, known to ``error``; ``seconds``
+    the processor time of the theory's fastest route.
     """
 
     theory: str
@@ -48,10 +68,10 @@ class Model:
 
 @dataclass
 class CostStudy:
-    """Priced routes, those not timed and why, laws of sampling, and averaging errors.
+    """Priced routes, routes not timed with the reason, laws of sampling, and averaging errors.
 
-    ``floors`` are the errors of the references by equation; ``full_reference`` says what the full
-    system is held against.
+    ``floors`` are the errors of the references by equation; ``full_reference`` names the reference
+    of the full system.
     """
 
     scene: Scene
@@ -84,13 +104,79 @@ class CostStudy:
             "problems": self.problems,
         }
 
+    def page(self) -> Page:
+        """Return what ``fpk cost`` shows and writes."""
+        columns = {
+            "settings": "settings",
+            "error": "L1 error",
+            "stated": "stated",
+            "unknowns": "unknowns",
+            "seconds": "seconds",
+            "spread": "quartiles ±",
+            "first": "first call more",
+            "coefficients": "coefficients",
+            "memory": "memory",
+        }
+        measured = [
+            {"equation": route.equation, "route": route.route}
+            | {column: getattr(point, key) for key, column in columns.items()}
+            for route in self.routes
+            for point in route.points
+            if not point.modelled
+        ]
+        models = []
+        for m in self.models:  # beside each the fastest simulation to its error, if one reaches it
+            error = np.array(max(m.distance, m.error))
+            seconds = [r.seconds_for(error) for r in self.routes if r.equation == FULL]
+            fastest = float(np.fmin.reduce(seconds, initial=np.nan))
+            models.append({**asdict(m), "simulation to this": fastest})
+        averaging = (
+            f"Averaging error: L1 to the full system ({self.full_reference}); no solver lowers it."
+        )
+        axes = tuple(dict.fromkeys(f"{r.equation}: {r.axis}" for r in self.routes))
+        lost = [{k: v for k, v in asdict(n).items() if k != "baseline"} for n in self.not_timed]
+        prices = [_price(c) for c in price_list(self.routes)]
+        promised = [_price(c) for c in price_list(self.routes, promised=True) if c.point]
+        promise = (
+            "Numbers of elements above are right for this scene. A tolerance is met on every scene,"
+            " or the answer is not certified: --tol of fpk run and fpk density is this setting."
+        )
+        laws = [
+            {
+                "seconds a step" if key == "step" else key: value
+                for key, value in asdict(law).items()
+            }
+            for law in self.laws
+        ]
+        law = (
+            "L1 = noise/√(paths x time) + bias dt^order, the bias an upper bound where it is not"
+            " resolved; (dt, N) is the cheapest path under it, one thread."
+        )
+        units, time = self.scene.units, self.scene.units.time
+        law += f" The bias is in {time}^(-order)." if time else ""
+        of_laws = {"noise": units.of((0, 0, 0.5)), "largest": time, "relaxation": time}
+        crossings, overtaking = crossovers(self.routes), _overtaking(self)
+        tables = [
+            Table("prices", "To get so many digits (L1)", prices),
+            Table("promises", "Settings that hold for other scenes", promised, (promise,)),
+            Table("crossings", "Where another route becomes the cheapest", crossings, overtaking),
+            Table(
+                "models", "What the theories are worth for the full system", models, (averaging,)
+            ),
+            Table("not_timed", "Routes that are not timed", lost),
+            Table("laws", f"{FULL}: law of sampling", laws, (law,), of_laws),
+            Table("measurements", "Measurements", measured, (*axes, MEANING)),
+        ]
+        title = f"What accuracy costs: {self.scene.title}"
+        return Page("cost", self.scene, title, tables, _cost_panels(self))
+
 
 def study_cost(
     scene: Scene, *, simulate: bool = True, seed: int = 1, progress: Progress = silent
 ) -> CostStudy:
-    """Check and time every route of ``scene``, the sampling routes where ``simulate``.
+    """Check and time every route of ``scene``, the sampling routes only if ``simulate``.
 
-    Of its first [[passage]] the failure rate is priced, too.
+    The failure rate of its first [[passage]] is priced, too. ``seed`` is for the simulations.
     """
     start, system, study = perf_counter(), scene.system, CostStudy(scene)
     tried: list[Priced | NotTimed] = []
@@ -98,10 +184,10 @@ def study_cost(
         with _refusal_in(tried, name):
             equation = make(system)
             study.floors[name] = equation.reference.l1_error
-            tried += equation_routes(equation, candidates(equation), progress=progress)
+            tried += equation_routes(equation, coarsest_routes(equation), progress=progress)
             if simulate and equation.dimension == 1:
-                tried.append(averaged_route(system, equation, seed=seed))
-    solved, best = solved_routes(system, progress=progress)
+                tried.append(price_averaged_simulation(system, equation, seed=seed))
+    solved, best = price_solutions(system, progress=progress)
     tried += solved
     if best is not None:
         study.full_reference, study.floors[FULL] = best.words, best.density.l1_error
@@ -110,7 +196,7 @@ def study_cost(
             known = best if best and best.density.l1_error <= JUDGE else None
             reference = known or full_reference(system, seed=seed)
             study.full_reference, study.floors[FULL] = reference.words, reference.density.l1_error
-            results, study.laws = full_routes(
+            results, study.laws = price_schemes(
                 system, reference, seed=seed, unit=scene.units.time, progress=progress
             )
             tried += results
@@ -131,58 +217,126 @@ def _refusal_in(tried: list[Priced | NotTimed], equation: str) -> Iterator[None]
         tried.append(NotTimed("all", equation, reason=str(reason)))
 
 
-def candidates(equation: Equation) -> tuple[Discretisation, ...]:
+def coarsest_routes(equation: Equation) -> tuple[Discretisation, ...]:
     """Return the coarsest of every route: elements in h, and the routes by tolerance."""
     routes = [equation.to_tolerance(route, STRIDE, STRIDE) for route in equation.by_tolerance]
-    return *(equation.elements(degree) for degree in DEGREES), *routes
+    return *(equation.elements(degree) for degree in ELEMENTS[1]), *routes
 
 
 def equation_routes(
-    equation: Equation, offered: Sequence[Discretisation], *, progress: Progress = silent
+    equation: Equation, offered: Iterable[Discretisation], *, progress: Progress = silent
 ) -> list[Priced | NotTimed]:
     """Check every level of every route against the reference and time it.
 
-    A route with one answer that disagrees, or with none at all, is named and not timed.
+    A route with one answer that disagrees, or without any, is named and not timed.
     """
-    results = []
+    results, offered = list[Priced | NotTimed](), list(offered)
+    axis = f"numerical: L1 of p({equation.reference.name}), {equation.name}"
+    words = f"differs from the {equation.reference_words} by more than both state"
     for k, first in enumerate(offered, start=1):
-        results.append(_priced(equation, first))
+        names = first.name, equation.name
+        try:
+            results.append(price_route(*names, axis, _time_levels(equation, first), words))
+        except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
+            results.append(NotTimed(*names, reason=str(error)))
         progress(k, len(offered), f"cost of {equation.name}")
     return results
 
 
-def _priced(equation: Equation, first: Discretisation) -> Priced | NotTimed:
-    names, points = (first.name, equation.name), []
-    count = TOLERANCES if first.family == "tol" else H_LEVELS[equation.dimension]
-    try:
-        _, compiling = timed_first(first.solve)  # the levels themselves are timed warm
-        for setting, level in refined_levels(first, equation.reference, count):
-            if not (level.honest and np.isfinite(level.stated)):
-                words = f"differs from the {equation.reference_words} by more than both state"
-                if level.honest:
-                    words = "states no finite error of its own: its density does not fall off"
-                return NotTimed(*names, level.settings, level.distance, level.estimate, words)
-            timed = timing(setting.solve, level.seconds, equation.clock)
-            points.append(replace(level, **timed))
-            if level.seconds > LONGEST:
-                break
-    except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
-        return NotTimed(*names, reason=str(error))
-    points[0] = replace(points[0], first=max(0.0, compiling - points[0].seconds))
-    axis = f"numerical: L1 of p({equation.reference.name}), {equation.name}"
-    return Priced(*names, axis, tuple(points))
+def _time_levels(equation: Equation, first: Discretisation) -> Iterator[Level]:
+    """Yield the levels of a route with their times, until one takes longer than ``SLOW_SOLVE``."""
+    _, compiling = time_call(first.solve)  # the levels themselves are timed warm
+    for setting, level in equation.study(first, TOLERANCE_DIGITS // STRIDE).levels():
+        timed = timing(setting.solve, level.seconds, equation.clock) if level.sound else {}
+        if timed and setting is first:
+            timed["first"] = max(0.0, compiling - timed["seconds"])
+        yield replace(level, **timed)
+        if level.seconds > SLOW_SOLVE:
+            break
 
 
 def _models(system: System, reference: Reference) -> list[Model]:
-    """Averaging error of each theory in p(q_i), and the time of its fastest route."""
+    """Return the averaging error of each theory in p(q_i), and the time of its fastest route."""
     models: dict[str, Model] = {}
     of = reference.density.observable
     for method in deterministic("averaged"):
         if method.refusal(system, of) is None:
             work = partial(method.solve, system, [of])
-            result, first = timed_first(work)
+            result, first = time_call(work)
             distance, error, _ = distance_between(result.densities[0], reference.given)
             theory, seconds = method.route.method, timing(work, first)["seconds"]
             model = Model(theory, reference.density.name, distance, error, seconds)
             models[theory] = min(model, models.get(theory, model), key=lambda m: m.seconds)
     return list(models.values())
+
+
+def _overtaking(study: CostStudy) -> tuple[str, ...]:
+    """Return in words at which errors solutions of the full system overtake its sampling."""
+    own = [r for r in study.routes if r.equation == FULL]
+    sampled = [r for r in own if any(p.modelled for p in r.points)]
+    words = []
+    for route in [r for r in own if r not in sampled] if sampled else []:
+        reached = [p.error for p in route.points]
+        errors = np.geomspace(max(reached), min(reached), 1001)
+        seconds = route.seconds_for(errors)
+        sampling = np.fmin.reduce([r.seconds_for(errors) for r in sampled])
+        slower = np.flatnonzero(seconds > sampling)
+        first = slower[-1] + 1 if slower.size else 0
+        where = (
+            f"below {errors[first]:.1e}" if first < errors.size else "at no error that it reached"
+        )
+        times = duration(seconds[-1]), duration(sampling[-1])
+        words.append(
+            f"{FULL}: {route.route} overtakes sampling {where}. At its least error here,"
+            f" {bound(errors[-1])}, it takes {times[0]}, sampling {times[1]}."
+        )
+    return tuple(words)
+
+
+def _price(c: Cheapest) -> dict[str, Any]:
+    p, route = c.point, c.route or "reached by none here"
+    by = p and ("law of sampling" if p.modelled else "measurement")
+    price = {key: getattr(p, key, None) for key in ("settings", "seconds", "memory")}
+    return {"equation": c.equation, "digits": c.digits, "route": route, **price, "priced by": by}
+
+
+def _point_note(point: Level) -> str:
+    """Return the setting of a point, and how well its error and time are known."""
+    if point.modelled:
+        return f"{point.settings}, by the law of sampling"
+    spread = f", time ± {duration(point.spread)}" if point.spread > 0.0 else ""
+    return f"{point.settings}, states {point.stated:.1e}{spread}"
+
+
+def _cost_panels(study: CostStudy) -> list[Panel]:
+    """Return a panel for each equation: error against time of every route.
+
+    Open markers and dotted lines are prices by the law of sampling; dashed levels are the averaging
+    error, which no solver lowers.
+    """
+    panels = []
+    models = [(m.distance, f"error of {theory_of_route(m.theory)}") for m in study.models]
+    for equation, routes in by_equation(study.routes).items():
+        curves = []
+        for route in routes:
+            drawn = [
+                p
+                for p in sorted(route.points, key=lambda p: -p.error)
+                if p.error >= (0.99 * DRAWN_ERROR if p.modelled else 1e-300)
+                and not (p.modelled and p.seconds > DRAWN_SECONDS)
+            ]
+            if drawn:
+                style = ":" if drawn[-1].modelled else "-"
+                times, errors = [p.seconds for p in drawn], [p.error for p in drawn]
+                curves.append(
+                    Curve(
+                        route.route, times, errors, style=style, notes=list(map(_point_note, drawn))
+                    )
+                )
+        x, floor = "processor time in seconds, one thread", study.floors.get(equation, 0.0)
+        lowest = 0.4 * min([DRAWN_ERROR, *(min(curve.y) for curve in curves)])
+        marks, limits = (models, (lowest, 1.0)) if equation == FULL else ((), (2e-16, 2.0))
+        y = "L₁ error" if equation in study.floors else "relative error"
+        panel = Panel(equation, x, y, curves, max(floor, 2e-15), marks, limits=limits)
+        panels.append(panel)
+    return panels

@@ -8,9 +8,20 @@ from cases.compare.averaged import AveragedSimulation
 from cases.compare.compare import distance_between
 from cases.compare.routes import listed_routes
 from cases.study.equations import Equation
-from cases.study.levels import Level, timed_first, timing
-from cases.study.prices import NotTimed, Priced, judged
-from cases.study.simulation import SMALL_STEP, SMALLEST, Reference, largest_stable, observed, run
+from cases.study.levels import Level, time_call
+from cases.study.prices import PRICED_DIGITS, NotTimed, Priced, answers_by_tolerance, price_route
+from cases.study.simulation import (
+    MIN_ORDER_SIGNAL,
+    PILOT,
+    SECONDS,
+    SHARE_OF_A_TRIAL,
+    SMALL_STEP,
+    SMALLEST_FACTOR,
+    Reference,
+    largest_stable,
+    studied_displacement,
+    time_simulation,
+)
 from fpk.answer.density import Density
 from fpk.answer.method import Method, Progress, silent
 from fpk.answer.names import observable_name
@@ -23,17 +34,11 @@ from sim.step.schemes import SCHEMES
 
 FULL = "full system (6)"
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
-"""L1 errors that are asked for, until one is out of reach of the work that ``fpk run`` allows."""
-RELAXATIONS = 4.0
-"""Sampled relaxation times of a run at a small step; four times as many at any other."""
-PATIENCE = 2.0
-"""Seconds of a trial of a small step beyond which no smaller one is tried."""
+"""L1 errors asked of solvers of (6), until one is out of reach of the work ``fpk run`` allows."""
 HALVINGS = 2
 """Halvings of the step while a scheme disagrees with its order of theory, at most."""
 FEWEST = 256
 """Paths of the simulation of (24)."""
-ERRORS = tuple(10.0**-k for k in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0))
-"""Errors for which the cheapest (dt, N) is given."""
 MAX_PATHS = 2.0**20
 """Paths of a modelled run at most; beyond, each is sampled for longer."""
 BYTES_A_PATH = 48.0
@@ -42,7 +47,7 @@ BYTES_A_PATH = 48.0
 
 @dataclass(frozen=True)
 class Law:
-    """Error of one scheme, L1 = A/√(paths x time) + B dtʳ, and seconds = c (paths x time)/dt.
+    """Error of a scheme, L1 = A/√(paths x time) + B dtʳ, and its seconds = c (paths x time)/dt.
 
     ``noise`` is A, ``bias`` B (an upper bound if not ``bias_resolved``), ``order`` r of theory,
     ``step`` c in seconds, ``largest`` the largest stable step, ``relaxation`` the relaxation time.
@@ -58,7 +63,7 @@ class Law:
     relaxation: float
 
     def error(self, sampled: float, dt: float) -> float:
-        """L1 error expected of ``sampled`` = paths x time at the step ``dt``."""
+        """Return the expected L1 error of ``sampled`` = paths x time at the step ``dt``."""
         return self.noise / sqrt(sampled) + self.bias * dt**self.order
 
     def cheapest(self, error: float) -> tuple[float, float]:
@@ -73,13 +78,16 @@ class Law:
         return dt, (self.noise / (error - self.bias * dt**r)) ** 2
 
     def seconds(self, sampled: float, dt: float) -> float:
-        """Return the time of a run on one thread, burn-in of the fewest paths included."""
+        """Return the seconds of a run on one thread, burn-in of the fewest paths included.
+
+        ``sampled`` = paths x time and the step ``dt`` are in the scene's unit of time.
+        """
         return self.step * (sampled + LEAST_PATHS * MonteCarlo.burn_in * self.relaxation) / dt
 
     def point(self, error: float, unit: str = "") -> Level:
         """Return the cheapest settings for ``error`` with their price by the law, not run.
 
-        ``unit`` is that of the scene's time in words, empty where it has no name.
+        ``unit`` is the name of the scene's unit of time, empty if it has none.
         """
         dt, sampled = self.cheapest(error)
         paths = max(float(LEAST_PATHS), min(sampled / self.relaxation, MAX_PATHS))
@@ -89,12 +97,12 @@ class Law:
 
 
 def _settings(paths: str, time: str, dt: str, unit: str) -> str:
-    """Settings of a simulation in words, its times with their unit."""
+    """Return the settings of a simulation in words, its times with their unit."""
     own = f" {unit}" if unit else ""
     return f"{paths} paths, time {time}{own}, dt {dt}{own}"
 
 
-def full_routes(
+def price_schemes(
     system: System,
     reference: Reference,
     *,
@@ -102,25 +110,29 @@ def full_routes(
     unit: str = "",
     progress: Progress = silent,
 ) -> tuple[list[Priced | NotTimed], list[Law]]:
-    """Measure the schemes: one run of each, and by the law the cheapest (dt, N) for ``ERRORS``.
+    """Measure the schemes: one run of each, and by its law the cheapest (dt, N) for each error.
 
-    A scheme has its law from the largest step at which it holds; a baseline may have none.
-    ``unit`` is that of time in words.
+    The law of a scheme is from the largest step at which it holds; a baseline may have none.
+    ``unit`` is the scene's unit of time in words, ``seed`` the seed of the simulations.
     """
     results: list[Priced | NotTimed] = []
     laws: list[Law] = []
     for scheme in sorted(SCHEMES, key=lambda s: -SCHEMES[s].weak_order):
         method = MonteCarlo(scheme=scheme, seed=seed, threads=1)
         baseline = scheme != MonteCarlo.scheme
-        factor = largest_stable(system, method, patience=PATIENCE)
-        words = f"no usable step: none down to {SMALLEST:g} of the chosen one is stable and cheap"
+        factor = largest_stable(system, method, patience=SHARE_OF_A_TRIAL * SECONDS)
+        words = (
+            f"no usable step: none down to {SMALLEST_FACTOR:g} of the chosen one is stable and"
+            " cheap"
+        )
         route: Priced | NotTimed = NotTimed(scheme, FULL, reason=words, baseline=baseline)
         factors = [] if factor is None else [factor * 0.5**k for k in range(HALVINGS + 1)]
         for own in factors:  # next to its limit of stability a scheme has no order yet
             law, level = _law(system, method, own, reference.density, unit)
             if level.honest:
                 of = f"expected L1 of p({reference.density.name}) of the full system"
-                points = level, *(law.point(error, unit) for error in ERRORS)
+                digits = sorted({*PRICED_DIGITS, 1.5, 2.5})  # finer where the law is drawn
+                points = level, *(law.point(10.0**-d, unit) for d in digits)
                 axis = f"sampling and step error: {of}"
                 route = Priced(f"{scheme}, (dt, N)", FULL, axis, points)
                 laws.append(law)
@@ -136,20 +148,24 @@ def full_routes(
 def _law(
     system: System, method: MonteCarlo, factor: float, reference: Density, unit: str
 ) -> tuple[Law, Level]:
-    """Bias from the largest stable step, noise and speed at 0.7 of it or at the chosen one.
+    """Return the law of a scheme and the level that tests it.
 
-    The second run must be where the law says: what is wrong at any step alike is no bias of a step.
+    The bias is read from a run at the largest stable step, ``factor`` times the chosen step; noise
+    and speed from a second run at 0.7 of it or at the chosen step. The distance of the second run
+    must agree with the law: an error that is equal at both steps is no bias of the step.
     """
     order, observables = SCHEMES[method.scheme].weak_order, [reference.observable]
-    few = replace(method, relaxations=4.0 * RELAXATIONS)
+    few = replace(method, relaxations=4.0 * PILOT)
     if factor < SMALL_STEP:
-        few = replace(method, paths=LEAST_PATHS, relaxations=RELAXATIONS)
-    first, result = run(system, replace(few, step_factor=factor), observables)
+        few = replace(method, paths=LEAST_PATHS, relaxations=PILOT)
+    first, result = time_simulation(system, replace(few, step_factor=factor), observables)
     distance, expected, _ = distance_between(result.densities[0], reference)
     noise = hypot(expected - reference.l1_error, reference.l1_error)
-    resolved = distance > 2.0 * noise
-    bias = sqrt(distance**2 - noise**2) if resolved else 2.0 * noise
-    usual, result = run(system, replace(few, step_factor=min(0.7 * factor, 1.0)), observables)
+    resolved = distance > MIN_ORDER_SIGNAL * noise
+    bias = sqrt(distance**2 - noise**2) if resolved else MIN_ORDER_SIGNAL * noise
+    usual, result = time_simulation(
+        system, replace(few, step_factor=min(0.7 * factor, 1.0)), observables
+    )
     distance, expected, allowed = distance_between(result.densities[0], reference)
     assert isinstance(result.report, Report)
     at, share = result.report, (usual.dt / first.dt) ** order
@@ -177,27 +193,29 @@ def _law(
     return law, level
 
 
-def averaged_route(system: System, equation: Equation, *, seed: int) -> Priced | NotTimed:
-    """Return the simulation of (24), run once."""
+def price_averaged_simulation(
+    system: System, equation: Equation, *, seed: int
+) -> Priced | NotTimed:
+    """Return the price of the simulation of (24), run once with ``seed``."""
     p = equation.reference
     method = AveragedSimulation("nonintegrable", seed=seed, threads=1, paths=FEWEST)
-    result, seconds = timed_first(lambda: method.solve(system, [p.observable]))
+    result, seconds = time_call(lambda: method.solve(system, [p.observable]))
     distance, expected, allowed = distance_between(result.densities[0], p)
     settings = f"{method.paths} paths, step {method.step:g}"
     mean = expected - p.l1_error
     level = Level(settings, mean, mean, seconds, distance, allowed)
     axis = "sampling error: expected L1 of p(H), within chance of the reference"
     words = f"differs from the {equation.reference_words} by more than chance explains"
-    return judged(method.route.label, equation.name, axis, [level], words)
+    return price_route(method.route.label, equation.name, axis, [level], words)
 
 
-def solved_routes(
+def price_solutions(
     system: System, *, progress: Progress = silent
 ) -> tuple[list[Priced | NotTimed], Reference | None]:
     """Return the slow routes that solve (6), and the density with the least error of all of them.
 
-    The errors are those that the answers state. An answer that differs from the best one by more
-    than both state is not timed, nor is a route that ``fpk run`` leaves out.
+    The errors are stated by the answers. A route is not timed if an answer differs from its best
+    answer by more than both state, or if ``fpk run`` would not take it.
     """
     results: list[Priced | NotTimed] = []
     best: Reference | None = None
@@ -205,7 +223,10 @@ def solved_routes(
         if route.solves != "full" or route.sampled or route.quick:
             continue
         try:
-            answers = _answers(route.make().unasked(system), system, progress)
+            method = route.make().unasked(system)
+            answers = answers_by_tolerance(
+                partial(_density_within, method, system, progress), lambda p: p.l1_error, TOLERANCES
+            )
         except (NotApplicable, NotCertified) as reason:
             results.append(NotTimed(route.label, FULL, reason=str(reason)))
             continue
@@ -216,30 +237,18 @@ def solved_routes(
         for level, p in answers:
             distance, allowed, _ = distance_between(p, finest)
             points.append(replace(level, distance=distance, estimate=allowed))
-        axis = f"numerical, as stated: L1 of p({observable_name(observed(system))})"
+        axis = f"numerical, as stated: L1 of p({observable_name(studied_displacement(system))})"
         words = "differs from its own finest answer by more than both state"
-        results.append(judged(route.label, FULL, axis, points, words))
+        results.append(price_route(route.label, FULL, axis, points, words))
     return results, best
 
 
-def _answers(method: Method, system: System, progress: Progress) -> list[tuple[Level, Density]]:
-    """The answer to each tolerance and its price; the last one met, or as near as work allows."""
-    answers: list[tuple[Level, Density]] = []
-    for tol in TOLERANCES:
-        asked: Method = replace(method, tol=tol)  # type: ignore[type-var]
-        work = partial(asked.solve, system, [observed(system)], progress=progress)
-        result, first = timed_first(work)
-        (p,) = result.densities
-        assert isinstance(p, Density)
-        met = p.l1_error <= tol
-        level = Level(
-            settings=f"tol = {tol:.0e}" if met else f"tol = {tol:.0e}, not met",
-            error=p.l1_error,
-            stated=p.l1_error,
-            promised=tol if met else p.l1_error,
-            **timing(work, first),
-        )
-        answers.append((level, p))
-        if not met:
-            break
-    return answers
+def _density_within(method: Method, system: System, progress: Progress, tol: float) -> Density:
+    """Return the density of ``studied_displacement`` to the L1 tolerance ``tol``.
+
+    If the work that ``method`` allows ends before, its certificate states the error reached.
+    """
+    asked: Method = replace(method, tol=tol)  # type: ignore[type-var]
+    (p,) = asked.solve(system, [studied_displacement(system)], progress=progress).densities
+    assert isinstance(p, Density)
+    return p

@@ -1,28 +1,24 @@
-"""Levels of refinement of one averaged equation, each measured against a reference, and timed.
+"""A study: what varies from level to level, what is measured, and which order theory predicts.
 
-A study is a loop: ``refined_levels`` solves, measures the error, and goes on with ``refined()``.
-Convergence and cost differ only in what they do with the levels. Times are processor times: on one
-thread those are the wall times of an idle machine, whatever else runs beside.
+``Study.levels`` is the loop of every study by refinement: it solves, measures the error, and goes
+on with ``refined()``; ``Study.ladder`` adds the observed orders. Convergence and cost differ only
+in what they do with the levels. Times are processor times: on one thread they equal the wall times
+of an idle machine, whatever else runs beside.
 """
 
 import tracemalloc
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from math import exp, inf, nan, sqrt
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from math import exp, inf, isfinite, nan, sqrt
 from statistics import quantiles
 from time import process_time
 from timeit import repeat
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from averaging.zero_flux import ENERGY_RULES, ZeroFluxDensity, density_of_energies
-from fpk.answer.density import Density
-from fpk.answer.names import Observable
+from cases.study.orders import Convergence, GridConvergence, convergence, grid_convergence
 from fpk.numeric.arrays import Array
-from fpk.numeric.quadrature import gauss_grid, integral
-from fpk.solvers.line.stationary import StationarySolution
-from fpk.solvers.plane.solution import PlaneSolution
 from fpk.system.process import Coefficients
 
 T = TypeVar("T")
@@ -31,35 +27,8 @@ REPEATS = 3, 21
 """Least and largest number of timed runs."""
 ENOUGH = 0.1
 """Seconds that the timed runs take together, if their least number does not take longer."""
-LONG = 1.0
-"""Seconds of a first run above which it is the only one: its spread and memory stay unknown."""
-NORMS = ("L1", "L2", "max")
-FUNCTIONALS = ("mean energy", "integral of p²")
-"""Moments of a density: E H (of two energies, E H1 + E H2), and ∫p²."""
-Solution = StationarySolution | ZeroFluxDensity | PlaneSolution
-"""Density of one or two energies, with its error estimate, by finite elements or quadrature."""
-
-
-def density_of(observable: Observable, solution: Solution) -> Density:
-    """Return the density of the energies of ``solution``, with the error that its solver states."""
-    panels = solution.panels if isinstance(solution, PlaneSolution) else (solution.nodes,)
-    return density_of_energies(
-        observable, solution, panels, lambda *energies: np.zeros(1), tol=inf, added=False
-    )
-
-
-def errors(p: Density, reference: Density | None = None) -> dict[str, float]:
-    """Return the L1, L2 and largest distance to ``reference``, or to zero, and that of moments.
-
-    L1 is ∫|p_h − p| over all energies at which either is known.
-    """
-    panels = p.panels if reference is None else map(np.union1d, p.panels, reference.panels)
-    mesh, grids = gauss_grid(list(panels))
-    a, b = p(*mesh), np.zeros(1) if reference is None else reference(*mesh)
-    values = np.abs(a - b), (a - b) ** 2, (a - b) * sum(mesh), (a - b) * (a + b)
-    L1, square, *moments = (integral(v, grids) for v in values)
-    norms = dict(zip(NORMS, (L1, square**0.5, float(np.max(values[0]))), strict=True))
-    return norms | dict(zip(FUNCTIONALS, map(abs, moments), strict=True))
+LONG_RUN = 1.0
+"""Seconds of a first run above which no other follows: its spread and memory stay unknown."""
 
 
 @dataclass
@@ -70,25 +39,26 @@ class TimedCoefficients:
     seconds: float = 0.0
 
     def __call__(self, energies: Array) -> Coefficients:
-        """Return the coefficients at ``energies``."""
-        values, seconds = timed_first(lambda: self.coefficients(energies))
+        """Return the coefficients at ``energies``; adds the time that takes to ``seconds``."""
+        values, seconds = time_call(lambda: self.coefficients(energies))
         self.seconds += seconds
         return values
 
 
 @dataclass(frozen=True)
 class Level:
-    """One level of refinement or one setting of a route, as it was measured.
+    """One level of refinement, or one setting of a route, with the errors and times measured.
 
-    ``error`` is the L1 error, of a simulation the expected one; ``errors`` those by norm and
-    moment; ``stated`` the answer's own estimate. ``distance`` is the L1 distance to the reference,
-    ``estimate`` the largest that both errors allow; ``size`` as in ``observed_orders``.
-    ``promised`` is the tolerance asked for, if any; ``modelled``: computed by the law of sampling.
+    ``error`` is the L1 error, of a simulation its expectation; ``errors`` has the error in every
+    norm and moment by name; ``stated`` is the answer's own estimate. ``distance`` is the L1
+    distance to the reference, ``estimate`` the largest distance that both stated errors allow.
+    ``size`` is the abscissa of ``observed_orders``; ``functionals`` are values by name.
+    ``promised`` is the tolerance given to the solver, if any; ``modelled``: by the law of sampling.
 
     ``seconds`` of processor time is the median of ``repeats`` runs, ``spread`` half the distance of
-    their quartiles, ``first`` what the first call took beyond, ``coefficients`` the part spent in
-    the process's coefficients, ``memory`` the peak in bytes that Python and NumPy allocate in one
-    call. Not a number where it was not measured.
+    their quartiles, ``first`` the additional time of the first call, ``coefficients`` the part
+    spent in the process's coefficients, ``memory`` the peak in bytes that Python and NumPy allocate
+    in one call. NaN stands for each that was not measured.
     """
 
     settings: str
@@ -99,8 +69,8 @@ class Level:
     estimate: float = nan
     unknowns: float = nan
     size: float = nan
-    errors: dict[str, float] = field(default_factory=dict)
-    functionals: dict[str, float] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
+    functionals: Mapping[str, float] = field(default_factory=dict)
     promised: float = inf
     modelled: bool = False
     repeats: int = 1
@@ -111,67 +81,123 @@ class Level:
 
     @property
     def honest(self) -> bool:
-        """Whether the distance to the reference is allowed."""
+        """Whether the distance to the reference is within the errors that both state."""
         return self.distance <= self.estimate
+
+    @property
+    def sound(self) -> bool:
+        """Whether the level is honest and states a finite error."""
+        return self.honest and isfinite(self.stated)
 
 
 @dataclass(frozen=True, eq=False)
 class Discretisation:
-    """One level of a family of discretisations of one equation.
+    """What varies: one level of a family of discretisations, with ``refined`` for the next level.
 
-    ``name`` is the family's: in "h" elements of ``degree`` are halved, in "p" the degree grows, in
-    "tol" the tolerance falls. ``settings``, ``size`` and ``promised`` are those of ``Level``.
+    ``name`` is the family's: in the family "h" elements of ``degree`` are halved, in "p" the degree
+    grows, in "tol" the tolerance falls. ``size`` is the h of ``observed_orders``: the ratio of the
+    sizes of two levels is known, their unit is free. For exponential convergence it is exp(−x),
+    and the order then is the rate in x: exp(−degree) in "p"; in "tol" NaN, which stands for
+    exp(−√unknowns). ``settings`` and ``promised`` have the meaning of the fields of ``Level``.
     """
 
-    family: Literal["h", "p", "tol"]
+    family: str
     name: str
     settings: str
-    solve: Callable[[], Solution]
+    solve: Callable[[], Any]
     refined: Callable[[], "Discretisation"]
     size: float = nan
     promised: float = inf
     degree: int | None = None
 
 
-def refined_levels(
-    first: Discretisation, reference: Density, count: int
-) -> Iterator[tuple[Discretisation, Level]]:
-    """Yield ``count`` discretisations from coarse to fine, each with what was measured.
+@dataclass(frozen=True)
+class Ladder:
+    """Levels from coarse to fine of one family, with their orders by norm and moment.
 
-    Sizes are h; or, so that the order is a rate of exponential convergence, exp(−p) and
-    exp(−√unknowns): nats of error a degree, or a unit of √unknowns. Of quadrature the unknowns are
-    its points. Raises what the solvers raise.
+    ``degree`` is the degree of the elements in h, else None; ``grid`` holds Richardson's value and
+    the grid convergence index of every functional of known order.
     """
-    setting = first
-    for k in range(count):
-        setting = setting.refined() if k else first
-        solution, seconds = timed_first(setting.solve)
-        p = density_of(reference.observable, solution)
-        norms, moments, elements = errors(p, reference), errors(p), p.panels[0].size - 1
-        unknowns = (
-            ENERGY_RULES[0] * elements
-            if isinstance(solution, ZeroFluxDensity)
-            else solution.unknowns
-        )
-        plain = isinstance(solution, PlaneSolution) and solution.weight.plain
-        words = f"{setting.settings}, w = 1" if plain else setting.settings
-        level = Level(
-            settings=words,
-            error=norms["L1"],
-            stated=p.l1_error,
-            seconds=seconds,
-            distance=norms["L1"],
-            estimate=p.l1_error + reference.l1_error,
-            unknowns=unknowns,
-            size=exp(-sqrt(unknowns)) if first.family == "tol" else setting.size,
-            errors=norms,
-            functionals={key: moments[key] for key in FUNCTIONALS},
-            promised=setting.promised,
-        )
-        yield setting, level
+
+    name: str
+    equation: str
+    dimension: int
+    family: str
+    degree: int | None
+    levels: tuple[Level, ...]
+    verdicts: dict[str, Convergence]
+    grid: dict[str, GridConvergence]
 
 
-def timed_first(work: Callable[[], T]) -> tuple[T, float]:
+@dataclass(frozen=True, eq=False)
+class Study:
+    """The quantity that varies, the measured errors, and the order that theory predicts.
+
+    ``first`` is the coarsest of ``count`` levels of the quantity that varies.
+
+    ``measure`` takes an answer of ``Discretisation.solve`` and returns a ``Level`` with its errors:
+    ``seconds`` is replaced by the processor time of the solution, ``settings`` is appended to the
+    settings of the discretisation. ``theory`` has the predicted order in ``size`` of every error by
+    name, or none if the convergence is exponential; ``floor`` the size of each error below which
+    the reference resolves nothing. ``equation`` names the subject in tables, ``dimension`` is the
+    number of its coordinates.
+    """
+
+    equation: str
+    first: Discretisation
+    count: int
+    measure: Callable[[Any], Level]
+    theory: Mapping[str, float]
+    floor: Mapping[str, float]
+    dimension: int = 1
+
+    def levels(self) -> Iterator[tuple[Discretisation, Level]]:
+        """Yield the discretisations from coarse to fine, each with its measured level.
+
+        Raises the exceptions of ``Discretisation.solve`` and of ``measure``.
+        """
+        setting = self.first
+        for k in range(self.count):
+            setting = setting.refined() if k else setting
+            solution, seconds = time_call(setting.solve)
+            level = self.measure(solution)
+            yield (
+                setting,
+                replace(
+                    level,
+                    settings=setting.settings + level.settings,
+                    seconds=seconds,
+                    size=exp(-sqrt(level.unknowns)) if setting.family == "tol" else setting.size,
+                    promised=setting.promised,
+                ),
+            )
+
+    def ladder(self) -> Ladder:
+        """Return all levels with their observed orders, of two equal sizes only the first level."""
+        levels = [level for _, level in self.levels()]
+        if self.first.family == "tol":  # two tolerances with the same answer are one level
+            most = np.maximum.accumulate([0, *(level.unknowns for level in levels)])
+            levels = [level for level, n in zip(levels, most, strict=False) if level.unknowns > n]
+        h, degree = [level.size for level in levels], self.first.degree
+        verdicts = {
+            key: convergence(
+                h, [v.errors[key] for v in levels], theory=self.theory.get(key), floor=low
+            )
+            for key, low in self.floor.items()
+        }
+        grid = {
+            key: grid_convergence(
+                [v.functionals[key] for v in levels], theory=order, floor=self.floor[key]
+            )
+            for key, order in self.theory.items()
+            if key in levels[-1].functionals
+        }
+        name = f"h, p = {degree}" if degree else self.first.name
+        of = self.equation, self.dimension, self.first.family, degree
+        return Ladder(name, *of, tuple(levels), verdicts, grid)
+
+
+def time_call(work: Callable[[], T]) -> tuple[T, float]:
     """Return the value of one call and its seconds of processor time."""
     start = process_time()
     value = work()
@@ -181,14 +207,14 @@ def timed_first(work: Callable[[], T]) -> tuple[T, float]:
 def timing(
     work: Callable[[], Any], first: float, coefficients: TimedCoefficients | None = None
 ) -> dict[str, Any]:
-    """Return the times of ``work`` as in ``Level``; its first call took ``first`` seconds.
+    """Return the times of ``work`` as fields of ``Level``; its first call took ``first`` seconds.
 
-    ``coefficients`` are those that it evaluates, where the part spent in them is of interest.
+    ``coefficients`` are those that it evaluates, if the part spent in them is to be measured.
     """
-    if first > LONG:
+    if first > LONG_RUN:
         return {"seconds": first}
     before = coefficients.seconds if coefficients else nan
-    _, warm = timed_first(work)
+    _, warm = time_call(work)
     count = int(np.clip(ENOUGH / max(warm, 1e-9), *REPEATS))
     times = [warm, *repeat(work, repeat=count - 1, number=1, timer=process_time)]
     inside = (coefficients.seconds - before) / len(times) if coefficients else nan

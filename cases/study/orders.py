@@ -15,7 +15,7 @@ from fpk.numeric.arrays import Array
 
 Kind = Literal["asymptotic", "pre-asymptotic", "at the floor", "oscillating", "diverging"]
 
-NEAR = 0.15
+NEAR_THEORY = 0.15
 """Distance of an observed order from theory that counts as reaching it."""
 STEADY = 0.25
 """Share by which the rate of exponential convergence may drop from one level to the next."""
@@ -33,8 +33,8 @@ LIMITS = (
 def observed_orders(sizes: Sequence[float], errors: Sequence[float]) -> Array:
     """Return ln(e_k/e_k+1)/ln(h_k/h_k+1) of consecutive levels, (levels − 1,).
 
-    ``sizes`` h_k descend. Not a number where an error is 0. For exponential convergence,
-    e ~ exp(−γ x), give h = exp(−x): the order then is γ.
+    ``sizes`` h_k descend; ``errors`` are e_k, of any sign. NaN stands beside an error of 0. For
+    exponential convergence, e ~ exp(−γ x), give h = exp(−x): the order then is γ.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         orders = np.diff(np.log(np.abs(errors))) / np.diff(np.log(sizes))
@@ -43,9 +43,9 @@ def observed_orders(sizes: Sequence[float], errors: Sequence[float]) -> Array:
 
 @dataclass(frozen=True)
 class Convergence:
-    """Observed orders of a sequence of errors and the class they put it in.
+    """Observed orders of a sequence of errors, and the class of the sequence by them.
 
-    ``orders`` are those of consecutive levels above the floor, ``order`` the median of the last
+    ``orders`` are between consecutive levels above the floor, ``order`` the median of the last
     three and ``spread`` half their range; ``theory`` None stands for exponential convergence.
     """
 
@@ -59,12 +59,14 @@ class Convergence:
 def convergence(
     sizes: Sequence[float], errors: Sequence[float], *, theory: float | None, floor: float
 ) -> Convergence:
-    """Classify errors of levels from coarse to fine; ``floor`` is what cannot be resolved.
+    """Classify ``errors`` of levels from coarse to fine of ``sizes`` h, as in ``observed_orders``.
+
+    ``floor`` is the error below which the reference resolves nothing.
 
     "at the floor": the finest error is within ``ABOVE_FLOOR`` of it. "diverging": the last error
     is not below the first. "oscillating": errors rise between the last four levels. "asymptotic":
-    the last two orders are within ``NEAR`` of theory; without one (exponential convergence), the
-    rate does not drop by more than ``STEADY``. Else "pre-asymptotic".
+    the last two orders are within ``NEAR_THEORY`` of ``theory``; if that is None (exponential
+    convergence), the rate does not drop by more than ``STEADY``. Else "pre-asymptotic".
     """
     low = np.flatnonzero(np.asarray(errors) <= ABOVE_FLOOR * floor)
     above = int(low[0]) if low.size else len(errors)
@@ -80,7 +82,7 @@ def convergence(
         kind = "oscillating"
     elif orders.size > 1:
         steady = theory is None and orders[-1] >= (1.0 - STEADY) * orders[-2]
-        if steady or (theory is not None and np.all(np.abs(orders[-2:] - theory) <= NEAR)):
+        if steady or (theory is not None and np.all(np.abs(orders[-2:] - theory) <= NEAR_THEORY)):
             kind = "asymptotic"
     return Convergence(tuple(orders.tolist()), float(order), float(spread), theory, kind)
 
@@ -104,12 +106,12 @@ class GridConvergence:
 def grid_convergence(values: Sequence[float], *, theory: float, floor: float) -> GridConvergence:
     """Return f₁ + (f₁ − f₂)/(2ᵖ − 1) and F |f₁ − f₂|/(2ᵖ − 1) from the three finest levels.
 
-    ``values`` are those of a functional on at least three meshes, each the bisection of the last.
+    ``values`` of a functional are on at least three meshes, each the bisection of the previous one.
 
-    F = 1.25 and p that of theory where the observed order is within ``TRUSTED`` of it
-    ("asymptotic"); else F = 3 and p the observed order, between 0.5 and theory (Oberkampf and Roy,
-    Table 8.1). Differences that grow are "diverging"; those that change sign, "oscillating", have
-    no order, and p = 0.5. Where they are within ``floor`` the index is 3 times the floor.
+    F = 1.25 and p = ``theory`` if the observed order is within ``TRUSTED`` of it ("asymptotic");
+    else F = 3 and p is the observed order, between 0.5 and theory (Oberkampf and Roy, Table 8.1).
+    Differences that grow are "diverging"; differences that change sign, "oscillating", have no
+    order, and p = 0.5. If the last difference is within ``floor``, the index is 3 times the floor.
     """
     coarse, fine = values[-3] - values[-2], values[-2] - values[-1]
     if abs(fine) <= floor:

@@ -1,11 +1,11 @@
 """Prices: for every route error against time, and from them the cheapest setting for an error.
 
-Those of the failure rate of a first passage are measured here: solvers answer to falling tolerances
-and are held against the best of them; a simulation is run once and its error falls with the root of
-the time.
+The prices of the failure rate of a first passage are measured here: solvers answer to falling
+tolerances and are compared with the best of them; a simulation is run once, and its error falls
+with the root of the time.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, isnan, nan
@@ -15,23 +15,24 @@ import numpy as np
 
 from cases.compare.routes import listed_routes
 from cases.scene.questions import PassageQuestion
-from cases.study.levels import Level, timed_first, timing
+from cases.study.levels import Level, T, time_call, timing
 from fpk.answer.dynamics import Passage
 from fpk.answer.method import Progress, silent
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.system import System
+from sim.sample.settings import LEAST_PATHS
 
-DIGITS = tuple(range(1, 11))
+PRICED_DIGITS = tuple(range(1, 11))
 """Digits that are priced."""
 
 
 @dataclass(frozen=True)
 class Priced:
-    """One route for one equation, timed at several settings, from coarse to fine.
+    """A route for one equation, timed at several settings, from coarse to fine.
 
-    ``axis`` says which error it is.
+    ``axis`` says which error the points have.
     """
 
     route: str
@@ -40,9 +41,9 @@ class Priced:
     points: tuple[Level, ...]
 
     def seconds_for(self, error: Array) -> Array:
-        """Return the times for errors of any shape, log-log between points that none beats in both.
+        """Return the processor times for errors of any shape, NaN for an error not reached.
 
-        Not a number where an error was not reached.
+        They are interpolated log-log between the points that no other beats in time and error.
         """
         points = sorted(self.points, key=lambda p: (p.seconds, p.error))
         e = np.log([max(p.error, 1e-300) for p in points])
@@ -55,7 +56,8 @@ class Priced:
 class NotTimed:
     """A route that is not timed: its answer disagrees with the reference, or there is none.
 
-    Of a ``baseline`` that is no failure of the study.
+    ``distance`` to the reference and the largest ``allowed`` one are NaN without an answer. A
+    ``baseline`` that disagrees is no failure of the study.
     """
 
     route: str
@@ -68,23 +70,55 @@ class NotTimed:
 
     @property
     def wrong(self) -> bool:
-        """Whether an answer disagrees: no answer, or a baseline's, says nothing against others."""
+        """Whether an answer disagrees that is not of a baseline."""
         return not (isnan(self.distance) or self.baseline)
 
 
-def judged(
-    route: str, equation: str, axis: str, points: Sequence[Level], reason: str
+def price_route(
+    route: str, equation: str, axis: str, points: Iterable[Level], reason: str
 ) -> Priced | NotTimed:
-    """Return the route, not timed for this ``reason`` where a measured point is not honest."""
+    """Return the priced route; not timed from its first measured point that is not sound.
+
+    ``reason`` says why, unless the point states no finite error. Takes no further ``points``.
+    """
+    priced = []
     for p in points:
-        if not (p.modelled or p.honest):
+        if not (p.modelled or p.sound):
+            if p.honest:
+                reason = "states no finite error of its own: its density does not fall off"
             return NotTimed(route, equation, p.settings, p.distance, p.estimate, reason)
-    return Priced(route, equation, axis, tuple(points))
+        priced.append(p)
+    return Priced(route, equation, axis, tuple(priced))
+
+
+def answers_by_tolerance(
+    solve: Callable[[float], T], error_of: Callable[[T], float], tolerances: Iterable[float]
+) -> list[tuple[Level, T]]:
+    """Return the timed answers of ``solve`` to falling tolerances until the first that is not met.
+
+    ``error_of`` returns the error that an answer states, of the same kind as the tolerances.
+    """
+    rows: list[tuple[Level, T]] = []
+    for tol in tolerances:
+        work = partial(solve, tol)
+        answer, first = time_call(work)
+        error = error_of(answer)
+        level = Level(
+            settings=f"tol = {tol:.0e}" + ", not met" * (not error <= tol),
+            error=error,
+            stated=error,
+            promised=max(tol, error),
+            **timing(work, first),
+        )
+        rows.append((level, answer))
+        if not error <= tol:
+            break
+    return rows
 
 
 @dataclass(frozen=True)
 class Cheapest:
-    """For an error 10^−digits the cheapest route and its point, None where none reaches it."""
+    """The cheapest route for an error 10^−digits and its point, None if no route reaches it."""
 
     equation: str
     digits: int
@@ -95,13 +129,13 @@ class Cheapest:
 def price_list(routes: Sequence[Priced], *, promised: bool = False) -> tuple[Cheapest, ...]:
     """Return the cheapest measured or modelled point of each equation for errors 10^−digits.
 
-    ``promised``: of the points that were given a tolerance, the cheapest by that, not by the error
-    that it happened to reach.
+    ``promised``: among the points that were given a tolerance, by the tolerance instead of the
+    error that the point happened to reach.
     """
     prices = []
     for equation, own in by_equation(routes).items():
         points = [(r.route, p, p.promised if promised else p.error) for r in own for p in r.points]
-        for d in DIGITS if min(error for *_, error in points) < inf else ():
+        for d in PRICED_DIGITS if min(error for *_, error in points) < inf else ():
             offers = [(route, p) for route, p, error in points if error <= 10.0**-d]
             route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
             prices.append(Cheapest(equation, d, route, point))
@@ -111,7 +145,7 @@ def price_list(routes: Sequence[Priced], *, promised: bool = False) -> tuple[Che
 def crossovers(routes: Sequence[Priced]) -> list[dict[str, Any]]:
     """Return where the cheapest route of each equation changes, from large errors to small.
 
-    Below ``error`` the route ``below`` is cheaper than ``above``, which was until then.
+    Under ``error`` the route ``below`` is cheaper than ``above``, the cheapest until then.
     """
     crossings = []
     errors = np.geomspace(0.3, 1e-13, 1001)
@@ -132,16 +166,6 @@ def by_equation(routes: Sequence[Priced]) -> dict[str, list[Priced]]:
     return {name: [route for route in routes if route.equation == name] for name in equations}
 
 
-TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
-"""Relative errors that a solver is asked for."""
-
-ERRORS = (0.1, 1e-2, 1e-3, 1e-4)
-"""Errors of a simulation for which a price is given by its law."""
-
-PATHS = 4096
-"""Paths of the simulation that is run."""
-
-
 def passage_routes(
     system: System,
     question: PassageQuestion,
@@ -152,7 +176,8 @@ def passage_routes(
 ) -> list[Priced | NotTimed]:
     """Return the price of the failure rate by every route that gives it.
 
-    The equations are the averaged one of each theory, and that of the full system.
+    The equations are the averaged equation of each theory and the equation of the full system.
+    ``seed`` is for the simulations, which are left out unless ``simulate``.
     """
     routes: list[Priced | NotTimed] = []
     answers = []
@@ -164,10 +189,14 @@ def passage_routes(
         equation = f"first passage of {question.name}, {whose}"
         try:
             if route.sampled:
-                few = {"paths": PATHS, "seed": seed, "threads": 1}
-                method = replace(method, **few)
+                method = replace(method, paths=LEAST_PATHS, seed=seed, threads=1)
             ask = partial(_rate, method, system, question, progress)
-            measured = _sampled(ask) if route.sampled else _solved(ask)
+            tolerances = (10.0**-d for d in PRICED_DIGITS[1::2])
+            measured = (
+                _price_sampling(ask)
+                if route.sampled
+                else answers_by_tolerance(ask, _relative, tolerances)
+            )
         except (NotApplicable, NotCertified, InvalidInput) as reason:
             routes.append(NotTimed(route.label, equation, reason=str(reason)))
         else:
@@ -190,14 +219,17 @@ def passage_routes(
         kind = "sampling" if route.sampled else "numerical"
         axis = f"{kind}: relative error of the failure rate"
         words = "differs from the best answer by more than both state"
-        routes.append(judged(route.label, equation, axis, points, words))
+        routes.append(price_route(route.label, equation, axis, points, words))
     return routes
 
 
 def _rate(
     method: Any, system: System, question: PassageQuestion, progress: Progress, tol: float | None
 ) -> Number:
-    """The failure rate alone: the reliability is not asked for, so that it costs nothing."""
+    """Return the failure rate to ``tol`` alone: no times of the reliability, which would cost more.
+
+    Raises ``NotCertified`` for a simulation whose sample is too small.
+    """
     asked = system, question.limit, question.start, np.zeros(0)
     answer: Passage = method.passage(*asked, tol=tol, progress=progress)
     if method.route.sampled and not answer.certificate.certified:
@@ -207,26 +239,17 @@ def _rate(
     return answer.rate
 
 
-def _solved(rate_at: Callable[[float], Number]) -> list[tuple[Level, Number]]:
-    """The rate at every tolerance and its price."""
-    rows = []
-    for tol in TOLERANCES:
-        work = partial(rate_at, tol)
-        rate, first = timed_first(work)
-        stated = _relative(rate)
-        words = f"tol = {tol:.0e}"
-        rows.append((Level(words, stated, stated, promised=tol, **timing(work, first)), rate))
-    return rows
+def _price_sampling(rate_at: Callable[[None], Number]) -> list[tuple[Level, Number]]:
+    """Return the rate by the fewest paths, and the price of other errors.
 
-
-def _sampled(rate_at: Callable[[None], Number]) -> list[tuple[Level, Number]]:
-    """The rate by ``PATHS``, and the price of other errors: error² falls with the time."""
-    rate, seconds = timed_first(partial(rate_at, None))
+    The square of the error falls with the time.
+    """
+    rate, seconds = time_call(partial(rate_at, None))
     error = _relative(rate)
-    levels = [Level(f"{PATHS} paths", error, error, seconds)]
-    for e in ERRORS:
+    levels = [Level(f"{LEAST_PATHS} paths", error, error, seconds)]
+    for e in (10.0**-d for d in PRICED_DIGITS[:4]):
         more = (error / e) ** 2
-        words = f"{PATHS * more:.2g} paths"
+        words = f"{LEAST_PATHS * more:.2g} paths"
         levels.append(Level(words, e, e, seconds * more, modelled=True, repeats=0))
     return [(level, rate) for level in levels]
 

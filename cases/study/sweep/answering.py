@@ -23,7 +23,7 @@ from cases.compare.rare import passage_answer
 from cases.compare.stationary import answers_of
 from cases.scene.questions import PassageQuestion
 from cases.study.simulation import best_answer, deterministic
-from cases.study.sweep.result import SweepPoint, Value
+from cases.study.sweep.points import SweepPoint, Value
 from fpk.answer.density import AnyDensity
 from fpk.answer.dynamics import Curve, Passage, Rates
 from fpk.answer.method import Method, silent
@@ -36,18 +36,18 @@ from sim.montecarlo import MonteCarlo
 Answer = TypeVar("Answer", Passage, Curve, Rates)
 Asked = tuple[str, tuple[Method, ...]]
 """The name of a method and its solvers in the order in which they are tried."""
-Found = tuple[Number | None, str, tuple[str, ...], str]
-"""A number, None where the method does not give it, the kind of its error, failed checks, and the
-route of the full system that it was compared with (else empty)."""
+Reading = tuple[Number | None, str, tuple[str, ...], str]
+"""A number, None if the method does not give it, the kind of its error, failed checks, and the
+route of the full system that it was compared with (empty for none)."""
 Reference = Callable[[Observable], tuple[str, AnyDensity, tuple[str, ...]]]
-"""Returns route and density that averaged theories are held against, and its failed checks."""
+"""Returns route and density of the full system for comparison, and the failed checks of both."""
 SIMULATION = MonteCarlo(relaxations=38.0)
 """Simulation of a point: with 38 relaxation times a path the sampling error of the L1 distance of
 one displacement is about 0.001."""
 REFERENCE_TOL = 2e-4
-"""L1 error wanted of a reference that is not sampled: a fifth of what the simulation leaves."""
-SHARE = 3.5
-"""Work that such a reference may take, over what it takes unasked elsewhere: a minute."""
+"""L1 tolerance of a reference that is not sampled: a fifth of the error of the simulation."""
+REFERENCE_SHARE = 3.5
+"""Work that such a reference may take, about a minute, over the work of an unasked route."""
 
 
 def sweep_point(
@@ -60,27 +60,27 @@ def sweep_point(
 ) -> SweepPoint:
     """Return all quantities of ``system`` by the methods ``asked``.
 
-    Averaging errors are distances to the full system's exact density if there is one; else to that
-    of ``solver``, if it is given and certifies its answer, as far as it works unasked; else to that
-    of ``simulation``.
+    ``values`` are the coordinates of the grid point. Averaging errors are distances to the full
+    system's exact density if there is one; else to the density of ``solver``, if it is given and
+    certifies its answer within the work of ``REFERENCE_SHARE``; else to that by ``simulation``.
     """
     start = perf_counter()
 
     @cache
     def reference(observable: Observable) -> tuple[str, AnyDensity, tuple[str, ...]]:
         problems: list[str] = []
-        found = best_answer(deterministic("full"), system, observable, problems)
-        if found is None and solver is not None:
+        best = best_answer(deterministic("full"), system, observable, problems)
+        if best is None and solver is not None:
             with suppress(NotApplicable):
-                bounded = solver.unasked(system, share=SHARE)
-                found = best_answer([bounded], system, observable, [])
-            if found is not None and not found[1].certificate.certified:
-                found = None
-        found = found or best_answer([simulation], system, observable, problems)
-        if found is None:
+                bounded = solver.unasked(system, share=REFERENCE_SHARE)
+                best = best_answer([bounded], system, observable, [])
+            if best is not None and not best[1].certificate.certified:
+                best = None
+        best = best or best_answer([simulation], system, observable, problems)
+        if best is None:
             why = "; ".join(problems) or "no method gives this density of the full system"
             raise NotCertified(f"no reference: {why}")
-        return *found, tuple(problems)
+        return *best, tuple(problems)
 
     columns = []
     for name, own in asked:
@@ -97,7 +97,7 @@ def _values(
     quantities: Sequence[Definition],
     reference: Reference,
 ) -> Iterator[Value]:
-    """Yield the quantities by one method, whose densities are solved for together."""
+    """Yield the quantities by one method, which solves for all their densities together."""
     averaged = methods[0].route.solves == "averaged"
     own = [q for q in quantities if q.of_density or (averaged and q.kind == AVERAGING)]
     densities, refused = _densities(methods, system, list(dict.fromkeys(q.observable for q in own)))
@@ -109,14 +109,14 @@ def _values(
 
     @cache
     def passage(limit: str) -> Passage | Exception:
-        """From rest; the limit by its name, as a limit itself has no hash."""
+        """Return the first passage of ``limit`` from rest; by its name, as a limit has no hash."""
         question = PassageQuestion(parse_limit(limit, system.n), REST)
         ask = partial(passage_answer, system=system, question=question)
         return _first(methods, "passage", "first passage", ask)
 
     @cache
     def crossings(observable: Observable) -> Curve | Exception:
-        """Upcrossings of all ``levels`` that are asked for, at once."""
+        """Return the upcrossing rates of all ``levels`` of the observable."""
 
         def ask(method: Any, **how: Any) -> Any:
             return method.crossings(system, observable, np.array(levels[observable]), **how)
@@ -125,7 +125,7 @@ def _values(
 
     @cache
     def relaxation() -> Rates | Exception:
-        """The slowest rates, as many as are asked for."""
+        """Return the slowest rates, as many as the quantities need."""
         most = int(max(q.at or 0.0 for q in quantities if q.kind == RELAXATION))
 
         def ask(method: Any, **how: Any) -> Any:
@@ -133,19 +133,20 @@ def _values(
 
         return _first(methods, "relaxation", "relaxation rate", ask)
 
-    def found(quantity: Definition) -> Found:
+    def read(quantity: Definition) -> Reading:
+        """Return the number of ``quantity``; raises ``REFUSALS``, also of an earlier quantity."""
         if quantity.limit is not None:
-            first = _given(passage(str(quantity.limit)))
+            first = _or_raise(passage(str(quantity.limit)))
             number = getattr(first, PASSAGE[quantity.kind])
             more = () if number is None else quantity.failures(number, None, system)
             return number, first.error_kind, (*first.certificate.failures, *more), ""
         if quantity.kind == UPCROSSING:
-            curve, at = _given(crossings(quantity.observable)), levels[quantity.observable]
+            curve, at = _or_raise(crossings(quantity.observable)), levels[quantity.observable]
             rows = [at.index(level) for level in quantity.levels(system)]
             number = total([Number(float(curve.values[k]), float(curve.errors[k])) for k in rows])
             return number, curve.error_kind, curve.certificate.failures, ""
         if quantity.kind == RELAXATION:
-            rates, k = _given(relaxation()), int(quantity.at or 1.0) - 1
+            rates, k = _or_raise(relaxation()), int(quantity.at or 1.0) - 1
             if k >= rates.values.size:
                 raise NotApplicable(f"gives {rates.values.size} rates")
             number = Number(float(rates.values[k].real), float(rates.errors[k]))
@@ -167,7 +168,7 @@ def _values(
 
     for quantity in quantities:
         try:
-            number, kind, failures, route = found(quantity)
+            number, kind, failures, route = read(quantity)
             if number is None or not (isfinite(number.value) and isfinite(number.error)):
                 raise NotApplicable("gives no such number with an error that has a bound")
         except REFUSALS as error:
@@ -184,7 +185,10 @@ def _values(
 def _densities(
     methods: Sequence[Method], system: System, wanted: Sequence[Observable]
 ) -> tuple[dict[Observable, AnyDensity], dict[str, Exception]]:
-    """The densities by the first of ``methods`` that certifies each; by name why there is none."""
+    """Return the density of each observable, and by name the refusal of each that has none.
+
+    A density is by the first of ``methods`` that certifies it, else by the first that gives it.
+    """
     densities: dict[Observable, AnyDensity] = {}
     refused: dict[str, Exception] = {}
     for method in methods:
@@ -204,10 +208,10 @@ def _densities(
 def _first(
     methods: Sequence[Method], question: str, what: str, ask: Callable[..., Answer]
 ) -> Answer | Exception:
-    """The answer of the first of ``methods`` that certifies it, else that of any.
+    """Return the answer of the first of ``methods`` that certifies it, else the first answer.
 
-    ``ask`` is a function of a method that answers the ``question``; ``what`` such answers are in
-    words. Where none answers the reason of the first, an exception.
+    ``ask`` takes a method that has the function ``question``; ``what`` names such answers in words.
+    Without any answer the exception of the first method is returned, not raised, to be cached.
     """
     refused: list[Exception] = []
     answers: list[Answer] = []
@@ -226,7 +230,7 @@ def _first(
     return refused[0] if refused else NotApplicable(f"gives no {what}")
 
 
-def _given(answer: Answer | Exception) -> Answer:
+def _or_raise(answer: Answer | Exception) -> Answer:
     if isinstance(answer, Exception):
         raise answer
     return answer

@@ -1,4 +1,4 @@
-"""A method, a contact law, a question in time and a format of one file each are used as all others.
+"""A method, a law, a question in time, a format and a study, one file each, are used as all others.
 
 The method and the law are shown, run, compared, drawn and exported; the question is asked through
 the library and the command line.
@@ -7,6 +7,8 @@ the library and the command line.
 import csv
 import json
 import re
+import sys
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -19,11 +21,20 @@ from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
 from cases.show.fields import WRITERS, write_netcdf
 from cases.show.report import write_report
+from cases.study import STUDIES
+from cases.study.converge import study_own
 from fpk.answer.method import ROUTES
 from fpk.answer.names import parse_observable
 from fpk.answer.question import QUESTIONS
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.contact_law import LAWS
+
+
+def executed(module):
+    """The module, executed anew: what it registered before may have been forgotten since."""
+    sys.modules.pop(module, None)
+    return import_module(module)
+
 
 TOY = ("equipartition", "closed-form")
 
@@ -31,8 +42,8 @@ TOY = ("equipartition", "closed-form")
 @pytest.fixture(scope="module")
 def scene_path(scene_text, tmp_path_factory):
     """A scene with the law, whose momenta the method knows; both are forgotten afterwards."""
-    import toy_law  # noqa: PLC0415, F401
-    import toy_method  # noqa: PLC0415, F401
+    executed("toy_law")
+    executed("toy_method")
 
     text = scene_text.replace("[0.01, 0.02]", "[0.04, 0.02]").replace('"q2", "H"', '"p1", "q2"')
     path = tmp_path_factory.mktemp("toy") / "toy.toml"
@@ -115,9 +126,7 @@ def test_a_format_of_one_file_is_written(scene_path, outcome, fpk, tmp_path, mon
 @pytest.fixture(scope="module")
 def question():
     """The question, forgotten afterwards with its answer."""
-    import toy_question  # noqa: PLC0415
-
-    yield toy_question.INCREMENT
+    yield executed("toy_question").INCREMENT
     del QUESTIONS["increment"], Linear.increment
 
 
@@ -161,3 +170,27 @@ def test_a_question_is_asked_on_the_command_line(question, free_path, fpk):
     assert status == 2 and "exact gives no variance of an increment; use one of linear" in err
     status, _, err = fpk("increment", free_path, *asked[2:-1], "-1")
     assert status == 2 and "a lag is a time" in err
+
+
+@pytest.fixture(scope="module")
+def study():
+    """The study, forgotten afterwards."""
+    yield executed("toy_study").TRAPEZOID
+    del STUDIES["trapezoid"]
+
+
+def test_a_study_is_run_by_the_library_and_the_command_line(study, fpk, tmp_path):
+    result = study_own(study, load_scene("fig3a"))
+    (ladder,) = result.ladders
+    assert not result.problems and len(ladder.levels) == 6
+    verdict = ladder.verdicts["mass"]
+    assert verdict.kind == "asymptotic" and verdict.orders[-1] == pytest.approx(2.0, abs=0.05)
+    assert ladder.grid["mass"].index >= ladder.levels[-1].errors["mass"]
+    assert study.help in fpk("trapezoid", "--help")[1] and "trapezoid" in fpk("--help")[1]
+    status, out, err = fpk("trapezoid", "fig3a", "--json", "--out", tmp_path)
+    record = json.loads(out)
+    assert (status, err, record["scene"]) == (0, "", "fig3a")
+    assert record["equations"][0]["ladders"][0]["verdicts"]["mass"]["theory"] == 2.0
+    for ending in ("md", "html", "svg", "nc"):
+        assert (tmp_path / f"trapezoid.{ending}").stat().st_size > 1000
+    assert "asymptotic" in (tmp_path / "trapezoid.md").read_text(encoding="utf-8")

@@ -20,7 +20,7 @@ from cases.show.files import LOCK, make_folder, output_folder, write_by, write_t
 from cases.show.pictures.svg import svg_text
 from cases.show.report import write_report
 from cases.show.vtk import write_pvd, write_vtu
-from cases.study.regime_map import build_map, map_page
+from cases.study.regime_map import build_map
 
 resource = pytest.importorskip("resource", reason="limits of a process are Unix's")
 
@@ -62,7 +62,7 @@ WRITERS = {
     ".csv": lambda folder, outcome: write_csv(outcome, folder / "a.csv"),
     ".vtu": lambda folder, outcome: write_vtu(outcome, folder / "a.vtu"),
     ".pvd": lambda folder, outcome: write_pvd(outcome, folder / "a.pvd"),
-    "map": lambda folder, result: map_page(result).write(folder),
+    "map": lambda folder, result: result.page().write(folder),
 }
 
 
@@ -180,7 +180,7 @@ def test_a_folder_is_written_by_one_command_at_a_time(command, fpk, tmp_path, mo
         raise AssertionError("worked")
 
     monkeypatch.setattr("cases.compare.stationary.run_scene", worked)
-    monkeypatch.setattr("cases.study.sweep.sweep.every_answer", worked)
+    monkeypatch.setattr("cases.study.sweep.sweep.sweep_point", worked)
     with output_folder(tmp_path):
         status, out, err = fpk(*command, "--out", tmp_path)
     assert (status, out) == (2, "") and err.count("\n") == 1

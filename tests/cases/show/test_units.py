@@ -20,11 +20,9 @@ from cases.show.pictures.draw import study_figure
 from cases.show.pictures.style import density_words, in_units, time_words, words_of
 from cases.show.report import figures
 from cases.study.cost import CostStudy
-from cases.study.cost_page import cost_page
 from cases.study.law import FULL, Law
 from cases.study.prices import Priced
 from cases.study.sweep.sweep import sweep
-from cases.study.sweep.sweep_page import sweep_page
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput
 from fpk.system.contact import Contact
@@ -241,7 +239,7 @@ def test_numbers_of_a_scene_have_units_that_keep_its_equations():
 def test_a_sweep_says_the_units_of_its_axes_and_values(scene):
     swept = sweep(load_scene(scene), ["contact.clearance=0.5,1"], ["rms(q2)", "mean_force(1)"],
                   methods=["nonintegrable/closed-form"])  # fmt: skip
-    page = sweep_page(swept, load_scene(scene))
+    page = swept.page()
     head, rows = page.tables[0].cells()
     assert head[0] == "contact.clearance [mm]"
     assert {row[1] for row in rows} == {"rms(q2) [mm]", "mean_force(1) [kg mm s⁻²]"}
@@ -254,7 +252,7 @@ def test_a_sweep_says_the_units_of_its_axes_and_values(scene):
     assert swept.record()["units"] == ["mm", "kg mm s⁻²"]
     bare = sweep(load_scene(scene).system, ["contact.clearance=0.5,1"], ["rms(q2)"],
                  methods=["nonintegrable/closed-form"])  # fmt: skip
-    assert bare.record()["units"] == [None] and "[" not in sweep_page(bare, page.scene).text()
+    assert bare.record()["units"] == [None] and "[" not in "".join(bare.table().markdown())
 
 
 def test_the_cost_of_sampling_says_the_units_of_its_times(scene, tmp_path):
@@ -265,7 +263,7 @@ def test_the_cost_of_sampling_says_the_units_of_its_times(scene, tmp_path):
     def page(scene, unit):
         point = law.point(1e-3, unit)
         route = Priced("exact_flow", FULL, "L1", (point,))
-        return point.settings, cost_page(CostStudy(scene, [route], laws=[law]))
+        return point.settings, CostStudy(scene, [route], laws=[law]).page()
 
     settings, own = page(loaded, loaded.units.time)
     assert settings.count(" s") == 2 and settings.endswith(" s") and " paths, time " in settings

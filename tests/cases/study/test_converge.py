@@ -10,17 +10,28 @@ from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
 from cases.show.pictures.draw import study_figure
 from cases.show.pictures.panel import Curve, Panel
-from cases.study.converge import H_LEVELS, ROUND_OFF, chosen_routes, ladders, measured_ladder
-from cases.study.equations import P_DEGREES, energy_equation, modal_equation
-from cases.study.levels import FUNCTIONALS, NORMS, density_of, errors, refined_levels
-from cases.study.orders import NEAR, convergence, grid_convergence, observed_orders
-from cases.study.simulation import Run, full_density, observed
-from cases.study.weak import (
+from cases.study.converge import ConvergenceStudy, chosen_routes, families
+from cases.study.equations import (
+    DENSITY_NORMS,
+    DENSITY_ROUND_OFF,
+    FUNCTIONALS,
+    P_DEGREES,
+    energy_density,
+    energy_equation,
+    errors,
+    modal_equation,
+)
+from cases.study.levels import Ladder, Level, Study
+from cases.study.orders import NEAR_THEORY, convergence, grid_convergence, observed_orders
+from cases.study.simulation import (
     ORDER_ERROR,
+    Run,
     WeakOrder,
-    judged,
+    full_density,
     sample_slope,
+    studied_displacement,
     weak_order,
+    with_order,
 )
 from sim.montecarlo import MonteCarlo
 
@@ -74,14 +85,17 @@ def test_richardson_finds_the_limit_and_the_index_covers_it():
 
 @pytest.fixture(scope="module")
 def energy_ladders():
-    return {ladder.name: ladder for ladder in ladders(energy_equation(load_scene("fig6b").system))}
+    return {
+        ladder.name: ladder
+        for ladder in map(Study.ladder, families(energy_equation(load_scene("fig6b").system)))
+    }
 
 
 @pytest.mark.parametrize("degree", [1, 2, 4])
 def test_energy_orders_are_those_of_theory_with_contact(energy_ladders, degree):
     verdict = energy_ladders[f"h, p = {degree}"].verdicts["L1"]
     assert verdict.kind == "asymptotic" and len(verdict.orders) >= 4
-    assert np.all(np.abs(np.array(verdict.orders[-2:]) - (degree + 1)) <= NEAR)
+    assert np.all(np.abs(np.array(verdict.orders[-2:]) - (degree + 1)) <= NEAR_THEORY)
 
 
 def test_every_level_of_every_family_is_within_its_own_estimate(energy_ladders):
@@ -90,7 +104,7 @@ def test_every_level_of_every_family_is_within_its_own_estimate(energy_ladders):
         assert len(ladder.levels) >= 4
         for level in ladder.levels:
             assert level.honest, (ladder.name, level)
-            assert set(level.errors) == {*NORMS, *FUNCTIONALS}
+            assert set(level.errors) == {*DENSITY_NORMS, *FUNCTIONALS}
 
 
 @pytest.mark.parametrize("contacts", [True, False])
@@ -99,7 +113,7 @@ def test_convergence_in_p_is_exponential_with_contact_and_without(energy_ladders
     found = energy_ladders["p on a fixed mesh"]
     if not contacts:
         free = energy_equation(replace(system, contacts=()))
-        found = measured_ladder(free, free.degrees())
+        found = free.study(free.degrees()).ladder()
     rates = found.verdicts["L1"].orders
     assert len(rates) >= 4
     # A straight line on log-lin paper: what a degree takes off does not shrink. Of an algebraic
@@ -121,7 +135,7 @@ def levels_of(order, error, noise=0.0, rng=None):
 
 
 def judged_order(theory, levels, truth=None):
-    return judged(WeakOrder("x", "E q1²", theory), levels, truth)
+    return with_order(WeakOrder("x", "E q1²", theory), levels, truth)
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -160,7 +174,9 @@ def test_a_trusted_index_covers_the_true_error(energy_ladders):
                 trusted += 1
                 # The index knows nothing of round-off, where the finest level has arrived: that of
                 # p counts twice in ∫p².
-                assert ladder.levels[-1].errors[key] <= g.index + 2.0 * ROUND_OFF * abs(g.value)
+                assert ladder.levels[-1].errors[key] <= g.index + 2.0 * DENSITY_ROUND_OFF * abs(
+                    g.value
+                )
     assert trusted
 
 
@@ -176,16 +192,16 @@ def test_an_equation_that_is_not_the_right_one_does_not_converge():
 
     equation = energy_equation(system)
     equation = replace(equation, process=wrong(equation.process))
-    found = next(x for x in ladders(equation) if x.name == "h, p = 2")
+    found = equation.study(equation.elements(2)).ladder()
     assert found.verdicts["L1"].kind != "asymptotic"
     assert not found.levels[-1].honest
 
 
 def plane_errors(equation, degree):
     first = equation.elements(degree)
-    levels = [level for _, level in refined_levels(first, equation.reference, H_LEVELS[2])]
+    levels = [level for _, level in equation.study(first).levels()]
     assert all(level.honest for level in levels)
-    return {key: [level.errors[key] for level in levels] for key in NORMS}
+    return {key: [level.errors[key] for level in levels] for key in DENSITY_NORMS}
 
 
 @pytest.mark.parametrize(
@@ -196,7 +212,7 @@ def test_two_energies_show_the_order_of_theory(scene):
     found = plane_errors(modal_equation(load_scene(scene).system), 2)
     orders = observed_orders(SIZES[:5], found["L1"])
     distance = np.abs(orders - 3.0)
-    assert np.all(distance[-3:] <= NEAR) and distance.argmin() == distance.size - 1
+    assert np.all(distance[-3:] <= NEAR_THEORY) and distance.argmin() == distance.size - 1
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
@@ -204,7 +220,7 @@ def test_the_largest_error_has_the_order_of_theory_on_a_mesh_even_in_the_amplitu
     # On a mesh even in H the point H1 = H2 = 0, where b vanishes, costs degree 1 a factor |ln h|.
     found = plane_errors(modal_equation(load_scene("fig6b").system), degree)
     orders = observed_orders(SIZES[:5], found["max"])
-    assert np.all(np.abs(orders[-1:] - (degree + 1)) <= NEAR)
+    assert np.all(np.abs(orders[-1:] - (degree + 1)) <= NEAR_THEORY)
 
 
 @pytest.mark.parametrize(
@@ -218,7 +234,7 @@ def test_damping_terms_have_a_reference_by_another_method(scene):
         (solve,) = equation.by_tolerance.values()
         solution = solve(equation.process, tol=tol)
         assert not solution.weight.plain  # and on a mesh of its own
-        answer = density_of(equation.reference.observable, solution)
+        answer = energy_density(equation.reference.observable, solution)
         meshes = (answer.panels, equation.reference.panels)
         assert [x.size for x in meshes[0]] != [x.size for x in meshes[1]]
         true = errors(answer, equation.reference)["L1"]
@@ -238,9 +254,9 @@ def test_a_discretisation_refines_itself_and_states_its_level():
 
 def test_the_exact_scene_knows_its_moment_and_the_samples_their_slope():
     scene = load_scene("fig3a")
-    assert full_density(scene.system, observed(scene.system)) is not None
+    assert full_density(scene.system, studied_displacement(scene.system)) is not None
     unsolved = load_scene("fig6b").system
-    assert full_density(unsolved, observed(unsolved)) is None
+    assert full_density(unsolved, studied_displacement(unsolved)) is None
     found = sample_slope(scene.system, MonteCarlo(paths=4096, threads=2))
     assert abs(found.slope + 0.5) < 4.0 * found.slope_error
 
@@ -321,3 +337,11 @@ def test_steps_at_which_trajectories_are_lost_give_no_warning(fpk, scene_text, t
     )
     _, out, err = fpk("converge", path, "--route", "montecarlo", "--seconds", 3)
     assert "dt" in out and "Warning" not in err
+
+
+def test_a_density_without_a_number_is_said_to_have_none():
+    level = Level("p = 2", error=float("nan"), stated=1e3, seconds=0.0, estimate=1.5e3)
+    ladder = Ladder("p", "(24)", 1, "p", None, (level,), {}, {})
+    study = ConvergenceStudy(load_scene("sdof"), [{"equation": "(24)", "ladders": [ladder]}])
+    (problem,) = study.problems
+    assert problem.startswith("(24), p, p = 2: the density is no number") and "1.5e+03" in problem

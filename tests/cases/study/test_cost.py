@@ -12,11 +12,10 @@ from cases.scene.scene import load_scene
 from cases.scene.written import duration
 from cases.show.study_page import Table, cell
 from cases.study import prices
-from cases.study.cost import CostStudy, candidates, equation_routes, study_cost
-from cases.study.cost_page import cost_page
-from cases.study.equations import energy_equation
-from cases.study.law import FULL, Law, full_routes, solved_routes
-from cases.study.levels import Level, density_of, errors
+from cases.study.cost import CostStudy, coarsest_routes, equation_routes, study_cost
+from cases.study.equations import energy_density, energy_equation, errors
+from cases.study.law import FULL, Law, price_schemes, price_solutions
+from cases.study.levels import Level
 from cases.study.prices import NotTimed, Priced, crossovers, passage_routes, price_list
 from cases.study.simulation import full_reference
 from fpk.answer.density import l1_distance
@@ -37,9 +36,9 @@ def sign_of_28(process):
 def test_the_sign_of_28_as_printed_is_caught_by_every_route_and_not_timed():
     equation = energy_equation(load_scene("fig6b").system)
     equation = replace(equation, process=sign_of_28(equation.process))
-    bad = equation_routes(equation, candidates(equation))
+    bad = equation_routes(equation, coarsest_routes(equation))
     assert all(isinstance(n, NotTimed) for n in bad)
-    assert {n.route for n in bad} == {c.name for c in candidates(equation)}
+    assert {n.route for n in bad} == {c.name for c in coarsest_routes(equation)}
     # Damping that feeds the energy has no stationary density: every route refuses the process.
     assert all("drift points outwards" in n.reason for n in bad)
 
@@ -54,8 +53,8 @@ def test_a_wrong_damping_is_caught_by_every_route_by_its_distance():
 
     equation = energy_equation(load_scene("fig6b").system)
     equation = replace(equation, process=stronger(equation.process))
-    bad = equation_routes(equation, candidates(equation))
-    assert len(bad) == len(candidates(equation))
+    bad = equation_routes(equation, coarsest_routes(equation))
+    assert len(bad) == len(coarsest_routes(equation))
     for n in bad:  # exp(-1.1 α H) beside exp(-α H): L1 is some percent
         assert isinstance(n, NotTimed) and n.wrong
         assert n.distance > 0.01 and not n.distance <= n.allowed < np.inf
@@ -63,7 +62,7 @@ def test_a_wrong_damping_is_caught_by_every_route_by_its_distance():
 
 def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
     equation = energy_equation(load_scene("fig6b").system)
-    *_, fem, quadrature = candidates(equation)
+    *_, fem, quadrature = coarsest_routes(equation)
     right = solve_stationary(equation.process, tol=1e-8)
     # Mass moved by 1e-6 while 1e-8 is stated: a factor 1 + 1e-6 moves L1 by 1e-6.
     moved = replace(right.answer, coefficients=(1 + 1e-6) * right.answer.coefficients)
@@ -83,7 +82,7 @@ def test_a_simulation_of_another_system_is_not_timed(monkeypatch):
     system = load_scene("fig6b").system
     stops = tuple(replace(s, clearance=0.8 * s.clearance) for s in system.contacts)
     reference = full_reference(replace(system, contacts=stops), seed=5)
-    results, _ = full_routes(system, reference, seed=6)
+    results, _ = price_schemes(system, reference, seed=6)
     caught = {n.route for n in results if isinstance(n, NotTimed) and n.distance > n.allowed}
     assert "exact_flow" in caught
     assert not any("exact_flow" in r.route for r in results if isinstance(r, Priced))
@@ -98,7 +97,7 @@ def test_a_baseline_without_a_usable_step_is_told_and_is_no_failure():
     ):
         found = replace(EMPTY, not_timed=[bad])
         assert len(found.problems) == failures
-        assert any("not timed" in table.title for table in cost_page(found).tables)
+        assert any("not timed" in table.title for table in found.page().tables)
 
 
 def test_json_says_null_where_a_route_states_an_infinite_error(fpk, monkeypatch):
@@ -171,7 +170,7 @@ def test_the_cheapest_path_of_a_law_meets_its_error_and_is_the_cheapest(order):
 def table_of_fig6b():
     """The part of the table of fig6b that is said to hold for other scenes: ten digits."""
     equation = energy_equation(load_scene("fig6b").system)
-    steered = [c for c in candidates(equation) if c.family == "tol"]
+    steered = [c for c in coarsest_routes(equation) if c.family == "tol"]
     assert {c.name for c in steered} == {"nonintegrable/fem", "nonintegrable/quadrature"}
     good = equation_routes(equation, steered)
     assert all(isinstance(r, Priced) for r in good)
@@ -189,7 +188,9 @@ def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b,
     for c in table_of_fig6b:
         settings[c.route, c.point.promised].append(c.digits)
     for (name, tol), digits in settings.items():
-        answer = density_of(equation.reference.observable, routes[name](equation.process, tol=tol))
+        answer = energy_density(
+            equation.reference.observable, routes[name](equation.process, tol=tol)
+        )
         true = errors(answer, equation.reference)["L1"]
         assert true <= 10.0 ** -max(digits)
         assert true <= answer.l1_error + equation.reference.l1_error
@@ -211,7 +212,7 @@ def test_the_promise_of_tol_holds_on_scenes_the_table_was_not_made_from(scene, t
     observable = parse_observable("H", system.n)
     for solver in ("fem", "quadrature"):
         (found,) = NonIntegrable(solver, tol=tol).solve(system, [observable]).densities
-        true = density_of(observable, closed)
+        true = energy_density(observable, closed)
         assert found.certificate.certified
         assert l1_distance(found, true) <= tol + closed.l1_error
 
@@ -235,7 +236,7 @@ def test_the_whole_study_agrees_with_itself(tmp_path):
     found = study_cost(load_scene("fig6b"))
     assert not found.problems
     assert {r.equation for r in found.routes} >= {FULL, "averaged equation (24)"}
-    written = cost_page(found).write(tmp_path)
+    written = found.page().write(tmp_path)
     assert {path.suffix for path in written} == {".md", ".html", ".svg", ".nc"}
 
 
@@ -267,8 +268,8 @@ def test_a_table_is_markdown_in_aligned_columns_without_repeats():
 def test_the_full_system_is_priced_where_it_is_solved(monkeypatch):
     """Two small solutions of weak contact; each tolerance is met by the answer that it gave."""
     monkeypatch.setattr("cases.study.law.TOLERANCES", (1e-1, 1e-2))
-    monkeypatch.setattr("cases.study.levels.LONG", 0.0)  # no repeats: no time is looked at
-    (priced,), best = solved_routes(load_scene("fig8a").system)
+    monkeypatch.setattr("cases.study.levels.LONG_RUN", 0.0)  # no repeats: no time is looked at
+    (priced,), best = price_solutions(load_scene("fig8a").system)
     assert isinstance(priced, Priced) and priced.route == best.words == "phase-space"
     assert [p.promised for p in priced.points] == [1e-1, 1e-2]
     assert all(p.honest and p.stated <= p.promised and not p.modelled for p in priced.points)
@@ -276,7 +277,7 @@ def test_the_full_system_is_priced_where_it_is_solved(monkeypatch):
 
 
 def test_where_the_full_density_is_known_no_other_solution_is_priced():
-    (lost,), best = solved_routes(load_scene("fig3a").system)
+    (lost,), best = price_solutions(load_scene("fig3a").system)
     assert best is None and "exact has the same density" in lost.reason and not lost.wrong
 
 
@@ -292,7 +293,7 @@ def test_where_the_full_density_is_known_no_other_solution_is_priced():
 def test_the_page_says_where_a_solution_overtakes_sampling(solved, where):
     law = tuple(Level("N", e, e, 1e-6 / e**2, modelled=True) for e in np.geomspace(1e-6, 0.3, 100))
     routes = [replace(route("p", solved), equation=FULL), Priced("s", FULL, "axis", law)]
-    (table,) = [t for t in cost_page(replace(EMPTY, routes=routes)).tables if t.name == "crossings"]
+    (table,) = [t for t in replace(EMPTY, routes=routes).page().tables if t.name == "crossings"]
     assert len(table.remarks) == 1 and f"p overtakes sampling {where}" in table.remarks[0]
 
 

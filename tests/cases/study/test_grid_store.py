@@ -8,7 +8,7 @@ import pytest
 
 from cases.scene.errors import BadInput
 from cases.show.claim import claimed
-from cases.study.sweep.result import NAME, PointStore, SweepPoint, Value
+from cases.study.sweep.points import POINTS_FILE, PointStore, SweepPoint, Value
 
 POINTS = [
     SweepPoint(
@@ -25,7 +25,7 @@ def written(tmp_path):
     store = PointStore(tmp_path, IDENTITY)
     for point in POINTS:
         store.add(point)
-    return tmp_path / NAME
+    return tmp_path / POINTS_FILE
 
 
 def reopened(path):
@@ -50,7 +50,7 @@ def test_a_point_that_cannot_be_written_leaves_all_points_before(written, monkey
         context.setattr("os.replace", killed)
         with pytest.raises(BadInput, match=r"No space left on device; .* make room"):
             store.add(replace(POINTS[0], values=(9.0, 9.0)))
-    assert written.read_bytes() == before and os.listdir(written.parent) == [NAME]
+    assert written.read_bytes() == before and os.listdir(written.parent) == [POINTS_FILE]
     again = reopened(written)
     again.add(replace(POINTS[0], values=(9.0, 9.0)))
     assert len(reopened(written).points) == 4
@@ -136,7 +136,7 @@ ODD = {
     "folder": (os.mkdir, "folder"),
     "pipe": (os.mkfifo, "regular file"),
     "endless": (lambda path: os.symlink("/dev/zero", path), "regular file"),
-    "loop": (lambda path: os.symlink(NAME, path), "symbolic links"),
+    "loop": (lambda path: os.symlink(POINTS_FILE, path), "symbolic links"),
     "large": (lambda path: (path.touch(), os.truncate(path, 1 << 32)), "bytes"),
     "bytes": (lambda path: path.write_bytes(b"\xff\n"), "UTF-8"),
 }
@@ -145,7 +145,7 @@ ODD = {
 @pytest.mark.parametrize("kind", ODD)
 def test_what_is_no_such_file_is_refused_without_reading_on(kind, tmp_path):
     make, words = ODD[kind]
-    make(tmp_path / NAME)
+    make(tmp_path / POINTS_FILE)
     with pytest.raises(BadInput, match=words) as refusal:
         PointStore(tmp_path, IDENTITY)
     assert "\n" not in str(refusal.value) and str(tmp_path) in str(refusal.value)
@@ -162,7 +162,7 @@ def test_a_sweep_goes_on_from_a_torn_file(fpk, tmp_path):
     call = ("sweep", "fig3a", "--vary", "contact.stiffness=1,2", "--quantity", "rms(q2)",
             "--method", "nonintegrable/closed-form", "--json", "--out", tmp_path)  # fmt: skip
     first = json.loads(fpk(*call)[1])
-    stored = tmp_path / NAME
+    stored = tmp_path / POINTS_FILE
     stored.write_bytes(stored.read_bytes()[:-40])
     with pytest.warns(UserWarning, match="its last line is torn and left out"):
         status, out, _ = fpk(*call)

@@ -85,7 +85,7 @@ def test_a_map_is_written_and_goes_on_where_it_was(fpk, tmp_path, monkeypatch):
     # Stopped in the middle, at any moment after the second point.
     (tmp_path / "points.jsonl").unlink()
     with monkeypatch.context() as context:
-        context.setattr("cases.study.sweep.result.write_text", stopped_after(2))
+        context.setattr("cases.study.sweep.points.write_text", stopped_after(2))
         assert fpk("regime", "fig6a", *GRID, *QUICK, "--out", tmp_path, "--json")[0] == 130
     again = json.loads(fpk("regime", "fig6a", *GRID, *QUICK, "--out", tmp_path, "--json")[1])
     assert again["reused"] == 2

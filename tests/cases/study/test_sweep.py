@@ -26,7 +26,6 @@ from cases.scene.scene import load_scene
 from cases.show.pictures.draw import study_figure
 from cases.study.regime_map import build_map
 from cases.study.sweep.grid import parse_axes
-from cases.study.sweep.sweep_page import sweep_panels
 from fpk.answer.quantities import Number
 
 FREE = face.System([1, 2], [1, 3], [0.1, 0.2], [[0.02, 0.01], [0.01, 0.04]])
@@ -281,9 +280,9 @@ def test_a_quantity_without_any_value_is_drawn_as_nothing(values):
             replace(p, answers=tuple(replace(a, value=None, failed=True) for a in p.answers))
             for p in result.points
         ]
-        assert study_figure(sweep_panels(result)).axes and result.field("value").min() > 0.0
+        assert study_figure(result.panels()).axes and result.field("value").min() > 0.0
         failed = replace(result, points=tuple(none))
-        study_figure(sweep_panels(failed)).savefig(BytesIO(), format="svg")  # warnings are errors
+        study_figure(failed.panels()).savefig(BytesIO(), format="svg")  # warnings are errors
         assert len(failed.problems) == len(none)
 
 
@@ -429,7 +428,7 @@ def test_a_sweep_in_python_is_labelled_and_takes_arrays():
 )
 def test_a_list_over_decades_is_drawn_on_a_logarithmic_axis(grid, logarithmic):
     (axis,) = parse_axes([f"contact[1].clearance={grid}"], load_scene("fig6a").system)
-    assert axis.logarithmic == logarithmic
+    assert axis.logarithmic == logarithmic and axis.label == "clearance δ of contact 1"
 
 
 def test_a_sweep_in_python_has_a_picture_and_a_table_for_a_notebook():
@@ -444,3 +443,29 @@ def test_a_sweep_in_python_has_a_picture_and_a_table_for_a_notebook():
     two = {**grid, "contact[1].stiffness": [1.0, 10.0]}
     heat = face.sweep(system, two, ["rms(q2)"], methods=["exact"]).plot()
     assert heat.axes[0].get_title("left") == "rms(q2) by exact"
+
+
+def test_a_sweep_says_what_each_method_solves_and_how_to_measure_the_averaging_error():
+    scene = load_scene("fig6a")
+    grid = {"contact[1].clearance": [0.5, 0.6]}
+    names = ["mean_force(1)", "rms(q2)"]
+    result = face.sweep(scene, grid, names, methods=["integrable", "nonintegrable"])
+    assert result.solves == ("averaged", "averaged") == tuple(result.record()["solves"])
+    (table,) = result.page().tables
+    assert {row["solves"] for row in table.rows} == {"averaged"}
+    remarks = "\n".join(table.remarks)
+    assert "add --method phase-space or --method montecarlo" in remarks
+    assert "mean_force(1): of both sides of the contact, added up" in remarks
+    assert "rms(q2): of both" not in remarks and "mean_force(1,left)" in remarks
+    exact = face.sweep(load_scene("fig3a"), grid, ["rms(q2)"], methods=["exact", "nonintegrable"])
+    assert exact.solves == ("full", "averaged")
+    assert not any("averaging error" in remark for remark in exact.page().tables[0].remarks)
+
+
+def test_a_curve_that_covers_another_one_names_it():
+    grid = {"contact[1].clearance": [0.3, 0.5]}
+    methods = ["exact", "nonintegrable", "integrable"]
+    result = face.sweep(load_scene("fig3a"), grid, ["rms(q2)"], methods=methods)
+    (panel,) = result.panels()
+    exact, energy, modal = (curve.name for curve in panel.curves)
+    assert exact == "exact" and "covers exact" in energy and "covers" not in modal

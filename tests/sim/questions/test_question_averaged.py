@@ -17,7 +17,7 @@ from cases.scene.scene import load_scene
 from fpk.answer.certificate import Certificate
 from fpk.answer.density import Density, l1_distance
 from fpk.answer.names import Coordinate, parse_limit
-from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.solvers.line.stationary import solve_stationary
 from fpk.solvers.plane.stationary import solve_plane
 from fpk.solvers.square_root import SquareRoot
@@ -463,3 +463,9 @@ def test_with_contact_the_step_is_in_the_error() -> None:
 def test_what_has_no_density_is_refused(theory: Any, of: str, times: Any, error: Any) -> None:
     with pytest.raises(error):
         transient(linear(2), of, "rest", times, [0.1], method=averaged(theory))
+
+
+def test_energies_that_overflow_are_refused_without_a_warning() -> None:
+    form = square_root_form(coupled(-0.8))  # the coupling feeds the energies
+    with pytest.raises(NotCertified, match="unstable; use a smaller step"):
+        square_root_step(form, np.full((8, 2), 1e3), 2.0, np.random.default_rng(3))
