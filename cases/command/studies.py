@@ -245,12 +245,12 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
 def _within_longest(methods: Sequence["Method"], scene: "Scene") -> list["Method"]:
     """Return ``methods``, simulations limited to ``VERIFY_SECONDS`` if they would exceed it."""
     from sim.montecarlo import MonteCarlo
-    from sim.sample.settings import expected_seconds
+    from sim.sample.settings import estimate_seconds
 
     expected, simulations = 0.0, [m for m in methods if isinstance(m, MonteCarlo)]
     for method, curve in product(simulations, scene.curves):
         with suppress(NotApplicable):  # such a simulation takes no time
-            expected += expected_seconds(method, curve.system)
+            expected += estimate_seconds(method, curve.system)
     if expected <= VERIFY_SECONDS:
         return list(methods)
     limit: dict[str, Any] = {"seconds": VERIFY_SECONDS}
