@@ -109,4 +109,4 @@ def _drawn(replies: Replies) -> Iterator[tuple[Route, Passage | Transient]]:
     for g in sorted(replies.given, key=lambda g: g.route.sampled):
         if g.route.sampled or g.route.method not in solved:
             solved.add(g.route.method)
-            yield g.route, g.answer
+            yield replace(g.route, words=g.words), g.answer
