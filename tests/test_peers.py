@@ -19,7 +19,7 @@ ALWAYS = ("ours.py", "peer_chebyshev.py", "peer_chang_cooper.py", "peer_scikit_f
 OTHERS = {"ngsolve": "peer_ngsolve.py", "fipy": "peer_fipy.py"}
 
 
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+def run(*arguments):
     command = [sys.executable, *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
@@ -28,7 +28,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     "script",
     [s if "chebyshev" in s else pytest.param(s, marks=pytest.mark.slow) for s in ALWAYS],
 )
-def test_smallest_settings_print_measurements(script: str) -> None:
+def test_smallest_settings_print_measurements(script):
     done = run(str(PEERS / script), "--smallest")
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines()]
@@ -41,7 +41,7 @@ def test_smallest_settings_print_measurements(script: str) -> None:
         assert line["seconds"] > 0.0 and line["unknowns"] > 0
 
 
-def test_the_density_of_the_coupled_problem_is_stationary() -> None:
+def test_the_density_of_the_coupled_problem_is_stationary():
     """E[s · ∇v + ½ b : ∇∇v] = 0 for every v, here monomials; not so without b_12."""
     problem = runpy.run_path(str(PEERS / "coupled.py"))["Mixture"]("W3")
     H, w = (a.ravel() for a in panel_rule(np.linspace(0.0, 60.0, 61), 16))
@@ -67,7 +67,7 @@ def test_the_density_of_the_coupled_problem_is_stationary() -> None:
     assert abs(p @ sum(rest)) > 0.1 * sum(p @ np.abs(term) for term in rest)
 
 
-def test_probability_circulates_in_the_coupled_problem() -> None:
+def test_probability_circulates_in_the_coupled_problem():
     """The slopes of ln p that fit no flux, b⁻¹ (2s − ∇·b), are no gradient."""
     process = runpy.run_path(str(PEERS / "coupled.py"))["Mixture"]("W3").process
 
@@ -81,7 +81,7 @@ def test_probability_circulates_in_the_coupled_problem() -> None:
     assert abs(curl / 0.002) > 0.1
 
 
-def test_the_peers_get_the_coefficients_of_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_peers_get_the_coefficients_of_the_scene(monkeypatch):
     monkeypatch.syspath_prepend(PEERS)
     problem = runpy.run_path(str(PEERS / "vanderpol.py"))["Averaged"]("W4", "vanderpol")
     at = np.array([[0.0, 0.02, 0.3], [0.1, 0.4, 0.05]])
@@ -95,7 +95,7 @@ def test_the_peers_get_the_coefficients_of_the_scene(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     "module", [m if m == "fipy" else pytest.param(m, marks=pytest.mark.slow) for m in OTHERS]
 )
-def test_a_missing_peer_is_named(module: str) -> None:
+def test_a_missing_peer_is_named(module):
     if find_spec(module):
         pytest.skip(f"{module} is installed")
     done = run(str(PEERS / OTHERS[module]), "--smallest")
@@ -103,27 +103,25 @@ def test_a_missing_peer_is_named(module: str) -> None:
     assert f"missing: {module}" in done.stderr
 
 
-@pytest.mark.slow
-def test_the_page_names_who_is_missing(tmp_path: Path) -> None:
-    page = tmp_path / "peers.md"
-    done = run(
-        str(PEERS / "run.py"), "--smallest", "--only", "Chang-Cooper", "--out", str(page)
-    )  # fmt: skip
+def run_code(code):
+    done = run("-c", f"import sys; sys.path[:0] = {[str(PEERS), str(PEERS.parent)]!r}\n{code}")
     assert done.returncode == 0, done.stderr
-    text = page.read_text()
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_the_page_names_who_is_missing(tmp_path):
+    page = tmp_path / "peers.md"
+    only = ("--smallest", "--only", "Chang-Cooper", "--out", str(page))
+    done = run(str(PEERS / "run.py"), *only)
+    assert done.returncode == 0, done.stderr
     for section in ("In short", "Failures", "Omissions", "All measurements"):
-        assert f"## {section}" in text
-    code = (
-        f"import sys; sys.path[:0] = [{str(PEERS)!r}, {str(PEERS.parent)!r}]\n"
-        "from page import written\n"
-        "print(written([], {'FiPy': 'not installed'}))"
-    )
-    empty = run("-c", code)
-    assert empty.returncode == 0, empty.stderr
-    assert "FiPy: not installed." in empty.stdout
+        assert f"## {section}" in page.read_text()
+    empty = "from page import written\nprint(written([], {'FiPy': 'not installed'}))"
+    assert "FiPy: not installed." in run_code(empty)
 
 
-def test_the_short_tables_have_the_structure_of_the_pages(tmp_path: Path) -> None:
+def test_the_short_tables_have_the_structure_of_the_pages(tmp_path):
     script = str(ROOT / "benchmarks" / "measured_tables.py")
     assert run(script, "--check").returncode == 0
     page = tmp_path / "measured.md"
@@ -136,13 +134,10 @@ def test_the_short_tables_have_the_structure_of_the_pages(tmp_path: Path) -> Non
     assert run(script, "--check", "--page", str(page)).returncode == 0
 
 
-def test_the_page_in_the_repository_has_the_rows_that_the_scripts_write() -> None:
-    code = (
-        f"import sys; sys.path[:0] = [{str(PEERS)!r}, {str(PEERS.parent)!r}]\n"
+def test_the_page_in_the_repository_has_the_rows_that_the_scripts_write():
+    run_code(
         "from page import PROGRAMS\n"
         "from measured_tables import page_blocks, structure\n"
         "header, rows = structure(page_blocks()['cost'])\n"
         "assert len(header) == 7 and rows == list(PROGRAMS.values()), rows"
     )
-    done = run("-c", code)
-    assert done.returncode == 0, done.stderr

@@ -16,17 +16,17 @@ PAGE = ROOT / "docs" / "benchmarks" / "sde-peers.md"
 PATHS = [str(FOLDER), str(FOLDER.parent), str(FOLDER.parent / "peers")]
 
 
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+def run(*arguments):
     command = [sys.executable, *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
-def assert_code_runs(code: str) -> None:
+def assert_code_runs(code):
     done = run("-c", f"import sys; sys.path[:0] = {PATHS!r}\n{code}")
     assert done.returncode == 0, done.stderr
 
 
-def test_a_missing_package_is_named(tmp_path: Path) -> None:
+def test_a_missing_package_is_named(tmp_path):
     if find_spec("torchsde"):
         pytest.skip("torchsde is installed")
     page = tmp_path / "page.md"
@@ -37,7 +37,7 @@ def test_a_missing_package_is_named(tmp_path: Path) -> None:
     assert "torchsde: not installed." in text
 
 
-def test_the_page_in_the_repository_has_the_structure_that_the_scripts_write() -> None:
+def test_the_page_in_the_repository_has_the_structure_that_the_scripts_write():
     """Headings, headers and texts are the same, and every package's rows are its settings."""
     assert_code_runs(
         "from importlib import import_module\n"
@@ -65,7 +65,7 @@ def test_the_page_in_the_repository_has_the_structure_that_the_scripts_write() -
     )
 
 
-def test_an_allowed_step_follows_the_order_and_is_not_made_up() -> None:
+def test_an_allowed_step_follows_the_order_and_is_not_made_up():
     assert_code_runs(
         "from math import isclose\n"
         "from trial import Setting, WANTED, allowed_step\n"
@@ -95,7 +95,7 @@ def test_an_allowed_step_follows_the_order_and_is_not_made_up() -> None:
 
 
 @pytest.mark.slow
-def test_numpy_by_hand_prints_lines_and_its_schemes_agree_with_ours(tmp_path: Path) -> None:
+def test_numpy_by_hand_prints_lines_and_its_schemes_agree_with_ours(tmp_path):
     page, kept = tmp_path / "page.md", tmp_path / "lines.json"
     done = run(
         str(FOLDER / "compare.py"), "--only", "vibro-fpk", "--only", "NumPy", "--smallest",

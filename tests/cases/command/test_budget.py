@@ -34,12 +34,12 @@ times = [5.0]
 """
 
 
-def test_time_that_is_not_used_goes_on_to_those_that_follow() -> None:
+def test_time_that_is_not_used_goes_on_to_those_that_follow():
     now, given = [0.0], []
     budget = Budget(12.0, 3, clock=lambda: now[0])
 
-    def work(taken: float) -> Any:
-        def simulated(method: MonteCarlo) -> None:
+    def work(taken):
+        def simulated(method):
             given.append(method.seconds)
             now[0] += taken
 
@@ -54,9 +54,7 @@ def test_time_that_is_not_used_goes_on_to_those_that_follow() -> None:
     budget.spend(MonteCarlo(), work(4.0))
     budget.spend(MonteCarlo(), work(0.0))
     assert given == pytest.approx([2.0, 3.0, 5.0, 1.5, 1e-3])
-
-
-def test_nothing_is_bounded_where_no_time_is_given() -> None:
+    # Nothing is bounded where no time is given.
     budget = budget_of([MonteCarlo()], 3)
     budget.begin(1)
     assert budget.spend(MonteCarlo(), lambda own: own.seconds) is None
@@ -68,27 +66,26 @@ class Asked(MonteCarlo):
 
     given: Any = ()
 
-    def prepare(self, system: Any) -> Any:
+    def prepare(self, system):
         plan = super().prepare(system)
         return replace(plan, solve=self._note, beside=False)
 
-    def _note(self, *asked: Any, **how: Any) -> Any:
+    def _note(self, *asked, **how):
         self.given.append(self.seconds)
         raise NotCertified("no time was taken")
 
     passage = transient = _note
 
 
-def test_a_run_shares_its_seconds(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, given = tmp_path / "scene.toml", []
-    path.write_text(SCENE)
+def test_a_run_shares_its_seconds(written, monkeypatch):
+    given = []
 
-    def split(*asked: Any, **how: Any) -> Any:
+    def split(*asked, **how):
         given.append(asked[2].seconds)
         raise NotCertified("no time was taken")
 
     monkeypatch.setattr(answering, "split_passage", split)
-    run_scene(load_scene(str(path)), [Asked(seconds=8.0, given=given)])
+    run_scene(load_scene(written(SCENE)), [Asked(seconds=8.0, given=given)])
     stationary, passage, each_split, scout, transient = given
     assert stationary == pytest.approx(8.0 / 3.0, rel=1e-2)
     assert passage == pytest.approx(8.0 / 2.0 / 2.0, rel=2e-2)
@@ -100,11 +97,10 @@ def test_a_run_shares_its_seconds(tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 NO_TIME = 1e-9
 
 
-def test_too_little_time_is_said_in_one_line(tmp_path: Any) -> None:
-    path = tmp_path / "scene.toml"
+def test_too_little_time_is_said_in_one_line(written):
     term = "[[damping_term]]\ni = 1\nj = 1\ncoefficient = 0.1\nq = { 1 = 2 }\n[observe]"
-    path.write_text(SCENE.replace("[observe]", term))
-    system, H, at = load_scene(str(path)).system, parse_observable("H", 1), np.linspace(0, 1, 5)
+    path = written(SCENE.replace("[observe]", term))
+    system, H, at = load_scene(path).system, parse_observable("H", 1), np.linspace(0, 1, 5)
     limit, later, quiet = parse_limit("H=1", 1), np.array([20.0]), {"tol": None, "progress": silent}
     averaged = AveragedSimulation("nonintegrable", seconds=NO_TIME)
     plain = replace(system, damping_terms=())

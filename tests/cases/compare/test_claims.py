@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_densities import Q1, gaussian, histogram, uniform
 from scipy.special import ndtr
 
 import fpk
@@ -13,38 +14,10 @@ from cases.compare.doubt import ACCEPTABLE_L1
 from cases.compare.routes import listed_routes
 from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
-from fpk.answer.bins import BinAxis
-from fpk.answer.certificate import Certificate
 from fpk.answer.contacts import StopClearance
-from fpk.answer.density import Density
 from fpk.answer.method import ROUTES
-from fpk.answer.names import parse_observable
-from fpk.answer.sampled_density import SampledDensity
 
-FLAT = lambda x: np.where(np.abs(x) <= 1, 0.5, 0.0)  # noqa: E731
-FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
-Q1 = parse_observable("q1", 1)
 ROUTE = {r.label: (r.method, r.solver) for r in listed_routes()}
-
-
-def density(pdf, reach, l1_error=1e-12):
-    nodes = np.linspace(-reach, reach, 61)
-    return Density(Q1, (nodes,), pdf, np.zeros_like, l1_error, FINE)
-
-
-def gaussian(scale=1.0, l1_error=1e-12):
-    def pdf(x):
-        return np.exp(-0.5 * (x / scale) ** 2) / (scale * np.sqrt(2 * np.pi))
-
-    return density(pdf, 9 * scale, l1_error)
-
-
-def histogram(draw, seed=5, batches=32, size=20_000):
-    rng = np.random.default_rng(seed)
-    edges = np.linspace(-6, 6, 241)
-    counts = np.array([np.histogram(draw(rng, size), edges)[0] for _ in range(batches)])
-    values = counts / size / (edges[1] - edges[0])
-    return SampledDensity(Q1, (BinAxis(edges),), values.mean(0), values, FINE)
 
 
 @dataclass(frozen=True)
@@ -72,7 +45,7 @@ def verdicts(expect, *curves):
 
 def test_the_measures_of_a_gaussian_and_of_a_uniform_density():
     """Uniform: kurtosis −6/5; L1 to its Gaussian from the two points where they cross."""
-    normal, flat = shape_of(gaussian(0.7)), shape_of(density(FLAT, 1.0))
+    normal, flat = shape_of(gaussian(0.7)), shape_of(uniform())
     assert normal.l1 < 1e-12 and abs(normal.kurtosis) < 1e-8 and normal.almost_gaussian
     x = np.linspace(-6, 6, 400_001)
     g = np.exp(-1.5 * x**2) * np.sqrt(1.5 / np.pi)
@@ -82,17 +55,17 @@ def test_the_measures_of_a_gaussian_and_of_a_uniform_density():
 
 
 def test_a_sample_knows_how_well_it_knows_its_shape():
-    normal = shape_of(histogram(lambda rng, n: rng.normal(size=n)))
-    flat = shape_of(histogram(lambda rng, n: rng.uniform(-2, 2, size=n)))
+    normal = shape_of(histogram())
+    flat = shape_of(histogram(draw=lambda rng, n: rng.uniform(-2, 2, size=n)))
     assert abs(normal.kurtosis) < normal.kurtosis_error < 0.05 and normal.almost_gaussian
     assert abs(flat.kurtosis + 1.2) < flat.kurtosis_error + 0.01
     assert flat.almost_gaussian is False
-    few = shape_of(histogram(lambda rng, n: rng.normal(size=n), size=30))
+    few = shape_of(histogram(size=30))
     assert few.almost_gaussian is None
 
 
 def test_gaussian_claims_are_about_the_curves_in_their_range():
-    flat = density(FLAT, 1.0)
+    flat = uniform()
     curves = [
         Found({"exact": gaussian()}, "B = 0.1", 0.1),
         Found({"exact": flat}, "B = 1", 1.0),
@@ -122,27 +95,17 @@ def test_theories_are_ordered_beyond_the_noise_only():
             "nonintegrable/fem": nonintegrable,
         }
         assert verdicts(expect, Found(answers)) == expected
-    sampled = histogram(lambda rng, n: rng.normal(size=n), size=200)
     noisy = {
-        "montecarlo": sampled,
+        "montecarlo": histogram(size=200),
         "integrable/fem": gaussian(),
         "nonintegrable/fem": gaussian(1.001),
     }
     assert verdicts(expect, Found(noisy))[0] == "undecided"
+    # The answer with the least error judges: a loose solution displaces no sharper simulation.
+    for l1_error, expected in ((1e-6, "holds"), (0.5, "undecided")):
+        both = {"phase-space": gaussian(l1_error=l1_error), **noisy}
+        assert verdicts(expect, Found(both))[0] == expected
     assert verdicts(expect, Found({"exact": gaussian()})) == ["not checked", "not checked"]
-
-
-@pytest.mark.parametrize(("l1_error", "expected"), [(1e-6, "holds"), (0.5, "undecided")])
-def test_the_answer_with_the_least_error_judges(l1_error, expected):
-    """A loose solution of the full equation does not displace a sharper simulation."""
-    answers = {
-        "phase-space": gaussian(l1_error=l1_error),
-        "montecarlo": histogram(lambda rng, n: rng.normal(size=n), size=200),
-        "integrable/fem": gaussian(),
-        "nonintegrable/fem": gaussian(1.001),
-    }
-    expect = Expect(Q1, better=("integrable", "nonintegrable"))
-    assert verdicts(expect, Found(answers)) == [expected]
 
 
 @pytest.mark.parametrize("direction", ["larger", "smaller"])

@@ -1,24 +1,21 @@
 """The comparison calls a right answer wrong as rarely as promised, and a wrong one wrong."""
 
 from dataclasses import dataclass, replace
+from math import inf, nan
 
 import numpy as np
 import pytest
+from made_densities import gaussian, histogram
 
 import fpk
+from cases.compare.attempts import LOOSEST, loosened
 from cases.compare.compare import chance_l1, compare_densities, what_is_measured
 from cases.compare.routes import register_routes
-from fpk.answer.bins import BinAxis
-from fpk.answer.certificate import Certificate
-from fpk.answer.density import Density, l1_distance
+from fpk.answer.certificate import Measured, certify
+from fpk.answer.density import l1_distance
 from fpk.answer.method import ROUTES, Result, solvers_of
-from fpk.answer.names import parse_observable
-from fpk.answer.sampled_density import SampledDensity
 
 register_routes()
-
-FINE = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
-Q1 = parse_observable("q1", 1)
 
 
 @dataclass(frozen=True)
@@ -30,23 +27,8 @@ class Named:
         return ROUTES[self.name, solvers_of(self.name)[0]]
 
 
-def gaussian(scale=1.0, l1_error=1e-12):
-    return Density(
-        Q1,
-        (np.linspace(-9, 9, 60),),
-        lambda x: np.exp(-0.5 * (x / scale) ** 2) / (scale * np.sqrt(2 * np.pi)),
-        lambda x: np.full_like(x, 1e-13),
-        l1_error,
-        FINE,
-    )
-
-
-def sample(seed, batches=32, size=4000):
-    rng = np.random.default_rng(seed)
-    edges = np.linspace(-6, 6, 257)
-    counts = np.array([np.histogram(rng.normal(size=size), edges)[0] for _ in range(batches)])
-    values = counts / size / (edges[1] - edges[0])
-    return SampledDensity(Q1, (BinAxis(edges),), values.mean(0), values, FINE)
+def sample(seed):
+    return histogram(seed, size=4000, bins=256)
 
 
 def compare(a, b, *, names=("montecarlo", "exact"), exact=True, neglected=""):
@@ -143,3 +125,43 @@ def test_a_comparison_is_one_line_of_text():
     )
     judged = replace(comparison, measures="numerical", band=0.25, error=0.0)
     assert str(judged).endswith("± 0, allowed 0.25")
+
+
+def asked(error, default, *, least=0.0, failures=()):
+    """The tolerances at which a solver of this error was asked, and what came of it."""
+    tols = []
+
+    def ask(tol):
+        tols.append(tol)
+        wanted = tol or default
+        # A solver that is content with a tenth of what it is asked for, and reaches ``error``.
+        measured = Measured(max(error, least * wanted), 0.0, 0.0, 0.0, 0.0, failures=failures)
+        return certify(measured, tol=wanted)
+
+    answer, note = loosened(ask, lambda certificate: [certificate])
+    stated = note.removeprefix("certified to ").partition(",")[0]
+    return tols, answer.certified, float(stated) if note else None
+
+
+def test_an_answer_that_meets_its_default_or_fails_for_another_reason_is_asked_once():
+    assert asked(1e-11, 1e-10) == ([None], True, None)
+    assert asked(1e-12, 1e-5, failures=("the mesh is too large",)) == ([None], False, None)
+
+
+@pytest.mark.parametrize(("error", "tol"), [(1.2e-10, 1e-9), (3e-7, 1e-6), (9e-5, 1e-4)])
+def test_a_miss_is_asked_again_at_the_least_power_of_ten_that_its_error_meets(error, tol):
+    assert asked(error, 1e-10) == ([None, pytest.approx(tol)], True, pytest.approx(tol))
+
+
+@pytest.mark.parametrize("default", [1e-10, 1e-8, 1e-6, 1e-5])
+@pytest.mark.parametrize("error", [2e-10, 3e-8, 4e-6, 5e-5, 0.3, nan, inf])
+@pytest.mark.parametrize("failures", [(), ("the mesh is too large",)])
+@pytest.mark.parametrize("least", [0.0, 1.5])
+def test_tolerances_only_grow_up_to_the_loosest(default, error, failures, least):
+    (first, *later), certified, tol = asked(error, default, least=least, failures=failures)
+    rising = [default, *later]
+    assert first is None and all(a < b for a, b in zip(rising, later, strict=False))
+    assert all(t <= LOOSEST * (1.0 + 1e-12) for t in later)
+    # Without a missed tolerance there is nothing that a looser one could mend.
+    assert later or certified or not error > default or error > LOOSEST or error != error
+    assert (tol is not None) == (certified and bool(later))

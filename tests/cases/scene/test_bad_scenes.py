@@ -1,13 +1,15 @@
 """What cannot be used is refused in one line: file, key, value and what would be right."""
 
 import os
-import subprocess
 import sys
 
+import numpy as np
 import pytest
 
-from cases.scene.errors import LONGEST, BadInput, misspelt
-from cases.scene.scene import load_scene
+from cases.scene.errors import BadInput, misspelt
+from cases.scene.points import parse_points
+from cases.scene.scene import load_scene, shipped_scenes
+from fpk.answer.names import observable_name
 
 TERM = "[[damping_term]]\nj = 1\ncoefficient = 0.1\n"
 BAD = [  # what is replaced, by what, and what the line must say
@@ -21,12 +23,10 @@ BAD = [  # what is replaced, by what, and what the line must say
     ("mass            = [1.0, 1.0]", "mass = []", ["system.mass = []", "at least 1"]),
     ("[0.08, 0.04]", "[0.08, -0.04]", ["system.damping", "does not dissipate"]),
     ("[0.08, 0.04]", "[[0.1, 0.0], [0.1]]", ["system.damping", "equal length"]),
-    ("[0.08, 0.04]", "[[0.1, 0.3], [0.3, 0.1]]", ["system.damping", "does not dissipate"]),
     ("[0.01, 0.02]", "[[1, 2], [2, 1]]", ["noise_intensity", "positive semidefinite"]),
     ("[0.01, 0.02]", "[[1, 0.5], [0.2, 1]]", ["noise_intensity", "symmetric"]),
     ("[0.01, 0.02]", "[0.01]", ["noise_intensity", "2 entries"]),
     ("clearance = 0.5", "clearance = nan", ["contact[1].clearance = nan", "finite"]),
-    ("clearance = 0.5", "clearance = inf", ["contact[1].clearance = inf", "finite"]),
     ("clearance = 0.5", "clearance = -0.5", ["contact[1].clearance = -0.5", ">= 0"]),
     ("clearance = 0.5", "clearance = 1e300", ["contact[1].clearance = 1e+300", "1e100"]),
     ("clearance = 0.5", "clearance = " + "9" * 400, ["contact[1].clearance", "digits"]),
@@ -36,7 +36,6 @@ BAD = [  # what is replaced, by what, and what the line must say
     ('side      = "both"', 'side = "Left"', ["contact[1].side", '"Left"', '"left"']),
     ("mass      = 2", "mass = 3", ["contact[1].mass = 3", "1 to 2"]),
     ("mass      = 2", "mass = 0", ["contact[1].mass = 0", "counted from 1"]),
-    ("mass      = 2", "mass = 2.0", ["contact[1].mass = 2.0", "whole number"]),
     ("mass      = 2", 'mass = 2\nlaw = "hooke"', ["contact[1].law", '"hooke"', "hertz"]),
     ("mass      = 2", 'mass = 2\nlaw = "power"', ["contact[1].exponent", ">= 1"]),
     ("mass      = 2", "mass = 2\nexponent = 3", ["contact[1].exponent", "leave it out"]),
@@ -46,23 +45,17 @@ BAD = [  # what is replaced, by what, and what the line must say
     ('"q2", "H"]', '"q2", "q3"]', ["observe.densities[2]", '"q3"', "q1..q2"]),
     ('"q2", "H"]', '"q2", "q2"]', ["observe.densities[2]", "twice"]),
     ("[observe]", "[observe]\nexceedance = [0.5]", ["observe.exceedance", "must be a table"]),
-    ("[observe]", "[observe]\nexceedance.q2 = 0.5", ["observe.exceedance.q2", "must be a list"]),
     ("[observe]", "[observe]\nexceedance.q2 = []", ["observe.exceedance.q2", "at least 1"]),
-    ("[observe]", "[observe]\nexceedance.q2 = [1, nan]", ["exceedance.q2[2] = nan", "finite"]),
     ("[observe]", "[observe]\nexceedance.q2 = [1, 1.0]", ["exceedance.q2[2] = 1.0", "twice"]),
     ("[observe]", "[observe]\nexceedance.q1 = [1]", ['"q1"', "add it to observe.densities"]),
     ("[observe]", "[observe]\nexceedance.x2 = [1]", ["observe.exceedance", '"x2"', "q1..q2"]),
     ("[observe]", '[observe]\nexceedance."q2,p2" = [1]', ["observe.exceedance", '"q2,p2"', "pair"]),
-    ("[observe]", '[observe]\nexceedance."a\\nb" = [1]', ["observe.exceedance", "q1..q2"]),
     ("[observe]", '[observe]\nexceedance."a\\nb" = [nan]', ["observe.exceedance"]),
-    ("[observe]", "[observe]\nexceedence.q2 = [1]", ["did you mean", '"exceedance"']),
     ("[observe]", f"[observe]\nexceedance.q2 = {[*range(13)]}", ["exceedance.q2", "most 12"]),
     ("[observe]", "[vary]\nsystem.mass = [1]\n[observe]", ["vary.system.mass", "known"]),
     ("[observe]", "[vary]\ncontact.clearance = [-1]\n[observe]", ["vary.contact.clearance[1]"]),
     ("[observe]", "[[damping_term]]\ni = 1\n[observe]", ["damping_term[1].j is missing"]),
-    ("[observe]", "[damping_term]\ni = 1\n[observe]", ["damping_term", "[[damping_term]]"]),
     ("[observe]", f"{TERM}i = 3\n[observe]", ["damping_term[1].i = 3", "use 1 to 2"]),
-    ("[observe]", f"{TERM}i = 0\n[observe]", ["damping_term[1].i = 0", "counted from 1"]),
     ("[observe]", f"{TERM}i = 1\nq = {{ 3 = 2 }}\n[observe]", ["damping_term[1].q.3", "1 to 2"]),
     ("[observe]", f"{TERM}i = 1\nq = {{ 1 = 0 }}\n[observe]", ["damping_term[1].q.1 = 0", "power"]),
     ("[observe]", f"{TERM}i = 1\nv = {{ 1 = 0.5 }}\n[observe]", ["damping_term[1].v.1", "whole"]),
@@ -70,43 +63,105 @@ BAD = [  # what is replaced, by what, and what the line must say
     ("[observe]", f"{TERM}i = 1\nenergy = 5\n[observe]", ["damping_term[1].degree = 10", "8"]),
     ("[observe]", f"{TERM}i = 1\nc = 5\n[observe]", ["damping_term[1].c", "known: i, j"]),
     ("[observe]", "[observe", ["TOML", "line 16"]),
-    ("[observe]", "[expect]\nnon_gausian = 1\n[observe]", ["did you mean", "non_gaussian"]),
     ("[observe]", "[expect]\nof = 'p1'\n[observe]", ["expect.of", '"p1"', "q2, H"]),
     ("[observe]", "[expect]\nbetter = ['integrable', 'exact']\n[observe]", ["expect.better[2]"]),
     ("[observe]", "[expect]\nbetter = ['integrable']\n[observe]", ["expect.better", "at least 2"]),
     ("[observe]", "[expect]\nacceptable = ['x']\n[observe]", ["expect.acceptable[1]", '"x"']),
     ("[observe]", "[expect]\nclearance_rule = 0\n[observe]", ["clearance_rule = 0", "> 0"]),
     ("[observe]", "[expect]\nnon_gaussian = {}\n[observe]", ["exactly one of above"]),
-    ("[observe]", "[expect]\nnon_gaussian = { beside = 1 }\n[observe]", ["beside", "known: above"]),
     ("[observe]", "[expect]\nnon_gaussian = { above = 1 }\n[observe]", ["[vary]"]),
     ("[observe]", "[expect]\nnonintegrable_better_with = 'B'\n[observe]", ["larger", "smaller"]),
     ("[observe]", "x = " + "[" * 5000 + "\n[observe]", ["nested too deeply"]),
-    ("[observe]", "x = " + "[" * 40 + "]" * 40 + "\n[observe]", ["nested too deeply"]),
     ("[observe]", "[observe." + "a." * 40 + "a]\n[observe]", ["nested too deeply"]),
     ("[observe]", "a = { b = [true, 1979-05-27] }\n[observe]", ["{b = [true, 1979-05-27]}"]),
     ('"A scene"', '"A \\u001b[31m scene"', ["title", "U+001B", "leave it out"]),
-    ('"A scene"', '"A \\u0000 scene"', ["title", "U+0000", "leave it out"]),
 ]
 
 
-def test_the_scene_itself_is_good(tmp_path, scene_text):
-    path = tmp_path / "good.toml"
-    path.write_text(scene_text)
-    assert load_scene(str(path)).system.n == 2
+def refused(refusal, text, words):
+    err = refusal("show", text)
+    assert len(err) < 500 and all(word in err for word in ("any.toml", *words)), err
 
 
 @pytest.mark.parametrize(("old", "new", "words"), BAD, ids=[w[0][:24] + n[-12:] for _, n, w in BAD])
-def test_a_bad_scene_is_refused_in_one_line(old, new, words, tmp_path, scene_text, fpk):
-    assert len(BAD) >= 20
+def test_a_bad_scene_is_refused_in_one_line(old, new, words, written, scene_text, refusal):
     assert scene_text.count(old) == 1
-    path = tmp_path / "bad.toml"
-    path.write_text(scene_text.replace(old, new))
-    status, out, err = fpk("show", path)
-    assert (status, out) == (2, "")
-    assert err.count("\n") == 1 and err.startswith("fpk: ") and "Traceback" not in err
-    assert len(err) < 500
-    for word in ["bad.toml", *words]:
-        assert word in err
+    refused(refusal, written(scene_text.replace(old, new)), words)
+
+
+IN_TIME_GOOD = """
+[[passage]]
+limit      = "H=1.5"
+times      = [1, 2.5]
+rate_error = { at_most = 0.1 }
+
+[[passage]]
+limit  = "H1=0.4,H2=0.6"
+start  = "q1=0.1,p2=0.2"
+theory = "integrable"
+
+[[transient]]
+of    = "q2"
+start = "noise=0.5"
+times = [1.0]
+"""
+
+IN_TIME = [
+    ("limit      =", "limt =", ["passage[1].limt", 'did you mean "limit"']),
+    ('limit      = "H=1.5"', "", ["passage[1].limit is missing"]),
+    ('"H=1.5"', '"H=-1"', ["passage[1].limit", '"H=-1"', "> 0"]),
+    ('"H=1.5"', '"E=1"', ["passage[1].limit", '"E=1"', "use H=1.5"]),
+    ('"H=1.5"', "1.5", ["passage[1].limit = 1.5", "text in quotes"]),
+    ("[1, 2.5]", "[2.5, 1]", ["passage[1].times = [2.5, 1", "ascend"]),
+    ("[1, 2.5]", "[-1, 1]", ["passage[1].times", "0 or later"]),
+    ("[1, 2.5]", "[]", ["passage[1].times", "at least 1"]),
+    ("{ at_most = 0.1 }", "0.1", ["passage[1].rate_error = 0.1", "table"]),
+    ('"q1=0.1,p2=0.2"', '"q1=10"', ["passage[2].start", "below the limit"]),
+    (
+        '"H=1.5"',
+        "\"H=1.5\"\nstart = 'H1=0.5,H2=1.0'",
+        ["passage[1].start", "below the limit H=1.5"],
+    ),
+    ('"q1=0.1,p2=0.2"', '"H=-1"', ["passage[2].start", "negative"]),
+    ('"q1=0.1,p2=0.2"', '"q3=0"', ["passage[2].start", "use rest"]),
+    ('"integrable"', '"exact"', ["passage[2].theory", '"nonintegrable"']),
+    ('theory = "integrable"', "failure_error = { below = 1 }", ["passage[2].times is missing"]),
+    ('of    = "q2"', 'of = "q2,p2"', ["transient[1].of", "one coordinate"]),
+    ("times = [1.0]", "times = [0.0, 1.0]", ["transient[1].times", "> 0"]),
+    ("times = [1.0]", "", ["transient[1].times is missing"]),
+    ('"noise=0.5"', '"noise=-1"', ["transient[1].start", "negative"]),
+    ("[[transient]]", "[[passage]]\nlimit='H=1'\n" * 4 + "[[transient]]", ["passage", "at most 4"]),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "words"), IN_TIME)
+def test_what_cannot_be_asked_in_time_is_refused(old, new, words, written, scene_text, refusal):
+    assert old in IN_TIME_GOOD
+    refused(refusal, written(scene_text + IN_TIME_GOOD.replace(old, new, 1)), words)
+
+
+def test_questions_are_read(written, scene_text):
+    scene = load_scene(written(scene_text + IN_TIME_GOOD))
+    energy, either = scene.passages
+    (transient,) = scene.transients
+    assert (energy.name, energy.times, energy.theory) == (
+        "H=1.5 from rest",
+        (1.0, 2.5),
+        "nonintegrable",
+    )
+    assert tuple(energy.rate_error) == ("at_most", 0.1)
+    assert (either.name, either.times) == ("H1=0.4 or H2=0.6 from q1=0.1,p2=0.2", ())
+    assert (observable_name(transient.of), str(transient.start)) == ("q2", "noise=0.5")
+
+
+def test_shipped_scenes_in_time_ask_something():
+    names = [n for n, path in shipped_scenes().items() if path.parent.name == "time"]
+    assert len(names) >= 4
+    for name in names:
+        scene = load_scene(name)
+        assert scene.passages or scene.transients, name
+        for passage in scene.passages[:1]:
+            assert passage.rate_error or passage.failure_error, name
 
 
 MEANT = [  # a word, the names there are, and the one that it is a misspelling of
@@ -130,21 +185,11 @@ def test_a_hint_is_for_a_misspelt_word_only(word, known, meant):
     assert misspelt(word, known) == meant
 
 
-def test_no_hint_is_given_for_a_word_of_another_meaning(tmp_path, scene_text, fpk):
-    path = tmp_path / "bad.toml"
+def test_no_hint_is_given_for_a_word_of_another_meaning(written, scene_text, refusal):
     for key, remedy in (("noise_correlation", "here are known"), ("noise_gian", "did you mean")):
-        path.write_text(scene_text.replace("[system]", f"[system]\n{key} = 1.0"))
-        _, _, err = fpk("check", path)
+        err = refusal("check", written(scene_text.replace("[system]", f"[system]\n{key} = 1.0")))
         assert f"system.{key} = 1.0" in err and remedy in err
         assert ("did you mean" in err) == (key == "noise_gian")
-    for given, hint in ((["run", "fig6a", "--secods", "1"], "--seconds"), (["densty"], "density")):
-        assert f"Did you mean '{hint}'?" in fpk(*given)[2]
-    for given in (["density", "fig6a", "--dz", "1"], ["run", "fig6a", "--paths", "1"]):
-        assert "Did you mean" not in fpk(*given)[2]
-
-
-def _loop(path):
-    path.symlink_to(path.name)
 
 
 FILES = {
@@ -155,20 +200,19 @@ FILES = {
     "huge": (lambda path: (path.touch(), os.truncate(path, 100 << 20)), "at most 1048576 (1 MiB)"),
     "endless": (lambda path: path.symlink_to("/dev/zero"), "not a regular file"),
     "UTF-16": (lambda path: path.write_text("title = 1", encoding="utf-16"), "save the file as"),
-    "symlink loop": (_loop, "cannot be read"),
+    "symlink loop": (lambda path: path.symlink_to(path.name), "cannot be read"),
     "a pipe": (os.mkfifo, "not a regular file"),
     "a NUL byte": (lambda path: path.write_bytes(b"\0"), "TOML"),
 }
 
 
 @pytest.mark.parametrize("kind", FILES)
-def test_what_is_no_scene_file_is_refused(kind, tmp_path, fpk):
+def test_what_is_no_scene_file_is_refused(kind, tmp_path, refusal):
     make, words = FILES[kind]
     path = tmp_path / "odd.toml"
     make(path)
-    status, out, err = fpk("show", path)
-    assert (status, out) == (2, "")
-    assert err.count("\n") == 1 and err.count("odd.toml") == 1 and words in err
+    err = refusal("show", path)
+    assert err.count("odd.toml") == 1 and words in err
 
 
 HOURS = {  # what took the parser, or this program's own reading, a time of n² or all the stack
@@ -182,11 +226,9 @@ HOURS = {  # what took the parser, or this program's own reading, a time of n² 
 
 
 @pytest.mark.parametrize("kind", HOURS)
-def test_what_would_take_hours_is_refused_at_once(kind, tmp_path):
-    path = tmp_path / "odd.toml"
-    path.write_text(HOURS[kind])
+def test_what_would_take_hours_is_refused_at_once(kind, written):
     with pytest.raises(BadInput, match=r"nested too deeply|is not valid TOML"):
-        load_scene(str(path))
+        load_scene(str(written(HOURS[kind])))
 
 
 def test_dots_in_text_are_no_keys_and_a_byte_order_mark_is_none(tmp_path, scene_text):
@@ -222,61 +264,20 @@ def test_nothing_but_the_scene_is_opened(tmp_path, scene_text):
     assert seen == [("open", str(path))] and scene.title == words
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root reads everything")
-def test_an_unreadable_file_is_refused(tmp_path, fpk):
-    path = tmp_path / "odd.toml"
-    path.touch(mode=0)
-    assert fpk("show", path)[0] == 2
+def test_ranges_reach_their_end_and_hit_what_was_written():
+    (x,) = parse_points("-1.5:1.5:0.1", 1)
+    assert x.size == 31 and x[-1] == 1.5 and 0.0 in x and 0.3 in x
+    (y,) = parse_points("-1,0,0.3", 1)
+    assert y.tolist() == [-1.0, 0.0, 0.3]
+    assert parse_points("1:0:-0.5", 1)[0].tolist() == [1.0, 0.5, 0.0]
+    q, p = parse_points("-1:1:1 x 0,0.5", 2)
+    assert q.tolist() == [-1, -1, 0, 0, 1, 1] and np.array_equal(p, [0, 0.5] * 3)
 
 
-def test_names_that_are_no_paths(fpk):
-    status, _, err = fpk("show", "fig6")
-    assert status == 2 and 'did you mean "fig6' in err
-    assert fpk("show", "no\nsuch\0scene.toml")[2].count("\n") == 1
-    for name in (
-        "",
-        " ",
-        ".",
-        "/",
-        "~",
-        "a" * 5000,
-        "a/" * 3000 + ".toml",
-        "/dev/zero",
-        "\x1b[31m",
-    ):
-        status, out, err = fpk("show", name)
-        assert (status, out) == (2, "") and err.count("\n") == 1 and len(err) < LONGEST + 10
-        assert err.startswith("fpk: ") and err[:-1].isprintable()
-
-
-NONSENSE = [
-    *(("--tol", text) for text in ("", "nan", "inf", "-1", "0", "1", "1e400", "1e-300", "x")),
-    *(("--seed", text) for text in ("", "-1", "1.5", "nan", "x", str(2**64), "9" * 5000)),
-    *(("--threads", text) for text in ("-1", "0", "x", "9" * 400)),
-    *(("--of", text) for text in ("", "Q2", "q0", "q3", "q2,q2", "q2\nx", "q" * 5000, "q²", "q٢")),
-    *(("--at", text) for text in ("", "0:1:5", "0:1:0", "nan", "1e999", "0:1", ",", "9" * 5000)),
-    *(("--method", text) for text in ("", "Exact", "a\nb", "x" * 5000)),
-    *(("--solver", text) for text in ("", "FEM", "a\nb", "x" * 5000)),
-]
-
-
-@pytest.mark.parametrize(("option", "text"), NONSENSE, ids=[f"{o} {t[:12]}" for o, t in NONSENSE])
-def test_an_option_without_sense_is_one_line(option, text, fpk):
-    given = {"--method": "montecarlo", "--of": "q2", "--at": "0", option: text}
-    status, out, err = fpk("density", "fig6a", *(word for pair in given.items() for word in pair))
-    assert (status, out) == (2, "") and err.count("\n") == 1 and len(err) < LONGEST + 10
-    assert err.startswith("fpk: ") and option.strip("-") in err and err[:-1].isprintable()
-
-
-def test_no_traceback_in_a_process_of_its_own(tmp_path):
-    path = tmp_path / "bad.toml"
-    path.write_text("[system]\nmass = 1\n")
-    command = [
-        sys.executable,
-        "-c",
-        "from cases.command.cli import main; main()",
-        "show",
-        str(path),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
+def test_what_is_no_list_of_points_is_refused():
+    texts = "", "a", "1:2", "1:2:0", "1:2:-1", "0:1e9:1e-9", "nan", "inf", "1e999", "1,,2", "1 x 2"
+    for text in (*texts, "0:1:1e-99999999"):
+        with pytest.raises(BadInput, match="--at"):
+            parse_points(text, 1)
+    with pytest.raises(BadInput, match="two lists"):
+        parse_points("1,2", 2)

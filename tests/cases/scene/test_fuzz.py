@@ -44,17 +44,6 @@ def loaded_or_refused(path, content):
     return None
 
 
-def assert_refused(path, content):
-    assert loaded_or_refused(path, content) is None  # a scene does not come about by chance
-
-
-def assert_loads_or_is_refused(path, content):
-    scene = loaded_or_refused(path, content)
-    if scene is not None:
-        assert scene.text.encode() == content.removeprefix("\ufeff".encode())
-        assert scene.curves and scene.observables and scene.system.n >= 1
-
-
 BYTES = st.one_of(
     st.binary(max_size=300),
     st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")),
@@ -62,76 +51,74 @@ BYTES = st.one_of(
 )
 
 
-@examples(150)
-@given(content=BYTES)
-def test_any_bytes_are_refused(content, tmp_path):
-    assert_refused(tmp_path / "any.toml", content)
+@pytest.mark.parametrize("count", [150, pytest.param(3000, marks=pytest.mark.slow)])
+def test_any_bytes_are_refused(count, tmp_path):
+    @examples(count)
+    @given(content=BYTES)
+    def refused(content):  # a scene does not come about by chance
+        assert loaded_or_refused(tmp_path / "any.toml", content) is None
+
+    refused()
 
 
-@examples(350)
-@given(content=mutated_scenes())
-def test_any_mutation_of_a_shipped_scene_loads_or_is_refused(content, tmp_path):
-    assert_loads_or_is_refused(tmp_path / "any.toml", content)
+@pytest.mark.parametrize("count", [350, pytest.param(7000, marks=pytest.mark.slow)])
+def test_any_mutation_of_a_shipped_scene_loads_or_is_refused(count, tmp_path):
+    @examples(count)
+    @given(content=mutated_scenes())
+    def loads_or_is_refused(content):
+        scene = loaded_or_refused(tmp_path / "any.toml", content)
+        if scene is not None:
+            assert scene.text.encode() == content.removeprefix("\ufeff".encode())
+            assert scene.curves and scene.observables and scene.system.n >= 1
+
+    loads_or_is_refused()
 
 
-@pytest.mark.slow
-@examples(3000)
-@given(content=BYTES)
-def test_three_thousand_more_bytes(content, tmp_path):
-    assert_refused(tmp_path / "any.toml", content)
+SLOW = pytest.mark.slow
+ANY_UNITS = {"units": 6, "spread": 2}
 
 
-@pytest.mark.slow
-@examples(7000)
-@given(content=mutated_scenes())
-def test_seven_thousand_more_mutations(content, tmp_path):
-    assert_loads_or_is_refused(tmp_path / "any.toml", content)
+@pytest.mark.parametrize(
+    ("count", "kind"), [(20, {"one_law": True}), pytest.param(200, ANY_UNITS, marks=SLOW)]
+)
+def test_a_valid_scene_loads_and_is_shown(count, kind, tmp_path):
+    """The record of ``fpk show`` is JSON without NaN."""
+
+    @examples(count)
+    @given(text=valid_scenes(**kind))
+    def shown(text):
+        scene = loaded_or_refused(tmp_path / "any.toml", text.encode())
+        assert scene is not None and scene.text == text
+        assert scene.system.mass.tolist() == tomllib.loads(text)["system"]["mass"]
+        record = show_record(scene)
+        json.dumps(record, allow_nan=False)
+        assert rendered("show.txt", record)
+        assert "nan" not in json.dumps(record["natural_frequencies"])
+
+    shown()
 
 
-def shown(scene):
-    """The record of ``fpk show`` is JSON without NaN, and text without anything unprintable."""
-    record = show_record(scene)
-    json.dumps(record, allow_nan=False)
-    text = rendered("show.txt", record)
-    assert "nan" not in json.dumps(record["natural_frequencies"])
-    return text
+@pytest.mark.parametrize(
+    ("count", "kind"),
+    [
+        (15, {"most_masses": 2, "one_law": True}),
+        pytest.param(100, ANY_UNITS, marks=SLOW),
+    ],
+)
+def test_a_valid_scene_runs(count, kind, tmp_path):
+    @examples(count)
+    @given(text=valid_scenes(most_touching=1, **kind))
+    def runs(text):
+        for problem in problems_of_run(tmp_path / "any.toml", text):
+            # Only modal averaging has modal energies, and it is refused at resonance.
+            refused = (
+                problem.startswith("no route applies: ") and "; internal resonance: " in problem
+            )
+            # Far scales may be refused or not be certified; no two routes differ and none fails.
+            far = "no route applies" in problem or "is not certified: " in problem
+            assert refused or (kind is ANY_UNITS and far and "differ" not in problem)
 
-
-@examples(20)
-@given(text=valid_scenes(one_law=True))
-def test_a_valid_scene_loads_and_is_shown(text, tmp_path):
-    path = tmp_path / "any.toml"
-    scene = loaded_or_refused(path, text.encode())
-    assert scene is not None and scene.text == text
-    given_back = tomllib.loads(text)["system"]
-    assert scene.system.mass.tolist() == given_back["mass"]
-    assert shown(scene)
-
-
-@pytest.mark.slow
-@examples(200)
-@given(text=valid_scenes(units=6, spread=2))
-def test_a_valid_scene_in_any_units_is_shown(text, tmp_path):
-    scene = loaded_or_refused(tmp_path / "any.toml", text.encode())
-    assert scene is not None and shown(scene)
-
-
-@examples(15)
-@given(text=valid_scenes(most_masses=2, most_touching=1, one_law=True))
-def test_a_valid_scene_runs(text, tmp_path):
-    # Only modal averaging has modal energies, and it is refused at resonance.
-    for problem in problems_of_run(tmp_path / "any.toml", text):
-        assert problem.startswith("no route applies: ") and "; internal resonance: " in problem
-
-
-@pytest.mark.slow
-@examples(100)
-@given(text=valid_scenes(units=6, spread=2, most_touching=1))
-def test_a_valid_scene_in_any_units_runs(text, tmp_path):
-    # Far scales may be refused or not be certified; no two routes differ and none fails.
-    for problem in problems_of_run(tmp_path / "any.toml", text):
-        assert "no route applies" in problem or "is not certified: " in problem
-        assert "differ" not in problem
+    runs()
 
 
 def problems_of_run(path, text):

@@ -19,7 +19,6 @@ from cases.compare.routes import method_for, register_routes
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.scene.units import Units
-from cases.scene.written import bound, with_error
 from cases.show.digest import digest_of
 from cases.show.page import TEMPLATES
 from cases.show.pictures.chain import chain_svg
@@ -245,15 +244,6 @@ def test_quantities_have_a_column_for_each_theory():
     assert theory_table([])["rows"] == []
 
 
-def test_digits_follow_the_error():
-    assert with_error(0.123456789, 1.234e-3) == "0.1235 ± 1.3e−3"
-    assert with_error(0.123456789, 1e-12) == "0.123457 ± 1.0e−12"
-    assert with_error(12345.678, 100.0) == "1.235e+04 ± 1.0e+02"
-    assert with_error(-7e-18, 3.4e-12) == "0 ± 3.5e−12"
-    assert with_error(-0.25, 0.1) == "−0.25 ± 1.0e−1"
-    assert with_error(None, None) == "–" and with_error(0.5, None) == "–"
-
-
 def test_one_name_for_a_theory():
     assert named("nonintegrable/fem") == "energy averaging, finite elements"
     assert named("nonintegrable (fem, quadrature)") == "energy averaging (fem, quadrature)"
@@ -427,14 +417,3 @@ def test_the_command_is_what_was_given():
     assert line[:3] == ["fpk", "run", "fig6a"] and sorted(line[3:]) == sorted(words[1:])
     with app.commands["run"].make_context("fpk run", ["fig6a"]):
         assert command_line() == "fpk run fig6a"
-
-
-def test_an_error_is_never_shown_below_what_it_is():
-    rng = np.random.default_rng(7)
-    for error in 10.0 ** rng.uniform(-300, 300, 400):
-        for digits in (1, 2, 3):
-            shown = float(bound(error, digits))
-            # At most one unit of the last digit more, but for round-off (1e-12) no less.
-            assert -1e-11 <= shown / error - 1.0 <= 10.0 ** (1 - digits) + 1e-11
-    assert [bound(x) for x in (None, 0.0, np.inf)] == ["–", "0", "inf"]
-    assert bound(9.91e-3) == "1.0e-02"

@@ -30,20 +30,18 @@ from fpk.system.damping import DampingTerm
 from fpk.system.linear import stationary_covariance
 from fpk.system.system import System
 
-MM = '[units]\nlength = "mm"\nmass = "kg"\ntime = "s"\n'
 SI = Units("m", "kg", "s")
 
 
 @pytest.fixture
-def scene(tmp_path, scene_text):
-    path = tmp_path / "a.toml"
-    path.write_text(scene_text + MM)
-    return path
+def scene(written, scene_text, units_text):
+    return written(scene_text + units_text)
 
 
-def resources(name):
-    """The text of a shipped scene."""
-    return shipped_scenes()[name].read_text()
+@pytest.fixture
+def bare(written, scene_text):
+    """The same without units."""
+    return written(scene_text, "bare.toml")
 
 
 def powers(unit):
@@ -56,19 +54,15 @@ def powers(unit):
     return found["m"], found["kg"], found["s"]
 
 
-@pytest.mark.parametrize("dimension", list(product((-3, 0, 1, 12), repeat=3)))
-def test_a_unit_says_the_powers_that_it_is_made_of(dimension):
-    unit = SI.of(dimension)
-    if any(dimension):
-        assert powers(unit) == dimension
-        assert powers(SI.of(dimension, inverse=True)) == tuple(-power for power in dimension)
-    else:
-        assert unit == SI.of(dimension, inverse=True) == "1"
-    assert Units().of(dimension) == ""
-
-
-def test_derived_units_fit_together():
+def test_units_say_their_powers_and_fit_together():
     """Force = mass · acceleration, energy = force · length, momentum = force · time."""
+    for dimension in product((-3, 0, 1, 12), repeat=3):
+        unit, inverse = SI.of(dimension), SI.of(dimension, inverse=True)
+        if any(dimension):
+            assert powers(unit) == dimension == tuple(-power for power in powers(inverse))
+        else:
+            assert unit == inverse == "1"
+        assert Units().of(dimension) == ""
     units = {name: np.array(powers(SI.quantity(name))) for name in DERIVED}
     length, mass, time = np.eye(3, dtype=int)
     np.testing.assert_array_equal(units["force"], mass + length - 2 * time)
@@ -83,37 +77,21 @@ def test_derived_units_fit_together():
     assert DIMENSIONS.keys() == {"q", "p", "H"}
 
 
-@pytest.mark.parametrize(
-    ("table", "word"),
-    [
-        ('length = "mm"\nmass = "kg"', "units.time is missing"),
-        ('length = "mm"\nmass = "kg"\ntime = "mm"', "something else"),
-        ('length = "m/s"\nmass = "kg"\ntime = "s"', "letters"),
-        ('length = ""\nmass = "kg"\ntime = "s"', "letters"),
-        ('length = "m m"\nmass = "kg"\ntime = "s"', "letters"),
-        ('length = "<b>"\nmass = "kg"\ntime = "s"', "letters"),
-        (f'length = "{"m" * 17}"\nmass = "kg"\ntime = "s"', "letters"),
-        ('length = 1\nmass = "kg"\ntime = "s"', "text in quotes"),
-        ('lenght = "m"\nmass = "kg"\ntime = "s"', 'did you mean "length"'),
-        ('length = "m"\nmass = "kg"\ntime = "s"\nforce = "N"', "here are known"),
-    ],
-)
-def test_what_is_no_unit_is_refused(table, word, fpk, tmp_path, scene_text):
-    path = tmp_path / "a.toml"
-    path.write_text(f"{scene_text}[units]\n{table}\n")
-    status, out, err = fpk("check", path)
-    assert (status, out) == (2, "") and err.count("\n") == 1 and word in err and "units" in err
+BAD = [
+    ('length = "mm"\nmass = "kg"', "units.time is missing"),
+    ('length = "mm"\nmass = "kg"\ntime = "mm"', "something else"),
+    ('length = "m/s"\nmass = "kg"\ntime = "s"', "letters"),
+    (f'length = "{"m" * 17}"\nmass = "kg"\ntime = "s"', "letters"),
+    ('length = 1\nmass = "kg"\ntime = "s"', "text in quotes"),
+    ('lenght = "m"\nmass = "kg"\ntime = "s"', 'did you mean "length"'),
+    ('length = "m"\nmass = "kg"\ntime = "s"\nforce = "N"', "here are known"),
+]
 
 
-def test_a_micrometre_is_a_unit(fpk, tmp_path, scene_text):
-    path = tmp_path / "a.toml"
-    path.write_text(scene_text + MM.replace("mm", "µm"), encoding="utf-8")
-    assert "µm" in fpk("show", path)[1]
-
-
-def test_the_limit_of_a_passage_has_its_unit(scene, fpk):
-    asked = ("passage", scene, "--method", "nonintegrable", "--limit", "H=0.5")
-    assert fpk(*asked)[1].startswith("# first passage of H=0.5 kg mm² s⁻² from rest")
+@pytest.mark.parametrize(("table", "word"), BAD)
+def test_bad_tables_of_units_are_refused(table, word, refusal, written, scene_text):
+    err = refusal("check", written(f"{scene_text}[units]\n{table}\n"))
+    assert word in err and "units" in err
 
 
 ASKED = [
@@ -131,83 +109,66 @@ ASKED = [
 
 
 @pytest.mark.parametrize(("question", "units"), ASKED)
-def test_answers_say_the_units_of_their_numbers(question, units, scene, fpk, tmp_path, scene_text):
+def test_answers_say_the_units_of_their_numbers(question, units, scene, bare, answer, fpk):
     command, *options = question
-    arguments = [command, scene, "--method", "nonintegrable", *options]
-    assert json.loads(fpk(*arguments, "--json")[1])["units"] == units
-    text = fpk(*arguments)[1]
+    options = ["--method", "nonintegrable", *options]
+    assert answer(command, scene, *options)["units"] == units
+    text = fpk(command, scene, *options)[1]
     assert any(f"[{unit}]" in text or f"  {unit}\n" in text for unit in map(str, units.values()))
-    bare = tmp_path / "bare.toml"
-    bare.write_text(scene_text)
-    arguments[1] = bare
-    assert json.loads(fpk(*arguments, "--json")[1])["units"] is None
-    assert "[" not in fpk(*arguments)[1]
-
-
-LINEAR = """
-[system]
-mass            = [1.0]
-stiffness       = [1.0]
-damping         = [0.1]
-noise_intensity = [0.05]
-"""
+    assert answer(command, bare, *options)["units"] is None
+    assert "[" not in fpk(command, bare, *options)[1]
 
 
 @pytest.mark.parametrize(
     ("command", "points", "values"),
     [("crossings", "mm", "s⁻¹"), ("spectrum", "s⁻¹", "mm² s"), ("correlation", "s", "mm²")],
 )
-def test_curves_say_their_units_on_both_axes(command, points, values, fpk, tmp_path):
-    path = tmp_path / "a.toml"
-    path.write_text(LINEAR + MM)
+def test_curves_say_their_units_on_both_axes(
+    command, points, values, fpk, answer, written, linear_text, units_text
+):
+    path = written(linear_text + units_text)
     arguments = (command, path, "--method", "linear", "--of", "q1", "--at", "0,0.5")
-    record = json.loads(fpk(*arguments, "--json")[1])
     key = {"crossings": "rate"}.get(command, command)
-    assert record["units"] == {"points": points, key: values}
+    assert answer(*arguments)["units"] == {"points": points, key: values}
     head = fpk(*arguments)[1].splitlines()[0]
     assert f"[{points}]" in head and f"{key} [{values}]" in head
 
 
-def test_the_tables_of_a_run_say_units(tmp_path, fpk):
+def test_the_tables_of_a_run_say_units(written, units_text, tmp_path, fpk, answer):
     """On the terminal, in the report, in JSON: rows of quantities, answers in time."""
-    text = resources("two-modes") + MM
-    path = tmp_path / "a.toml"
-    path.write_text(text)
-    asked = ("run", path, "--method", "integrable/closed-form")
-    out = fpk(*asked, "--out", tmp_path / "out")[1]
+    text, how = shipped_scenes()["two-modes"].read_text(), ("--method", "integrable/closed-form")
+    path = written(text + units_text)
+    out = fpk("run", path, *how, "--out", tmp_path / "out")[1]
     assert "mean [kg mm² s⁻²]" in out and "mean time [s]" in out and "failure rate [s⁻¹]" in out
     page = (tmp_path / "out" / "report.html").read_text()
     assert "H1, mean [kg mm² s⁻²]" in page and "mean time [s]" in page and "skewness [" not in page
-    record = json.loads(fpk(*asked, "--json")[1])
+    record = answer("run", path, *how)
     units = {q["quantity"]: q["unit"] for q in record["quantities"]}
     assert units["rms"] == "kg mm² s⁻²" and units["skewness"] == "1"
-    assert record["passages"][0]["units"] == {
-        "limit": "kg mm² s⁻²", "mean": "s", "variance": "s²", "rate": "s⁻¹", "times": "s"
-    }  # fmt: skip
-    path.write_text(resources("two-modes"))
-    out = fpk(*asked)[1]
-    assert "[" not in out
-    record = json.loads(fpk(*asked, "--json")[1])
+    assert record["passages"][0]["units"] == ASKED[2][1]
+    path = written(text)
+    assert "[" not in fpk("run", path, *how)[1]
+    record = answer("run", path, *how)
     assert not any("unit" in q for q in record["quantities"])
     assert record["passages"][0]["units"] is None
 
 
-@pytest.mark.parametrize(
-    ("name", "powers_of_it"),
-    [
-        ("mean", (1, 0, 0)), ("variance", (2, 0, 0)), ("quantile 99 %", (1, 0, 0)),
-        ("contact probability, left stop", None), ("mean overlap, left stop", (1, 0, 0)),
-        ("force in contact, right stop at 0.5", (1, 1, -2)), ("mean_force", (1, 1, -2)),
-        ("upcrossing rate, left stop", (0, 0, -1)), ("failure_rate", (0, 0, -1)),
-        ("mean_passage", (0, 0, 1)), ("impacts per unit time", (0, 0, -1)),
-        ("averaging_error", None),
-        ("share of time in contact", None), ("exceedance", None),
-    ],
-)  # fmt: skip
-def test_a_quantity_has_the_unit_of_its_name(name, powers_of_it):
-    unit = SI.number(name, "q2")
-    assert unit == "1" if powers_of_it is None else powers(unit) == powers_of_it
-    assert Units().number(name, "q2") == ""
+def test_a_quantity_has_the_unit_of_its_name():
+    for names, of in (
+        (("mean", "quantile 99 %", "mean overlap, left stop"), (1, 0, 0)),
+        (("variance",), (2, 0, 0)),
+        (("force in contact, right stop at 0.5", "mean_force"), (1, 1, -2)),
+        (("upcrossing rate, left stop", "failure_rate", "impacts per unit time"), (0, 0, -1)),
+        (("mean_passage",), (0, 0, 1)),
+    ):
+        assert {powers(SI.number(name, "q2")) for name in names} == {of}
+    none = "contact probability, left stop", "averaging_error", "share of time in contact"
+    assert {SI.number(name, "q2") for name in (*none, "exceedance")} == {"1"}
+    assert Units().number("mean", "q2") == ""
+    # A covariance has the product of both units.
+    assert SI.number("covariance", "q2,p2") == SI.of(DIMENSIONS["q"], DIMENSIONS["p"])
+    with pytest.raises(InvalidInput, match="mass"):
+        Units("m", "m", "s")
 
 
 def test_numbers_of_a_scene_have_units_that_keep_its_equations():
@@ -255,7 +216,7 @@ def test_a_sweep_says_the_units_of_its_axes_and_values(scene):
     assert bare.record()["units"] == [None] and "[" not in "".join(bare.table().markdown())
 
 
-def test_the_cost_of_sampling_says_the_units_of_its_times(scene, tmp_path):
+def test_the_cost_of_sampling_says_the_units_of_its_times(scene, bare):
     """L1 = A/√W + B dt^r is a number: A is in √s, B in s^-r, W and dt in s."""
     law = Law("exact_flow", 3.2, 0.17, True, 4, 5e-9, 0.5, 39.0)
     loaded = load_scene(scene)
@@ -276,13 +237,11 @@ def test_the_cost_of_sampling_says_the_units_of_its_times(scene, tmp_path):
     # Processor times are seconds whatever the scene's time is in; errors are numbers.
     axes = study_figure(own.panels).axes
     assert axes[0].get_xlabel() == "processor time in seconds, one thread"
-    path = tmp_path / "bare.toml"
-    path.write_text(scene.read_text().removesuffix(MM))
-    settings, bare = page(load_scene(path), "")
-    assert " s" not in settings and "[" not in bare.text() and "^(" not in bare.text()
+    settings, own = page(load_scene(bare), "")
+    assert " s" not in settings and "[" not in own.text() and "^(" not in own.text()
 
 
-def test_axes_say_units_while_a_scene_is_drawn():
+def test_axes_say_units_while_a_scene_is_drawn(scene):
     observable = parse_observable("q2", 2)
     with in_units(Units("mm", "kg", "s")):
         assert words_of(observable[0]) == "displacement q₂ [mm]"
@@ -290,9 +249,6 @@ def test_axes_say_units_while_a_scene_is_drawn():
         assert time_words() == "time t [s]"
     assert words_of(observable[0]) == "displacement q₂"
     assert density_words(observable) == "density p(q₂)"
-
-
-def test_pictures_of_a_scene_have_its_units(scene):
     outcome = run_scene(load_scene(scene), [method_for("nonintegrable", "closed-form")])
     labels = [axes.get_xlabel() for _, _, f in figures(outcome) for axes in f.axes]
     assert "displacement q₂ [mm]" in labels and "energy H [kg mm² s⁻²]" in labels
@@ -319,6 +275,7 @@ def test_the_system_and_the_sliders_of_a_report_have_units(fpk, scene, tmp_path)
 def test_times_of_a_passage_and_columns_of_comma_separated_values_say_units(fpk, scene, tmp_path):
     asked = ("--method", "nonintegrable", "--limit", "H=1", "--times", "10")
     out = fpk("passage", scene, *asked)[1]
+    assert out.startswith("# first passage of H=1 kg mm² s⁻² from rest")
     assert out.count("# time [s]   ") == 2
     assert "[" not in fpk("passage", "fig6a", *asked)[1]
     fpk("export", scene, "--of", "q2", "--out", tmp_path / "a.csv")
@@ -351,15 +308,12 @@ def test_modes_solve_their_equation():
     assert all(mode["coupled"] == mode["damping_ratio"] == 0.0 for mode in modes_record(undamped))
 
 
-def test_rms_without_contact_is_that_of_the_covariance():
+def test_rms_says_by_which_route_it_is_and_without_contact_is_that_of_the_covariance():
     system = System([1.0, 2.0], [3.0, 1.0], [0.1, 0.2], [0.01, 0.05])
     variance = np.diag(stationary_covariance(system))
     for i, row in enumerate(rms_record(system)):
         assert row["route"] == "linear" and row["of"] == f"q{i + 1}"
         assert abs(row["value"] - np.sqrt(variance[i])) <= row["error"] + 1e-14
-
-
-def test_rms_says_by_which_route_it_is():
     stop = Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
     equal = System([1, 1], [1, 1], [0.1, 0.2], [0.01, 0.02], contacts=(stop,))
     assert {row["route"] for row in rms_record(equal)} == {"exact"}
@@ -368,23 +322,15 @@ def test_rms_says_by_which_route_it_is():
     assert rms_record(load_scene("two-contact-masses").system) == []
 
 
-def test_show_has_modes_and_rms_with_their_units(scene, fpk):
-    out = fpk("show", scene)[1]
+def test_show_has_modes_and_rms_with_their_units(
+    scene, fpk, answer, written, scene_text, units_text
+):
+    micro = written(scene_text + units_text.replace("mm", "µm"), "micro.toml")
+    assert "µm" in fpk("show", micro)[1]
+    record, out = answer("show", scene), fpk("show", scene)[1]
     assert "[rad/s]" in out and " mm by " in out and "in mm, kg, s" in out and "averaged" in out
-    record = json.loads(fpk("show", scene, "--json")[1])
     assert record["units"]["force"] == "kg mm s⁻²" and record["units"]["length"] == "mm"
     assert [m["frequency"] for m in record["modes"]] == record["natural_frequencies"]
     assert all(r["error"] < 1e-9 for r in record["rms"])
     assert "[rad/time]" in fpk("show", "fig6a")[1] and "chain-50" not in fpk("show", "fig6a")[1]
     assert "50 modes up to" in fpk("show", "chain-50")[1]
-
-
-def test_two_units_of_one_name_cannot_be_told_apart():
-    with pytest.raises(InvalidInput, match="mass"):
-        Units("m", "m", "s")
-
-
-def test_covariance_of_a_pair_has_the_product_of_both_units():
-    units = Units("mm", "kg", "s")
-    assert units.number("covariance", "q2,p2") == units.of(DIMENSIONS["q"], DIMENSIONS["p"])
-    assert units.number("variance", "q2") == units.of(DIMENSIONS["q"], DIMENSIONS["q"])
