@@ -19,7 +19,7 @@ from cases.scene.schema import SCENE
 from fpk.answer.contacts import stop_clearances
 from fpk.system.contact_law import LAWS
 from sim.montecarlo import MonteCarlo
-from sim.sample.settings import expected_seconds
+from sim.sample.settings import estimate_seconds
 
 QUICK = ("list", "new", "check", "schema", "show", "passage", "transient", "density", "crossings")
 """Commands whose first example takes a second or less once the program is compiled."""
@@ -76,7 +76,7 @@ def test_check_says_what_applies_and_what_it_costs(fpk, scene_text, written):
     assert status == 0 and "no method to stationary densities: some motion is not damped" in out
     assert out.count("not damped") == 1
     # The cost of a simulation is that of all its systems.
-    own = [expected_seconds(MonteCarlo(), curve.system) for curve in load_scene("fig6a").curves]
+    own = [estimate_seconds(MonteCarlo(), curve.system) for curve in load_scene("fig6a").curves]
     assert min(own) > 0.0
     assert record["simulation_seconds"] == pytest.approx(sum(own), rel=1e-12)
 

@@ -33,7 +33,7 @@ from fpk.answer.question import answer
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.passage import LEAST_FAILURES
+from sim.questions.passage import LEAST_TAIL_FAILURES
 from sim.sample.diagnostics import FALSE_ALARMS
 
 register_routes()
@@ -344,4 +344,4 @@ def test_the_simulation_that_shows_how_rare_passages_are_is_used_where_it_answer
     exact = 10.0 * (expi(x) - np.log(x) - np.euler_gamma)
     assert abs(found.mean.value - exact) < 4.0 * found.mean.error
     assert np.all(np.abs(found.survival) <= 1.0) and "sampled_by" not in found.settings
-    assert level == 1.5 or 0.0 < (1.0 - found.survival[0]) * 4096 < LEAST_FAILURES
+    assert level == 1.5 or 0.0 < (1.0 - found.survival[0]) * 4096 < LEAST_TAIL_FAILURES
