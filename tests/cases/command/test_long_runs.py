@@ -73,7 +73,7 @@ def test_a_map_is_built_by_one_process_at_a_time(refusal, tmp_path):
     "command", [["run", "fig6a"], ["density", *DENSITY], ["regime", "fig6a", *GRID]]
 )
 def test_a_cluster_that_does_not_answer_is_one_line(command, refusal, monkeypatch):
-    monkeypatch.setattr("sim.sample.workers.PATIENCE", 0.5)
+    monkeypatch.setattr("sim.sample.workers.SCHEDULER_TIMEOUT", 0.5)
     assert "no Dask scheduler" in refusal(*command, "--cluster", "tcp://127.0.0.1:9")
 
 
