@@ -235,3 +235,10 @@ def test_every_shipped_scene_holds(fpk):
     assert (status, err) == (0, "")
     gated = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
     assert all(any(x.startswith(name) for x in out.splitlines()) for name in gated)
+
+
+def test_a_scene_whose_simulation_would_take_too_long_is_cut_and_says_so(fpk, monkeypatch):
+    monkeypatch.setattr("cases.command.studies.VERIFY_SECONDS", 1e-3)
+    status, out, err = fpk("verify", "sdof", "--json")
+    assert status == 1 and not json.loads(out)["holds"]
+    assert "simulation" in err and "the limit of 0.001 s came" in err

@@ -71,7 +71,7 @@ class Coarse(NonIntegrable):
     shift: float = 0.0
 
     def prepare(self, system):
-        return restated(super().prepare(system), self.shift, self.floor, self.wanted(system))
+        return restated(super().prepare(system), self.shift, self.floor, self.tol_for(system))
 
 
 @dataclass(frozen=True)
