@@ -43,7 +43,7 @@ class PresentedAnswers(Answers):
 
             fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).summary()
         """
-        frame: DataFrame = _presented().summary_frame(self)
+        frame: DataFrame = _presentation_module().summary_frame(self)
         return frame
 
     def to_xarray(self) -> "Dataset":
@@ -54,7 +54,7 @@ class PresentedAnswers(Answers):
 
             fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).to_xarray()["p_q2"]
         """
-        data: Dataset = _presented().dataset(self)
+        data: Dataset = _presentation_module().dataset(self)
         return data
 
     def plot(self, observable: str, *, log: bool = False) -> "Figure":
@@ -65,14 +65,14 @@ class PresentedAnswers(Answers):
 
             fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).plot("q2", log=True)
         """
-        figure: Figure = _presented().plot(
+        figure: Figure = _presentation_module().plot(
             self, parse_observable(observable, self.system.n), log=log
         )
         return figure
 
     def _repr_html_(self) -> str:
         """Return the quantities as tables, for a notebook."""
-        return str(_presented().html_tables(self))
+        return str(_presentation_module().html_tables(self))
 
 
 def solve(
@@ -129,12 +129,12 @@ def solve(
 def plot(density: AnyDensity, *, log: bool = False) -> "Figure":
     """Return a figure of pyplot with one density and its error.
 
-    Of two coordinates as contours; ``log``: on a logarithmic scale. ::
+    A density of two coordinates is drawn as contours; ``log``: on a logarithmic scale. ::
 
         answers = fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=["exact"])
         fpk.plot(answers["q2,p2"], log=True)
     """
-    figure: Figure = _presented().plot_density(density, log=log)
+    figure: Figure = _presentation_module().plot_density(density, log=log)
     return figure
 
 
@@ -150,6 +150,6 @@ def compare(answers: Answers) -> tuple[Comparison, ...]:
     return answers.comparisons
 
 
-def _presented() -> Any:
+def _presentation_module() -> Any:
     """Return the module that draws and tabulates answers; it imports matplotlib, so it is late."""
     return import_module("cases.show.presented")

@@ -19,7 +19,7 @@ from cases.api import PresentedAnswers
 from cases.command import studies
 from cases.command.app import app
 from cases.compare import answering, claims, doubt, quantity
-from cases.compare.routes import listed_routes
+from cases.compare.routes import all_routes
 from cases.scene import schema
 from cases.show import facts, text
 from cases.show.pictures import densities
@@ -81,7 +81,7 @@ def test_the_command_line_page_has_every_method_and_solver():
     page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
     rows = [line.split("|") for line in page.split("\n") if line.startswith("| `")]
     solvers = {row[1].strip(): row[3] for row in rows if len(row) == 5}
-    routes = listed_routes()
+    routes = all_routes()
     assert routes
     for route in routes:
         assert f"`{route.solver}`" in solvers[f"`{route.method}`"], route.label
@@ -279,7 +279,7 @@ def test_messages_and_help_state_the_limits_of_the_code():
     system = {key: [1.0] for key in schema.SYSTEM["fields"]} | {"noise_gain": [[1.0]]}
     keys = schema.UNITS["fields"]
     with pytest.raises(InvalidInput) as refusal:
-        schema.validated({"system": system, "units": dict.fromkeys(keys, "1")})
+        schema.validate_scene({"system": system, "units": dict.fromkeys(keys, "1")})
     least, most = re.search(r"\{(\d+),(\d+)\}", schema.UNIT["pattern"]).groups()
     assert f"must be {least} to {most} letters" in refusal.value.remedy
     (memory,) = (o for o in app.commands["density"].params if o.name == "memory")

@@ -22,7 +22,7 @@ import sim.questions.splitting.kernel
 import sim.step.kernel
 from cases.command import parts
 from cases.compare.quantity import parse_definition
-from cases.compare.routes import listed_routes
+from cases.compare.routes import all_routes
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
 from fpk.answer.method import silent
@@ -126,7 +126,7 @@ def setup(**settings):
 
 
 def test_every_field_of_every_record_is_compared():
-    methods = [route.make() for route in listed_routes()]
+    methods = [route.make() for route in all_routes()]
     limit, start = parse_limit("H1=0.5,H2=1", 2), parse_start("q1=0.1", SYSTEM)
     names = ("rms(q2)", "quantile(q2,0.9)", "mean_force(1,left)", "failure_rate(H=2)")
     asked = [parse_definition(name, SYSTEM) for name in names]

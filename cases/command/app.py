@@ -94,11 +94,11 @@ def run(
 
     Prints the quantities (mean, rms, quantiles, what stops feel) by route, then the verdicts.
     """
-    start, loaded = perf_counter(), parts.checked(scene, tol=settings["tol"], out=out)
-    loaded = parts.narrowed(loaded, of, whole=simulation and not only)
+    start, loaded = perf_counter(), parts.load_checked(scene, tol=settings["tol"], out=out)
+    loaded = parts.only_observables(loaded, of, whole=simulation and not only)
     from cases.compare.routes import all_methods, chosen_methods
     from cases.show.digest import digest_of
-    from cases.show.text import rendered
+    from cases.show.text import render
 
     parts.check_cluster(settings["cluster"])
     parts.checkpoint_folder(loaded, {**settings, "tol": None})  # no simulation depends on it
@@ -138,7 +138,7 @@ def run(
         "details": details,
         "width": get_terminal_size((100, 24)).columns - 2,
     }
-    text = partial(rendered, "run.txt", shown)
+    text = partial(render, "run.txt", shown)
     parts.end(digest, text, written, problems=outcome.problems, quiet=quiet)
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 LIST = '"-1.5:1.5:0.1", "-1,0,0.3"'
 
 
-def observed(words: str) -> Any:
+def observable_option(words: str) -> Any:
     """Return the option ``--of`` that says in ``words`` what it takes."""
     return click.option(
         "--of", metavar="OBS", required=True, help=words, shell_complete=completed.observables
@@ -69,14 +69,14 @@ class Asked:
         """Print the answer ``work(method, tol=, progress=)``; status 1 where it is not certified.
 
         ``about`` names this answer in problems. ``given`` are the entries of the record that repeat
-        the ``question``, ``text`` the record in words. Of the solvers of the method the first that
-        answers is taken, unless one was asked for; ``settings`` are further ones of the method.
+        the ``question``, ``text`` the record in words. The first solver of the method that answers
+        is taken, unless a solver was asked for; ``settings`` are further settings of the method.
 
         Raises ``BadInput`` for a method that does not answer the question or lacks one of the
         settings, or with the first reason why it does not apply.
         """
         from cases.show.records import answer_record, equation_words
-        from cases.show.words import named
+        from cases.show.words import reader_words
 
         method, answer, note, seconds = self._answer(question, work, {**self.settings, **settings})
         record = answer_record(self.scene, method, given, answer, seconds, key=question.key)
@@ -84,14 +84,14 @@ class Asked:
         problems = [f"{about} is not certified: {failure}" for failure in failures]
         record["notes"] = [note] if note else []
         words = equation_words(record), *record["notes"], *record["averaging_notes"]
-        notes = [f"# {named(note)}" for note in words]
+        notes = [f"# {reader_words(note)}" for note in words]
         parts.end(record, lambda: "\n".join([text(record), *notes]), problems=problems)
 
     def _answer(
         self, question: Question, work: Callable[..., Any], settings: dict[str, Any]
     ) -> tuple[Any, Any, str, float]:
         """The method that answers, its answer, a note on its tolerance, the seconds."""
-        from cases.compare.routes import listed_routes, methods_of, settings_of
+        from cases.compare.routes import all_routes, methods_of, settings_of
         from cases.show.bar import progress_bar
 
         start, name, reasons = perf_counter(), self.method, []
@@ -116,16 +116,16 @@ class Asked:
             raise BadInput(f"--{option} {error.value}: {error.remedy}") from None
         if reasons:
             raise BadInput(f"{self.scene.name}: {name} does not apply: {reasons[0]}")
-        able = dict.fromkeys(r.method for r in listed_routes() if hasattr(r.make(), question.name))
+        able = dict.fromkeys(r.method for r in all_routes() if hasattr(r.make(), question.name))
         raise BadInput(f"{name} gives no {question.words}; use one of {', '.join(able)}")
 
     def _at_tolerance(self, ask: Callable[..., Any]) -> tuple[Any, str]:
         """The answer at ``tol``; without it at the default, loosened with a note as in a run."""
-        from cases.compare.attempts import loosened
+        from cases.compare.attempts import loosen_tolerance
 
         if self.tol is not None:
             return ask(tol=self.tol), ""
-        return loosened(lambda tol: ask(tol=tol), lambda answer: [answer.certificate])
+        return loosen_tolerance(lambda tol: ask(tol=tol), lambda answer: [answer.certificate])
 
 
 def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:
@@ -140,8 +140,11 @@ def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:
         @wraps(work)
         def command(scene: str, method: str, solver: str | None, **given: Any) -> None:
             tol = given.pop("tol")
-            named = {key: given.pop(key) for key in list(given) if key in own}
-            work(Asked(parts.checked(scene, tol=tol), method, solver, tol, given), **named)
+            options = {key: given.pop(key) for key in list(given) if key in own}
+            work(
+                Asked(parts.load_checked(scene, tol=tol), method, solver, tol, given),
+                **options,
+            )
 
         chosen = (
             click.option(

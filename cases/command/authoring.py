@@ -70,12 +70,12 @@ def show(scene: str) -> None:
 
 
 def _print_facts(scene: str, command: str) -> None:
-    loaded = parts.checked(scene)
+    loaded = parts.load_checked(scene)
     from cases.show.facts import check_record, show_record
-    from cases.show.text import rendered
+    from cases.show.text import render
 
     record = {"check": check_record, "show": show_record}[command](loaded)
-    parts.end(record, lambda: rendered(f"{command}.txt", record))
+    parts.end(record, lambda: render(f"{command}.txt", record))
 
 
 @click.command()

@@ -16,7 +16,7 @@ def main() -> None:
     """Run the command line; Ctrl-C ends it in one line and status 130."""
     os.environ.update(LINEAR_ALGEBRA | os.environ)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, interrupted)
+        signal.signal(signal.SIGINT, answer_interrupt)
     try:
         from cases.command.app import run_app
 
@@ -28,7 +28,7 @@ def main() -> None:
         end(status.code)
 
 
-def interrupted(number: int, frame: FrameType | None) -> None:
+def answer_interrupt(number: int, frame: FrameType | None) -> None:
     """Answer Ctrl-C: nobody waits for what is being compiled, the main thread is interrupted."""
     getattr(sys.modules.get("fpk.numeric.compiling"), "abandon", bool)()
     signal.default_int_handler(number, frame)

@@ -17,9 +17,9 @@ def scenes(context: click.Context, option: click.Parameter, begun: str) -> list[
 
 def methods(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
     """Return the names of methods, with a solver once there is a ``/`` where several are taken."""
-    from cases.compare.routes import listed_routes
+    from cases.compare.routes import all_routes
 
-    routes = listed_routes()
+    routes = all_routes()
     if option.multiple and "/" in begun:
         return _beginning((f"{route.method}/{route.solver}" for route in routes), begun)
     return _beginning((route.method for route in routes), begun)
@@ -27,10 +27,10 @@ def methods(context: click.Context, option: click.Parameter, begun: str) -> list
 
 def solvers(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
     """Return the solvers of the method that is typed already, else of all."""
-    from cases.compare.routes import listed_routes
+    from cases.compare.routes import all_routes
 
     method = context.params.get("method")
-    return _beginning((r.solver for r in listed_routes() if method in (None, r.method)), begun)
+    return _beginning((r.solver for r in all_routes() if method in (None, r.method)), begun)
 
 
 def observables(

@@ -9,12 +9,12 @@ from typing import Any
 import click
 
 from cases.command import parts
-from cases.command.asking import AT, LIST, MEMORY, SIMULATED, TOL, Asked, asking, observed
+from cases.command.asking import AT, LIST, MEMORY, SIMULATED, TOL, Asked, asking, observable_option
 from cases.scene.errors import BadInput
 from fpk.answer.question import QUESTIONS, Question
 
 DISPLACEMENT = (
-    observed("A displacement: q1, q2, ..."),
+    observable_option("A displacement: q1, q2, ..."),
     click.option("--at", metavar="LIST", required=True, help=f"{LIST}."),
     TOL,
     *SIMULATED,
@@ -23,7 +23,7 @@ DISPLACEMENT = (
 
 
 @asking(
-    observed("q1.., p1.., H, H1.. or a pair a,b."),
+    observable_option("q1.., p1.., H, H1.. or a pair a,b."),
     AT,
     parts.simulation_options,
     MEMORY,
@@ -32,7 +32,7 @@ def density(asked: Asked, of: str, at: str) -> None:
     """Give one density at the points asked for."""
     observable = parts.observable_of(of, asked.scene)
     from cases.scene.points import parse_points
-    from cases.show.records import columns_text, listed
+    from cases.show.records import columns_text, point_list
     from fpk.answer.dynamics import Curve
     from fpk.answer.method import Method
     from fpk.answer.names import observable_name
@@ -49,7 +49,7 @@ def density(asked: Asked, of: str, at: str) -> None:
         (p,) = result.densities
         return Curve(*p.at(*points), p.certificate, result.settings, p.error_kind)
 
-    given = {"observable": observable_name(observable), "points": listed(points)}
+    given = {"observable": observable_name(observable), "points": point_list(points)}
     solving = Question("solve", "density", ("observables",), "density")  # all methods do
     own: Any = {"tol": asked.tol, "partial": True}
     asked.reply(solving, of, given, work, columns_text, **own)
@@ -113,7 +113,7 @@ START = click.option(
 
 
 @asking(
-    observed("H, q1.., p1.., H1.. or a pair a,b."),
+    observable_option("H, q1.., p1.., H1.. or a pair a,b."),
     START,
     click.option("--times", metavar="LIST", required=True, help="Times after the start."),
     *(AT, TOL, *SIMULATED),
@@ -122,7 +122,7 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
     """Give the density of an observable at times after a start."""
     system, observable = asked.scene.system, parts.observable_of(of, asked.scene)
     from cases.scene.points import parse_points
-    from cases.show.records import columns_text, listed
+    from cases.show.records import columns_text, point_list
     from fpk.answer.names import observable_name, parse_start
 
     begin = parts.read("start", start, lambda: parse_start(start, system))
@@ -131,7 +131,7 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
     asked.reply(
         QUESTIONS["transient"],
         f"the density of {of}",
-        {"observable": name, "start": str(begin), "points": listed(points)},
+        {"observable": name, "start": str(begin), "points": point_list(points)},
         lambda method, **how: method.transient(system, observable, begin, later, points, **how),
         columns_text,
     )

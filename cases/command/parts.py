@@ -101,7 +101,7 @@ def command_line() -> str:
     return shlex.join(words)
 
 
-def checked(scene: str, *, tol: float | None = None, out: Path | None = None) -> "Scene":
+def load_checked(scene: str, *, tol: float | None = None, out: Path | None = None) -> "Scene":
     """Load the scene, check the tolerance ``tol``, make the folder: refusals precede any work.
 
     The folder ``out`` is locked for this command until it ends.
@@ -137,7 +137,7 @@ def read(option: str, text: str, parse: Callable[[], Any]) -> Any:
         raise BadInput(f'--{option} "{text}": {error.remedy}') from None
 
 
-def narrowed(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":
+def only_observables(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":
     """Return the scene with the observables of ``names`` alone, without its questions in time.
 
     Without ``names`` both stay. ``whole``: all routes run; only then the scene's claims, which are
@@ -155,11 +155,11 @@ def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     """Lock the folder ``settings["checkpoint"]``, if not None, until the command ends."""
     if settings["checkpoint"] is None:
         return
-    from cases.show.claim import claimed
+    from cases.show.claim import claim_folder
     from sim.sample.settings import NOT_IN_STATE
 
     own = {key: v for key, v in settings.items() if f"MonteCarlo.{key}" not in NOT_IN_STATE}
-    context = claimed(settings["checkpoint"], {"scene": scene.text, "settings": own})
+    context = claim_folder(settings["checkpoint"], {"scene": scene.text, "settings": own})
     click.get_current_context().with_resource(context)
 
 
@@ -182,10 +182,10 @@ def end(
         # A path is printed whole: it is to be copied.
         click.echo("\n".join([as_wide(text()), *(f"wrote {path}" for path in written)]))
     if problems:
-        from cases.show.words import named
+        from cases.show.words import reader_words
 
         for problem in problems:
-            click.echo(f"fpk: {named(problem)}", err=True)
+            click.echo(f"fpk: {reader_words(problem)}", err=True)
         raise click.exceptions.Exit(1)
 
 

@@ -52,7 +52,7 @@ def study(work: Callable[..., Any]) -> click.Command:
     @parts.as_json
     @wraps(work)
     def command(scene: str, out: Path | None, **settings: Any) -> None:
-        loaded = parts.checked(scene, tol=settings.get("tol"), out=out)
+        loaded = parts.load_checked(scene, tol=settings.get("tol"), out=out)
         given = {key: value for key, value in settings.items() if value is not None}
         from cases.show.bar import progress_bar
         from cases.show.records import plain
@@ -115,7 +115,7 @@ def converge(
 def cost(scene: "Scene", **settings: Any) -> Any:
     """Time every route whose answer agrees with the reference, and price each digit.
 
-    Of the full system it says where a solution of its equation overtakes sampling.
+    For the full system it says below which error its equation is solved in less time than sampled.
     """
     from cases.study.cost import study_cost
 
@@ -213,14 +213,14 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
     shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
     loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
     from cases.compare.claims import Verdict
-    from cases.compare.routes import all_methods, listed_routes
+    from cases.compare.routes import all_methods, all_routes
     from cases.show.digest import digest_of, verify_row
-    from cases.show.text import rendered
+    from cases.show.text import render
 
     if coarse:
         settings |= {"paths": COARSE_PATHS}
     relaxations = COARSE if coarse else USUAL
-    if unknown := set(solver) - {route.solver for route in listed_routes()}:
+    if unknown := set(solver) - {route.solver for route in all_routes()}:
         raise BadInput(f"--solver {unknown.pop()}: is not a solver of any method")
     methods = all_methods(named=solver, relaxations=relaxations, work=FULL_WORK, **settings)
     width = max(len(scene.name) for scene in loaded)
@@ -228,7 +228,7 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
     for scene in loaded:
         rows.append(verify_row(digest_of(parts.outcome_of(scene, _within_longest(methods, scene)))))
         if not click.get_current_context().meta["json"]:
-            click.echo(rendered("verify_line.txt", {"row": rows[-1], "width": width}))
+            click.echo(render("verify_line.txt", {"row": rows[-1], "width": width}))
     verdicts = [claim["verdict"] for row in rows for claim in row["claims"]]
     parts.end(
         {
@@ -237,7 +237,7 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
             "claims": {word: verdicts.count(word) for word in get_args(Verdict)},
             "seconds": sum(row["seconds"] for row in rows),
         },
-        lambda: rendered("verify.txt", {"rows": rows}),
+        lambda: render("verify.txt", {"rows": rows}),
         problems=[f"{row['scene']}: {problem}" for row in rows for problem in row["problems"]],
     )
 
@@ -281,7 +281,7 @@ def export(
     density), and beside it the stops as planes; a .pvd collects one .vtu for every curve, one for
     every density.
     """
-    loaded = parts.checked(scene, tol=tol)
+    loaded = parts.load_checked(scene, tol=tol)
     from cases.show.fields import WRITERS
     from cases.show.files import make_folder
     from cases.show.vtk import write_pvd, write_vtu

@@ -16,7 +16,7 @@ from cases.compare.doubt import (
 from cases.compare.in_time import Replies
 from cases.compare.quantities import (
     Quantity,
-    compared_quantities,
+    compare_quantities,
     quantities_of,
     quantity_discrepancies,
 )
@@ -82,7 +82,7 @@ class Answers(Mapping[Any, AnyDensity]):
     def quantity_comparisons(self) -> tuple[Comparison, ...]:
         """Differences of all pairs of routes in one quantity, judged where that is possible."""
         exact = incompatibility(self.system) is None
-        return compared_quantities(self.results, self.quantities, averaging_is_exact=exact)
+        return compare_quantities(self.results, self.quantities, averaging_is_exact=exact)
 
     def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
         """Return the densities of one observable by route: first deterministic ones, then sampled.

@@ -138,15 +138,18 @@ class Attempts:
         ask: Callable[[float | None], Answer],
         certificates: Callable[[Answer], Iterable[Certificate]],
     ) -> Answer:
-        """Return ``ask(None)``, with ``relax`` ``loosened``; ``label`` begins the note on it."""
+        """Return ``ask(None)``, with ``relax`` by ``loosen_tolerance``.
+
+        ``label`` begins the note on it.
+        """
         if not self.relax:
             return ask(None)
-        answer, note = loosened(ask, certificates)
+        answer, note = loosen_tolerance(ask, certificates)
         self.notes += [f"{label}: {note}"] if note else []
         return answer
 
 
-def loosened(
+def loosen_tolerance(
     ask: Callable[[float | None], Answer],
     certificates: Callable[[Answer], Iterable[Certificate]],
 ) -> tuple[Answer, str]:

@@ -214,8 +214,9 @@ def density_distances(
 ) -> Iterator[Distance]:
     """Yield the largest L1 distance of all times, each over its window, as ``_worst`` does.
 
-    ``points`` (points,) and ``windows`` as in ``Replies``. Trapezoidal rule for the distance and
-    its band. A normal deviation has the mean modulus √(2/π) σ with the variance (1 − 2/π) σ².
+    ``points`` (points,) and ``windows`` are those fields of ``Replies``. Trapezoidal rule for the
+    distance and its band. A normal deviation has the mean modulus √(2/π) σ with the variance (1 −
+    2/π) σ².
     """
     if not windows:
         return

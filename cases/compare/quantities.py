@@ -84,7 +84,7 @@ def quantities_of(
     return tuple(sorted(rows, key=place))
 
 
-def compared_quantities(
+def compare_quantities(
     results: Sequence[Result], quantities: Sequence[Quantity], *, averaging_is_exact: bool
 ) -> tuple[Comparison, ...]:
     """Return the comparisons of all pairs of routes in every quantity that both give.

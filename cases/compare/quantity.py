@@ -198,12 +198,12 @@ def parse_definition(text: str, system: System) -> Definition:
             return Definition(kind, limit=parse_limit(inside, system.n))
         if match and kind == RELAXATION:
             words = f"counts the rates from 1 to {MOST_RATES}, the slowest first"
-            return Definition(kind, at=float(_counted("rate", inside, MOST_RATES, words)))
+            return Definition(kind, at=float(_parse_count("rate", inside, MOST_RATES, words)))
         if match and kind in AT_STOP:
             count = len(system.contacts)
             given = f"use 1 to {count}" if count else "the scene has no [[contact]]"
             words = f"is no contact of the scene; {given}"
-            index = _counted("contact", name, count, words) - 1
+            index = _parse_count("contact", name, count, words) - 1
             contact = system.contacts[index]
             sides = [stop.side for stop in contact.one_sided()]
             if rest and rest not in sides:
@@ -228,7 +228,7 @@ def _observable(text: str, system: System, sizes: Sequence[int] = (1,)) -> Obser
     return observable
 
 
-def _counted(key: str, text: str, most: int, remedy: str) -> int:
+def _parse_count(key: str, text: str, most: int, remedy: str) -> int:
     if not (re.fullmatch(r"[0-9]{1,4}", text) and 1 <= int(text) <= most):
         raise InvalidInput(key, text, remedy)
     return int(text)

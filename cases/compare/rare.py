@@ -111,8 +111,8 @@ def split_passage(
     """Return P(T <= t) at the times > 0 of ``question``, each by an independent splitting.
 
     A relative error of P(T <= t) above ``MOST_ERROR`` or above ``tol`` is not certified;
-    ``settings.tol`` is the error aimed at. The score is ``averaged_score``, or least action if it
-    is None. Moments and the failure rate, which is defined for t → ∞, are not given.
+    ``settings.tol`` is the error aimed at. The score is ``score_of_averaged_energy``, or least
+    action if it is None. Moments and the failure rate, which is defined for t → ∞, are not given.
 
     Raises ``NotApplicable`` if no time is > 0.
     """
@@ -120,7 +120,7 @@ def split_passage(
     failure, errors = np.zeros((2, times.size))
     if not np.any(times > 0.0):
         raise NotApplicable("splitting needs a time after the start")
-    score = averaged_score(system, question)
+    score = score_of_averaged_energy(system, question)
     rows = []
     for k, t in enumerate(times):
         if t > 0.0:
@@ -156,7 +156,7 @@ def split_passage(
     )  # fmt: skip
 
 
-def averaged_score(system: System, question: PassageQuestion) -> ScoreFunction | None:
+def score_of_averaged_energy(system: System, question: PassageQuestion) -> ScoreFunction | None:
     """Return ln P(failure | energy, remaining time) of the averaged energy, Eq. (24).
 
     None for a limit of another quantity than H, and if P(failure) from rest by the last time is

@@ -26,7 +26,7 @@ def register_routes(method: str | None = None) -> None:
             import_module(module)
 
 
-def listed_routes() -> tuple[Route, ...]:
+def all_routes() -> tuple[Route, ...]:
     """Return all routes: first quick, then slow, then sampling ones.
 
     In each group routes of the full system precede averaged ones.
@@ -40,8 +40,8 @@ def listed_routes() -> tuple[Route, ...]:
 def method_for(name: str, solver: str | None = None, **settings: Any) -> Method:
     """Return the method ``name`` by ``solver`` (None: its default).
 
-    Of the ``settings`` those that are fields of the method and not None are set. Raises
-    ``InvalidInput`` for names of no route.
+    ``settings`` that are fields of the method and not None are set. Raises ``InvalidInput`` for
+    names of no route.
     """
     return methods_of(name, solver, **settings)[0]
 
@@ -54,14 +54,14 @@ def methods_of(name: str, solver: str | None = None, **settings: Any) -> tuple[M
     register_routes(name)
     choices = [ROUTES[name, each] for each in solvers_of(name)]
     if not choices:
-        names = dict.fromkeys(route.method for route in listed_routes())
+        names = dict.fromkeys(route.method for route in all_routes())
         raise InvalidInput("method", name, f"use one of {', '.join(names)}")
     wanted = [r for r in choices if solver == r.solver or (solver is None and not r.named)]
     if not wanted:
         labels = ", ".join(route.label for route in choices)
         remedy = f"use one of {labels}" if len(choices) > 1 else "leave it out"
         raise InvalidInput("solver", solver, f"is not a solver of {name}; {remedy}")
-    return tuple(_made(route, settings) for route in wanted)
+    return tuple(_make_method(route, settings) for route in wanted)
 
 
 def all_methods(
@@ -73,8 +73,8 @@ def all_methods(
     do not get ``tol``: a digit more costs them a hundred times the time.
     """
     return tuple(
-        _made(route, settings if route.sampled else {**settings, "tol": tol})
-        for route in listed_routes()
+        _make_method(route, settings if route.sampled else {**settings, "tol": tol})
+        for route in all_routes()
         if not route.named or route.solver in named or route.label in named
     )
 
@@ -100,7 +100,7 @@ def settings_of(method: Method) -> set[str]:
     return {f.name for f in fields(method)}  # type: ignore[arg-type]  # methods are dataclasses
 
 
-def _made(route: Route, settings: Mapping[str, Any]) -> Method:
+def _make_method(route: Route, settings: Mapping[str, Any]) -> Method:
     method = route.make()
     known = settings_of(method)
     given = {k: v for k, v in settings.items() if v is not None and k in known}

@@ -73,7 +73,7 @@ def answers_of(
         def solve(own: Method, taken: Method = taken, plan: Plan = plan, given: Any = given) -> Any:
             plan = plan if own is taken else own.prepare(system)
             answer = partial_of(own.solve, plan=plan, progress=progress)
-            return _solved(answer, system, given, attempts, progress, rates)
+            return _solve_curve(answer, system, given, attempts, progress, rates)
 
         result = attempts.answer_of(
             method.route,
@@ -104,7 +104,7 @@ def _is_taken(method: Method, system: System, share: float | None) -> bool:
     return True
 
 
-def _solved(
+def _solve_curve(
     solve: Callable[..., Result],
     system: System,
     observables: Sequence[Observable],

@@ -37,7 +37,7 @@ def readable_errors(label: object, words: str, remedy: str) -> Iterator[None]:
 
 
 @contextmanager
-def refused_as(key: str, value: object) -> Iterator[None]:
+def about_key(key: str, value: object) -> Iterator[None]:
     """Return a context in which ``InvalidInput`` is about ``key`` and its ``value``."""
     try:
         yield

@@ -19,10 +19,10 @@ def scene_schema() -> dict[str, Any]:
     by ``fpk check`` only.
     """
     dialect = "https://json-schema.org/draft/2020-12/schema"
-    return {"$schema": dialect, "title": "Scene of vibro-fpk", **_converted(SCENE)}
+    return {"$schema": dialect, "title": "Scene of vibro-fpk", **_to_json_schema(SCENE)}
 
 
-def _converted(schema: Any) -> dict[str, Any]:
+def _to_json_schema(schema: Any) -> dict[str, Any]:
     """A schema of pydantic-core in JSON Schema; its ``metadata`` are copied."""
     own = dict(schema.get("metadata", {}))
     lengths = {"min_length": "minItems", "max_length": "maxItems"}
@@ -33,21 +33,21 @@ def _converted(schema: Any) -> dict[str, Any]:
             fields = schema["fields"].items()
             required = [key for key, field in fields if field["required"]]
             own["type"] = "object"
-            own["properties"] = {key: _converted(field["schema"]) for key, field in fields}
+            own["properties"] = {key: _to_json_schema(field["schema"]) for key, field in fields}
             own |= {"required": required} if required else {}
             own["additionalProperties"] = False
         case "list":
-            own |= {"type": "array", "items": _converted(schema["items_schema"]), **bounds}
+            own |= {"type": "array", "items": _to_json_schema(schema["items_schema"]), **bounds}
         case "dict":
             own |= {"type": "object", "maxProperties": schema["max_length"]}
-            own["propertyNames"] = _converted(schema["keys_schema"])
-            own["additionalProperties"] = _converted(schema["values_schema"])
+            own["propertyNames"] = _to_json_schema(schema["keys_schema"])
+            own["additionalProperties"] = _to_json_schema(schema["values_schema"])
         case "tagged-union":
-            own["anyOf"] = [_converted(choice) for choice in schema["choices"].values()]
+            own["anyOf"] = [_to_json_schema(choice) for choice in schema["choices"].values()]
         case "literal":
             own["enum"] = schema["expected"]
         case "function-after":
-            own = {**_converted(schema["schema"]), **own}
+            own = {**_to_json_schema(schema["schema"]), **own}
         case "str":
             own |= {"type": "string"}
             own |= {"pattern": schema["pattern"]} if "pattern" in schema else {}

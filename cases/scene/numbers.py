@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cases.scene.errors import refused_as
+from cases.scene.errors import about_key
 from cases.scene.units import DERIVED, NUMBER, Powers
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
@@ -110,10 +110,10 @@ def place_of(path: str, system: System) -> Place:
             count = len(getattr(system, RECORDS[table][0]))
             if count and (record is None or 1 <= int(record) <= count):
                 return Place(RECORDS[table][0], name, (int(record) - 1,) if record else None)
-    raise InvalidInput("path", path, f"is no number of the system; there are {_listed(system)}")
+    raise InvalidInput("path", path, f"is no number of the system; there are {_all_paths(system)}")
 
 
-def _listed(system: System) -> str:
+def _all_paths(system: System) -> str:
     """All paths of the system in one line, a range of indices in the place of each."""
     counts = {table: len(getattr(system, field)) for table, (field, _) in RECORDS.items()}
     words = [f"{t}[1..{n}].{name}" for t, n in counts.items() if n for name in RECORDS[t][1]]
@@ -170,7 +170,7 @@ VARIED = {
 """Keys of ``[vary]`` with their symbols: one number for all contacts, or a whole matrix."""
 
 
-def changed(system: System, key: str, value: Any) -> System:
+def with_value(system: System, key: str, value: Any) -> System:
     """Return the system with another ``value``, number or matrix, of a ``key`` of ``VARIED``."""
     place = place_of(key, system)
     if place.factor:
@@ -200,8 +200,8 @@ def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> t
         raise InvalidInput(f"vary.{key}", values, "the scene has no [[contact]] to vary")
     systems = [system]
     for i, value in enumerate(values, start=1):
-        with refused_as(f"vary.{key}[{i}]", value):
-            other = changed(system, key, value)
+        with about_key(f"vary.{key}[{i}]", value):
+            other = with_value(system, key, value)
         if not any(np.array_equal(_read(other, key), _read(s, key)) for s in systems):
             systems.append(other)
     if key == "system.damping" and all(_common_ratio(s) is not None for s in systems):

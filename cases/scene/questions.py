@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cases.scene.errors import refused_as
+from cases.scene.errors import about_key
 from cases.scene.expect import Range, Theory, range_of
 from fpk.answer.dynamics import require_times
 from fpk.answer.names import (
@@ -76,7 +76,7 @@ def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[Pa
     questions = []
     for k, table in enumerate(tables, start=1):
         place = f"passage[{k}]"
-        with _placed(place):
+        with _name_table(place):
             limit = parse_limit(table["limit"], system.n)
             start = _start(table, system)
             require_below(system, limit, start)
@@ -97,8 +97,8 @@ def transients_of(
     """Return the questions of [[transient]]; raise ``InvalidInput`` naming table, key and value."""
     questions = []
     for k, table in enumerate(tables, start=1):
-        with _placed(f"transient[{k}]"):
-            with refused_as("of", table["of"]):
+        with _name_table(f"transient[{k}]"):
+            with about_key("of", table["of"]):
                 of = parse_observable(table["of"], system.n)
             if len(of) > 1:
                 raise InvalidInput("of", table["of"], "must be one coordinate, not a pair")
@@ -110,7 +110,7 @@ def transients_of(
 
 
 @contextmanager
-def _placed(place: str) -> Iterator[None]:
+def _name_table(place: str) -> Iterator[None]:
     """Put the table before the key of an ``InvalidInput``."""
     try:
         yield
@@ -124,7 +124,7 @@ def _start(table: Mapping[str, Any], system: System) -> Start:
 
 def _times(table: Mapping[str, Any]) -> tuple[float, ...]:
     times = table.get("times", [])
-    with refused_as("times", times):
+    with about_key("times", times):
         require_times(np.array(times, dtype=float))
     return tuple(map(float, times))
 

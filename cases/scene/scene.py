@@ -8,11 +8,11 @@ from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from cases.scene.errors import BadInput, misspelt, readable_errors, refused_as, toml_value
+from cases.scene.errors import BadInput, about_key, misspelt, readable_errors, toml_value
 from cases.scene.expect import Expect, expect_of
 from cases.scene.numbers import Curve, curves_of
 from cases.scene.questions import PassageQuestion, TransientQuestion, passages_of, transients_of
-from cases.scene.schema import validated
+from cases.scene.schema import validate_scene
 from cases.scene.units import NO_UNITS, Units
 from fpk.answer.names import Level, Observable, parse_observable
 from fpk.numeric.errors import InvalidInput
@@ -158,7 +158,7 @@ def load_scene(scene: str | Path) -> Scene:
 def _scene(path: Path, label: str) -> Scene:
     data, text = read_toml(path, label)
     try:
-        tables = validated(data)
+        tables = validate_scene(data)
         system = _system(tables)
         observe = tables.get("observe", {})
         observables = _observables(observe.get("densities"), system)
@@ -199,7 +199,7 @@ def _observables(densities: list[str] | None, system: System) -> tuple[Observabl
         return tuple(parse_observable(name, system.n) for name in names)
     observables: list[Observable] = []
     for k, name in enumerate(densities, start=1):
-        with refused_as(f"observe.densities[{k}]", name):
+        with about_key(f"observe.densities[{k}]", name):
             observable = parse_observable(name, system.n)
         if observable in observables:
             raise InvalidInput(f"observe.densities[{k}]", name, "is asked for twice; leave one out")
@@ -213,7 +213,7 @@ def _exceedance(
     key = "observe.exceedance"
     levels: list[Level] = []
     for name, values in table.items():
-        with refused_as(key, name):
+        with about_key(key, name):
             observable = parse_observable(name, system.n)
         if len(observable) > 1:
             raise InvalidInput(key, name, "is a pair; name one coordinate")

@@ -274,7 +274,7 @@ REMEDIES = {
 }
 
 
-def validated(data: dict[str, Any]) -> dict[str, Any]:
+def validate_scene(data: dict[str, Any]) -> dict[str, Any]:
     """Return the checked tables of a scene; raise ``InvalidInput`` for the first mistake."""
     try:
         tables: dict[str, Any] = _VALIDATOR.validate_python(data)
@@ -297,7 +297,7 @@ def _refusal(error: ErrorDetails) -> InvalidInput:
         return InvalidInput(key, None, "add it")
     remedy = REMEDIES.get(kind, error["msg"]).format(**context).replace("'", '"')
     if kind == "extra_forbidden":
-        remedy = _known_keys(place)
+        remedy = _keys_at(place)
     if place[0] == "units" and kind == "string_pattern_mismatch":
         remedy = 'must be 1 to 16 letters, such as "mm"'
     if key in ("contact", "damping_term", "passage", "transient") and kind == "list_type":
@@ -305,7 +305,7 @@ def _refusal(error: ErrorDetails) -> InvalidInput:
     return InvalidInput(key, error["input"], remedy)
 
 
-def _known_keys(place: Sequence[int | str]) -> str:
+def _keys_at(place: Sequence[int | str]) -> str:
     table: Any = SCENE
     for part in place[:-1]:
         table = table["items_schema"] if isinstance(part, int) else table["fields"][part]

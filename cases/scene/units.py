@@ -128,6 +128,6 @@ def attribute(unit: str) -> str:
     return unit.removesuffix("s") if unit in DATES else unit or CONSISTENT
 
 
-def bracketed(unit: str) -> str:
+def in_brackets(unit: str) -> str:
     """Return a unit as it stands behind a name, nothing where it has no name or is a number."""
     return f" [{unit}]" if unit not in ("", "1") else ""

@@ -39,7 +39,7 @@ def number(value: Any, digits: int = 3) -> str:
     return f"{mantissa} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
 
 
-def rounded_up(value: float, last: int) -> int:
+def round_up(value: float, last: int) -> int:
     """Return the least count of 10**``last`` that is no less than ``value`` >= 0.
 
     Round-off of the division, 1e-12 of the value, does not make one more.
@@ -54,7 +54,7 @@ def bound(error: float | None, digits: int = 2) -> str:
     if error == 0.0 or not isfinite(error):
         return f"{error:g}"
     last = floor(log10(error)) - digits + 1
-    return f"{rounded_up(error, last) * 10.0**last:.{digits - 1}e}"
+    return f"{round_up(error, last) * 10.0**last:.{digits - 1}e}"
 
 
 def percent(share: float, *, up: bool = False) -> str:
@@ -63,7 +63,7 @@ def percent(share: float, *, up: bool = False) -> str:
     if value <= 0.0:
         return "0 %"
     last = floor(log10(value)) - 1
-    digits = rounded_up(value, last) if up else round(value / 10.0**last)
+    digits = round_up(value, last) if up else round(value / 10.0**last)
     return f"{digits * 10.0**last:.2g} %" if value < 99.5 else f"{digits * 10.0**last:.0f} %"
 
 
@@ -111,7 +111,7 @@ def concise(value: float | None, error: float | None) -> str:
         # Two digits of an error that begins with 1.
         leading = floor(log10(error))
         last = leading - (1 if error < 2.0 * 10.0**leading else 0)
-        count, decimals = rounded_up(error, last), shift - last
+        count, decimals = round_up(error, last), shift - last
         bracket = f"({count})" if decimals >= 0 else f"({count * 10**-decimals})"
     decimals = max(shift - last, 0)
     return f"{value / 10.0**shift:z.{decimals}f}{bracket}{suffix}"

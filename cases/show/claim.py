@@ -15,7 +15,7 @@ from sim.sample.workers import program_checksum
 
 
 @contextmanager
-def claimed(folder: Path | None, identity: Record) -> Iterator[None]:
+def claim_folder(folder: Path | None, identity: Record) -> Iterator[None]:
     """Lock ``folder`` for this process, which stores states or points there; None locks nothing.
 
     ``run.json`` names all they depend on: ``identity`` in the form of ``canonical``, the version

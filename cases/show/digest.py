@@ -109,7 +109,7 @@ def _curve(curve: Answers, key: str, units: Units) -> Record:
 def _replies(replies: Replies, units: Units) -> Record:
     """The entry of a question: it, who answers what and who does not, and the comparisons.
 
-    Of a transient the densities themselves are in the files.
+    The densities of a transient are in the files only.
     """
     question = replies.question
     if isinstance(question, TransientQuestion):

@@ -7,7 +7,7 @@ import numpy as np
 from averaging.energy_process import energy_process
 from averaging.modal.analysis import modal_analysis
 from cases.compare.doubt import averaging_notes, incompatibility
-from cases.compare.routes import listed_routes, method_for
+from cases.compare.routes import all_routes, method_for
 from cases.scene.numbers import Place, has_unit_gain
 from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
@@ -36,7 +36,7 @@ RMS_METHODS = ("linear", "exact", "nonintegrable")
 def show_record(scene: Scene) -> Record:
     """Return the record of ``fpk show``."""
     facts, rms = facts_record(scene.system), rms_record(scene.system)
-    regime, routes = facts["regime"], {route.label: route for route in listed_routes()}
+    regime, routes = facts["regime"], {route.label: route for route in all_routes()}
     averaged = [("rms", [routes[row["route"]]], False) for row in rms[:1]]
     return plain(
         {
@@ -144,7 +144,7 @@ def theories(scene: Scene) -> list[Record]:
     ``left_out`` says why ``fpk run`` leaves out a method that applies; None if it runs the method.
     """
     records = []
-    for name in dict.fromkeys(route.method for route in listed_routes()):
+    for name in dict.fromkeys(route.method for route in all_routes()):
         routes = [ROUTES[name, solver] for solver in solvers_of(name)]
         reasons: dict[str, list[str]] = {}
         for observable in scene.observables:

@@ -40,7 +40,7 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
     numerical error or one standard error, as ``error_kind_q2`` says; of a pair ``p_q2_p2``. A route
     that does not apply is not a number. ``curve`` is what ``[vary]`` varies as a number, ascending,
     with ``curve_label`` beside it. Settings and certificates are JSON in the attribute
-    ``provenance``. Of answers in time see ``time_variables``. ::
+    ``provenance``. ``time_variables`` adds answers in time. ::
 
         outcome = run_scene(fpk.load("fig3a"), [Exact(), NonIntegrable()])
         write_netcdf(outcome, Path("fig3a.nc"))

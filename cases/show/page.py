@@ -118,7 +118,7 @@ def script_record(plots: Sequence[Record], **more: Any) -> Record:
     return plain({"plots": plots, "palette": palette, **more})
 
 
-def rounded(*, error: Any = None, **values: Any) -> Record:
+def round_values(*, error: Any = None, **values: Any) -> Record:
     """Return the values to ``DIGITS`` digits, and their ``error``, if any, rounded up.
 
     NaN becomes None.

@@ -18,7 +18,7 @@ from cases.show.pictures.style import STYLE, density_words
 from cases.show.records import plain, program_version
 from cases.show.text import html_table, quantity_rows
 from cases.show.variables import Variables
-from cases.show.words import named
+from cases.show.words import reader_words
 from fpk.answer.density import AnyDensity
 from fpk.answer.names import Observable, observable_name
 from fpk.numeric.errors import InvalidInput, Unavailable
@@ -26,7 +26,7 @@ from fpk.numeric.errors import InvalidInput, Unavailable
 
 def summary_frame(answers: Answers) -> Any:
     """Return the quantities as a data frame of pandas, see ``PresentedAnswers.summary``."""
-    pandas = needed("pandas")
+    pandas = import_optional("pandas")
     frame = pandas.DataFrame([quantity_row(q) for q in answers.quantities])
     if frame.empty:
         return frame
@@ -40,7 +40,7 @@ def summary_frame(answers: Answers) -> Any:
 
 def dataset(answers: Answers) -> Any:
     """Return the densities as a data set of xarray, see ``PresentedAnswers.to_xarray``."""
-    xarray = needed("xarray")
+    xarray = import_optional("xarray")
     variables: Variables = {}
     for observable in dict.fromkeys(d.observable for d in answers.values()):
         variables |= density_variables([answers], observable, Units())
@@ -67,7 +67,7 @@ def plot(answers: Answers, observable: Observable, *, log: bool) -> Any:
 def plot_density(density: AnyDensity, *, log: bool) -> Any:
     """Return a figure of one density, see ``Density.plot``: a band of ± its error where it is seen.
 
-    Of two coordinates the levels are in one proportion with ``log``.
+    With ``log`` the levels of a density of two coordinates form a geometric sequence.
     """
     with mpl.rc_context(dict(STYLE)):
         figure = import_module("matplotlib.pyplot").figure(layout="constrained")
@@ -83,11 +83,11 @@ def html_tables(answers: Answers) -> str:
     rows = [plain(quantity_row(q)) for q in answers.quantities]
     parts = [f"<p>{escape(repr(answers))}</p>"]
     parts += map(html_table, quantity_rows(rows))
-    notes = [*([NOTE] if rows else []), *map(named, answers.averaging_notes)]
+    notes = [*([NOTE] if rows else []), *map(reader_words, answers.averaging_notes)]
     return "".join([*parts, *(f"<p>{escape(note)}</p>" for note in notes)])
 
 
-def needed(name: str) -> Any:
+def import_optional(name: str) -> Any:
     """Return a package of the extra ``frames``; raise ``Unavailable`` where it is missing."""
     try:
         return import_module(name)

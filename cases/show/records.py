@@ -9,7 +9,7 @@ from pydantic_core import to_jsonable_python
 
 from cases.compare.doubt import averaging_notes
 from cases.scene.scene import Scene
-from cases.scene.units import DIMENSIONS, Units, bracketed
+from cases.scene.units import DIMENSIONS, Units, in_brackets
 from cases.scene.written import bound
 from cases.show.variables import PASSAGE_CURVES, PASSAGE_NUMBERS
 from cases.show.words import with_key
@@ -116,7 +116,7 @@ def passage_numbers(answer: Passage) -> Record:
     return record
 
 
-def listed(points: tuple[Array, ...]) -> Array:
+def point_list(points: tuple[Array, ...]) -> Array:
     """Return points as numbers, points of a pair of coordinates as pairs."""
     return points[0] if len(points) == 1 else np.stack(points, axis=-1)
 
@@ -136,11 +136,11 @@ def columns_text(record: Record) -> str:
         names = [curves[key].axis or record["observable"]]
     own = units.get("points", [""] * len(names))
     points = zip(names, [own] if isinstance(own, str) else own, strict=True)
-    head = "   ".join(name + bracketed(unit) for name, unit in points)
-    words = f"{head}   {key}{bracketed(units.get(key, ''))}   {_kind(record)}"
+    head = "   ".join(name + in_brackets(unit) for name, unit in points)
+    words = f"{head}   {key}{in_brackets(units.get(key, ''))}   {_kind(record)}"
     if "times" not in record:
         return "\n".join([f"# {words}", *_columns([], record, record[key], record["error"])])
-    lines = [f"# time{bracketed(units.get('times', ''))}   {words}"]
+    lines = [f"# time{in_brackets(units.get('times', ''))}   {words}"]
     for time, *rows in zip(record["times"], record[key], record["error"], strict=True):
         lines += _columns([time], record, *rows)
     return "\n".join(lines)
@@ -166,7 +166,7 @@ def passage_text(record: Record) -> str:
         unit = units.get(key, "")
         row = _row([record[key]], record[f"{key}_error"])
         lines.append(f"{key:8}  {row}{'  ' + unit if unit else ''}")
-    time = f"# time{bracketed(units.get('times', ''))}"
+    time = f"# time{in_brackets(units.get('times', ''))}"
     for key, words in (("survival", "survival"), ("failure", "P(T <= t)")):
         if record["times"]:
             lines.append(f"{time}   {words}   {_kind(record)}")
@@ -179,7 +179,7 @@ def rates_text(record: Record) -> str:
     """Return the rates, their frequencies and errors in columns."""
     rows = zip(record["rates"], record["frequencies"], record["errors"], strict=True)
     lines = [_row([rate, frequency], error) for rate, frequency, error in rows]
-    unit = bracketed((record.get("units") or {}).get("rates", ""))
+    unit = in_brackets((record.get("units") or {}).get("rates", ""))
     return "\n".join([f"# rate{unit}   angular frequency{unit}   numerical error", *lines])
 
 

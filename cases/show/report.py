@@ -33,8 +33,8 @@ from cases.show.pictures.style import SHOWN, STYLE, in_units
 from cases.show.pictures.svg import inline_svg, svg_text
 from cases.show.records import Record
 from cases.show.slider_model import slider_curves, slider_model
-from cases.show.text import rendered, theory_table
-from cases.show.words import named
+from cases.show.text import render, theory_table
+from cases.show.words import reader_words
 from fpk.answer.contacts import CLEARANCE_RULE
 from fpk.answer.method import Progress, silent
 from fpk.answer.names import observable_name
@@ -173,7 +173,7 @@ def report_html(
         },
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     }
-    return rendered("report.html", record)
+    return render("report.html", record)
 
 
 def headline_of(curves: list[Record]) -> str:
@@ -187,7 +187,7 @@ def headline_of(curves: list[Record]) -> str:
     """
     parts = []
     for curve in curves:
-        asked, rows = _asked(curve)
+        asked, rows = _subject_and_distances(curve)
         words = [_words(name, *row) for name, row in _worst(rows).items()]
         where = ", ".join(filter(None, [f"at {curve['label']}" * bool(curve["label"]), asked]))
         if words:
@@ -205,9 +205,9 @@ def headline_of(curves: list[Record]) -> str:
 
 def measure_of(curves: list[Record]) -> str:
     """Return the definition of the distances in ``headline_of`` in words; empty without any."""
-    if not any(_asked(curve)[1] for curve in curves):
+    if not any(_subject_and_distances(curve)[1] for curve in curves):
         return ""
-    if _asked(curves[0])[0] == RELIABILITY:
+    if _subject_and_distances(curves[0])[0] == RELIABILITY:
         return "Largest difference of P(T > t), T the time of first passage"
     return (
         "L1 distance ∫|p − p_full| of the density that is furthest off, which weighs its bulk and"
@@ -259,12 +259,12 @@ def numbers_of(curve: Record) -> str:
 
 def _number_words(name: str, row: Record) -> str:
     value, unit = with_error(row["value"], row["error"]), row.get("unit") or ""
-    by = named(row["route"]).partition(",")[0]
+    by = reader_words(row["route"]).partition(",")[0]
     by += ", averaged equation" * (row["solves"] == "averaged")
     return f"{name} {value}{' ' + unit if unit not in ('', '1') else ''} ({by})"
 
 
-def _asked(curve: Record) -> tuple[str, list[Record]]:
+def _subject_and_distances(curve: Record) -> tuple[str, list[Record]]:
     """Words for the subject of the distances, empty for stationary densities, and the distances."""
     if curve["system"]["modulation"] is None:
         return "", curve["averaging"]
@@ -286,11 +286,12 @@ def _asked(curve: Record) -> tuple[str, list[Record]]:
 def _worst(rows: list[Record]) -> dict[str, tuple[float, float]]:
     """By theory the L1 distance of the density that is furthest off, and its error; best first.
 
-    ``rows`` are the distances of ``_asked``; a theory's solution and its simulation count once.
+    ``rows`` are the distances of ``_subject_and_distances``; a theory's solution and its simulation
+    count once.
     """
     best: dict[tuple[str, str], tuple[float, float]] = {}
     for row in sorted(rows, key=lambda row: row["error"]):
-        name = named(row["theory"]).partition(",")[0]
+        name = reader_words(row["theory"]).partition(",")[0]
         best.setdefault((name, row["observable"]), (row["L1"], row["error"]))
     ascending = sorted((distance, name) for (name, _), distance in best.items())
     worst = {name: distance for distance, name in ascending}

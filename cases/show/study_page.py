@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cases.scene.scene import Scene
-from cases.scene.units import attribute, bracketed
+from cases.scene.units import attribute, in_brackets
 from cases.scene.written import duration
 from cases.show.fields import attributes_of, write_variables
 from cases.show.files import write_text
@@ -22,9 +22,9 @@ from cases.show.page import PLOTS, as_script_data, origin_record, page_record, s
 from cases.show.pictures.draw import study_figure
 from cases.show.pictures.panel import Field, Panel, live_plots
 from cases.show.pictures.svg import inline_svg, svg_text
-from cases.show.text import html_table, rendered, text_table
+from cases.show.text import html_table, render, text_table
 from cases.show.variables import Variables
-from cases.show.words import named
+from cases.show.words import reader_words
 
 MARKUP = re.compile(r"[\\`*_\[\]<>&#|~$]")
 """Characters to which Markdown gives a meaning inside a line, HTML and formulas included."""
@@ -69,10 +69,10 @@ class Table:
 
     def cells(self) -> tuple[list[str], list[list[str]]]:
         """Return the columns with their units, and the rows in words."""
-        rows = [[named(cell(v, column)) for column, v in row.items()] for row in self.rows]
+        rows = [[reader_words(cell(v, column)) for column, v in row.items()] for row in self.rows]
         for row, own in zip(self.rows, rows, strict=True):
             own[: self.parameters] = [f"{v:.10g}" for v in list(row.values())[: self.parameters]]
-        return [key + bracketed(self.units.get(key, "")) for key in self.rows[0]], rows
+        return [key + in_brackets(self.units.get(key, "")) for key in self.rows[0]], rows
 
     def unrepeated(self) -> tuple[list[str], list[list[str]]]:
         """Return ``cells``; the first cells of a row are empty if the row above has the same."""
@@ -91,7 +91,7 @@ class Table:
         """Return title, table and remarks for a terminal, see ``text_table``."""
         head, rows = self.unrepeated()
         words = (*self.texts, False).index(False)
-        wrapped = [line for remark in self.remarks for line in wrap(named(remark), width)]
+        wrapped = [line for remark in self.remarks for line in wrap(reader_words(remark), width)]
         return [self.title, "", *text_table([head, *rows], width, max(words, 1)), "", *wrapped, ""]
 
     def markdown(self) -> list[str]:
@@ -103,7 +103,11 @@ class Table:
         for first, *others in (head, rule, *rows):
             cells = [first.ljust(widths[0]), *map(str.rjust, others, widths[1:])]
             lines.append(f"| {' | '.join(cells)} |")
-        return [*lines, "", *(line for remark in map(named, self.remarks) for line in (remark, ""))]
+        return [
+            *lines,
+            "",
+            *(line for remark in map(reader_words, self.remarks) for line in (remark, "")),
+        ]
 
     def html(self) -> str:
         """Return the rows as an HTML table."""
@@ -187,7 +191,7 @@ class Page:
             **page_record(PLOTS),
             **origin_record(command, downloads),
         }
-        texts["html"] = rendered("study.html", record)
+        texts["html"] = render("study.html", record)
         attributes = {**attributes_of(self.scene), "title": self.title}
         for ending, text in texts.items():
             write_text(paths[ending], text)

@@ -12,15 +12,15 @@ from typing import Any, get_args
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.compare.claims import Verdict
-from cases.scene.units import bracketed
+from cases.scene.units import in_brackets
 from cases.scene.written import NOTE, bound, concise, duration, number, up, with_error
 from cases.show.digest import curves_of
 from cases.show.records import Record
-from cases.show.words import effects_in_words, named, theory_of_route, with_key
+from cases.show.words import effects_in_words, reader_words, theory_of_route, with_key
 from fpk.answer.method import solvers_of
 
 
-def rendered(template: str, record: Mapping[str, Any]) -> str:
+def render(template: str, record: Mapping[str, Any]) -> str:
     """Return the record in the form of a template; in HTML all its text is escaped."""
     return _templates().get_template(template).render(record).rstrip("\n")
 
@@ -44,11 +44,11 @@ def _templates() -> Environment:
         "diagonal": _diagonal,
         "term": _term,
         "claim": _claim,
-        "named": named,
+        "named": reader_words,
         "theory": theory_of_route,
         "keyed": with_key,
         "effects": effects_in_words,
-        "unit": bracketed,
+        "unit": in_brackets,
         "table": text_table,
         "pm": with_error,
         "bound": bound,
@@ -67,7 +67,7 @@ def _templates() -> Environment:
 def _claim(claim: Record) -> str:
     """Return the claim, the curve that it is about and the measured number in words."""
     where = f"{claim['curve']}: " if claim["curve"] else ""
-    return named(f"{claim['claim']}; {where}{claim['measured']}")
+    return reader_words(f"{claim['claim']}; {where}{claim['measured']}")
 
 
 def _term(term: Record) -> str:
@@ -95,7 +95,7 @@ def tail_words(row: Record) -> str:
     """Return a tail of ``Answers.tails`` in words."""
     sign = ">" if row["side"] == "above" else "<"
     beyond = f"P({row['observable']} {sign} {row['level']:.3g})"
-    theory, reference = named(row["theory"]), named(row["reference"])
+    theory, reference = reader_words(row["theory"]), reader_words(row["reference"])
     ratio = with_error(row["ratio"], row["error"])
     known = number(row["probability"], 2)
     return f"tail: {beyond} is {known} by {reference}; {theory} gives {ratio} times that"
@@ -162,7 +162,7 @@ def claims_counted(claims: list[Record]) -> str:
     )
 
 
-def shown_rows(rows: Sequence[Record]) -> list[Record]:
+def rows_to_show(rows: Sequence[Record]) -> list[Record]:
     """Return the quantities by the first route of each method that solves, and that samples.
 
     Chosen for each observable on its own. Other solvers of the same equation agree with the first
@@ -180,15 +180,15 @@ def shown_rows(rows: Sequence[Record]) -> list[Record]:
 def theory_table(rows: Sequence[Record]) -> Record:
     """Return the theories as ``routes`` with what each ``solves``, and the cells by theory.
 
-    ``rows`` are the quantities of a curve, of which ``shown_rows`` are taken. Each row of the table
-    has its observable (``of``), its ``quantity`` with the unit, and ``cells`` by theory.
+    ``rows`` are the quantities of a curve, of which ``rows_to_show`` are taken. Each row of the
+    table has its observable (``of``), its ``quantity`` with the unit, and ``cells`` by theory.
     """
     cells: dict[tuple[str, str], Record] = {}
     solves: dict[str, str] = {}
-    for row in shown_rows(rows):
+    for row in rows_to_show(rows):
         name = theory_of_route(row["route"])
         solves[name] = row["solves"]
-        quantity = row["label"] + bracketed(row.get("unit") or "")
+        quantity = row["label"] + in_brackets(row.get("unit") or "")
         cells.setdefault((row["observable"], quantity), {})[name] = row
     return {
         "routes": list(solves),
@@ -208,16 +208,16 @@ def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> 
 def quantity_rows(rows: Sequence[Record], *, every: bool = True) -> Iterator[list[tuple[str, ...]]]:
     """Yield a table of each observable: routes, the equations that they solve, quantities.
 
-    With ``every`` route, else with the routes of ``shown_rows``, by the names of the theories.
+    With ``every`` route, else with the routes of ``rows_to_show``, by the names of the theories.
     """
-    rows = rows if every else shown_rows(rows)
+    rows = rows if every else rows_to_show(rows)
     for observable in dict.fromkeys(row["observable"] for row in rows):
         own = [row for row in rows if row["observable"] == observable]
         routes = {row["route"]: row["solves"] for row in own}
         cells = {(r["label"], r["route"]): concise(r["value"], r["error"]) for r in own}
-        units = {row["label"]: bracketed(row.get("unit") or "") for row in own}
+        units = {row["label"]: in_brackets(row.get("unit") or "") for row in own}
         heads = [observable, "equation solved", *(name + unit for name, unit in units.items())]
-        words = named if every else theory_of_route
+        words = reader_words if every else theory_of_route
         columns = [
             [words(r), solves, *(cells.get((n, r), "") for n in units)]
             for r, solves in routes.items()

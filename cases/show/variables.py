@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cases.compare.in_time import Replies, failure_of
 from cases.scene.questions import TransientQuestion
-from cases.scene.units import Units, attribute, bracketed
+from cases.scene.units import Units, attribute, in_brackets
 from fpk.answer.dynamics import Transient
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
@@ -52,7 +52,7 @@ class Axis:
         words = LABELS.get(name, self.symbol)
         number = re.search(r"\[(\d+)\]", self.key)
         of = f" of contact {number[1]}" if number and name in LABELS else ""
-        return words + of + bracketed(self.unit)
+        return words + of + in_brackets(self.unit)
 
     @property
     def dimension(self) -> str:
@@ -144,14 +144,14 @@ def _variables(name: str, column: tuple[Replies, ...], units: Units) -> Variable
     if isinstance(question, TransientQuestion):
         points = [r.points if r.given and r.points is not None else np.zeros(0) for r in column]
         size = max(p.size for p in points)
-        at = np.array([_padded(p, size) for p in points])
+        at = np.array([_pad(p, size) for p in points])
         unit = attribute(units.coordinate(question.of[0]))
         words = {"units": unit, "long_name": f"points of {question.name}, of each curve its own"}
         coordinates[f"at_{name}"] = ("curve", f"point_{name}"), at, words
         axes, unit = times | {f"point_{name}": size}, attribute(units.density(question.of))
 
         def read_density(p: Transient) -> list[Array]:
-            return [_padded(rows, size) for rows in (p.values, p.errors)]
+            return [_pad(rows, size) for rows in (p.values, p.errors)]
 
         parts.append((("p", "error_p"), f"density{about}", unit, read_density, axes))
     else:
@@ -164,7 +164,7 @@ def _variables(name: str, column: tuple[Replies, ...], units: Units) -> Variable
     return by_route(name, len(column), answers, parts, coordinates=coordinates, kinds=kinds)
 
 
-def _padded(rows: Array, size: int) -> Array:
+def _pad(rows: Array, size: int) -> Array:
     """The rows (…, points) with ``size`` points, those that are missing not numbers."""
     missing = size - rows.shape[-1]
     pads = [*[(0, 0)] * (rows.ndim - 1), (0, missing)]

@@ -10,7 +10,7 @@ import numpy as np
 
 from cases.compare.answers import Answers
 from cases.compare.stationary import Outcome
-from cases.scene.units import attribute, bracketed
+from cases.scene.units import attribute, in_brackets
 from cases.show.fields import attributes_of, curve_numbers, variable_name
 from cases.show.files import write_by
 from fpk.answer.dynamics import Transient
@@ -111,7 +111,7 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
         **_origin(outcome),
         "curve": curve.label,
         "observable": name,
-        "axes": ", ".join(f"{c}{bracketed(units.coordinate(c))}" for c in observable),
+        "axes": ", ".join(f"{c}{in_brackets(units.coordinate(c))}" for c in observable),
         "quantity": f"probability density of {name}",
         "unit of density": attribute(units.density(observable)),
         "first route": densities[0][0].label,

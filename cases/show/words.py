@@ -24,7 +24,7 @@ def stationary_note(system: System) -> str:
     return CONSTANT_NOISE if system.modulation is not None else ""
 
 
-def named(text: str) -> str:
+def reader_words(text: str) -> str:
     """Return a route's words for its label; in other text theories by their names for readers.
 
     A key behind ``--method`` is one to type and stays.

@@ -13,7 +13,7 @@ import numpy as np
 
 from cases.scene.errors import BadInput
 from cases.scene.scene import Scene
-from cases.scene.units import DIMENSIONS, Units, bracketed
+from cases.scene.units import DIMENSIONS, Units, in_brackets
 from cases.show.pictures.panel import Curve, Panel
 from cases.show.study_page import Page, Table
 from cases.study import OwnStudy
@@ -344,5 +344,5 @@ def _step_panel(schemes: Sequence[WeakOrder], units: Units) -> Panel:
         curves.append(Curve(label, dt, s.errors, bar, dashed=line, style="none"))
     x = f"step dt [{units.time}]" if units else "step dt, in the scene's unit of time"
     square = units.of(DIMENSIONS["q"], DIMENSIONS["q"])
-    y = f"step error of {schemes[0].observable}{bracketed(square)}"
+    y = f"step error of {schemes[0].observable}{in_brackets(square)}"
     return Panel("full system (6), simulation; lines: theory", x, y, curves)

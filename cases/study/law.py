@@ -6,7 +6,7 @@ from math import hypot, sqrt
 
 from cases.compare.averaged import AveragedSimulation
 from cases.compare.compare import distance_between
-from cases.compare.routes import listed_routes
+from cases.compare.routes import all_routes
 from cases.study.equations import Equation
 from cases.study.levels import Level, time_call
 from cases.study.prices import PRICED_DIGITS, NotTimed, Priced, answers_by_tolerance, price_route
@@ -18,8 +18,8 @@ from cases.study.simulation import (
     SMALL_STEP,
     SMALLEST_FACTOR,
     Reference,
+    displacement_of_study,
     largest_stable,
-    studied_displacement,
     time_simulation,
 )
 from fpk.answer.density import Density
@@ -219,7 +219,7 @@ def price_solutions(
     """
     results: list[Priced | NotTimed] = []
     best: Reference | None = None
-    for route in listed_routes():
+    for route in all_routes():
         if route.solves != "full" or route.sampled or route.quick:
             continue
         try:
@@ -237,18 +237,18 @@ def price_solutions(
         for level, p in answers:
             distance, allowed, _ = distance_between(p, finest)
             points.append(replace(level, distance=distance, estimate=allowed))
-        axis = f"numerical, as stated: L1 of p({observable_name(studied_displacement(system))})"
+        axis = f"numerical, as stated: L1 of p({observable_name(displacement_of_study(system))})"
         words = "differs from its own finest answer by more than both state"
         results.append(price_route(route.label, FULL, axis, points, words))
     return results, best
 
 
 def _density_within(method: Method, system: System, progress: Progress, tol: float) -> Density:
-    """Return the density of ``studied_displacement`` to the L1 tolerance ``tol``.
+    """Return the density of ``displacement_of_study`` to the L1 tolerance ``tol``.
 
     If the work that ``method`` allows ends before, its certificate states the error reached.
     """
     asked: Method = replace(method, tol=tol)  # type: ignore[type-var]
-    (p,) = asked.solve(system, [studied_displacement(system)], progress=progress).densities
+    (p,) = asked.solve(system, [displacement_of_study(system)], progress=progress).densities
     assert isinstance(p, Density)
     return p

@@ -59,7 +59,7 @@ class Convergence:
 def convergence(
     sizes: Sequence[float], errors: Sequence[float], *, theory: float | None, floor: float
 ) -> Convergence:
-    """Classify ``errors`` of levels from coarse to fine of ``sizes`` h, as in ``observed_orders``.
+    """Classify the ``errors`` of levels from coarse to fine with mesh ``sizes`` h.
 
     ``floor`` is the error below which the reference resolves nothing.
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cases.compare.routes import listed_routes
+from cases.compare.routes import all_routes
 from cases.scene.questions import PassageQuestion
 from cases.study.levels import Level, T, time_call, timing
 from fpk.answer.dynamics import Passage
@@ -181,7 +181,7 @@ def passage_routes(
     """
     routes: list[Priced | NotTimed] = []
     answers = []
-    for route in listed_routes():
+    for route in all_routes():
         method: Any = route.make()
         if not hasattr(method, "passage") or (route.sampled and not simulate):
             continue

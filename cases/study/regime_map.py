@@ -14,7 +14,7 @@ from cases.show.pictures.panel import Field, Panel, curves_over, spans_decades
 from cases.show.pictures.style import COLOURS, symbol_of
 from cases.show.study_page import Page, Table
 from cases.show.variables import Variables
-from cases.show.words import named, stationary_note
+from cases.show.words import reader_words, stationary_note
 from cases.study.sweep.answering import REFERENCE_TOL
 from cases.study.sweep.sweep import Sweep, sweep
 from fpk.answer.contacts import CLEARANCE_RULE, stop_clearances
@@ -94,8 +94,8 @@ class RegimeMap:
         rows = [
             {
                 **dict(zip(swept.heads(), p.values, strict=True)),
-                **{f"L1 {named(t)}": p.L1.get(t) for t in theories},
-                **{f"error {named(t)}": p.error.get(t) for t in theories},
+                **{f"L1 {reader_words(t)}": p.L1.get(t) for t in theories},
+                **{f"error {reader_words(t)}": p.error.get(t) for t in theories},
                 "winner": p.winner,
                 "reference": p.reference,
                 "rms_ratio": p.rms_ratio,
@@ -107,7 +107,7 @@ class RegimeMap:
         summary = (
             f"p({observable_name(self.observable)}), {len(self.points)} points"
             f" ({swept.reused} from disk), nearer to the full system: "
-            + ", ".join(f"{named(word)} {counts[word]}" for word in winners)
+            + ", ".join(f"{reader_words(word)} {counts[word]}" for word in winners)
         )
         words = (
             "L1 is the distance of a theory to the full system, rms_ratio the least clearance over"
@@ -126,7 +126,7 @@ class RegimeMap:
 
     def panels(self) -> list[Panel] | list[Field]:
         """Return a map over one parameter as curves, over two as fields."""
-        fields, theories = self.variables(), list(map(named, self.sweep.methods))
+        fields, theories = self.variables(), list(map(reader_words, self.sweep.methods))
         L1, error, ratio, winner = (fields[k][1] for k in ("L1", "error", "rms_ratio", "winner"))
         if len(self.sweep.axes) == 1:
             (axis,) = self.sweep.axes

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from cases.compare.compare import chance_l1, join_bins
-from cases.compare.routes import listed_routes
+from cases.compare.routes import all_routes
 from cases.compare.stationary import answers_of
 from cases.study.levels import time_call
 from cases.study.orders import observed_orders
@@ -83,21 +83,21 @@ class Run:
     seconds: float
 
 
-def studied_displacement(system: System) -> Observable:
+def displacement_of_study(system: System) -> Observable:
     """Return the studied displacement: of the first mass that touches a stop, else of the last."""
     index = system.contact_masses[0] if system.contact_masses else system.n - 1
     return (Coordinate("q", index),)
 
 
 def square_name(system: System) -> str:
-    """Return the name of the square of ``studied_displacement``, such as ``q2²``."""
-    return f"{observable_name(studied_displacement(system))}²"
+    """Return the name of the square of ``displacement_of_study``, such as ``q2²``."""
+    return f"{observable_name(displacement_of_study(system))}²"
 
 
 def time_simulation(
     system: System, method: MonteCarlo, observables: Sequence[Observable] = ()
 ) -> tuple[Run, Result]:
-    """Run ``method``; q in E q² is ``studied_displacement``. Return the run and the full answer."""
+    """Run ``method``; return the run, q in E q² being ``displacement_of_study``, and the answer."""
     result, seconds = time_call(lambda: method.solve(system, observables))
     assert isinstance(result.report, Report)
     report, square = result.report, result.report.moments[square_name(system)]
@@ -129,7 +129,7 @@ def largest_stable(system: System, method: MonteCarlo, *, patience: float) -> fl
 
 def deterministic(solves: Solves) -> list[Method]:
     """Return the quick methods, not sampled, that solve the full or an averaged equation."""
-    routes = [r for r in listed_routes() if r.solves == solves and not r.sampled and r.quick]
+    routes = [r for r in all_routes() if r.solves == solves and not r.sampled and r.quick]
     return [route.make() for route in routes]
 
 
@@ -169,7 +169,7 @@ def full_reference(system: System, *, seed: int) -> Reference:
     Its step is 0.7 of the chosen step, its seed follows from ``seed``. Raises ``NotCertified`` if
     that step is unstable.
     """
-    observable = studied_displacement(system)
+    observable = displacement_of_study(system)
     if known := full_density(system, observable):
         return known
     long = MonteCarlo(relaxations=REFERENCE_RELAXATIONS, seed=seed + SEED_STEP)
@@ -236,7 +236,7 @@ def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrd
     first = largest_stable(system, method, patience=SHARE_OF_A_TRIAL * seconds)
     if first is None:
         return unusable
-    exact = full_density(system, studied_displacement(system))
+    exact = full_density(system, displacement_of_study(system))
     count, truth = LEVELS, exact.density.moment(2).value if exact else None
     if first < SMALL_STEP:  # only a large bias asks for such steps: it needs few paths to be seen
         method, count = replace(method, paths=LEAST_PATHS), FEW_LEVELS

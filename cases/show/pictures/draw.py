@@ -143,7 +143,7 @@ def draw_curves(axes: Axes, panel: Panel, *, ink: bool = False) -> dict[str, Art
     for curve, colour, marker, y in panel.styled():
         if not curve.shown:
             continue
-        drawn = _drawn_by(curve, marker)
+        drawn = _line_style(curve, marker)
         if curve.bar is not None and curve.bars:
             reach = curve.bars * np.asarray(curve.bar)
             if curve.band:
@@ -169,7 +169,7 @@ def draw_curves(axes: Axes, panel: Panel, *, ink: bool = False) -> dict[str, Art
     return groups | names
 
 
-def _drawn_by(curve: Curve, marker: str) -> dict[str, Any]:
+def _line_style(curve: Curve, marker: str) -> dict[str, Any]:
     """How matplotlib draws the line and the markers of a curve: filled where a line joins them."""
     own: dict[str, Any] = {"linestyle": "none"}
     if curve.style != "none":

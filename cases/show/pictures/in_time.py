@@ -57,7 +57,7 @@ def passage_panel(replies: Replies, title: str) -> Panel:
     that the logarithmic scale does not reach, or whose error is not known, are left out.
     """
     assert isinstance(replies.question, PassageQuestion)
-    answers = [(r, p) for r, p in _drawn(replies) if isinstance(p, Passage)]
+    answers = [(r, p) for r, p in _answers_to_draw(replies) if isinstance(p, Passage)]
     rare = max(float(failure_of(p)[0][-1]) for _, p in answers) < RARE
     curves = []
     for route, p in answers:
@@ -86,7 +86,10 @@ def transient_panel(replies: Replies, title: str) -> Panel:
     """Return the densities at all times: groups are times, names routes."""
     question, points = replies.question, replies.points
     assert isinstance(question, TransientQuestion) and points is not None
-    times, answers = question.times, [a for a in _drawn(replies) if isinstance(a[1], Transient)]
+    times, answers = (
+        question.times,
+        [a for a in _answers_to_draw(replies) if isinstance(a[1], Transient)],
+    )
     shades = map(to_hex, colormaps["viridis"](np.linspace(*SHADES, len(times))))
     colours = COLOURS[: len(times)] if len(times) <= len(COLOURS) else tuple(shades)
     curves, tops = [], np.zeros(len(times))
@@ -103,7 +106,7 @@ def transient_panel(replies: Replies, title: str) -> Panel:
     return Panel(title, words_of(question.of[0]), density_words(question.of), curves, **scales)
 
 
-def _drawn(replies: Replies) -> Iterator[tuple[Route, Passage | Transient]]:
+def _answers_to_draw(replies: Replies) -> Iterator[tuple[Route, Passage | Transient]]:
     """Yield routes and answers, samples last; of the solvers of one equation only the first."""
     solved: set[str] = set()
     for g in sorted(replies.given, key=lambda g: g.route.sampled):

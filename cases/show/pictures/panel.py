@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from cases.show.page import rounded
+from cases.show.page import round_values
 from cases.show.pictures.style import COLOURS, DASHES, MARKERS
 from cases.show.records import Record
 from cases.show.variables import Axis
-from cases.show.words import named
+from cases.show.words import reader_words
 from fpk.numeric.arrays import EPS, Array
 
 SAME_LINE = 0.007
@@ -31,9 +31,9 @@ class Curve:
     ``bar`` has the error of each value: bars of ``bars`` errors are drawn, and a band if ``band``;
     with ``bars`` 0 only the page's read-out says it. ``style`` is a key of ``DASHES``, or "none" if
     the points are not joined. ``marker`` is a key of ``MARKERS``, empty for none; None takes the
-    next of them, as an empty ``colour`` takes the next of ``COLOURS``. Of several ``group``s each
-    has its own colour, and the names are told apart by dashes and markers. ``brief`` is the name in
-    a drawn picture, if that is another. ``dashed`` are the coordinates (x, y) of a line of theory,
+    next of them, as an empty ``colour`` takes the next of ``COLOURS``. Each ``group`` has a colour
+    of its own, and dashes and markers distinguish the names within it. ``brief`` is the name in a
+    drawn picture, if that is another. ``dashed`` are the coordinates (x, y) of a line of theory,
     ``notes`` have the words of the page about each point. A curve that is not ``shown`` appears in
     the page on demand; ``form`` names the closed form that its script evaluates.
     """
@@ -58,7 +58,7 @@ class Curve:
     def legend(self) -> str:
         """The words of the legend of a drawn picture."""
         errors = ", ±2 s.e." if self.bars == 2 and self.marker else ""
-        return (self.brief or named(self.name)) + errors
+        return (self.brief or reader_words(self.name)) + errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +120,8 @@ class Panel:
         x, series = self.shared_x(), []
         for curve, colour, marker, y in self.styled():
             own = {key: getattr(curve, key) for key in ("shown", "notes", "band", "form")}
-            own |= {"curve": curve.group, "name": named(curve.name), "guide": curve.dashed}
-            own |= {"colour": colour, **rounded(y=y, error=curve.bar)}
+            own |= {"curve": curve.group, "name": reader_words(curve.name), "guide": curve.dashed}
+            own |= {"colour": colour, **round_values(y=y, error=curve.bar)}
             own |= {} if curve.bar is None else {"bars": curve.bars}
             own |= {"marks": MARKERS[marker]} if marker else {}
             own |= {} if curve.style == "none" else {"dash": DASHES[curve.style]}
@@ -163,7 +163,7 @@ class Panel:
         for coincident in (s for s in sets if len(s) > 1):
             groups: dict[str, list[str]] = {}
             for curve, _ in coincident:
-                groups.setdefault(curve.brief or named(curve.name), []).append(curve.group)
+                groups.setdefault(curve.brief or reader_words(curve.name), []).append(curve.group)
             words = [f"{n} ({', '.join(of)})" if any(of) else n for n, of in groups.items()]
             notes.append(f"the lines of {' and '.join(words)} coincide")
         return notes
@@ -179,12 +179,12 @@ class Panel:
 class Field:
     """A map of ``values`` (x, y), NaN for a missing value, with their ``errors``, over two axes.
 
-    Values run between ``limits``; None: between the smallest and the largest. Of ``categories``,
-    words and colours, they are the numbers. ``split`` (x, y) is True on one side of a border that
-    is drawn, which ``border`` names. ``smooth``: the page interpolates between the points, else it
-    shows cells around them. ``lowest`` is the share of the largest value at
-    which a logarithmic scale ends. ``stops`` are the places of stops on either axis. A field that
-    is not ``shown`` appears in the page on demand.
+    Values run between ``limits``; None: between the smallest and the largest. With ``categories``,
+    words and colours, they are the indices of these. ``split`` (x, y) is True on one side of a
+    border that is drawn, which ``border`` names. ``smooth``: the page interpolates between the
+    points, else it shows cells around them. ``lowest`` is the share of the largest value at which a
+    logarithmic scale ends. ``stops`` are the places of stops on either axis. A field that is not
+    ``shown`` appears in the page on demand.
     """
 
     title: str
@@ -212,7 +212,7 @@ class Field:
         return {
             **{"name": self.title, "shown": self.shown, "log": self.logarithmic},
             **{"smooth": self.smooth, "x": self.x.values, "y": self.y.values},
-            **rounded(z=self.values.ravel(), error=error),
+            **round_values(z=self.values.ravel(), error=error),
             **{"low": low, "high": high if high > low else low + (abs(low) or 1.0)},
             "floor": self.lowest * high or max(low, 0.0),
             **({"names": words, "colours": colours} if words else {}),

@@ -10,7 +10,7 @@ from typing import Any
 from matplotlib import rc_params_from_file
 
 from cases.compare.answers import Answers
-from cases.scene.units import NO_UNITS, Units, bracketed
+from cases.scene.units import NO_UNITS, Units, in_brackets
 from fpk.answer.density import Density
 from fpk.answer.method import ROUTES, Route
 from fpk.answer.names import Coordinate, Observable
@@ -66,14 +66,14 @@ def in_units(units: Units) -> Iterator[None]:
 
 def density_words(observable: Observable, *, difference: bool = False) -> str:
     """Return the words for an axis of the density, as ``density p(q₂) [mm⁻¹]``."""
-    unit = bracketed(SHOWN_UNITS.get().density(observable))
+    unit = in_brackets(SHOWN_UNITS.get().density(observable))
     words = "difference of" if difference else "density"
     return f"{words} p({', '.join(map(symbol_of, observable))}){unit}"
 
 
 def time_words() -> str:
     """Return the words for an axis of time."""
-    return f"time t{bracketed(SHOWN_UNITS.get().time)}"
+    return f"time t{in_brackets(SHOWN_UNITS.get().time)}"
 
 
 def symbol_of(coordinate: Coordinate) -> str:
@@ -85,7 +85,7 @@ def words_of(coordinate: Coordinate) -> str:
     """Return the coordinate in words with its symbol and its unit."""
     words = {"q": "displacement", "p": "momentum", "H": "energy"}[coordinate.kind]
     modal = "modal " if coordinate.kind == "H" and coordinate.index is not None else ""
-    unit = bracketed(SHOWN_UNITS.get().coordinate(coordinate))
+    unit = in_brackets(SHOWN_UNITS.get().coordinate(coordinate))
     return f"{modal}{words} {symbol_of(coordinate)}{unit}"
 
 

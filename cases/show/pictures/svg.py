@@ -34,22 +34,22 @@ def svg_text(figure: Figure, *, salt: str) -> str:
     with rc_context({**STYLE, "svg.hashsalt": salt}):
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(stream, format="svg", metadata=nothing)
-    return COORDINATES.sub(_shortened_attribute, stream.getvalue())
+    return COORDINATES.sub(_shorten_attribute, stream.getvalue())
 
 
-def _shortened_attribute(attribute: re.Match[str]) -> str:
+def _shorten_attribute(attribute: re.Match[str]) -> str:
     """Coordinates rounded to a hundredth of a point; lines without the points that do not show."""
     text = BLANKS.sub(r"\1", attribute[2])
     if LINES.fullmatch(text):
         runs = [
-            _thinned([[float(v) for v in pair.split()] for pair in run.split("L")])
+            _thin_line([[float(v) for v in pair.split()] for pair in run.split("L")])
             for run in text.removesuffix("z").split("M")[1:]
         ]
         text = _path(runs) + "z" * text.endswith("z")
     return attribute[1] + DIGITS.sub(r"\1", text) + '"'
 
 
-def _thinned(points: Sequence[Sequence[float]]) -> Array:
+def _thin_line(points: Sequence[Sequence[float]]) -> Array:
     """The points (k, 2) of a line without those that move it by less than ``TOLERANCE``.
 
     Douglas, Peucker 1973, Cartographica 10, 112-122.

@@ -17,14 +17,14 @@ from cases.compare.routes import method_for, methods_of
 from cases.scene.errors import BadInput
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import Scene
-from cases.scene.units import NO_UNITS, attribute, bracketed
-from cases.show.claim import claimed
+from cases.scene.units import NO_UNITS, attribute, in_brackets
+from cases.show.claim import claim_folder
 from cases.show.pictures.draw import study_figure
 from cases.show.pictures.panel import Field, Panel, curves_over, spans_decades
 from cases.show.records import Record
 from cases.show.study_page import Page, Table
 from cases.show.variables import Axis, Variables
-from cases.show.words import named, stationary_note
+from cases.show.words import reader_words, stationary_note
 from cases.study.sweep.answering import REFERENCE_TOL, SIMULATION, sweep_point
 from cases.study.sweep.grid import parse_axes, place_words
 from cases.study.sweep.points import PointStore, SweepPoint
@@ -107,11 +107,11 @@ class Sweep:
 
     def heads(self) -> list[str]:
         """Return the paths of the parameters with their units."""
-        return [axis.key + bracketed(axis.unit) for axis in self.axes]
+        return [axis.key + in_brackets(axis.unit) for axis in self.axes]
 
     def labels(self) -> list[str]:
         """Return the quantities with their units."""
-        return [q + bracketed(unit) for q, unit in zip(self.quantities, self.units, strict=True)]
+        return [q + in_brackets(unit) for q, unit in zip(self.quantities, self.units, strict=True)]
 
     def coordinates(self) -> Variables:
         """Return the parameters as variables of their own dimensions."""
@@ -173,7 +173,7 @@ class Sweep:
             if a.reason
         )
         summary = (
-            f"{', '.join(self.quantities)} by {'; '.join(map(named, self.methods))}:"
+            f"{', '.join(self.quantities)} by {'; '.join(map(reader_words, self.methods))}:"
             f" {len(self.points)} points ({self.reused} from disk)"
         )
         system = self.scene.system
@@ -186,7 +186,7 @@ class Sweep:
             if both
             else "",
             stationary_note(system),
-            *map(named, self.averaging_notes),
+            *map(reader_words, self.averaging_notes),
             "averaging error not measured: add --method phase-space or --method montecarlo."
             if self.averaging_notes
             else "",
@@ -206,7 +206,7 @@ class Sweep:
         """Return a panel for each quantity, over two axes one for each method with a value."""
         values, errors = self.field("value"), self.field("error")
         names, each = (
-            list(map(named, self.methods)),
+            list(map(reader_words, self.methods)),
             zip(self.labels(), values, errors, strict=True),
         )
         if len(self.axes) == 1:
@@ -343,7 +343,7 @@ def sweep(
         tasks[values] = partial(sweep_point, own, values, tuple(wanted.values()), asked, solver)
     sampled = any(m.route.sampled for _, each in asked for m in each)
     against_samples = solver is None and any(q.kind == AVERAGING for q in wanted.values())
-    with claimed(folder, identity):
+    with claim_folder(folder, identity):
         store = PointStore(folder, identity)
         todo = [task for values, task in tasks.items() if values not in store.points]
         progress(0, len(todo), "points of the grid")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cases.compare.routes import all_methods, chosen_methods, listed_routes
+from cases.compare.routes import all_methods, all_routes, chosen_methods
 from cases.scene.scene import shipped_scenes
 from fpk.answer.method import solvers_of
 from fpk.numeric.errors import InvalidInput
@@ -180,7 +180,7 @@ def test_the_summary_has_the_quantities_first_and_the_details_every_comparison(f
 
 
 def test_methods_are_chosen_by_name_or_by_label_and_without_simulation_none_samples(answer):
-    methods = [route.make() for route in listed_routes()]
+    methods = [route.make() for route in all_routes()]
     chosen = chosen_methods(methods, ["integrable", "nonintegrable/fem"], simulation=False)
     modal = {f"integrable/{solver}" for solver in ("closed-form", "fem", "quadrature")}
     assert {m.route.label for m in chosen} == {"nonintegrable/fem", *modal}

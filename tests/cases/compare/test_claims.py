@@ -11,13 +11,13 @@ from scipy.special import ndtr
 import fpk
 from cases.compare.claims import findings, shape_of
 from cases.compare.doubt import ACCEPTABLE_L1
-from cases.compare.routes import listed_routes
+from cases.compare.routes import all_routes
 from cases.scene.expect import Expect, Range
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.answer.contacts import StopClearance
 from fpk.answer.method import ROUTES
 
-ROUTE = {r.label: (r.method, r.solver) for r in listed_routes()}
+ROUTE = {r.label: (r.method, r.solver) for r in all_routes()}
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import pytest
 from made_densities import gaussian, histogram
 
 import fpk
-from cases.compare.attempts import LOOSEST, loosened
+from cases.compare.attempts import LOOSEST, loosen_tolerance
 from cases.compare.compare import chance_l1, compare_densities, what_is_measured
 from cases.compare.routes import register_routes
 from fpk.answer.certificate import Measured, certify
@@ -138,7 +138,7 @@ def asked(error, default, *, least=0.0, failures=()):
         measured = Measured(max(error, least * wanted), 0.0, 0.0, 0.0, 0.0, failures=failures)
         return certify(measured, tol=wanted)
 
-    answer, note = loosened(ask, lambda certificate: [certificate])
+    answer, note = loosen_tolerance(ask, lambda certificate: [certificate])
     stated = note.removeprefix("certified to ").partition(",")[0]
     return tols, answer.certified, float(stated) if note else None
 

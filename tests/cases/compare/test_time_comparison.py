@@ -22,7 +22,7 @@ from cases.scene.scene import load_scene
 from cases.show.digest import digest_of, verify_row
 from cases.show.fields import write_netcdf
 from cases.show.report import write_report
-from cases.show.text import rendered
+from cases.show.text import render
 from cases.show.vtk import write_time_pvd
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Passage, Transient
@@ -284,7 +284,7 @@ def test_everything_is_written(outcome, tmp_path):
     judged = [c for q in (passage, transient) for c in q["comparisons"] if c["band"] is not None]
     assert 0 < len(judged) < digest["judged"]
     assert verify_row(digest)["holds"] and verify_row(digest)["certificates"] >= 6
-    assert "mean time" in rendered("run.txt", {"digest": digest})
+    assert "mean time" in render("run.txt", {"digest": digest})
 
     page, *pictures = write_report(outcome, digest, tmp_path)
     assert {"passage_1.svg", "transient_1.svg"} <= {path.name for path in pictures}

@@ -16,7 +16,7 @@ from cases.compare.routes import method_for
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.show.digest import digest_of
-from cases.show.text import rendered, verdict_of
+from cases.show.text import render, verdict_of
 from fpk.answer.method import Method
 from fpk.answer.names import parse_observable
 
@@ -89,7 +89,7 @@ def test_a_question_in_time_is_answered_where_nothing_is_stationary(written):
         digest = digest_of(outcome)
         assert not outcome.problems and verdict_of(digest).endswith("every certificate holds")
         assert [note.split(":")[:2] for note in digest["notes"]] == [n.split(":") for n in notes]
-        shown = rendered("run.txt", {"digest": digest, "details": False})
+        shown = render("run.txt", {"digest": digest, "details": False})
         assert shown.count("not damped") == len(notes)
         (answer,) = digest["passages"][0]["answers"]
         assert answer["mean"] == pytest.approx(6.0, abs=answer["mean_error"])
@@ -147,7 +147,7 @@ def test_a_default_that_is_missed_is_a_note(scene, floor, tol):
     digest = digest_of(outcome)
     assert digest["notes"] == [note]
     shown = note.replace("nonintegrable/fem", "energy averaging, finite elements")
-    assert shown in rendered("run.txt", {"digest": digest})
+    assert shown in render("run.txt", {"digest": digest})
 
 
 @pytest.mark.parametrize(

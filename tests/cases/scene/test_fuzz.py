@@ -15,7 +15,7 @@ from cases.compare.stationary import run_scene
 from cases.scene.errors import LONGEST, BadInput
 from cases.scene.scene import load_scene
 from cases.show.facts import show_record
-from cases.show.text import rendered
+from cases.show.text import render
 
 REFUSAL = re.compile(r".*/any\.toml: \S.*[:;] .*\S")
 """File, what is wrong, and after a colon or semicolon what to do."""
@@ -92,7 +92,7 @@ def test_a_valid_scene_loads_and_is_shown(count, kind, tmp_path):
         assert scene.system.mass.tolist() == tomllib.loads(text)["system"]["mass"]
         record = show_record(scene)
         json.dumps(record, allow_nan=False)
-        assert rendered("show.txt", record)
+        assert render("show.txt", record)
         assert "nan" not in json.dumps(record["natural_frequencies"])
 
     shown()

@@ -16,7 +16,7 @@ from cases.show.pictures.draw import HALO, study_figure
 from cases.show.pictures.panel import Curve, Field, Panel, live_plots
 from cases.show.pictures.style import COLOURS, DARK
 from cases.show.report import live_record, write_report
-from cases.show.words import named
+from cases.show.words import reader_words
 from cases.study.cost import CostStudy
 from cases.study.levels import Level
 from cases.study.prices import Priced
@@ -118,9 +118,9 @@ def pages(outcome, sweeps, study, tmp_path_factory):
     found = {"report": (folder / "report.html").as_uri()}
     scene, (one, two) = sweeps
     regime = build_map(scene, ["contact.clearance=0.5,1", "contact.stiffness=1,10,100"])
-    named = load_scene(str(with_units(folder / "named.toml", scene)))
+    reader_words = load_scene(str(with_units(folder / "named.toml", scene)))
     grid = {"contact[1].clearance": [0.3, 0.5, 1.0], "system.noise_intensity": [0.123456, 0.5, 1.0]}
-    units = face.sweep(named, grid, ["rms(q2)", "force_in_contact(1)"]).page()
+    units = face.sweep(reader_words, grid, ["rms(q2)", "force_in_contact(1)"]).page()
     studies = {"line": one.page(), "heat": two.page(), "units": units}
     for name, page in {**studies, "regime": regime.page(), "cost": study.page()}.items():
         (folder / name).mkdir()
@@ -203,7 +203,7 @@ def test_sweeps_have_the_numbers_of_every_method(touched, sweeps):
         for hover, i in zip(touched["line"][f"picture_{k}"]["hover"], (1, 2), strict=True):
             assert hover["place"]["x"] == one.axes[0].values[i]
             names = [v["name"].partition(" (covers ")[0] for v in hover["values"]]
-            assert names == [named(m) for m in one.methods]
+            assert names == [reader_words(m) for m in one.methods]
             for m, value in enumerate(hover["values"]):
                 assert value["p"] == pytest.approx(one.field("value")[k, m, i], rel=1e-9)
                 assert value["error"] >= one.field("error")[k, m, i]
@@ -212,7 +212,7 @@ def test_sweeps_have_the_numbers_of_every_method(touched, sweeps):
         assert len(values) == len(two.quantities) * len(two.methods)
         for k, quantity in enumerate(two.quantities):
             for m, method in enumerate(two.methods):
-                value, at = values[f"{quantity} by {named(method)}"], (k, m, *place)
+                value, at = values[f"{quantity} by {reader_words(method)}"], (k, m, *place)
                 assert value["p"] == pytest.approx(two.field("value")[at], rel=1e-9)
                 assert value["error"] >= two.field("error")[at]
 

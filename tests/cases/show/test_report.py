@@ -25,8 +25,8 @@ from cases.show.pictures.chain import chain_svg
 from cases.show.pictures.style import COLOURS, DARK, DASHES, MARKERS, STYLE
 from cases.show.pictures.svg import TOLERANCE, inline_svg, svg_text
 from cases.show.report import headline_of, measure_of, numbers_of, report_html
-from cases.show.text import claims_counted, rendered, theory_table
-from cases.show.words import CONSTANT_NOISE, named
+from cases.show.text import claims_counted, render, theory_table
+from cases.show.words import CONSTANT_NOISE, reader_words
 from fpk import Contact, System
 from fpk.answer.method import ROUTES
 
@@ -222,7 +222,7 @@ def test_stationary_numbers_of_a_modulated_scene_say_that_they_are_of_constant_n
         assert bool(digest["stationary_note"]) == modulated
         digest["averaging"] = [row("nonintegrable", "montecarlo", 0.01, 1e-3, "H")]
         for details in (True, False):
-            text = " ".join(rendered("run.txt", {"digest": digest, "details": details}).split())
+            text = " ".join(render("run.txt", {"digest": digest, "details": details}).split())
             note = text.find(CONSTANT_NOISE)
             assert modulated == (0 <= note < text.index("rms"))
         assert ("averaging error of H under constant noise: " in text) == modulated
@@ -245,10 +245,10 @@ def test_quantities_have_a_column_for_each_theory():
 
 
 def test_one_name_for_a_theory():
-    assert named("nonintegrable/fem") == "energy averaging, finite elements"
-    assert named("nonintegrable (fem, quadrature)") == "energy averaging (fem, quadrature)"
-    assert named("integrable 5.9e-01") == "modal averaging 5.9e-01"
-    assert named("fpk density --method phase-space") == "fpk density --method phase-space"
+    assert reader_words("nonintegrable/fem") == "energy averaging, finite elements"
+    assert reader_words("nonintegrable (fem, quadrature)") == "energy averaging (fem, quadrature)"
+    assert reader_words("integrable 5.9e-01") == "modal averaging 5.9e-01"
+    assert reader_words("fpk density --method phase-space") == "fpk density --method phase-space"
 
 
 def test_a_long_chain_has_no_table_of_zeros():

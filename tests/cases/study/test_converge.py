@@ -27,9 +27,9 @@ from cases.study.simulation import (
     ORDER_ERROR,
     Run,
     WeakOrder,
+    displacement_of_study,
     full_density,
     sample_slope,
-    studied_displacement,
     weak_order,
     with_order,
 )
@@ -254,9 +254,9 @@ def test_a_discretisation_refines_itself_and_states_its_level():
 
 def test_the_exact_scene_knows_its_moment_and_the_samples_their_slope():
     scene = load_scene("fig3a")
-    assert full_density(scene.system, studied_displacement(scene.system)) is not None
+    assert full_density(scene.system, displacement_of_study(scene.system)) is not None
     unsolved = load_scene("fig6b").system
-    assert full_density(unsolved, studied_displacement(unsolved)) is None
+    assert full_density(unsolved, displacement_of_study(unsolved)) is None
     found = sample_slope(scene.system, MonteCarlo(paths=4096, threads=2))
     assert abs(found.slope + 0.5) < 4.0 * found.slope_error
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from cases.scene.errors import BadInput
-from cases.show.claim import claimed
+from cases.show.claim import claim_folder
 from cases.study.sweep.points import POINTS_FILE, PointStore, SweepPoint, Value
 
 POINTS = [
@@ -117,17 +117,17 @@ IDENTITY = {
 
 def test_a_folder_of_another_run_or_version_is_refused_and_stays(tmp_path, monkeypatch):
     for _ in range(2):
-        with claimed(tmp_path, IDENTITY):
+        with claim_folder(tmp_path, IDENTITY):
             pass
     before = (tmp_path / "run.json").read_bytes()
     for key in IDENTITY:
         with (
             pytest.raises(BadInput, match="another run"),
-            claimed(tmp_path, {**IDENTITY, key: "x"}),
+            claim_folder(tmp_path, {**IDENTITY, key: "x"}),
         ):
             pass
     monkeypatch.setattr("cases.show.claim.program_version", lambda: "another")
-    with pytest.raises(BadInput, match="version"), claimed(tmp_path, IDENTITY):
+    with pytest.raises(BadInput, match="version"), claim_folder(tmp_path, IDENTITY):
         pass
     assert (tmp_path / "run.json").read_bytes() == before
 

@@ -9,7 +9,7 @@ from systems import in_units
 
 from averaging import Integrable, NonIntegrable
 from averaging.phase_space.method import PhaseSpace
-from cases.compare.routes import listed_routes
+from cases.compare.routes import all_routes
 from cases.study.equations import energy_equation
 from fpk import Contact, DampingTerm, System
 from fpk.answer.names import REST, parse_limit, parse_observable, parse_start
@@ -197,7 +197,7 @@ def every_refusal(system):
     """Why each route gives no density of q1 and none of H."""
     return {
         f"{route.label} {name}": route.make().refusal(system, parse_observable(name, system.n))
-        for route in listed_routes()
+        for route in all_routes()
         for name in ("q1", "H")
     }
 
