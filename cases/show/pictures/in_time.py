@@ -51,19 +51,21 @@ def time_panels(curve: Answers, label: str) -> Iterator[tuple[str, str, Panel]]:
 
 
 def passage_panel(replies: Replies, title: str) -> Panel:
-    """Return P(T > t) from P = 1 at t = 0, or P(T ≤ t) of rare failure, by every route.
+    """Return P(T > t), or P(T ≤ t) of rare failure, by every route.
 
-    Bands and bars are the errors that the answers state. The times asked for are marked. Values
-    that the logarithmic scale does not reach, or whose error is not known, are left out.
+    P(T > t) begins with 1 at t = 0, unless the start is random and may lie beyond the limit. Bands
+    and bars are the errors that the answers state. The times asked for are marked. Values that the
+    logarithmic scale does not reach, or whose error is not known, are left out.
     """
     assert isinstance(replies.question, PassageQuestion)
     answers = [(r, p) for r, p in _answers_to_draw(replies) if isinstance(p, Passage)]
+    random = replies.question.start.kind == "noise"
     rare = max(float(failure_of(p)[0][-1]) for _, p in answers) < RARE
     curves = []
     for route, p in answers:
         values, errors = failure_of(p) if rare else (p.survival, p.survival_error)
         seen = (values > (0.0 if rare else LOG_TAIL)) & np.isfinite(errors)
-        start = () if rare or p.times[0] == 0.0 else (0.0,)  # starts lie below every limit: P = 1
+        start = () if rare or random or p.times[0] == 0.0 else (0.0,)
         x, y = np.append(start, p.times[seen]), np.append(np.ones(len(start)), values[seen])
         own = replace(_curve(route, x, y, np.append(np.zeros(len(start)), errors[seen])), band=True)
         curves.append(own if route.sampled else replace(own, bars=1, marker="o"))

@@ -7,6 +7,7 @@ import pytest
 from cases.compare.routes import method_for
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
+from cases.show.pictures.in_time import passage_panel
 from cases.show.pictures.svg import svg_text
 from cases.show.report import figures
 from fpk.answer.names import parse_observable
@@ -44,3 +45,15 @@ def test_energies_are_drawn_in_decades():
     assert list(found) == ["density_H1_H2"]
     bar = found["density_H1_H2"][1].axes[-1]
     assert bar.get_yscale() == "log" and "H₁" in bar.get_ylabel()
+
+
+@pytest.mark.parametrize("start, first", [("rest", 0.0), ("noise=0.5", 5.0)])
+def test_reliability_begins_with_one_only_where_the_start_lies_below_the_limit(
+    scene_text, tmp_path, start, first
+):
+    question = f'[[passage]]\nlimit = "H=1"\nstart = "{start}"\ntimes = [5.0, 20.0]\n'
+    (tmp_path / "any.toml").write_text(f"{scene_text}\n{question}")
+    scene = load_scene(str(tmp_path / "any.toml"))
+    (curve,) = run_scene(scene, [method_for("nonintegrable")]).curves
+    (line,) = passage_panel(curve.passages[0], "").curves
+    assert line.x[0] == first and line.y[0] <= 1.0
