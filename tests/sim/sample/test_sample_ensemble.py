@@ -67,7 +67,7 @@ def test_what_is_not_in_the_scene_is_not_compiled(monkeypatch: pytest.MonkeyPatc
     def refuse(*_: object) -> None:
         raise AssertionError("a law was compiled")
 
-    monkeypatch.setattr("sim.step.kernel.compiled_laws", refuse)
+    monkeypatch.setattr("sim.step.kernel.compile_laws", refuse)
     system = linear(2)
     ensemble = Ensemble(system, EXACT_FLOW, 0.5, 2 * LANES, 1, 1)
     assert observation_arrays(system, EXACT_FLOW, ensemble.step, (), ())[0] == KernelKey()
