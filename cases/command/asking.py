@@ -83,8 +83,8 @@ class Asked:
         failures = record["certificate"]["failures"]
         problems = [f"{about} is not certified: {failure}" for failure in failures]
         record["notes"] = [note] if note else []
-        words = equation_words(record), *record["notes"], *record["averaging_notes"]
-        notes = [f"# {reader_words(note)}" for note in words]
+        words = map(reader_words, (*record["notes"], *record["averaging_notes"]))
+        notes = [f"# {line}" for line in (equation_words(record), *words)]
         parts.end(record, lambda: "\n".join([text(record), *notes]), problems=problems)
 
     def _answer(

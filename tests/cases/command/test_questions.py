@@ -192,6 +192,7 @@ def test_columns(fpk):
     ):
         status, out, err = fpk(*question)
         assert (status, err) == (0, "") and rows_of(out) == rows
+        assert "# solves the averaged equation: energy averaging (nonintegrable)" in out
 
 
 def test_a_solver_that_refuses_is_passed_over(linear, answer):
