@@ -92,7 +92,7 @@ class Python(Directive):
         space = NAMESPACES.setdefault(page, {"__name__": "__main__"})
         try:
             with redirect_stdout(printed), chdir(FOLDER.name):
-                exec(compile(source, page, "exec"), space)
+                exec(compile(source, f"<{page}>", "exec"), space)
         except Exception as error:
             raise self.error(f"{type(error).__name__}: {error}") from error
         output = printed.getvalue().rstrip()
