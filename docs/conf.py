@@ -57,7 +57,7 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
     "navigation_depth": 2,
-    "header_links_before_dropdown": 10,
+    "header_links_before_dropdown": 8,
 }
 html_sidebars = {
     page: []
