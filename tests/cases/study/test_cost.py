@@ -322,8 +322,8 @@ def test_a_wrong_failure_rate_is_not_timed(monkeypatch):
         return replace(rate, value=(1.001 if method.solver == "fem" else 1.0) * rate.value)
 
     monkeypatch.setattr(prices, "_rate", wrong)
-    own = [route for route in prices.listed_routes() if route.method == "nonintegrable"]
-    monkeypatch.setattr(prices, "listed_routes", lambda: own)
+    own = [route for route in prices.all_routes() if route.method == "nonintegrable"]
+    monkeypatch.setattr(prices, "all_routes", lambda: own)
     routes = passage_routes(scene.system, scene.passages[0], simulate=False, seed=1)
     (caught,) = (route for route in routes if isinstance(route, NotTimed) and route.wrong)
     # Which of both is wrong nobody knows: the one is caught that states the larger error.

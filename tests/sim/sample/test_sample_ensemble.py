@@ -137,12 +137,12 @@ print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
 
 
 def test_importing_the_room_compiles_nothing_and_a_second_process_finds_the_kernel() -> None:
-    Ensemble(fig6(), EXACT_FLOW, 0.2, LANES, 1, 1).advance(2)  # the first process is this one
     path = f"{ROOT}{os.pathsep}{ROOT}/tests/sim"
-    done = subprocess.run(
-        [sys.executable, "-c", SECOND_PROCESS],
-        env={**os.environ, "PYTHONPATH": path}, cwd=ROOT, capture_output=True, text=True,
-    )  # fmt: skip
+    for _ in range(2):  # the first may compile: this process need not have the cache of others
+        done = subprocess.run(
+            [sys.executable, "-c", SECOND_PROCESS],
+            env={**os.environ, "PYTHONPATH": path}, cwd=ROOT, capture_output=True, text=True,
+        )  # fmt: skip
     assert (done.stdout, done.stderr) == ("[]\n1 0\n", "")
 
 
