@@ -28,8 +28,9 @@ there for any contact stiffness, but not over the angles."""
 TARGET = 3e-12
 """Relative difference of two rules that ends the refinement; the difference is the stated error."""
 POWER_TARGETS = (8e-13, 3e-14)
-"""The same for the power of damping terms with one contact mass, for n = 1 and for n > 1: close to
-round-off, because the power cancels against the noise and its errors accumulate in ln p."""
+"""Relative difference of two rules that ends the refinement of the power of damping terms with one
+contact mass, for n = 1 and for n > 1: close to round-off, because the power cancels against the
+noise and its errors accumulate in ln p."""
 ROOT_ROUND_OFF = 4e-13
 """Relative round-off of the sum for one mass, ε points²: the integrand is 1/√v, v = 1 − V/H, and at
 the Gauss point next to the turning point v ~ 1/points²."""

@@ -23,7 +23,7 @@ TAIL_FACTOR = 1.5
 """Smallest ratio, or inverse ratio, of an averaged to the full system's tail probability that is
 reported: an L1 distance, which weighs the bulk, does not show it."""
 
-TAIL_SHARES = 1e-6, 1e-5, 1e-4, 1e-3, 1e-2
+REPORTED_TAILS = 1e-6, 1e-5, 1e-4, 1e-3, 1e-2
 """Probabilities of a tail; the least that the reference knows to 10 % is compared."""
 
 
@@ -48,7 +48,7 @@ def tails_off(densities: Mapping[Route, AnyDensity]) -> Iterator[dict[str, Any]]
     for theory in theories.values():
         rows = []
         for side in sides:
-            for share in TAIL_SHARES:
+            for share in REPORTED_TAILS:
                 level = best.quantile(1.0 - share if side == "above" else share).value
                 beyond = "exceedance" if side == "above" else "cdf"
                 known, other = (getattr(d, beyond)(level) for d in (best, densities[theory]))

@@ -30,8 +30,9 @@ power of the step: beside a sampling error of 3e-4 of the L1 norm of p(q2) (B = 
 visible at 0.65 and not at 0.45."""
 
 STEP_WITH_TERMS = 0.22
-"""The same with damping terms, whose bias near a stop grows with the square of the step: it is then
-1e-3 of the kinetic balance of the mass."""
+"""Step times the angular frequency in contact, springs included, for a system with damping terms.
+Their bias near a stop grows with the square of the step; at this step it is 1e-3 of the kinetic
+balance of the mass."""
 
 STEP_PER_RATE = 0.1
 """Step times the largest rate of the damping terms (``chosen_step``). Between steps the

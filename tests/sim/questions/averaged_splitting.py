@@ -166,7 +166,7 @@ def damped(X: float, table: Array, top: float, h: float) -> float:
 @once
 def compiled_energies() -> Any:
     """Return the function that renews paths of an energy, one for all threads."""
-    sources = kernel_checksum() ^ checksum([ROOT / "benchmarks/averaged_splitting.py"])
+    sources = kernel_checksum() ^ checksum([ROOT / "tests/sim/questions/averaged_splitting.py"])
 
     @cached_njit()
     def renew(
