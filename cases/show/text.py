@@ -178,10 +178,11 @@ def rows_to_show(rows: Sequence[Record]) -> list[Record]:
 
 
 def theory_table(rows: Sequence[Record]) -> Record:
-    """Return the theories as ``routes`` with what each ``solves``, and the cells by theory.
+    """Return the theories as ``routes``, the cells by theory, and theories by what they solve.
 
-    ``rows`` are the quantities of a curve, of which ``rows_to_show`` are taken. Each row of the
-    table has its observable (``of``), its ``quantity`` with the unit, and ``cells`` by theory.
+    ``solved_by`` has the theories that solve the "full" and an "averaged" equation. ``rows`` are
+    the quantities of a curve, of which ``rows_to_show`` are taken. Each row of the table has its
+    observable (``of``), its ``quantity`` with the unit, and ``cells`` by theory.
     """
     cells: dict[tuple[str, str], Record] = {}
     solves: dict[str, str] = {}
@@ -192,7 +193,10 @@ def theory_table(rows: Sequence[Record]) -> Record:
         cells.setdefault((row["observable"], quantity), {})[name] = row
     return {
         "routes": list(solves),
-        "solves": list(solves.values()),
+        "solved_by": {
+            kind: [name for name, own in solves.items() if own == kind]
+            for kind in dict.fromkeys(solves.values())
+        },
         "rows": [{"of": of, "quantity": q, "cells": own} for (of, q), own in cells.items()],
     }
 

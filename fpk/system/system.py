@@ -70,7 +70,7 @@ class System:
             require(fits, key, given, "must be a list of one number per mass")
             require((array > 0).all(), key, given, "must hold positive numbers only")
         n = mass.size
-        words = f"must have {n} entries, one per mass"
+        words = f"must have {n} {'entry' if n == 1 else 'entries'}, one per mass"
         require(stiffness.size == n, "stiffness", self.stiffness, words)
         damping, words = _matrix("damping", self.damping), f"must have {n} entries or be {n} x {n}"
         require(damping.shape[0] == n, "damping", self.damping, words)
