@@ -16,7 +16,7 @@ BAD = [  # what is replaced, by what, and what the line must say
     ('title = "A scene"', 'titel = "A scene"', ["titel", '"A scene"', 'did you mean "title"']),
     ("stiffness       = [1", "stifness = [1", ["system.stifness", 'did you mean "stiffness"']),
     ("stiffness       = [1", "stiffness_cubic = [1]\nstiffness = [1", ["known: mass", "scene.md"]),
-    ("mass            = [1.0, 1.0]", "mass = [1.0]", ["system.stiffness", "1 entries"]),
+    ("mass            = [1.0, 1.0]", "mass = [1.0]", ["system.stiffness", "1 entry, one per mass"]),
     ("mass            = [1.0, 1.0]", "mass = [1.0, -1.0]", ["system.mass", "-1.0", "positive"]),
     ("mass            = [1.0, 1.0]", "mass = [1.0, true]", ["system.mass[2] = true", "number"]),
     ("mass            = [1.0, 1.0]", 'mass = "heavy"', ["system.mass", '"heavy"', "list"]),

@@ -43,7 +43,7 @@ def test_a_run_says_which_equation_each_route_solves_and_what_is_not_known(
     head, row = lines[k], lines[k + 1]
     assert "equation" in head and "P(T ≤ 20)" in head and row.count("±") == 4
     page = (out / "report.html").read_text()
-    assert "An averaged equation is solved by energy averaging" in page and "P(T ≤ 5)" in page
+    assert "of an averaged equation: energy averaging" in page and "P(T ≤ 5)" in page
     assert "the averaging error is unknown" in page.partition('id="quantities"')[0]
     assert "Rms q2" in page and "impact rate, " in page and "by t = 5, " in page
     record = json.loads(fpk("run", scene, *averaged[:3], "--json")[1])
