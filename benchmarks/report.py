@@ -38,7 +38,8 @@ def write_page(title: str, script: str, words: str, body: Callable[[], str], out
     parser.add_argument("--out", type=Path, default=Path(out))
     path = parser.parse_args().out
     written = f"Written by `benchmarks/{script}`. {machine()}."
-    path.write_text(f"# {title}\n\n{written} {words}\n\n{body()}", encoding="utf-8")
+    begin = f"{written} {words}".strip()
+    path.write_text(f"# {title}\n\n{begin}\n\n{body()}", encoding="utf-8")
 
 
 def medians(
