@@ -12,12 +12,12 @@ from cases.scene.scene import load_scene, shipped_scenes
 from fpk.answer.names import observable_name
 
 TERM = "[[damping_term]]\nj = 1\ncoefficient = 0.1\n"
+UNITS = '[units]\nlength = "mm"\nmass = "kg"\n'
 BAD = [  # what is replaced, by what, and what the line must say
     ('title = "A scene"', 'titel = "A scene"', ["titel", '"A scene"', 'did you mean "title"']),
     ("stiffness       = [1", "stifness = [1", ["system.stifness", 'did you mean "stiffness"']),
     ("stiffness       = [1", "stiffness_cubic = [1]\nstiffness = [1", ["known: mass", "scene.md"]),
     ("mass            = [1.0, 1.0]", "mass = [1.0]", ["system.stiffness", "1 entry, one per mass"]),
-    ("mass            = [1.0, 1.0]", "mass = [1.0, -1.0]", ["system.mass", "-1.0", "positive"]),
     ("mass            = [1.0, 1.0]", "mass = [1.0, true]", ["system.mass[2] = true", "number"]),
     ("mass            = [1.0, 1.0]", 'mass = "heavy"', ["system.mass", '"heavy"', "list"]),
     ("mass            = [1.0, 1.0]", "mass = []", ["system.mass = []", "at least 1"]),
@@ -25,9 +25,7 @@ BAD = [  # what is replaced, by what, and what the line must say
     ("[0.08, 0.04]", "[[0.1, 0.0], [0.1]]", ["system.damping", "equal length"]),
     ("[0.01, 0.02]", "[[1, 2], [2, 1]]", ["noise_intensity", "positive semidefinite"]),
     ("[0.01, 0.02]", "[[1, 0.5], [0.2, 1]]", ["noise_intensity", "symmetric"]),
-    ("[0.01, 0.02]", "[0.01]", ["noise_intensity", "2 entries"]),
     ("clearance = 0.5", "clearance = nan", ["contact[1].clearance = nan", "finite"]),
-    ("clearance = 0.5", "clearance = -0.5", ["contact[1].clearance = -0.5", ">= 0"]),
     ("clearance = 0.5", "clearance = 1e300", ["contact[1].clearance = 1e+300", "1e100"]),
     ("clearance = 0.5", "clearance = " + "9" * 400, ["contact[1].clearance", "digits"]),
     ("clearance = 0.5", "clearance = " + "9" * 5000, ["TOML"]),
@@ -35,45 +33,41 @@ BAD = [  # what is replaced, by what, and what the line must say
     ("clearance = 0.5", "clearance = 0.5\nclearance = 1", ["TOML", "line 15"]),
     ('side      = "both"', 'side = "Left"', ["contact[1].side", '"Left"', '"left"']),
     ("mass      = 2", "mass = 3", ["contact[1].mass = 3", "1 to 2"]),
-    ("mass      = 2", "mass = 0", ["contact[1].mass = 0", "counted from 1"]),
     ("mass      = 2", 'mass = 2\nlaw = "hooke"', ["contact[1].law", '"hooke"', "hertz"]),
     ("mass      = 2", 'mass = 2\nlaw = "power"', ["contact[1].exponent", ">= 1"]),
     ("mass      = 2", "mass = 2\nexponent = 3", ["contact[1].exponent", "leave it out"]),
     ("[[contact]]", "[contact]", ["contact", "[[contact]]"]),
     ("[system]", "[sistem]", ["sistem", 'did you mean "system"']),
-    ('"q2", "H"]', '"q2", "x2"]', ["observe.densities[2]", '"x2"', "q1..q2"]),
     ('"q2", "H"]', '"q2", "q3"]', ["observe.densities[2]", '"q3"', "q1..q2"]),
     ('"q2", "H"]', '"q2", "q2"]', ["observe.densities[2]", "twice"]),
     ("[observe]", "[observe]\nexceedance = [0.5]", ["observe.exceedance", "must be a table"]),
-    ("[observe]", "[observe]\nexceedance.q2 = []", ["observe.exceedance.q2", "at least 1"]),
     ("[observe]", "[observe]\nexceedance.q2 = [1, 1.0]", ["exceedance.q2[2] = 1.0", "twice"]),
     ("[observe]", "[observe]\nexceedance.q1 = [1]", ['"q1"', "add it to observe.densities"]),
-    ("[observe]", "[observe]\nexceedance.x2 = [1]", ["observe.exceedance", '"x2"', "q1..q2"]),
     ("[observe]", '[observe]\nexceedance."q2,p2" = [1]', ["observe.exceedance", '"q2,p2"', "pair"]),
     ("[observe]", '[observe]\nexceedance."a\\nb" = [nan]', ["observe.exceedance"]),
     ("[observe]", f"[observe]\nexceedance.q2 = {[*range(13)]}", ["exceedance.q2", "most 12"]),
     ("[observe]", "[vary]\nsystem.mass = [1]\n[observe]", ["vary.system.mass", "known"]),
-    ("[observe]", "[vary]\ncontact.clearance = [-1]\n[observe]", ["vary.contact.clearance[1]"]),
     ("[observe]", "[[damping_term]]\ni = 1\n[observe]", ["damping_term[1].j is missing"]),
     ("[observe]", f"{TERM}i = 3\n[observe]", ["damping_term[1].i = 3", "use 1 to 2"]),
-    ("[observe]", f"{TERM}i = 1\nq = {{ 3 = 2 }}\n[observe]", ["damping_term[1].q.3", "1 to 2"]),
     ("[observe]", f"{TERM}i = 1\nq = {{ 1 = 0 }}\n[observe]", ["damping_term[1].q.1 = 0", "power"]),
     ("[observe]", f"{TERM}i = 1\nv = {{ 1 = 0.5 }}\n[observe]", ["damping_term[1].v.1", "whole"]),
-    ("[observe]", f"{TERM}i = 1\nenergy = -1\n[observe]", ["damping_term[1].energy = -1"]),
     ("[observe]", f"{TERM}i = 1\nenergy = 5\n[observe]", ["damping_term[1].degree = 10", "8"]),
     ("[observe]", f"{TERM}i = 1\nc = 5\n[observe]", ["damping_term[1].c", "known: i, j"]),
     ("[observe]", "[observe", ["TOML", "line 16"]),
     ("[observe]", "[expect]\nof = 'p1'\n[observe]", ["expect.of", '"p1"', "q2, H"]),
     ("[observe]", "[expect]\nbetter = ['integrable', 'exact']\n[observe]", ["expect.better[2]"]),
     ("[observe]", "[expect]\nbetter = ['integrable']\n[observe]", ["expect.better", "at least 2"]),
-    ("[observe]", "[expect]\nacceptable = ['x']\n[observe]", ["expect.acceptable[1]", '"x"']),
     ("[observe]", "[expect]\nclearance_rule = 0\n[observe]", ["clearance_rule = 0", "> 0"]),
     ("[observe]", "[expect]\nnon_gaussian = {}\n[observe]", ["exactly one of above"]),
     ("[observe]", "[expect]\nnon_gaussian = { above = 1 }\n[observe]", ["[vary]"]),
     ("[observe]", "[expect]\nnonintegrable_better_with = 'B'\n[observe]", ["larger", "smaller"]),
     ("[observe]", "x = " + "[" * 5000 + "\n[observe]", ["nested too deeply"]),
-    ("[observe]", "[observe." + "a." * 40 + "a]\n[observe]", ["nested too deeply"]),
     ("[observe]", "a = { b = [true, 1979-05-27] }\n[observe]", ["{b = [true, 1979-05-27]}"]),
+    ("[observe]", '[units]\nlength = "mm"\nmass = "kg"\n[observe]', ["units.time is missing"]),
+    ("[observe]", f'{UNITS}time = "mm"\n[observe]', ["units", "something else"]),
+    ("[observe]", f'{UNITS}time = "m/s"\n[observe]', ["units.time", "letters"]),
+    ("[observe]", f'{UNITS}tiem = "s"\n[observe]', ["units.tiem", 'did you mean "time"']),
+    ("[observe]", f'{UNITS}time = "s"\nforce = "N"\n[observe]', ["units.force", "here are known"]),
     ('"A scene"', '"A \\u001b[31m scene"', ["title", "U+001B", "leave it out"]),
 ]
 
@@ -108,27 +102,17 @@ times = [1.0]
 
 IN_TIME = [
     ("limit      =", "limt =", ["passage[1].limt", 'did you mean "limit"']),
-    ('limit      = "H=1.5"', "", ["passage[1].limit is missing"]),
     ('"H=1.5"', '"H=-1"', ["passage[1].limit", '"H=-1"', "> 0"]),
-    ('"H=1.5"', '"E=1"', ["passage[1].limit", '"E=1"', "use H=1.5"]),
     ('"H=1.5"', "1.5", ["passage[1].limit = 1.5", "text in quotes"]),
     ("[1, 2.5]", "[2.5, 1]", ["passage[1].times = [2.5, 1", "ascend"]),
     ("[1, 2.5]", "[-1, 1]", ["passage[1].times", "0 or later"]),
-    ("[1, 2.5]", "[]", ["passage[1].times", "at least 1"]),
     ("{ at_most = 0.1 }", "0.1", ["passage[1].rate_error = 0.1", "table"]),
     ('"q1=0.1,p2=0.2"', '"q1=10"', ["passage[2].start", "below the limit"]),
-    (
-        '"H=1.5"',
-        "\"H=1.5\"\nstart = 'H1=0.5,H2=1.0'",
-        ["passage[1].start", "below the limit H=1.5"],
-    ),
     ('"q1=0.1,p2=0.2"', '"H=-1"', ["passage[2].start", "negative"]),
-    ('"q1=0.1,p2=0.2"', '"q3=0"', ["passage[2].start", "use rest"]),
     ('"integrable"', '"exact"', ["passage[2].theory", '"nonintegrable"']),
     ('theory = "integrable"', "failure_error = { below = 1 }", ["passage[2].times is missing"]),
     ('of    = "q2"', 'of = "q2,p2"', ["transient[1].of", "one coordinate"]),
     ("times = [1.0]", "times = [0.0, 1.0]", ["transient[1].times", "> 0"]),
-    ("times = [1.0]", "", ["transient[1].times is missing"]),
     ('"noise=0.5"', '"noise=-1"', ["transient[1].start", "negative"]),
     ("[[transient]]", "[[passage]]\nlimit='H=1'\n" * 4 + "[[transient]]", ["passage", "at most 4"]),
 ]
@@ -140,48 +124,33 @@ def test_what_cannot_be_asked_in_time_is_refused(old, new, words, written, scene
     refused(refusal, written(scene_text + IN_TIME_GOOD.replace(old, new, 1)), words)
 
 
-def test_questions_are_read(written, scene_text):
+def test_questions_are_read_and_shipped_scenes_in_time_ask_something(written, scene_text):
     scene = load_scene(written(scene_text + IN_TIME_GOOD))
     energy, either = scene.passages
     (transient,) = scene.transients
-    assert (energy.name, energy.times, energy.theory) == (
-        "H=1.5 from rest",
-        (1.0, 2.5),
-        "nonintegrable",
-    )
-    assert tuple(energy.rate_error) == ("at_most", 0.1)
+    assert (energy.name, energy.times) == ("H=1.5 from rest", (1.0, 2.5))
+    assert energy.theory == "nonintegrable" and tuple(energy.rate_error) == ("at_most", 0.1)
     assert (either.name, either.times) == ("H1=0.4 or H2=0.6 from q1=0.1,p2=0.2", ())
     assert (observable_name(transient.of), str(transient.start)) == ("q2", "noise=0.5")
-
-
-def test_shipped_scenes_in_time_ask_something():
-    names = [n for n, path in shipped_scenes().items() if path.parent.name == "time"]
-    assert len(names) >= 4
-    for name in names:
-        scene = load_scene(name)
-        assert scene.passages or scene.transients, name
-        for passage in scene.passages[:1]:
-            assert passage.rate_error or passage.failure_error, name
+    scenes = [load_scene(n) for n, path in shipped_scenes().items() if path.parent.name == "time"]
+    assert len(scenes) >= 4
+    for scene in scenes:
+        assert scene.passages or scene.transients, scene.name
+        assert all(p.rate_error or p.failure_error for p in scene.passages[:1]), scene.name
 
 
 MEANT = [  # a word, the names there are, and the one that it is a misspelling of
-    *((word, ["mass", "stiffness"], "stiffness") for word in ("stifness", "stiffnes", "siffness")),
-    *((word, ["mass", "stiffness"], "stiffness") for word in ("stiffnses", "Stiffness")),
-    *(
-        (word, ["stiffness", "noise_gain"], None)
-        for word in ("stiffness_cubic", "noise_correlation")
-    ),
-    ("damper", ["damping"], None),
-    ("median", ["mean", "rms"], None),
-    ("rm", ["rms"], "rms"),
-    ("--dt", ["--at", "--tol"], None),
-    ("--tme", ["--time"], "--time"),
-    ("p", ["q", "v"], None),
+    *((word, "stiffness") for word in ("stifness", "siffness", "stiffnses", "Stiffness")),
+    *((word, None) for word in ("stiffness_cubic", "noise_correlation", "damper", "median", "v")),
+    ("rm", "rms"),
+    ("--tme", "--time"),
+    ("--dt", None),
 ]
 
 
-@pytest.mark.parametrize(("word", "known", "meant"), MEANT, ids=[w for w, _, _ in MEANT])
-def test_a_hint_is_for_a_misspelt_word_only(word, known, meant):
+@pytest.mark.parametrize(("word", "meant"), MEANT, ids=[w for w, _ in MEANT])
+def test_a_hint_is_for_a_misspelt_word_only(word, meant):
+    known = ["mass", "stiffness", "noise_gain", "damping", "mean", "rms", "--at", "--time", "q"]
     assert misspelt(word, known) == meant
 
 
@@ -264,17 +233,13 @@ def test_nothing_but_the_scene_is_opened(tmp_path, scene_text):
     assert seen == [("open", str(path))] and scene.title == words
 
 
-def test_ranges_reach_their_end_and_hit_what_was_written():
+def test_ranges_reach_their_end_and_what_is_no_list_of_points_is_refused():
     (x,) = parse_points("-1.5:1.5:0.1", 1)
     assert x.size == 31 and x[-1] == 1.5 and 0.0 in x and 0.3 in x
-    (y,) = parse_points("-1,0,0.3", 1)
-    assert y.tolist() == [-1.0, 0.0, 0.3]
+    assert parse_points("-1,0,0.3", 1)[0].tolist() == [-1.0, 0.0, 0.3]
     assert parse_points("1:0:-0.5", 1)[0].tolist() == [1.0, 0.5, 0.0]
     q, p = parse_points("-1:1:1 x 0,0.5", 2)
     assert q.tolist() == [-1, -1, 0, 0, 1, 1] and np.array_equal(p, [0, 0.5] * 3)
-
-
-def test_what_is_no_list_of_points_is_refused():
     texts = "", "a", "1:2", "1:2:0", "1:2:-1", "0:1e9:1e-9", "nan", "inf", "1e999", "1,,2", "1 x 2"
     for text in (*texts, "0:1:1e-99999999"):
         with pytest.raises(BadInput, match="--at"):
