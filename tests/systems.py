@@ -54,15 +54,20 @@ def in_units(system, a, L, t):
         a / t**2 * system.stiffness,
         a / t * system.damping,
         a**2 * L**2 / t**3 * system.noise_intensity,
+        system.noise_gain,
         contacts=tuple(contacts),
         damping_terms=tuple(terms),
     )
 
 
 def mirrored(system):
-    """The system with left and right exchanged."""
+    """The system with left and right exchanged: that of −q and −p."""
     other = {"left": "right", "right": "left", "both": "both"}
-    return replace(system, contacts=tuple(replace(c, side=other[c.side]) for c in system.contacts))
+    contacts = tuple(replace(c, side=other[c.side]) for c in system.contacts)
+    terms = (
+        replace(t, coefficient=t.coefficient * (-1.0) ** t.degree) for t in system.damping_terms
+    )
+    return replace(system, contacts=contacts, damping_terms=tuple(terms))
 
 
 def damping_at(system, q, p):

@@ -5,6 +5,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from systems import in_units, mirrored
 
 from averaging.energy_process import energy_process
 from averaging.nonintegrable import NonIntegrable
@@ -12,15 +13,14 @@ from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.stationary import solve_on_mesh, solve_stationary
-from fpk.system.system import System
 
 TOL = 1e-8
 """L1 tolerance of hard cases: of some the coefficients themselves are not known to 1e-10."""
 LEAST, MASS = -1e-14, 1e-12
 """Smallest p / max p that is round-off; departure of the mass from one that is round-off of its
 sum. Beside that it may be off by the stated L1 error, as |∫p − 1| <= ∫|p − p_exact|."""
-UNITS = {"mass": 3.7, "length": 0.13, "time": 11.0}
-"""Factors that are no powers of two, so that round-off has its say."""
+UNITS = 3.7, 0.13, 11.0
+"""Factors of mass, length and time: no powers of two, so that round-off has its say."""
 UNIT_ERROR, ROUND_OFF = 1e-10, 1e-12
 """L1 change by other units; L1 error at which refinement has nothing left to improve."""
 DEGREE, LEVELS = 4, 4
@@ -93,40 +93,10 @@ def refinement_check(system, closed):
     return Check("error halved by every bisection", falls, ", ".join(f"{e:.1e}" for e in errors))
 
 
-def in_units(system, *, mass, length, time):
-    """Return ``system`` with its numbers in units of 1/``mass``, 1/``length`` and 1/``time``.
-
-    A mass of 1 becomes ``mass``, a displacement of 1 ``length``, a time of 1 ``time``; an energy
-    of 1 then ``mass`` · ``length``²/``time``², and the intensity D of a noise, force² · time,
-    ``mass``² ``length``²/``time``³. A contact of the power e has B in force/length^e, a damping
-    term its coefficient in mass/time over the units of its powers.
-    """
-    velocity, energy = length / time, mass * (length / time) ** 2
-
-    def term(t):
-        of_q, of_v = (sum(power for _, power in powers) for powers in (t.q, t.v))
-        unit = length**of_q * velocity**of_v * energy**t.energy
-        return replace(t, coefficient=t.coefficient * mass / time / unit)
-
-    def contact(c):
-        stiffness = c.stiffness * mass * length / time**2 / length**c.power
-        return replace(c, stiffness=stiffness, clearance=c.clearance * length)
-
-    return System(
-        mass * system.mass,
-        mass / time**2 * system.stiffness,
-        mass / time * system.damping,
-        mass**2 * length**2 / time**3 * system.noise_intensity,
-        system.noise_gain,
-        contacts=tuple(map(contact, system.contacts)),
-        damping_terms=tuple(map(term, system.damping_terms)),
-    )
-
-
 def units_check(system, elements):
     """The same density in other units, its change in L1."""
-    energy = UNITS["mass"] * (UNITS["length"] / UNITS["time"]) ** 2
-    other = energy_density(in_units(system, **UNITS), "fem")
+    mass, length, time = UNITS
+    energy, other = mass * (length / time) ** 2, energy_density(in_units(system, *UNITS), "fem")
     panels = tuple(x / energy for x in other.panels)
     rescaled = replace(other, panels=panels, pdf=lambda x: energy * other.pdf(energy * x))
     # Meshes of one tolerance differ by roundings alone, but that may move a bisection.
@@ -135,21 +105,10 @@ def units_check(system, elements):
     return Check("the same in other units", change <= allowed, f"{change:.1e}")
 
 
-def mirrored(system):
-    """Return the system that moves as ``system`` does with the signs of all q and p reversed."""
-    other = {"left": "right", "right": "left", "both": "both"}
-    contacts = tuple(replace(c, side=other[c.side]) for c in system.contacts)
-    terms = (
-        replace(t, coefficient=t.coefficient * (-1.0) ** t.degree) for t in system.damping_terms
-    )
-    return replace(system, contacts=contacts, damping_terms=tuple(terms))
-
-
 def mirror_check(system, observable):
     """p(q) of the mirrored system at −q, beside p(q)."""
-    answer, other = (
-        energy_density(s, "closed-form", observable) for s in (system, mirrored(system))
-    )
+    sides = system, mirrored(system)
+    answer, other = (energy_density(s, "closed-form", observable) for s in sides)
     q = np.linspace(answer.panels[0][0], answer.panels[0][-1], 2001)
     worst = float(np.max(np.abs(answer.pdf(q) - other.pdf(-q))) / np.max(answer.pdf(q)))
     return Check("mirror image to round-off", worst <= 1e-13, f"{worst:.1e} of the maximum")

@@ -1,6 +1,7 @@
 """Hard cases of one energy that are no scenes: the rigid stop, meshes, degrees, wrong ends."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from hard_battery import TOL, Check, HardCase, energy_density
@@ -94,61 +95,55 @@ def judged(name, hard, settings):
     return HardCase(name, hard, "L1 " + "; ".join(measured), words, checks, "states no error")
 
 
-def degrees():
-    """Degrees 1 to 12 on one mesh."""
-    hard = "degrees from 1 to 12 on the same cells: condition, round-off, the estimate at its floor"
-    return judged("degrees", hard, lambda nodes: ((f"p = {p}", nodes, p) for p in range(1, 13)))
+def degrees(nodes):
+    return ((f"p = {p}", nodes, p) for p in range(1, 13))
 
 
-def meshes():
-    """Equal cells, from two to a million."""
-
-    def equal(nodes):
-        for n in (2, 20, 2000, MOST_CELLS):
-            yield f"{n} cells", np.linspace(0.0, nodes[-1], n + 1), 2
-
-    hard = "P2 on equal cells, 2 to 1e6: nothing is resolved, or every cell is near round-off"
-    return judged("meshes", hard, equal)
+def equal(nodes):
+    return (
+        (f"{n} cells", np.linspace(0.0, nodes[-1], n + 1), 2) for n in (2, 20, 2000, MOST_CELLS)
+    )
 
 
-def gradings():
-    """Cells graded towards H = 0, from not at all to the smallest numbers there are."""
-
-    def graded(nodes):
-        for decades in (0, 3, 15, 300):
-            mesh = (
-                np.append(0.0, np.logspace(-decades, 0.0, 200))
-                if decades
-                else np.linspace(0, 1, 201)
-            )
-            yield f"{decades} decades", nodes[-1] * mesh, 4
-
-    hard = "cells graded towards H = 0 over none to 300 decades: sizes that underflow when squared"
-    return judged("grading", hard, graded)
+def graded(nodes):
+    yield "0 decades", np.linspace(0.0, nodes[-1], 201), 4
+    for decades in (3, 15, 300):
+        yield f"{decades} decades", nodes[-1] * np.append(0.0, np.logspace(-decades, 0.0, 200)), 4
 
 
-def short_end():
-    """A mesh that ends in the middle of the mass."""
-
-    def short(nodes):
-        for end in (0.02, 0.1, 0.4):
-            yield f"to {end:g} of the last energy", np.linspace(0.0, end * nodes[-1], 41), 6
-
-    hard = "the user ends the mesh in the middle of the mass: what is left out is put inside"
-    return judged("end too near", hard, short)
+def short(nodes):
+    for end in (0.02, 0.1, 0.4):
+        yield f"to {end:g} of the last energy", np.linspace(0.0, end * nodes[-1], 41), 6
 
 
-def far_end():
-    """A mesh that goes on where the density has underflown."""
-
-    def far(nodes):
-        beyond = nodes[-1] * np.array([3.0, 10.0, 100.0, 1e4])
-        yield "to 10000 times the last energy", np.concatenate([nodes, beyond]), 8
-
-    hard = "the user ends the mesh where p is far below the smallest number"
-    return judged("end too far", hard, far)
+def far(nodes):
+    beyond = nodes[-1] * np.array([3.0, 10.0, 100.0, 1e4])
+    yield "to 10000 times the last energy", np.concatenate([nodes, beyond]), 8
 
 
-CASES = (rigid_limit, degrees, meshes, gradings, short_end, far_end)
-SLOW = (meshes,)
+JUDGED = (
+    (
+        "degrees",
+        "degrees from 1 to 12 on the same cells: condition, round-off, the estimate at its floor",
+        degrees,
+    ),
+    (
+        "meshes",
+        "P2 on equal cells, 2 to 1e6: nothing is resolved, or every cell is near round-off",
+        equal,
+    ),
+    (
+        "grading",
+        "cells graded towards H = 0 over none to 300 decades: sizes that underflow when squared",
+        graded,
+    ),
+    (
+        "end too near",
+        "the user ends the mesh in the middle of the mass: what is left out is put inside",
+        short,
+    ),
+    ("end too far", "the user ends the mesh where p is far below the smallest number", far),
+)
+CASES = (rigid_limit, *(partial(judged, *of) for of in JUDGED))
+SLOW = (CASES[2],)
 """A million cells take a minute."""

@@ -6,39 +6,29 @@ import hard_battery
 import hard_meshes
 import hard_scenes
 import hard_simulations
-import numpy as np
 import pytest
-from hard_battery import Check, HardCase, in_units, mirrored
+from hard_battery import Check, HardCase
 from hard_scenes import plain_elements
 from page import page_text
-from systems import damping_at
 
 from averaging.energy_process import energy_process
 from cases.scene.scene import load_scene
 from fpk.system.system import System
 
 
-def tiered(cases, slow, names):
-    """The cases as parameters, those that are ``slow`` marked so."""
-    marks = {True: [pytest.mark.slow], False: []}
-    return [
-        pytest.param(case, marks=marks[slow(case)], id=name)
-        for case, name in zip(cases, names, strict=True)
-    ]
+def tiered(case, name, *, slow):
+    return pytest.param(case, marks=[pytest.mark.slow] if slow else [], id=name)
 
 
-CURVES = hard_scenes.CURVES
-SCENES = tiered(
-    CURVES,
-    lambda case: case[0].name in hard_scenes.SLOW_SCENES,
-    [f"{scene.name} {curve.label}" for scene, curve in CURVES],
-)
-MAKERS = (*hard_meshes.CASES, *hard_simulations.CASES)
-OTHERS = tiered(
-    MAKERS,
-    lambda case: case in (*hard_meshes.SLOW, *hard_simulations.SLOW),
-    [f"{k} {getattr(case, 'func', case).__name__}" for k, case in enumerate(MAKERS)],
-)
+SCENES = [
+    tiered(of, f"{of[0].name} {of[1].label}", slow=of[0].name in hard_scenes.SLOW_SCENES)
+    for of in hard_scenes.CURVES
+]
+OTHERS = [
+    tiered(case, f"{k} {getattr(case, 'func', case).__name__}", slow=case in module.SLOW)
+    for module in (hard_meshes, hard_simulations)
+    for k, case in enumerate(module.CASES)
+]
 
 
 @pytest.mark.parametrize("of", SCENES)
@@ -82,33 +72,6 @@ def test_an_error_that_does_not_fall_is_noticed(monkeypatch):
     shifted = replace(closed, pdf=lambda H: closed.pdf(H * 1.001))
     assert hard_battery.refinement_check(system, closed).holds
     assert not hard_battery.refinement_check(system, shifted).holds
-
-
-def test_units_are_those_of_the_equation_of_motion():
-    # H of the rescaled state is the rescaled H; the relaxation time is the rescaled one.
-    system = load_scene("limit-cycle").system
-    factors = {"mass": 2.0, "length": 3.0, "time": 5.0}
-    other = in_units(system, **factors)
-    q, p = np.array([0.7, -0.9]), np.array([0.3, 0.2])
-    velocity = factors["length"] / factors["time"]
-    moved = q * factors["length"], p * factors["mass"] * velocity
-    energy = factors["mass"] * velocity**2
-    np.testing.assert_allclose(other.hamiltonian(*moved), energy * system.hamiltonian(q, p))
-    np.testing.assert_allclose(
-        damping_at(other, *moved), factors["mass"] / factors["time"] * damping_at(system, q, p)
-    )
-    # Noise: 2 D/m² dt is a velocity squared.
-    np.testing.assert_allclose(
-        np.diag(other.noise_matrix) / other.mass**2 * factors["time"],
-        velocity**2 * np.diag(system.noise_matrix) / system.mass**2,
-    )
-
-
-def test_the_mirror_swaps_the_sides():
-    system = load_scene("unequal-sides").system
-    q = np.array([0.4, 1.3])
-    assert mirrored(system).potential(-q) == system.potential(q)
-    assert mirrored(system).potential(q) != system.potential(q)
 
 
 def test_plain_elements_solve_an_easy_case():
