@@ -13,8 +13,7 @@ from fpk.system.linear import drift_matrix, stationary_covariance
 from fpk.system.system import System
 from sim.questions.curves import EXTRA_LAGS, autocovariance, products_at_lags, spline_error
 from sim.questions.passing import count_upcrossings
-from sim.sample.ensemble import ensemble_from
-from sim.step.arrays import LANES, in_blocks, in_rows
+from sim.step.arrays import LANES, in_blocks
 
 Z = 4.5
 """|z| that chance explains: of 25 independent points 2e-4; of 31 degrees of freedom 1e-3."""
@@ -25,8 +24,7 @@ LENGTHS: dict[str, Any] = {"correlation": {"time": 100.0}}
 
 @pytest.mark.parametrize(
     ("question", "masses", "most"),
-    [("crossings", 1, 0.005), ("crossings", 3, 0.005), ("spectrum", 1, 0.05), ("spectrum", 2, 0.05),
-     ("correlation", 1, 0.02), ("correlation", 2, 0.02)],
+    [("crossings", 3, 0.005), ("spectrum", 2, 0.05), ("correlation", 2, 0.02)],
 )  # fmt: skip
 def test_a_linear_system_has_its_exact_curve(question: str, masses: int, most: float) -> None:
     """Rice's formula, the transfer function, the exponential of the drift; not of more masses."""
@@ -82,31 +80,6 @@ def test_with_contact_the_curve_is_that_of_phase_space(question: str, system: Sy
     assert np.all(np.abs(answer.values - expected.values) < Z * answer.errors + expected.errors)
 
 
-def counts_of(dt: float, level: float, steps: int) -> tuple[float, float]:
-    """Upcrossings a period by cosines of random phases: counted, and by the signs at the steps."""
-    system = System([1.0], [1.0], [0.0], [1e-24])
-    phase = np.random.default_rng(2).random((8 * LANES, 1)) * 2.0 * np.pi
-    motion = ensemble_from(system, np.cos(phase), -np.sin(phase), dt, 1)
-    counts, signs = np.zeros((8, 2), dtype=np.int64), 0
-    for _ in range(steps):
-        before = in_rows(motion.last)[:, 0]
-        motion.advance(
-            1, counts, read=lambda *a: count_upcrossings(*a, dt, 0, 1, 1.0, np.array([level]))
-        )
-        signs += np.count_nonzero((before < level) & (in_rows(motion.last)[:, 0] >= level))
-    time = 8 * LANES * steps * dt
-    return counts[:, 0].sum() / time * 2.0 * np.pi, signs / time * 2.0 * np.pi
-
-
-def test_a_level_passed_up_and_down_within_a_step_is_counted() -> None:
-    # cos crosses 0.97 upwards once a period and is above it for 0.08 of that: of steps of 1/7 the
-    # signs see it with the chance 0.08 · 7 = 0.55. The cubic is 5e-4 off at most, (2π/7)⁴/384 at
-    # its middle, which shifts the top by less than 1 − 0.97; counts are whole to a step of 1024.
-    cubic, signs = counts_of(2.0 * np.pi / 7.0, 0.97, 70)
-    assert cubic == pytest.approx(1.0, abs=0.005)
-    assert signs == pytest.approx(7.0 * np.arccos(0.97) / np.pi, abs=0.05)
-
-
 def test_any_cubic_is_counted_as_its_dense_samples() -> None:
     # Random ends and slopes: several turns within a step. Levels lie between samples by chance.
     rng = np.random.default_rng(7)
@@ -123,19 +96,13 @@ def test_any_cubic_is_counted_as_its_dense_samples() -> None:
         assert abs(int(np.cumsum(counts, axis=1)[:, m].sum()) - dense) <= 1
 
 
-def test_levels_in_any_order_and_the_same_for_any_threads() -> None:
-    one = curve("crossings", fig6(), 0, [0.1, -0.2, 0.1], time=20.0)
-    two = curve("crossings", fig6(), 0, [-0.2, 0.1, 0.1], time=20.0, threads=2)
+@pytest.mark.parametrize("question", ["crossings", "spectrum", "correlation"])
+def test_in_any_order_for_any_threads_and_a_tolerance_is_met_or_not_certified(question) -> None:
+    one = curve(question, linear(1), 0, [0.1, 0.5, 0.1], time=20.0)
+    two = curve(question, linear(1), 0, [0.5, 0.1, 0.1], time=20.0, threads=2)
     np.testing.assert_array_equal(one.values, two.values[[1, 0, 2]])
     np.testing.assert_array_equal(one.errors, two.errors[[1, 0, 2]])
-
-
-@pytest.mark.parametrize("question", ["crossings", "spectrum", "correlation"])
-def test_the_same_for_any_threads_and_a_tolerance_is_met_or_not_certified(question: str) -> None:
-    at = [0.0, 0.5]
-    one, two = (curve(question, linear(1), 0, at, time=20.0, threads=k) for k in (1, 2))
-    np.testing.assert_array_equal(one.values, two.values)
-    short = curve(question, linear(1), 0, at, time=5.0, longest=0.5, tol=1e-6)
+    short = curve(question, linear(1), 0, [0.0, 0.5], time=5.0, longest=0.5, tol=1e-6)
     assert any("exceeds the tolerance" in words for words in short.certificate.failures)
 
 
@@ -176,7 +143,7 @@ def test_leakage_is_what_the_windows_make_of_the_exact_spectrum_and_is_corrected
     assert abs(answer.values[0] - expected) < Z * answer.errors[0]
 
 
-@pytest.mark.parametrize("spacing", [0.1, 0.3, 0.6])
+@pytest.mark.parametrize("spacing", [0.1, 0.6])
 def test_the_spline_between_the_samples_is_as_good_as_it_says(spacing: float) -> None:
     # Exact products, ω = 1: the error of the spline falls as the fourth power of the spacing.
     system, lags = System([1.0], [1.0], [0.2], [0.1]), np.linspace(0.0, 20.0, 371)
@@ -257,11 +224,8 @@ def test_in_units_far_from_one_the_variance_is_that_of_equipartition() -> None:
 def test_what_cannot_be_answered_is_refused(question: str, at, settings, words: str) -> None:
     with pytest.raises(InvalidInput, match=words):
         curve(question, linear(1), 0, at, **settings)
-
-
-def test_crossings_without_damping_are_refused() -> None:
     with pytest.raises(NotApplicable, match="not damped"):
-        curve("crossings", System([1.0], [1.0], [0.0], [0.1]), 0, [0.0])
+        curve(question, System([1.0], [1.0], [0.0], [0.1]), 0, [0.0])
 
 
 def test_chunks_of_unequal_lengths_or_cut_short_show_no_drift(

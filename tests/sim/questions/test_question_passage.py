@@ -1,13 +1,12 @@
 """First passage of the full system: exact judges, the order in dt, steps, estimates, refusals."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from math import inf, sqrt
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import kstest, norm
 from sim_systems import (
     CIR_MEAN,
     CIR_RATE,
@@ -21,9 +20,10 @@ from sim_systems import (
 )
 
 from averaging.phase_space.method import PhaseSpace
+from averaging.theory import Exact
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import Passage
-from fpk.answer.names import REST, Coordinate, Limit, Start, parse_limit, parse_observable
+from fpk.answer.names import REST, Coordinate, Limit, Start, parse_limit
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
@@ -35,7 +35,7 @@ from sim.montecarlo import MonteCarlo
 from sim.questions.limits import STEPS_SINCE_START, energies_of, stages
 from sim.questions.passage import estimates, tail_begin
 from sim.questions.passing import reader_of
-from sim.questions.rounds import Watch, on_shell
+from sim.questions.rounds import Watch
 from sim.questions.splitting.run import Splitting, rare_failure
 from sim.sample.ensemble import ensemble_from
 from sim.step.arrays import LANES, in_blocks, in_rows
@@ -156,41 +156,11 @@ def test_either_of_two_modes_survives_as_the_product() -> None:
     assert np.all(both.survival < first.survival - 4.0 * error)
 
 
-def test_a_shell_of_energy_stays_as_it_is_without_noise_and_damping() -> None:
-    # Liouville: the density δ(H − E) is invariant. Two samples that are independent but for the
-    # flow; 1e-4 each that they are called different.
-    contacts, stream = (Contact(1, "right", 40.0, 0.2),), np.random.default_rng(3)
-    system = System([1.0], [1.0], [0.0], [1e-24], contacts=contacts)
-    q, p = on_shell(system, 0.5, 32 * LANES, stream)
-    assert system.hamiltonian(q, p) == pytest.approx(0.5, rel=1e-12)
-    motion = ensemble_from(system, *on_shell(system, 0.5, 32 * LANES, stream), dt=0.02, seed=1)
-    for steps in (60, 57):
-        motion.advance(steps)
-        after = in_rows(motion.last)
-        assert kstest(after[:, 0], q[:, 0]).pvalue > 1e-4
-        assert kstest(after[:, 1], p[:, 0]).pvalue > 1e-4
-
-
 def test_from_the_stationary_state_the_share_beyond_the_limit_has_failed_at_once() -> None:
-    # The share of the stationary ensemble, whose own error is less than 1 %.
     answer = passed(exact(), "H=1.2", "noise=1", times=[0.0, 1.0])
-    method = MonteCarlo(paths=4096, threads=1, time=60.0)
-    (density,) = method.solve(exact(), [(Coordinate("H"),)]).densities
-    edges = density.panels[0]
-    share = float(np.sum(density.values * np.diff(edges) * (edges[1:] <= 1.2)))
-    assert abs(answer.survival[0] - share) < 4.0 * answer.survival_error[0] + 0.01
+    (density,) = Exact().solve(exact(), [(Coordinate("H"),)]).densities
+    assert off((answer.survival[0], answer.survival_error[0]), (density.cdf(1.2).value, 0.0)) < 4.0
     assert answer.survival[1] < answer.survival[0]
-
-
-@pytest.mark.parametrize("limit", ["H={0!r}", "H1={0!r},H2={0!r}"])
-def test_the_unit_of_energy_changes_nothing(limit: str) -> None:
-    # From a displacement without momentum: σ and what the noise makes of it vanish there.
-    def answer(unit: float, seed: int) -> Passage:
-        noise = [0.01 * unit**2, 0.02 * unit**2]
-        system = System([unit, unit], [unit, unit], [0.08 * unit, 0.04 * unit], noise)
-        return passed(system, limit.format(0.4 * unit), "q2=0.5", seed=seed)
-
-    assert alike(answer(1.0, 2).mean, answer(1e-9, 3).mean)
 
 
 def test_an_energy_without_noise_passes_where_it_is_driven_and_only_there() -> None:
@@ -203,10 +173,10 @@ def test_an_energy_without_noise_passes_where_it_is_driven_and_only_there() -> N
 
 
 def test_damping_that_depends_on_the_state_is_stepped() -> None:
-    # A limit cycle of |q| = 2: the limit beyond it is passed by noise, that below it by the growth.
+    # A limit cycle of H = 2: a limit beyond it is passed by noise, one below it by the growth.
     term = DampingTerm(1, 1, 0.2, q=((1, 2),))
     system = System([1.0], [1.0], [-0.2], [0.005], damping_terms=(term,))
-    below = passed(system, "q1=1.8", "q1=1", times=[60.0])
+    below = passed(system, "H=1.6", "q1=1", times=[60.0])
     assert below.survival[0] < 0.01 and below.mean.value < 20.0
     one, half = (passed(system, "H=2.6", "q1=1", dt=dt, seed=k) for k, dt in ((1, 0.1), (2, 0.05)))
     assert alike(one.mean, half.mean)
@@ -244,22 +214,19 @@ def test_a_limit_that_nobody_reaches_is_not_certified_and_the_rate_is_bounded() 
     assert end <= (10000.0 / 8.0 + step) * short.settings["coarse dt"] and asked >= 900.0
 
 
-@pytest.mark.parametrize(
-    ("words", "change"),
-    [
+def test_bad_input_is_one_line() -> None:
+    for words, change in (
         ("beyond the limit", {"start": "H=2"}),
         ("beyond the limit", {"start": "q1=2", "limit": "q1=2"}),
         ("ascend", {"times": [2.0, 1.0]}),
         ("ascend", {"times": [-1.0, 1.0]}),
         ("exact_flow", {"scheme": "baoab"}),
         ("stability limit", {"dt": 3.0, "system": fig6()}),
-    ],
-)
-def test_bad_input_is_one_line(words: str, change: dict[str, Any]) -> None:
-    asked: Any = {"system": oscillator(), "limit": "H=1.5"} | change
-    with pytest.raises(InvalidInput, match=words) as error:
-        passed(**asked)
-    assert "\n" not in str(error.value)
+    ):
+        asked: Any = {"system": oscillator(), "limit": "H=1.5"} | change
+        with pytest.raises(InvalidInput, match=words) as error:
+            passed(**asked)
+        assert "\n" not in str(error.value)
 
 
 def test_an_overdamped_velocity_is_followed_and_too_long_a_step_is_not_certified() -> None:
@@ -303,10 +270,9 @@ def test_the_tail_begins_after_what_the_start_has_left() -> None:
 
 def test_a_limit_that_is_passed_soon_is_passed_in_many_steps() -> None:
     # H rises as D t/m at first: the mean time is L m/D.
-    for limit in (1e-6, 1e-60):
-        answer, right = passed(oscillator(), f"H={limit!r}", paths=PATHS), limit / 0.025
-        assert answer.certificate.certified
-        assert abs(answer.mean.value - right) < 4.0 * answer.mean.error < 0.1 * right
+    answer, right = passed(oscillator(), "H=1e-60", paths=PATHS), 1e-60 / 0.025
+    assert answer.certificate.certified
+    assert abs(answer.mean.value - right) < 4.0 * answer.mean.error < 0.1 * right
 
 
 def test_failures_within_few_steps_are_not_certified() -> None:
@@ -320,12 +286,12 @@ def test_failures_within_few_steps_are_not_certified() -> None:
         estimated(np.zeros(9), np.zeros(9), np.ones(9), step=0.1, memory=1.0)
 
 
-@pytest.mark.parametrize(("events", "bound"), [(0, 2.9957), (1, 4.7439), (10, 16.9622)])
-def test_the_bound_of_a_rate_is_that_of_poisson(events: int, bound: float) -> None:
+def test_the_bound_of_a_rate_is_that_of_poisson() -> None:
     # Garwood: half the 95 % quantile of χ² with 2 (events + 1) degrees of freedom, by tables.
-    time = np.where(np.arange(4096) < events, 1.0, np.inf)
-    (words,) = estimated(time, time, np.full(4096, 10.0)).certificate.failures
-    assert f" is {bound / (40960.0 - 9.0 * events):.2g} at most (95 %)" in words
+    for events, bound in ((0, 2.9957), (1, 4.7439), (10, 16.9622)):
+        time = np.where(np.arange(4096) < events, 1.0, np.inf)
+        (words,) = estimated(time, time, np.full(4096, 10.0)).certificate.failures
+        assert f" is {bound / (40960.0 - 9.0 * events):.2g} at most (95 %)" in words
 
 
 def test_a_number_that_the_step_makes_is_not_certified() -> None:
@@ -349,16 +315,14 @@ def test_no_rate_is_given_from_a_time_in_which_the_start_is_not_forgotten() -> N
     assert not cut.certificate.certified
 
 
-@pytest.mark.parametrize(("error", "certified"), [(0.1, True), (0.11, False), (inf, False)])
-def test_a_probability_that_is_known_to_tenths_only_is_not_certified(
-    error: float, certified: bool
-) -> None:
+def test_a_probability_that_is_known_to_tenths_only_is_not_certified() -> None:
     number, certificate = Number(1.0, 0.1), Measured(0.1, None, 0.0, None, None)
-    survival = np.array([1.0, 0.4]), np.array([0.0, error])
     known = "sampling", certify(certificate, tol=inf, sampled=True)
-    answer = Passage(number, number, None, np.array([0.0, 2.0]), *survival, *known)
-    assert answer.certificate.certified == certified
-    assert certified or "P(T > 2)" in answer.certificate.failures[0]
+    for error, certified in ((0.1, True), (0.11, False), (inf, False)):
+        survival = np.array([1.0, 0.4]), np.array([0.0, error])
+        answer = Passage(number, number, None, np.array([0.0, 2.0]), *survival, *known)
+        assert answer.certificate.certified == certified
+        assert certified or "P(T > 2)" in answer.certificate.failures[0]
 
 
 def test_the_time_that_a_phase_takes_counts_from_its_begin(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -398,9 +362,6 @@ def test_a_rate_is_given_from_when_the_start_is_forgotten() -> None:
 def test_two_loose_masses_are_two_of_one() -> None:
     # k, c → 0: nothing couples them.
     pair = System([1.0, 1.0], [1e-8, 1e-8], [1e-8, 1e-8], [0.5, 0.5])
-    answer = passed(pair, "q2=0.5", times=[1.0], time=1.0, paths=8192)
-    assert answer.certificate.certified
-    assert abs(1.0 - answer.survival[0] - PASSES) < SIGMAS * answer.survival_error[0] < 0.05
     settings = Splitting(replicas=256, repetitions=8, threads=1)
     rare = rare_failure(pair, parse_limit("q2=0.5", 2), REST, 1.0, settings=settings)
     assert abs(rare.probability - PASSES) < SIGMAS * rare.error < 0.3
@@ -442,37 +403,17 @@ def test_steps_grow_with_the_time_since_the_start() -> None:
     assert list(stages(0.25, 0.25, 2.0, most=256)) == [(0.25, 8)]
 
 
-@pytest.mark.parametrize(
-    ("system", "start", "words"),
-    [
-        (System([1.0], [1.0], [0.0], [0.5]), "noise=1", "not damped"),
-        (System([1.0], [1.0], [0.0], [0.0]), "rest", "no noise"),
-    ],
-)
-def test_what_never_settles_or_moves_is_refused(system: System, start: str, words: str) -> None:
-    with pytest.raises(NotApplicable, match=words):
-        passed(system, "q1=0.5", start, [1.0])
-    with pytest.raises(NotApplicable, match=words):
-        transient(system, "q1", start, [1.0], [0.0])
+def test_what_never_settles_or_moves_is_refused() -> None:
+    for noise, start, words in ((0.5, "noise=1", "not damped"), (0.0, "rest", "no noise")):
+        system = System([1.0], [1.0], [0.0], [noise])
+        with pytest.raises(NotApplicable, match=words):
+            passed(system, "q1=0.5", start, [1.0])
+        with pytest.raises(NotApplicable, match=words):
+            transient(system, "q1", start, [1.0], [0.0])
 
 
-LAWS: tuple[tuple[str, float], ...] = (("bilinear", 1.0), ("hertz", 1.5), ("power", 2.0))
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A random system, a limit of first passage from a start, and two times, ascending."""
-
-    system: System
-    limit: Limit
-    start: Start
-    times: Array
-    row: int
-    size: float  # rms of q of mass `row` at the last time, of the free system from rest
-
-
-def drawn(number: int) -> Drawn:
-    """Return the random system of a number: one mass or two, with a stop or without."""
+def drawn(number: int) -> tuple[System, Limit, Start, Array]:
+    """A random system of one mass or two, with a stop or without; a limit, a start, two times."""
     r = np.random.default_rng([391, number])
     n, stop = 1 + number % 2, number // 2 % 2
     mass, stiffness = 10.0 ** r.uniform(-0.5, 0.5, n), 10.0 ** r.uniform(-8.0, 0.0, n)
@@ -485,9 +426,8 @@ def drawn(number: int) -> Drawn:
     covariance = flow_covariance(drift_matrix(free), diffusion_matrix(free), t)[1]
     size = sqrt(covariance[row, row])
     energies = np.diag(free.stiffness_matrix @ covariance[:n, :n]), np.diag(covariance)[n:] / mass
-    mean = 0.5 * float(np.sum(energies))
     of_energy, near = r.random() < 1 / 3, r.random() < 2 / 3
-    value = (mean if of_energy else size) * 10.0 ** r.uniform(-0.5, 0.5)
+    value = (0.5 * float(np.sum(energies)) if of_energy else size) * 10.0 ** r.uniform(-0.5, 0.5)
     value = value if near else 10.0 ** r.uniform(-3.0, 3.0)
     share, start = r.uniform(0.5, 0.99), REST
     name = "H" if of_energy else f"q{row + 1}"
@@ -496,34 +436,31 @@ def drawn(number: int) -> Drawn:
     contacts: tuple[Contact, ...] = ()
     if stop:
         clearance = size * r.uniform(0.0, 2.0) if of_energy else value * r.uniform(0.2, 1.2)
-        law, power = LAWS[r.integers(3)]
+        power = (1.0, 1.5, 2.0)[r.integers(3)]
         B = mass[row] * (10.0 ** r.uniform(0.0, 2.5) / t) ** 2 / size ** (power - 1.0)
-        own = {"exponent": power} if law == "power" else {}
         side = ("left", "right", "both")[r.integers(3)]
-        contacts = (Contact(row + 1, side, B, clearance, law=law, **own),)
+        contacts = (Contact(row + 1, side, B, clearance, law="power", exponent=power),)
     system = System(mass, stiffness, damping, noise, contacts=contacts)
     before = r.uniform(0.0, 3.0 if r.random() < 0.5 else 0.3)
-    limit = parse_limit(f"{name}={value!r}", n)
-    return Drawn(system, limit, start, np.array([t * 10.0**-before, t]), row, size)
+    return system, parse_limit(f"{name}={value!r}", n), start, np.array([t * 10.0**-before, t])
 
 
-def slow(numbers: Any) -> list[Any]:
-    return [pytest.param(k, marks=pytest.mark.slow) for k in numbers]
-
-
-@pytest.mark.parametrize("number", [1, *slow(k for k in range(60) if k != 1)])
+@pytest.mark.parametrize(
+    "number", [k if k == 1 else pytest.param(k, marks=pytest.mark.slow) for k in range(60)]
+)
 def test_random_systems_are_within_their_stated_errors(number: int) -> None:
     # Against the equation where it is of one mass without a stop, else a tenth of the step. Where
     # nearly all or none fail, the stated error is that of one path of all: so it is of both.
-    d = drawn(number)
-    asked, method = (d.system, d.limit, d.start), MonteCarlo(time=float(d.times[-1]), threads=1)
+    *asked, times = drawn(number)
+    system, limit, _ = asked
+    method = MonteCarlo(time=float(times[-1]), threads=1)
     try:
-        answer = method.passage(*asked, d.times)
+        answer = method.passage(*asked, times)
     except NotApplicable as reason:
         assert "is so far within the contacts" in str(reason)  # the shell of a start
         return
-    by_equation = d.system.n == 1 and d.limit.kind == "q" and not d.system.contacts
-    last = d.times[1:] if by_equation else d.times  # the equation takes long over early times
+    by_equation = system.n == 1 and limit.kind == "q" and not system.contacts
+    last = times[1:] if by_equation else times  # the equation takes long over early times
     fine = PhaseSpace() if by_equation else replace(method, step_factor=0.1, seed=2)
     reference = fine.passage(*asked, last)
     known = answer.survival[-last.size :], answer.survival_error[-last.size :]
@@ -536,27 +473,8 @@ def test_random_systems_are_within_their_stated_errors(number: int) -> None:
                 assert off((x.value, x.error), (y.value, y.error)) < SIGMAS
     try:
         settings = Splitting(replicas=128, repetitions=8, threads=1, seconds=5.0)
-        rare = rare_failure(*asked, float(d.times[-1]), settings=settings)
+        rare = rare_failure(*asked, float(times[-1]), settings=settings)
     except NotCertified:  # too few repetitions in the time
         return
     if rare.error <= 0.5 * rare.probability:
         assert off((rare.probability, rare.error), (1.0 - right[0][-1:], right[1][-1:])) < SIGMAS
-
-
-@pytest.mark.parametrize("number", [0, 1, *slow(range(2, 60))])
-def test_random_transients_are_within_their_stated_errors(number: int) -> None:
-    # Against the Gaussian of a linear system from rest, else a tenth of the step.
-    d, at = drawn(number), np.array([-1.2, -0.4, 0.3, 1.0])
-    q, points = parse_observable(f"q{d.row + 1}", d.system.n), (d.size * at,)
-    answer = MonteCarlo(threads=1).transient(d.system, q, REST, d.times, points)
-    if d.system.contacts:
-        fine = MonteCarlo(threads=1, step_factor=0.1, seed=2)
-        right = fine.transient(d.system, q, REST, d.times, points)
-        reference: Any = right.values, right.errors
-    else:
-        A, b = drift_matrix(d.system), diffusion_matrix(d.system)
-        scales = [sqrt(flow_covariance(A, b, t)[1][d.row, d.row]) for t in d.times]
-        reference = np.array([norm.pdf(points[0], scale=scale) for scale in scales]), 0.0
-    assert (
-        off((answer.values, answer.errors), reference) < SIGMAS or not answer.certificate.certified
-    )

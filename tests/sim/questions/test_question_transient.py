@@ -51,7 +51,7 @@ def test_a_pair_of_a_linear_system_from_rest() -> None:
     assert np.all(np.abs(answer.values[0] - expected) < Z * answer.errors[0])
 
 
-@pytest.mark.parametrize("start", ["noise=1", "H=0.4", "rest"])
+@pytest.mark.parametrize("start", ["noise=1", "H=0.4"])
 def test_with_contact_it_ends_in_the_stationary_density(start: str) -> None:
     # After 20 of the slowest decay times, and from it (noise = 1) at any time.
     at, time = np.linspace(-0.8, 0.8, 9), 1.0 if start == "noise=1" else 150.0
@@ -108,21 +108,19 @@ def test_the_same_for_any_threads_and_a_tolerance_takes_more() -> None:
     assert any("exceeds the tolerance" in words for words in never.certificate.failures)
 
 
-@pytest.mark.parametrize(
-    ("words", "change"),
-    [
+def test_bad_input_is_one_line() -> None:
+    for words, change in (
         ("ascend", {"times": [2.0, 1.0]}),
         ("ascend", {"times": [np.nan]}),
         ("one value at t = 0", {"times": [0.0]}),
         ("one value at t = 0", {"of": "H", "start": "H=0.3", "times": [0.0]}),
         ("exact_flow", {"scheme": "baoab"}),
-    ],
-)
-def test_bad_input_is_one_line(words: str, change: dict[str, Any]) -> None:
-    asked: Any = {"of": "q2", "start": "rest", "times": [1.0]} | change
-    with pytest.raises(InvalidInput, match=words) as error:
-        transient(fig6(), asked.pop("of"), asked.pop("start"), asked.pop("times"), [0.0], **asked)
-    assert "\n" not in str(error.value)
+    ):
+        asked: Any = {"of": "q2", "start": "rest", "times": [1.0]} | change
+        own = (asked.pop(name) for name in ("of", "start", "times"))
+        with pytest.raises(InvalidInput, match=words) as error:
+            transient(fig6(), *own, [0.0], **asked)
+        assert "\n" not in str(error.value)
 
 
 def energy_density(system: System, t: float, E: Array) -> Array:
@@ -141,7 +139,7 @@ def energy_density(system: System, t: float, E: Array) -> Array:
     return np.asarray(np.mean(np.exp(exponents) / g, axis=1) / np.sqrt(np.linalg.det(own)))
 
 
-@pytest.mark.parametrize("t", [1e-9, 0.1, 0.3, 3.0])
+@pytest.mark.parametrize("t", [1e-9, 0.3])
 def test_a_spike_of_the_energy_has_an_error(t: float) -> None:
     # At early times p(H) ~ H^(−1/2) down to H ~ D t³, where it ends at √3/(D t²).
     x = 0.1 * t * np.concatenate([[0.0, 1e-9, 1e-5], np.linspace(1e-3, 0.1, 30)])
