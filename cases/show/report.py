@@ -30,7 +30,7 @@ from cases.show.pictures.draw import column_figure
 from cases.show.pictures.in_time import time_panels
 from cases.show.pictures.panel import map_record
 from cases.show.pictures.style import SHOWN, STYLE, in_units
-from cases.show.pictures.svg import inline_svg, svg_text
+from cases.show.pictures.svg import image_address, svg_text
 from cases.show.records import Record
 from cases.show.slider_model import slider_curves, slider_model
 from cases.show.text import render, theory_table
@@ -63,20 +63,20 @@ def write_report(
     Every file appears whole or not at all. Raises ``BadInput`` where the folder cannot be written.
     """
     pictures, written = [], []
+    live = live_record(outcome)
+    touched = {stem for plot in (live or {"plots": ()})["plots"] for stem in plot["still"]}
     for stem, caption, figure in figures(outcome, progress=progress):
-        svg = svg_text(figure, salt=stem)
         written.append(folder / f"{stem}.svg")
-        write_text(written[-1], svg)
+        write_text(written[-1], svg_text(figure, salt=stem))
         group = GROUPS.get(stem.partition("_")[0], "density")
-        pictures.append(
-            {"stem": stem, "group": group, "caption": caption, "svg": inline_svg(svg, caption)}
-        )
+        image = "" if stem in touched else image_address(figure)
+        pictures.append({"stem": stem, "group": group, "caption": caption, "image": image})
     fields = [path.name for path in sorted(folder.glob("*.nc"))]
     page = report_html(
         outcome.scene,
         digest,
         pictures,
-        live=live_record(outcome),
+        live=live,
         command=command,
         downloads=[*fields, *(path.name for path in written)],
     )

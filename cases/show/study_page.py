@@ -21,7 +21,7 @@ from cases.show.files import write_text
 from cases.show.page import PLOTS, as_script_data, origin_record, page_record, script_record
 from cases.show.pictures.draw import study_figure
 from cases.show.pictures.panel import Field, Panel, live_plots
-from cases.show.pictures.svg import inline_svg, svg_text
+from cases.show.pictures.svg import svg_text
 from cases.show.text import html_table, render, text_table
 from cases.show.variables import Variables
 from cases.show.words import reader_words
@@ -186,7 +186,6 @@ class Page:
         record = {
             "page": self,
             "notes": [f"{p.title}: {note}." for p, note in coincident],
-            "svg": inline_svg(texts["svg"], self.title),
             "data": as_script_data(data),
             **page_record(PLOTS),
             **origin_record(command, downloads),

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from html import escape
-from itertools import chain, repeat
+from itertools import chain, groupby, repeat
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, get_args
@@ -162,41 +162,31 @@ def claims_counted(claims: list[Record]) -> str:
     )
 
 
-def rows_to_show(rows: Sequence[Record]) -> list[Record]:
-    """Return the quantities by the first route of each method that solves, and that samples.
-
-    Chosen for each observable on its own. Other solvers of the same equation agree with the first
-    within their errors, or the run fails.
-    """
-    first: dict[tuple[str, str, str], str] = {}
-
-    def route_of(row: Record) -> str:
-        key = row["observable"], row["route"].partition("/")[0], row["error_kind"]
-        return first.setdefault(key, row["route"])
-
-    return [row for row in rows if route_of(row) == row["route"]]
-
-
-def theory_table(rows: Sequence[Record]) -> Record:
+def theory_table(rows: Sequence[Record], *, every: bool = False) -> Record:
     """Return the theories as ``routes``, the cells by theory, and theories by what they solve.
 
-    ``solved_by`` has the theories that solve the "full" and an "averaged" equation. ``rows`` are
-    the quantities of a curve, of which ``rows_to_show`` are taken. Each row of the table has its
+    ``rows`` are the quantities of a curve: of ``every`` route, else of the first route of each
+    method that solves, and that samples, chosen for each observable on its own. Other solvers of
+    the same equation agree with the first within their errors, or the run fails. ``solved_by`` has
+    the theories that solve the "full" and an "averaged" equation. Each row of the table has its
     observable (``of``), its ``quantity`` with the unit, and ``cells`` by theory.
     """
+    first: dict[tuple[str, str, str], str] = {}
     cells: dict[tuple[str, str], Record] = {}
-    solves: dict[str, str] = {}
-    for row in rows_to_show(rows):
-        name = theory_of_route(row["route"])
-        solves[name] = row["solves"]
-        quantity = row["label"] + in_brackets(row.get("unit") or "")
-        cells.setdefault((row["observable"], quantity), {})[name] = row
+    solved_by: dict[str, list[str]] = {}
+    words = reader_words if every else theory_of_route
+    routes: dict[str, None] = {}
+    for row in rows:
+        key = row["observable"], row["route"].partition("/")[0], row["error_kind"]
+        if every or first.setdefault(key, row["route"]) == row["route"]:
+            name, quantity = words(row["route"]), row["label"] + in_brackets(row.get("unit") or "")
+            if name not in routes:
+                solved_by.setdefault(row["solves"], []).append(name)
+            routes[name] = None
+            cells.setdefault((row["observable"], quantity), {})[name] = row
     return {
-        "routes": list(solves),
-        "solved_by": {
-            kind: [name for name, own in solves.items() if own == kind]
-            for kind in dict.fromkeys(solves.values())
-        },
+        "routes": list(routes),
+        "solved_by": solved_by,
         "rows": [{"of": of, "quantity": q, "cells": own} for (of, q), own in cells.items()],
     }
 
@@ -209,24 +199,24 @@ def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> 
     return lines
 
 
-def quantity_rows(rows: Sequence[Record], *, every: bool = True) -> Iterator[list[tuple[str, ...]]]:
-    """Yield a table of each observable: routes, the equations that they solve, quantities.
-
-    With ``every`` route, else with the routes of ``rows_to_show``, by the names of the theories.
-    """
-    rows = rows if every else rows_to_show(rows)
-    for observable in dict.fromkeys(row["observable"] for row in rows):
-        own = [row for row in rows if row["observable"] == observable]
-        routes = {row["route"]: row["solves"] for row in own}
-        cells = {(r["label"], r["route"]): concise(r["value"], r["error"]) for r in own}
-        units = {row["label"]: in_brackets(row.get("unit") or "") for row in own}
-        heads = [observable, "equation solved", *(name + unit for name, unit in units.items())]
-        words = reader_words if every else theory_of_route
-        columns = [
-            [words(r), solves, *(cells.get((n, r), "") for n in units)]
-            for r, solves in routes.items()
+def quantity_rows(rows: Sequence[Record], *, every: bool = True) -> Iterator[list[list[str]]]:
+    """Yield ``theory_table`` as text for each observable: routes, what they solve, quantities."""
+    for observable, own in groupby(rows, key=lambda row: row["observable"]):
+        table = theory_table([*own], every=every)
+        routes = table["routes"]
+        solves = {name: kind for kind, names in table["solved_by"].items() for name in names}
+        yield [
+            [observable, *routes],
+            ["equation solved", *(solves[name] for name in routes)],
+            *(
+                [row["quantity"], *(_cell(row["cells"].get(r)) for r in routes)]
+                for row in table["rows"]
+            ),
         ]
-        yield list(zip(heads, *columns, strict=True))
+
+
+def _cell(row: Record | None) -> str:
+    return concise(row["value"], row["error"]) if row else ""
 
 
 def html_table(rows: Sequence[Sequence[str]]) -> str:

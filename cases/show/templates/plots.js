@@ -1,5 +1,5 @@
-// A plot of a page that can be touched: its buttons, zoom, cursor and keys. Without scripts, and on paper, the drawn
-// pictures are there.
+// A plot of a page that can be touched: its buttons, zoom, cursor and keys. Without scripts a page shows the files of
+// drawn pictures beside it.
 function livePlot(plot) {
   const host = document.createElement("figure"), view = {x: null, y: null, cursor: null};
   Object.assign(host, {className: "live", id: `live_${plot.id}`});
