@@ -1,20 +1,17 @@
 """Maps, answers in time and pages of studies in a browser: numbers, hover, keyboard, toggles."""
 
 import json
-from io import BytesIO
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import fpk as face
 from cases.compare.routes import method_for
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
-from cases.show.pictures.draw import HALO, study_figure
+from cases.show.pictures.draw import study_figure
 from cases.show.pictures.panel import Curve, Field, Panel, live_plots
-from cases.show.pictures.style import COLOURS, DARK
 from cases.show.report import live_record, write_report
 from cases.show.words import reader_words
 from cases.study.cost import CostStudy
@@ -272,10 +269,10 @@ def test_no_page_is_wider_than_a_telephone_and_paper_and_no_script_have_the_pict
             assert one["beyond"] == [] and one["small"] == 0, name
             assert one["live"] > 0 and one["touch"] > 0 and one["cut"] == [], name
         paper = sizes(url, width=700, paper=True)
-        assert paper["live"] == paper["touch"] == 0 < paper["still"], name
+        assert paper["touch"] == 0 < paper["live"] and paper["drawn"] == screen["drawn"], name
         bare = sizes(url, width=390, script=False)
         assert bare["live"] == bare["still"] == 0
-        assert paper["drawn"] == bare["drawn"] == screen["drawn"] + screen["still"], name
+        assert bare["drawn"] == screen["drawn"] + screen["still"], name
 
 
 def test_what_there_is_not_is_null_in_the_data_and_empty_in_the_picture(sweeps):
@@ -291,43 +288,15 @@ def test_what_there_is_not_is_null_in_the_data_and_empty_in_the_picture(sweeps):
     assert "NaN" not in json.dumps([plot["series"][0]["y"]])
 
 
-DRAWN = """
-const picture = document.querySelector("figure > svg");
-const filled = colour => [...picture.querySelectorAll(`[fill="${colour}" i]`)].map(
-  e => getComputedStyle(e).fill);
-const box = picture.getBoundingClientRect();
-return {top: box.top, height: box.height,
-  paper: getComputedStyle(document.body).backgroundColor, halo: filled("#f4f4f4"),
-  ink: [...picture.querySelectorAll("text")].map(e => getComputedStyle(e).fill),
-  first: filled("#00a688"), image: picture.querySelectorAll("image").length};
-"""
-
-
-def drawn_in(shot, colour):
-    """The number of pixels in about a colour."""
-    rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
-    return int((np.abs(shot - rgb).max(axis=2) < 12).sum())
-
-
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_drawn_pictures_of_studies_are_legible_on_both_pages(browser, pages, dark):
-    found = {}
+def test_without_script_a_study_shows_its_picture_on_light_ground(browser, pages, dark):
     for name in ("cost", "regime"):
         browser.open(pages[name], width=1280, script=False, dark=dark)
-        found[name] = browser.result(DRAWN)
-        part = {"top": int(found[name]["top"]), "height": int(found[name]["height"])}
-        shot = Image.open(BytesIO(browser.shot(**part))).convert("RGB")
-        found[name]["shot"] = np.asarray(shot, dtype=int)
-    # Words stand on a box of the page's colour, in the colour of its text.
-    (box,) = set(found["cost"]["halo"])
-    assert box == found["cost"]["paper"] and len(set(found["cost"]["ink"])) == 1
-    assert HALO["fc"] == "#f4f4f4" and box not in found["cost"]["ink"]
-    # The second route is a symbol alone, drawn in the colour of its page and no other.
-    own, other = (DARK[1], COLOURS[1]) if dark else (COLOURS[1], DARK[1])
-    assert drawn_in(found["cost"]["shot"], own) > 10
-    assert drawn_in(found["cost"]["shot"], other) == 0
-    # The colours of a legend are those of the image, which has one set of them.
-    assert found["regime"]["image"] > 0 and set(found["regime"]["first"]) == {"rgb(0, 166, 136)"}
+        (picture,) = browser.result(
+            """return [...document.querySelectorAll("figure img")].map(
+              e => [e.naturalWidth, getComputedStyle(e).backgroundColor]);"""
+        )
+        assert picture[0] > 300 and (picture[1] == "rgb(253, 253, 251)") == dark
 
 
 def test_a_telephone_has_fewer_numbers_on_an_axis_of_powers(browser, pages):

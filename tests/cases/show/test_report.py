@@ -4,14 +4,10 @@ import re
 from base64 import b64encode
 from dataclasses import replace
 from hashlib import sha256
-from io import StringIO
 from itertools import combinations
-from xml.etree.ElementTree import fromstring
 
 import numpy as np
 import pytest
-from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from cases.command.parts import command_line
 from cases.compare.rare import SPLITTING
@@ -22,8 +18,7 @@ from cases.scene.units import Units
 from cases.show.digest import digest_of
 from cases.show.page import TEMPLATES
 from cases.show.pictures.chain import chain_svg
-from cases.show.pictures.style import COLOURS, DARK, DASHES, MARKERS, STYLE
-from cases.show.pictures.svg import TOLERANCE, inline_svg, svg_text
+from cases.show.pictures.style import COLOURS, DARK, DASHES, MARKERS
 from cases.show.report import headline_of, measure_of, numbers_of, report_html
 from cases.show.text import claims_counted, render, theory_table
 from cases.show.words import CONSTANT_NOISE, reader_words
@@ -278,115 +273,6 @@ def test_the_chain_is_drawn_with_its_stops():
     assert chain_svg(system, Units("mm", "kg", "s")).count("δ = 0.5 mm") == 2
     long = System(np.ones(40), np.ones(40), np.full(40, 0.1), np.full(40, 0.1))
     assert chain_svg(long).count('class="mass"') == 8 and "first 8" in chain_svg(long)
-
-
-def test_pictures_in_the_page_have_words_as_text_and_no_styles():
-    figure = Figure()
-    axes = figure.subplots()
-    axes.plot([0, 1], [0, 1], linestyle="--", color="#123456")
-    axes.set_xlabel("displacement")
-    svg = inline_svg(svg_text(figure, salt="a"), "words")
-    assert "displacement</text>" in svg and 'stroke="#123456"' in svg
-    assert "style" not in svg and 'stroke-dasharray="' in svg and 'font-size="' in svg
-
-
-def places(path):
-    """The points of the runs of a path of relative moves and lines."""
-    runs, at, letter = [], np.zeros(2), ""
-    for own, *words in re.findall(r"([mlhvz]?) ?(-?(?:\d*\.)?\d+)(?: ?(-?(?:\d*\.)?\d+))?", path):
-        letter = own or {"m": "l"}.get(letter, letter)
-        numbers = [float(word) for word in words if word]
-        if letter in "hv":
-            for number in numbers:
-                at = at + np.array([number, 0.0] if letter == "h" else [0.0, number])
-                runs[-1].append(at)
-            continue
-        at = at + numbers
-        runs.append([at]) if letter == "m" else runs[-1].append(at)
-    return [np.array(run) for run in runs]
-
-
-def away(points, line):
-    """The largest distance of the points from a line through its own points."""
-    start, step = line[:-1], np.diff(line, axis=0)
-    from_start = points[:, None] - start
-    along = np.clip((from_start * step).sum(2) / (step**2).sum(1), 0.0, 1.0)
-    return np.linalg.norm(from_start - along[..., None] * step, axis=2).min(1).max()
-
-
-def drawn(figure):
-    """The numbers of the one line in the axes as matplotlib writes it, and its path in ours."""
-    with rc_context({**STYLE, "svg.hashsalt": "a"}):
-        stream = StringIO()
-        figure.savefig(stream, format="svg")
-    (theirs,) = re.findall(r' d="(M[^"]*)" clip-path', stream.getvalue())
-    (ours,) = re.findall(r' d="(m[^"]*)" clip-path', svg_text(figure, salt="a"))
-    return theirs, ours
-
-
-@pytest.mark.parametrize(
-    ("y", "share"),
-    # Where all points show, as in the third line, only their digits are fewer.
-    [
-        (np.sin(np.linspace(0.0, 60.0, 4000)), 0.1),
-        (np.exp(-(np.linspace(-3.0, 3.0, 300) ** 2)), 0.15),
-        (np.tile([0.0, 1.0, 0.5, 0.7], 40), 0.6),
-        (np.zeros(300), 0.01),
-    ],
-)
-def test_lines_of_pictures_are_short_and_go_where_they_went(y, share):
-    with rc_context(STYLE):
-        figure = Figure()
-        figure.subplots().plot(y)
-        theirs, ours = drawn(figure)
-    exact = np.array(re.findall(r"[-\d.]+", theirs), dtype=float).reshape(-1, 2)
-    (line,) = places(ours)
-    assert len(exact) == len(y) and len(ours) < share * len(theirs)
-    # Half a hundredth in each direction is rounded away.
-    assert away(exact, line) < TOLERANCE + 0.0071
-    assert np.abs(line[[0, -1]] - exact[[0, -1]]).max() < 0.0051
-    assert away(exact, line + np.array([0.0, 0.2])) > TOLERANCE + 0.0071  # the measure can fail
-
-
-def test_gaps_of_lines_stay_gaps():
-    with rc_context(STYLE):
-        figure = Figure()
-        figure.subplots().plot(
-            [0, 0, np.nan, 1, 1, np.nan, 2, 3], [0, 1, np.nan, 0, 2, np.nan, 1, 3]
-        )
-        theirs, ours = drawn(figure)
-    exact = [
-        np.array(re.findall(r"[-\d.]+", run), dtype=float).reshape(-1, 2)
-        for run in theirs.split("M")[1:]
-    ]
-    assert len(exact) == 3
-    for run, line in zip(exact, places(ours), strict=True):
-        assert np.abs(run - line).max() < 0.0051
-
-
-def test_symbols_are_markers_of_a_line_and_names_that_nobody_refers_to_are_left_out():
-    with rc_context(STYLE):
-        figure = Figure()
-        axes = figure.subplots()
-        axes.plot([0, 1, 2, 2], [0, 1, 0, 0], linestyle="none", marker="o", color="#123456")
-        svg = inline_svg(svg_text(figure, salt="a"), "words")
-    root = fromstring(svg)
-    lines = [e for e in root.iter("path") if e.get("marker-mid")]
-    assert len(lines) == 3  # the points, and the ticks of two axes
-    symbols = {path.get("id"): path for path in root.iter("path")}
-    for line in lines:
-        name = re.fullmatch(r"url\(#(.*)\)", line.get("marker-mid"))[1]
-        (marker,) = [e for e in root.iter("marker") if e.get("id") == name]
-        assert line.get("marker-start") == line.get("marker-end") == line.get("marker-mid")
-        assert line.get("fill") == line.get("stroke") == "none"
-        symbol = symbols[marker.find("use").get("href").removeprefix("#")]
-        if symbol.get("stroke") == "#123456":
-            (points,) = places(line.get("d"))
-    assert points.shape == (3, 2)  # of two points in one place one is enough
-    assert points[0, 1] == points[2, 1] > points[1, 1] and np.ptp(np.diff(points[:, 0])) < 0.011
-    names = re.findall(r' id="([^"]*)"', svg)
-    assert len(names) == len(set(names)) > 3 and all(f"#{name}" in svg for name in names)
-    assert len(svg) < 0.5 * len(svg_text(figure, salt="a"))
 
 
 def test_the_policy_allows_the_style_of_the_page_alone(outcome):

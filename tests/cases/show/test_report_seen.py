@@ -101,7 +101,7 @@ def test_no_window_cuts_anything(browser, page, width, script):
         return [cut.map(e => e.outerHTML.slice(0, 80)),
           texts.map(e => parseFloat(getComputedStyle(e).fontSize) * slant(e))];"""
     )
-    assert cut == [] and len(small) > 20 and min(small) >= TEXT
+    assert cut == [] and len(small) > (20 if script else 5) and min(small) >= TEXT
 
 
 def test_without_script_the_drawn_pictures_are_there_and_nothing_is_empty(browser, page):
@@ -109,32 +109,30 @@ def test_without_script_the_drawn_pictures_are_there_and_nothing_is_empty(browse
     drawn, live, empty = browser.result(
         SEEN
         + """
-        const drawn = [...document.querySelectorAll("figure > svg")].filter(seen);
+        const drawn = [...document.querySelectorAll("figure img")].filter(seen);
         const live = parts.filter(e => e.matches("input, button, .live, #sliders") && seen(e));
         const empty = [...document.querySelectorAll("h2")].filter(h => seen(h) &&
           !h.parentElement.querySelector(`#${h.id} ~ :not([hidden])`)?.textContent.trim());
-        return [drawn.map(e => e.querySelectorAll('[stroke^="#"]').length), live.length,
-          empty.map(h => h.textContent)];"""
+        return [drawn.map(e => e.naturalWidth), live.length, empty.map(h => h.textContent)];"""
     )
-    # Both theories and the simulation have colours, axes have that of the text.
-    assert len(drawn) == 4 and min(drawn) >= 3 and live == 0 and empty == []
+    assert len(drawn) == 4 and min(drawn) > 300 and live == 0 and empty == []
 
 
 @pytest.mark.parametrize(("script", "dark"), [*product([True, False], [True, False])])
-def test_paper_has_the_drawn_pictures_in_dark_ink_and_no_controls(browser, page, script, dark):
+def test_paper_has_the_pictures_in_dark_ink_and_no_sliders(browser, page, script, dark):
     browser.open(page, width=718, script=script, dark=dark, paper=True)
     drawn, controls, paper, ink, strokes = browser.result(
         CONTRAST
         + """
-        const drawn = [...document.querySelectorAll("figure > svg")].filter(seen);
-        const controls = parts.filter(e => e.matches("input, button") && seen(e));
+        const drawn = [...document.querySelectorAll("figure img, .pair > svg")].filter(seen);
+        const controls = parts.filter(e => e.matches("input") && seen(e));
         const strokes = [...document.querySelectorAll('[stroke="#e07500"]')].filter(seen).map(
           e => getComputedStyle(e).stroke);
         return [drawn.length, controls.length, luminance(ground(document.body)),
           luminance(channels(getComputedStyle(document.body).color)), [...new Set(strokes)]];"""
     )
     assert drawn >= 4 and controls == 0 and paper == 1.0 and ink == 0.0
-    assert strokes == ["rgb(224, 117, 0)"]
+    assert strokes == (["rgb(224, 117, 0)"] if script else [])
     assert browser.pdf().startswith(b"%PDF")
 
 
