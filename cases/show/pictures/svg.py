@@ -29,6 +29,6 @@ def image_address(figure: Figure) -> str:
     """Return the figure as the ``data:`` address of a lossless WebP image without background."""
     stream = BytesIO()
     with rc_context(STYLE):
-        own = {"pil_kwargs": {"lossless": True}, "transparent": True}
-        figure.savefig(stream, format="webp", dpi=DOTS, **own)
+        lossless = {"lossless": True}
+        figure.savefig(stream, format="webp", dpi=DOTS, transparent=True, pil_kwargs=lossless)
     return f"data:image/webp;base64,{b64encode(stream.getvalue()).decode()}"
