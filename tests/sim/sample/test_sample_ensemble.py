@@ -23,7 +23,7 @@ from sim.sample.diagnostics import moment_products
 from sim.sample.ensemble import Ensemble, ensemble_from
 from sim.sample.plan import observation_arrays, step_arrays
 from sim.sample.workers import program_checksum, workers_of
-from sim.step.arrays import LANES, in_blocks, in_rows
+from sim.step.arrays import LANES, in_rows
 from sim.step.kernel import COMPILED, KernelKey, kernel_checksum
 from sim.step.schemes import SCHEMES
 
@@ -32,7 +32,7 @@ H = (Coordinate("H"),)
 RUNS = {
     "mixed": (mixed, EXACT_FLOW, 0.1, ("q1", "p3", "H", "q3,p3")),
     "long steps": (lambda: stiff(1e3), longer(8), 0.16, ("q2", "p2", "q2,p2")),
-    "terms": (hardened, EXACT_FLOW, 0.1, ()),
+    "terms": (hardened, EXACT_FLOW, 0.1, ("H",)),
 }
 
 
@@ -69,23 +69,22 @@ def test_what_is_not_in_the_scene_is_not_compiled(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr("sim.step.kernel.compile_laws", refuse)
     system = linear(2)
-    ensemble = Ensemble(system, EXACT_FLOW, 0.5, 2 * LANES, 1, 1)
-    assert observation_arrays(system, EXACT_FLOW, ensemble.step, (), ())[0] == KernelKey()
-    assert ensemble.step.stop_slot.size == ensemble.step.slot_mass.size == 0
-    assert ensemble.last.shape == (2, 0, LANES) and ensemble.step.maps == 1  # nothing is traced
+    step = Ensemble(system, EXACT_FLOW, 0.5, 2 * LANES, 1, 1).step
+    assert observation_arrays(system, EXACT_FLOW, step, (), ())[0] == KernelKey()
+    assert step.stop_slot.size == step.slot_mass.size == 0 and step.maps == 1
     for name, energy in (("q2", False), ("p1", False), ("H", True)):
-        h = ranged(system, [name])
-        key = observation_arrays(system, EXACT_FLOW, ensemble.step, h, ())[0]
+        key, _ = observation_arrays(system, EXACT_FLOW, step, ranged(system, [name]), ())
         assert key == KernelKey(energy=energy)
     step = step_arrays(fig6(), EXACT_FLOW, 0.1)
-    assert observation_arrays(fig6(), EXACT_FLOW, step, (), ())[0].laws == ("hertz",)
+    assert observation_arrays(fig6(), EXACT_FLOW, step, (), ())[0] == KernelKey(laws=("hertz",))
     # A stop that is equal on both sides is evaluated once.
     assert step.stops[:, 0].tolist() == [0.0]
     assert step_arrays(mixed(), EXACT_FLOW, 0.1).stops[:, 0].tolist() == [1, 0, -1]
 
 
 def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> None:
-    """Of compiled files both, of others that of the program only; a missing file is an error."""
+    """Of compiled files both, of others in any room that of the program, by which the workers of a
+    cluster are held to run the same one; a missing file is an error."""
     for room in ("sim", "fpk", "averaging", "cases"):
         shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
 
@@ -97,7 +96,7 @@ def test_an_edit_changes_the_checksums_of_what_depends_on_it(tmp_path: Path) -> 
         ("sim/step/forces.py", True),
         ("fpk/system/laws/hertz.py", True),
         ("fpk/system/laws/power.py", False),
-        ("sim/sample/diagnostics.py", False),
+        *((f"{room}/__init__.py", False) for room in ("sim", "averaging", "cases")),
     ):
         before = checksums(tmp_path)
         with (tmp_path / name).open("a") as file:
@@ -229,8 +228,3 @@ def test_lanes_that_are_kept_go_on_and_copies_part() -> None:
     motion.advance(1)
     later = in_rows(motion.last)
     assert np.all(later[0] != later[1])
-
-
-def test_blocks_and_rows() -> None:
-    blocks = in_blocks(np.arange(2.0 * LANES)[:, None])
-    assert blocks.shape == (2, 1, LANES) and in_rows(blocks)[-1, 0] == 2.0 * LANES - 1.0

@@ -153,7 +153,7 @@ def add_deviations(
         value, error = density.at(*points)
         assert np.all(value >= -error)
         z += ((value - exact[name](*points)) / error).tolist()
-        if "," not in name:
+        if name in ("H", f"q{system.stops[0].index + 1}"):
             edges = density.edges[0][:: 4 if name[0] == "H" else 1]
             x, width = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
             value = density(x)
@@ -254,18 +254,11 @@ def test_the_lowest_energies_of_two_masses_are_positive() -> None:
     assert abs(value - right) < Z * error < Z * right
 
 
-def test_a_low_quantile_of_the_energy() -> None:
-    """1 % of the time a mass with hardly a clearance has less energy than 0.00153884."""
-    system = one_mass(0.5, "both", 118.9207115002721, 0.014142135623730949)
-    found = sampled(MonteCarlo(paths=4096, relaxations=40.0), system, "H").quantile(0.01)
-    assert abs(found.value - 0.00153884) < Z * found.error < 0.1 * 0.00153884
-
-
 @pytest.mark.parametrize(
     ("law", "B", "right"),
     [
-        ("hertz", 1e6, 0.2299971),
-        pytest.param("hertz", 1e5, 0.2289840, marks=pytest.mark.slow),
+        ("hertz", 1e5, 0.2289840),
+        pytest.param("hertz", 1e6, 0.2299971, marks=pytest.mark.slow),
         pytest.param("bilinear", 1e6, None, marks=pytest.mark.slow),
     ],
 )
