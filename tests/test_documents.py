@@ -5,6 +5,7 @@ import math
 import re
 import runpy
 import shlex
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -44,37 +45,24 @@ REFERENCE = re.compile(r"([a-z_0-9/]+\.py)::(\w+)(?:\.(\w+))?")
 FILE = re.compile(r"`((?:fpk|averaging|sim|cases|tests|docs|examples)/[\w/.-]*)`")
 
 
+@cache
 def names_in(source):
     """Functions, classes and constants of a module, and the methods of its classes."""
     nodes = list(ast.walk(ast.parse(source)))
-    assigned = [
-        target
-        for n in nodes
-        if isinstance(n, ast.Assign | ast.AnnAssign)
-        for target in (n.targets if isinstance(n, ast.Assign) else [n.target])
-    ]
-    names = {n.id for target in assigned for n in ast.walk(target) if isinstance(n, ast.Name)}
+    names = {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
     return names | {n.name for n in nodes if hasattr(n, "name")}
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_names_in_documents_exist(document):
-    for file, *names in REFERENCE.findall(document.read_text(encoding="utf-8")):
-        path = ROOT / file
-        assert path.is_file(), f"{document.name} mentions {file}"
-        there = names_in(path.read_text(encoding="utf-8"))
-        assert {*filter(None, names)} <= there, f"{file} has not all of {names}"
-
-
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_files_in_documents_exist(document):
-    for file in FILE.findall(document.read_text(encoding="utf-8")):
-        assert (ROOT / file).exists(), f"{document.name} mentions {file}"
-
-
-def test_the_theory_names_code():
+def test_names_and_files_in_documents_exist():
     assert THEORY in DOCUMENTS
     assert len(REFERENCE.findall(THEORY.read_text(encoding="utf-8"))) > 25
+    for document in DOCUMENTS:
+        text = document.read_text(encoding="utf-8")
+        for file in (*FILE.findall(text), *(file for file, *_ in REFERENCE.findall(text))):
+            assert (ROOT / file).exists(), f"{document.name} mentions {file}"
+        for file, *names in REFERENCE.findall(text):
+            there = names_in((ROOT / file).read_text(encoding="utf-8"))
+            assert {*filter(None, names)} <= there, f"{file} has not all of {names}"
 
 
 def test_the_command_line_page_has_every_method_and_solver():
@@ -107,17 +95,15 @@ def test_commands_in_documents_parse():
             pass
 
 
-def test_the_readme_is_short_with_three_commands_and_how_long_they_take():
+def test_the_readme_is_short_with_three_commands_their_times_and_the_figures_of_the_pages(
+    monkeypatch,
+):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(readme.split("\n")) <= 105
     first = re.findall(r"```console\n\$ (.*)\n", readme)
     assert len(first) == 3 and all(re.search(r"  # [\d.]+ s$", line) for line in first)
-
-
-def test_the_readme_has_the_figures_of_the_pages(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    table = runpy.run_path(str(ROOT / "benchmarks" / "readme.py"))["trust_table"]()
-    assert table in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert runpy.run_path(str(ROOT / "benchmarks" / "readme.py"))["trust_table"]() in readme
 
 
 def short(number):
@@ -232,16 +218,17 @@ NAMES += f"|negligible beyond {contacts.CLEARANCE_RULE:g} rms"
 """Digits of templates that are names, or of mathematics, or held to the code here."""
 
 
-@pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: path.name)
-def test_a_template_repeats_no_constant(path):
+def test_a_template_repeats_no_constant():
     """What a text or page says of a constant of the program is filled in from the program."""
     assert len(TEMPLATES) > 6
-    text = path.read_text(encoding="utf-8")
-    text = re.sub(r"\{%.*?%\}|\{\{.*?\}\}|\{#.*?#\}", "", text, flags=re.DOTALL)
-    text = re.sub(r"<(style|pre).*?</\1>|<[^>]*>", "", text, flags=re.DOTALL)
-    if path.name != "origin.html":  # citations
-        assert not re.findall(r".{,40}\d.{,20}", re.sub(NAMES, "", text))
-    assert not re.search(r"\b(one in|in a) (ten|hundred|thousand|million)|times the\b", text)
+    for path in TEMPLATES:
+        text = path.read_text(encoding="utf-8")
+        text = re.sub(r"\{%.*?%\}|\{\{.*?\}\}|\{#.*?#\}", "", text, flags=re.DOTALL)
+        text = re.sub(r"<(style|pre).*?</\1>|<[^>]*>", "", text, flags=re.DOTALL)
+        if path.name != "origin.html":  # citations
+            assert not re.findall(r".{,40}\d.{,20}", re.sub(NAMES, "", text)), path.name
+        rate = r"\b(one in|in a) (ten|hundred|thousand|million)|times the\b"
+        assert not re.search(rate, text), path.name
 
 
 def test_the_report_states_the_rates_of_the_code():
@@ -295,11 +282,8 @@ def test_tolerances_of_the_methods_are_their_defaults():
 
 
 def test_the_version_to_cite_is_that_of_the_program():
-    for file, pattern in (
-        ("docs/cite.md", r"version = \{(.*?)\}"),
-        ("CITATION.cff", r"\nversion: (.*)"),
-    ):
-        (stated,) = re.findall(pattern, (ROOT / file).read_text(encoding="utf-8"))
-        assert f'version = "{stated}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8"), (
-            file
-        )
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    for file in ("docs/cite.md", "CITATION.cff"):
+        text = (ROOT / file).read_text(encoding="utf-8")
+        (stated,) = re.findall(r"\bversion(?: = \{|: )(0[\d.]+)", text)
+        assert f'version = "{stated}"' in project, file
