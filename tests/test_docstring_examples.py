@@ -1,11 +1,13 @@
-"""Every name of the page of the Python reference has an example, and it runs.
+"""Every name of the page of the Python reference has an example, which runs, and links.
 
-A class's example uses its members; a member may have one of its own instead.
+The links lead to the equation or definition that it stands for. A class's example uses its
+members; a member may have one of its own instead.
 """
 
 import importlib
 import inspect
 import re
+import runpy
 from pathlib import Path
 from textwrap import dedent
 
@@ -26,6 +28,7 @@ from fpk.answer.names import REST, parse_limit, parse_observable, parse_start
 from fpk.system.contact_law import LAWS, ContactLaw, register_law
 from sim.questions.splitting import Splitting, rare_failure
 
+LINKS = runpy.run_path(str(Path(__file__).parent.parent / "docs" / "links.py"))
 PAGE = (Path(__file__).parent.parent / "docs" / "api.md").read_text(encoding="utf-8")
 ENTRY = re.compile(
     r"^\.\. auto(?:function|class|exception):: (\S+)\n(?:   :members: (.*)\n)?", re.MULTILINE
@@ -86,17 +89,11 @@ def test_the_example_of_a_docstring_runs(name, tmp_path, monkeypatch):
     space = {"fpk": fpk, "np": np, "Path": Path, "system": fpk.load("fig6a").system, "REST": REST}
     space |= {key: getattr(averaging, key) for key in averaging.__all__}
     space |= {"MonteCarlo": sim.MonteCarlo, "Splitting": Splitting}
-    functions = (contact_quantities, energy_process, parse_limit, parse_observable, parse_start)
-    files = (
-        rare_failure,
-        run_scene,
-        shipped_scenes,
-        write_netcdf,
-        write_vtu,
-        ContactLaw,
-        register_law,
-    )
-    space |= {f.__name__: f for f in (*functions, *files)}
+    names = (
+        contact_quantities, energy_process, parse_limit, parse_observable, parse_start,
+        rare_failure, run_scene, shipped_scenes, write_netcdf, write_vtu, ContactLaw, register_law,
+    )  # fmt: skip
+    space |= {f.__name__: f for f in names}
     before = set(LAWS)
     try:
         for block in found:
@@ -105,3 +102,42 @@ def test_the_example_of_a_docstring_runs(name, tmp_path, monkeypatch):
         for law in set(LAWS) - before:
             del LAWS[law]
     plt.close("all")
+
+
+def links_of(name, site, what=None):
+    """The line of links of a name, and what it lacks, with a gallery as in the folder ``site``."""
+    obj = named(name)
+    kind = "class" if isinstance(obj, type) else "function"
+    what = what or ("exception" if name.endswith(("Input", "Applicable", "Certified")) else kind)
+    return LINKS["links_of"](what, name, obj, obj.__doc__ or "", site)
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_an_entry_has_an_equation_or_a_definition(name, tmp_path):
+    _, lacking = links_of(name, tmp_path)
+    assert lacking == "no example in the gallery"  # which only the build of the site makes
+
+
+def test_members_are_linked_where_they_are_defined(tmp_path):
+    for name, words in (
+        ("fpk.Density.rms", "from-density"),
+        ("averaging.NonIntegrable.passage", "averaged-in-time"),
+        ("averaging.PhaseSpace.passage", "full-passage"),
+        ("averaging.Exact.crossings", "crossings"),
+        ("sim.MonteCarlo.transient", "simulation-in-time"),
+    ):
+        line, lacking = links_of(name, tmp_path, "method")
+        assert line.startswith("See: ") and f"<{words}>`" in line and not lacking
+    assert links_of("fpk.System.hamiltonian", tmp_path, "method") == ("", "")  # as its class
+
+
+def test_a_name_without_links_is_told(tmp_path):
+    line, lacking = links_of("fpk.numeric.machine.usable_cores", tmp_path)
+    assert (line, lacking) == ("", "no example in the gallery and no equation and no section")
+    used = tmp_path / "gallery" / "backreferences"
+    used.mkdir(parents=True)
+    (used / "fpk.System.examples").write_text("a :doc:`/gallery/tails` :doc:`/gallery/tails`")
+    line, lacking = links_of("fpk.System", tmp_path)
+    assert line.endswith("In the gallery: :doc:`/gallery/tails`") and not lacking
+    labels = {label for found in LINKS["mentions"]().values() for label in found}
+    assert len(labels) >= 13 and {*LINKS["SECTIONS"]} <= labels

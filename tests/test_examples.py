@@ -15,7 +15,7 @@ ALONE = "contact_law"
 SLOW = ("crossings_spectrum", "export", "phase_space")
 
 
-def test_there_are_examples_that_assert_and_say_something():
+def test_there_are_examples_that_assert_and_say_something_and_the_gallery_shows_them_all():
     assert len(EXAMPLES) >= 15
     assert {ALONE, *SLOW} <= {script.stem for script in EXAMPLES}
     for script in EXAMPLES:
@@ -24,9 +24,6 @@ def test_there_are_examples_that_assert_and_say_something():
         assert "print(" in text, script.name
         _, title, underline, *_ = text.split("\n")  # as the gallery reads it
         assert underline == "=" * len(title), script.name
-
-
-def test_the_gallery_has_a_place_for_every_example():
     conf = (Path(__file__).parent.parent / "docs" / "conf.py").read_text(encoding="utf-8")
     order = conf.split("ORDER = ")[1].split("]")[0] + "]"
     assert sorted(ast.literal_eval(order)) == [script.stem for script in EXAMPLES]

@@ -1,4 +1,7 @@
-"""The benchmark of other programs: what needs only SciPy and scikit-fem runs, the rest is named."""
+"""Benchmarks of other programs: what needs only SciPy and scikit-fem runs, the rest is named.
+
+Pages are those of the scripts. Packages for SDEs are imported late: none is needed here.
+"""
 
 import json
 import runpy
@@ -14,9 +17,11 @@ from fpk.numeric.quadrature import panel_rule
 
 ROOT = Path(__file__).resolve().parent.parent
 PEERS = ROOT / "benchmarks" / "peers"
+SDE_PEERS = ROOT / "benchmarks" / "sde_peers"
+SDE_PAGE = ROOT / "docs" / "benchmarks" / "sde-peers.md"
+SDE_PATHS = [str(SDE_PEERS), str(SDE_PEERS.parent), str(PEERS)]
 KEYS = {"peer", "version", "problem", "setting", "unknowns", "L1", "seconds", "minimum", "mass"}
 ALWAYS = ("ours.py", "peer_chebyshev.py", "peer_chang_cooper.py", "peer_scikit_fem.py")
-OTHERS = {"ngsolve": "peer_ngsolve.py", "fipy": "peer_fipy.py"}
 
 
 def run(*arguments):
@@ -67,20 +72,6 @@ def test_the_density_of_the_coupled_problem_is_stationary():
     assert abs(p @ sum(rest)) > 0.1 * sum(p @ np.abs(term) for term in rest)
 
 
-def test_probability_circulates_in_the_coupled_problem():
-    """The slopes of ln p that fit no flux, b⁻¹ (2s − ∇·b), are no gradient."""
-    process = runpy.run_path(str(PEERS / "coupled.py"))["Mixture"]("W3").process
-
-    def slope(x: float, y: float) -> np.ndarray:
-        at = np.array([[x, y]])
-        flow = 2.0 * process.at(at).drift - process.at(at).divergence
-        return np.linalg.solve(process.at(at).diffusion[0], flow[0])
-
-    curl = slope(1.001, 0.8)[1] - slope(0.999, 0.8)[1]
-    curl -= slope(1.0, 0.801)[0] - slope(1.0, 0.799)[0]
-    assert abs(curl / 0.002) > 0.1
-
-
 def test_the_peers_get_the_coefficients_of_the_scene(monkeypatch):
     monkeypatch.syspath_prepend(PEERS)
     problem = runpy.run_path(str(PEERS / "vanderpol.py"))["Averaged"]("W4", "vanderpol")
@@ -92,33 +83,12 @@ def test_the_peers_get_the_coefficients_of_the_scene(monkeypatch):
     np.testing.assert_allclose(divergence, problem.process.at(at.T).divergence.T)
 
 
-@pytest.mark.parametrize(
-    "module", [m if m == "fipy" else pytest.param(m, marks=pytest.mark.slow) for m in OTHERS]
-)
-def test_a_missing_peer_is_named(module):
-    if find_spec(module):
-        pytest.skip(f"{module} is installed")
-    done = run(str(PEERS / OTHERS[module]), "--smallest")
+def test_a_missing_peer_is_named():
+    if find_spec("fipy"):
+        pytest.skip("fipy is installed")
+    done = run(str(PEERS / "peer_fipy.py"), "--smallest")
     assert done.returncode == 3
-    assert f"missing: {module}" in done.stderr
-
-
-def run_code(code):
-    done = run("-c", f"import sys; sys.path[:0] = {[str(PEERS), str(PEERS.parent)]!r}\n{code}")
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-@pytest.mark.slow
-def test_the_page_names_who_is_missing(tmp_path):
-    page = tmp_path / "peers.md"
-    only = ("--smallest", "--only", "Chang-Cooper", "--out", str(page))
-    done = run(str(PEERS / "run.py"), *only)
-    assert done.returncode == 0, done.stderr
-    for section in ("In short", "Failures", "Omissions", "All measurements"):
-        assert f"## {section}" in page.read_text()
-    empty = "from page import written\nprint(written([], {'FiPy': 'not installed'}))"
-    assert "FiPy: not installed." in run_code(empty)
+    assert "missing: fipy" in done.stderr
 
 
 def test_the_short_tables_have_the_structure_of_the_pages(tmp_path):
@@ -135,9 +105,86 @@ def test_the_short_tables_have_the_structure_of_the_pages(tmp_path):
 
 
 def test_the_page_in_the_repository_has_the_rows_that_the_scripts_write():
-    run_code(
-        "from page import PROGRAMS\n"
-        "from measured_tables import page_blocks, structure\n"
-        "header, rows = structure(page_blocks()['cost'])\n"
-        "assert len(header) == 7 and rows == list(PROGRAMS.values()), rows"
+    done = run("-c", f"""import sys
+sys.path[:0] = {[str(PEERS), str(PEERS.parent)]!r}
+from page import PROGRAMS, written
+from measured_tables import page_blocks, structure
+header, rows = structure(page_blocks()['cost'])
+assert len(header) == 7 and rows == list(PROGRAMS.values()), rows
+assert 'FiPy: not installed.' in written([], {{'FiPy': 'not installed'}})
+""")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
+def assert_code_runs(code):
+    done = run("-c", f"import sys; sys.path[:0] = {SDE_PATHS!r}\n{code}")
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_missing_sde_package_is_named(tmp_path):
+    if find_spec("torchsde"):
+        pytest.skip("torchsde is installed")
+    page = tmp_path / "page.md"
+    done = run(
+        str(SDE_PEERS / "compare.py"), "--only", "torchsde", "--smallest", "--out", str(page)
+    )
+    assert done.returncode == 0, done.stderr
+    assert "torchsde: 0 lines, not installed" in done.stdout
+    assert "torchsde: not installed." in page.read_text()
+
+
+def test_the_page_of_sde_packages_has_the_structure_that_the_scripts_write():
+    """Headings, headers and texts are the same, and every package's rows are its settings."""
+    assert_code_runs(
+        "from importlib import import_module\n"
+        "from pathlib import Path\n"
+        "import sde_page\n"
+        f"text = Path({str(SDE_PAGE)!r}).read_text()\n"
+        "empty = sde_page.written([], {})\n"
+        "def structure(page):\n"
+        "    lines = page.splitlines()\n"
+        "    marks = [k for k, line in enumerate(lines) if line.startswith('| ---')]\n"
+        "    return [x for x in lines if x.startswith('#')], [lines[k - 1] for k in marks]\n"
+        "assert structure(text) == structure(empty)\n"
+        "for words in (sde_page.INTRODUCTION, sde_page.FOUND, sde_page.OMISSIONS):\n"
+        "    assert words in text\n"
+        "table = text.split('## All measurements')[1].split('\\n## ')[0]\n"
+        "rows = [[c.strip() for c in x.strip('|').split('|')] for x in table.splitlines()\n"
+        "        if x.startswith('| ')][2:]\n"
+        "missing = text.split('## Missing')[1].split('\\n## ')[0]\n"
+        "for peer, script in sde_page.SCRIPTS.items():\n"
+        "    settings = import_module(script.removesuffix('.py')).SETTINGS\n"
+        "    assert settings and all(s.step > 0 and s.order >= 1 for s in settings), script\n"
+        "    wanted = [[s.scheme, f'{s.step:g}'] for s in settings]\n"
+        "    found = [row[1:3] for row in rows if row[0] == peer]\n"
+        "    assert found == wanted or f'{peer}: ' in missing, (peer, found, wanted)\n"
+    )
+
+
+def test_an_allowed_step_follows_the_order_and_is_not_made_up():
+    assert_code_runs(
+        "from math import isclose\n"
+        "from trial import Setting, WANTED, allowed_step\n"
+        "setting = Setting('some', 0.3, 2, 64)\n"
+        "assert isclose(allowed_step(setting, -9.0 * WANTED, 0.1 * WANTED), 0.1)\n"
+        "assert allowed_step(setting, 0.2 * WANTED, 0.1 * WANTED) == 0.3  # never longer\n"
+        "assert allowed_step(setting, 2.0 * WANTED, WANTED) is None  # not told from none\n"
+        "assert allowed_step(setting, None, None) is None\n"
+        "import numpy as np\n"
+        "from problem import probabilities\n"
+        "from trial import density_bias\n"
+        "p = probabilities()\n"
+        "assert isclose(p.sum(), 1.0) and p.min() > 0\n"
+        "q = p.copy(); q[20] += 0.01; q[32] -= 0.01\n"
+        "rng = np.random.default_rng(5)\n"
+        "n = 10**7\n"
+        "right = density_bias(np.array([rng.multinomial(n, p) for _ in range(2)]))\n"
+        "wrong = density_bias(np.array([rng.multinomial(n, q) for _ in range(2)]))\n"
+        "# noise of 2e7 samples in 65 bins: Σ √(2 p/(π n)) <= √(2 65/(π n)) = 1.4e-3\n"
+        "assert right['L1'] < 1.4e-3 and abs(wrong['L1'] - 0.02) < 1.4e-3\n"
+        "from trial import best\n"
+        "line = dict(kind='scheme', peer='a', scheme='b')\n"
+        "coarse = line | dict(step=0.4, allowed=0.2, ns_time=1.0)\n"
+        "fine = line | dict(step=0.3, allowed=0.1, ns_time=2.0)\n"
+        "assert best([coarse, fine], ('a',)) is fine and best([coarse], ('c',)) is None\n"
     )

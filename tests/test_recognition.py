@@ -3,19 +3,17 @@
 The fields are found by themselves: one that is added tomorrow is changed here, too.
 """
 
-import shutil
 from contextlib import suppress
 from copy import copy
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
-from math import inf, isinf, nextafter, sqrt
+from math import inf, isinf, nextafter
 from pathlib import Path
 from types import FunctionType
 
 import click
 import numpy as np
 import pytest
-from scipy.linalg import solve_discrete_lyapunov
 
 import fpk
 import sim.questions.splitting.kernel
@@ -27,7 +25,6 @@ from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
 from fpk.answer.method import silent
 from fpk.answer.names import parse_limit, parse_observable, parse_start
-from fpk.numeric.compiling import ROOT
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.recognition import REGISTRY, canonical, fingerprint
 from fpk.system.compiled_laws import compile_laws
@@ -41,7 +38,6 @@ from sim.questions.splitting.run import Splitting, sample_failure, system_proble
 from sim.sample.histogram import Histogram, bin_axis
 from sim.sample.plan import setup_of
 from sim.sample.settings import ANYWHERE, NOT_IN_STATE
-from sim.sample.workers import program_checksum
 from sim.step.kernel import KernelKey
 
 SYSTEM = System(
@@ -249,44 +245,6 @@ def test_points_are_those_of_a_sweep_equal_in_all_that_matters(tmp_path, monkeyp
     monkeypatch.setattr("cases.show.claim.program_checksum", lambda **_: 1)
     with pytest.raises(BadInput, match="version"):  # the program was edited
         of_points(first, tmp_path)
-
-
-def test_an_edit_in_any_room_changes_the_checksum_of_the_program(tmp_path):
-    """By it the workers of a cluster are held to run the same program."""
-    packages = ("fpk", "averaging", "sim", "cases")
-    for room in packages:
-        shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
-    sums = [program_checksum()]
-    assert sums == [program_checksum(tmp_path)]
-    for room in packages:
-        with next((tmp_path / room).glob("*/*.py")).open("a") as file:
-            file.write("\n# edited\n")
-        sums.append(program_checksum(tmp_path))
-    assert len({*sums}) == 5
-
-
-def test_a_sweep_of_another_scheme_is_not_answered_from_the_first(tmp_path):
-    """Euler's rule feeds energy in: its stationary covariance is P = A P Aᵀ + 2 D h e eᵀ."""
-    first = MonteCarlo(paths=4096, relaxations=5.0)
-    h, intensities = 0.02, (0.04, 0.05)
-    euler = replace(first, scheme="euler_maruyama", dt=h)
-    answer = partial(of_points, methods=["montecarlo"])
-    results = [answer(first, tmp_path / "first")]
-    with pytest.raises(BadInput, match=r"holds what another run has stored .*another folder"):
-        answer(euler, tmp_path / "first")
-    results += [answer(euler, tmp_path / "other"), answer(first, tmp_path / "first")]
-    assert [result.reused for result in results] == [0, 0, 2]
-    step = np.array([[1.0, h], [-h, 1.0 - 0.2 * h]])
-    rms = [
-        sqrt(solve_discrete_lyapunov(step, np.diag([0.0, 2.0 * D * h]))[0, 0]) for D in intensities
-    ]
-    for result, right in zip(
-        results, ([sqrt(D / 0.2) for D in intensities], rms, [sqrt(D / 0.2) for D in intensities]),
-        strict=True,
-    ):  # fmt: skip
-        value, error = (result.field(key).ravel() for key in ("value", "error"))
-        assert np.all(abs(value - right) < 5.0 * error)  # one in 1e6 by chance
-        assert np.all(error < 0.005 * value)  # the rules differ by 5 %
 
 
 def test_an_option_of_a_command_is_another_run_unless_no_state_depends_on_it(tmp_path):

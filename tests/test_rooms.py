@@ -5,6 +5,7 @@ first used. Late imports, those for type checkers, and those by name count as al
 """
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -16,62 +17,8 @@ BELOW = {
     "sim": {"sim", "fpk"},
     "cases": {"cases", "averaging", "sim", "fpk"},
 }
-
-FACE = ROOT / "fpk" / "__init__.py"
+FACE = "fpk"
 """The one module that points up: to ``cases.api``, for type checkers and in ``__getattr__``."""
-
-
-def imported_rooms(source: str) -> set[str]:
-    names = set()
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            names |= {alias.name.partition(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, "relative import: names are explicit here"
-            names.add((node.module or "").partition(".")[0])
-    return names & BELOW.keys()
-
-
-@pytest.mark.parametrize("room", BELOW)
-def test_imports_point_down(room):
-    files = sorted((ROOT / room).rglob("*.py"))
-    assert len(files) >= 2
-    for file in files:
-        upward = imported_rooms(file.read_text(encoding="utf-8")) - BELOW[room]
-        if file == FACE:
-            assert upward == {"cases"}
-            continue
-        assert not upward, f"{file.relative_to(ROOT)} imports {sorted(upward)}"
-
-
-def test_an_upward_import_is_seen():
-    assert imported_rooms("def f():\n    from sim.montecarlo import MonteCarlo") - BELOW["fpk"]
-
-
-def named_by_call(call):
-    """The module that a call of ``import_module`` is given as a literal, in a set, else nothing."""
-    literal = call.args and isinstance(call.args[0], ast.Constant)
-    return {call.args[0].value} if "import_module" in ast.unparse(call.func) and literal else set()
-
-
-def rooms_imported_by_name(source):
-    """First parts of the names that calls of ``import_module`` are given as literals."""
-    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
-    names = set().union(*map(named_by_call, calls))
-    return {str(name).partition(".")[0] for name in names} & BELOW.keys()
-
-
-@pytest.mark.parametrize("room", ["fpk", "averaging", "sim"])
-def test_imports_by_name_point_down(room):
-    for file in sorted((ROOT / room).rglob("*.py")):
-        upward = rooms_imported_by_name(file.read_text(encoding="utf-8")) - BELOW[room]
-        assert not upward, f"{file.relative_to(ROOT)} imports {sorted(upward)}"
-
-
-def test_an_upward_import_by_name_is_seen():
-    assert rooms_imported_by_name("importlib.import_module('cases.api')") == {"cases"}
-
-
 INSIDE = {
     "fpk": ("numeric", "system", "answer", "solvers"),
     "sim": ("step", "sample", "questions"),
@@ -80,40 +27,62 @@ INSIDE = {
 """Rooms of a package: each imports from those before it, and from itself."""
 
 
-def modules(*packages):
-    """Each module of the packages by name, with the names that it imports, late ones included."""
+def imported(source):
+    """The names that a source imports, late ones and literals of ``import_module`` included."""
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import: names are explicit here"
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Call) and "import_module" in ast.unparse(node.func):
+            names |= {x.value for x in node.args[:1] if isinstance(x, ast.Constant)}
+    return names
+
+
+@cache
+def modules():
+    """Each module by name, with the names that it imports."""
     found = {}
-    for package in packages:
-        for file in (ROOT / package).rglob("*.py"):
-            parts = file.relative_to(ROOT).with_suffix("").parts
-            name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-            found[name] = set()
-            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Import):
-                    found[name] |= {alias.name for alias in node.names}
-                elif isinstance(node, ast.ImportFrom):
-                    found[name] |= {f"{node.module}.{alias.name}" for alias in node.names}
-                    found[name].add(node.module)
-                elif isinstance(node, ast.Call):
-                    found[name] |= named_by_call(node)
+    for file in (file for room in BELOW for file in (ROOT / room).rglob("*.py")):
+        name = ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        found[name] = imported(file.read_text(encoding="utf-8"))
     return found
+
+
+def upward(room, names):
+    return {name.partition(".")[0] for name in names} & BELOW.keys() - BELOW[room]
+
+
+@pytest.mark.parametrize("room", BELOW)
+def test_imports_point_down(room):
+    own = {name: names for name, names in modules().items() if name.partition(".")[0] == room}
+    assert len(own) >= 2
+    for name, names in own.items():
+        assert upward(room, names) == ({"cases"} if name == FACE else set()), name
+
+
+def test_an_upward_import_is_seen():
+    late = "def f():\n    from sim.montecarlo import MonteCarlo"
+    for source in (late, "importlib.import_module('cases.api')", "import averaging.theory as a"):
+        assert upward("fpk", imported(source))
 
 
 @pytest.mark.parametrize("package", INSIDE)
 def test_rooms_inside_a_package_import_from_those_before(package):
     rooms = INSIDE[package]
-    for name, imported in modules(package).items():
+    for name, names in modules().items():
         own = name.split(".")[1] if "." in name else None
-        if own not in rooms:
+        if name.partition(".")[0] != package or own not in rooms:
             continue
-        for other in imported:
+        for other in names:
             parts = other.split(".")
-            if parts[0] != package or other == package:
-                continue
-            before = rooms[: rooms.index(own) + 1]
-            # What belongs to no room, as ``cases.api``, stands above all rooms.
-            assert parts[1] in before or package != "cases", f"{name} imports {other}"
-            assert parts[1] in before or parts[1] not in rooms, f"{name} imports {other}"
+            if parts[0] == package and len(parts) > 1:
+                before = rooms[: rooms.index(own) + 1]
+                # What belongs to no room, as ``cases.api``, stands above all rooms.
+                allowed = parts[1] in before or (package != "cases" and parts[1] not in rooms)
+                assert allowed, f"{name} imports {other}"
 
 
 def circles(graph):
@@ -122,23 +91,19 @@ def circles(graph):
     def reached(start):
         seen, left = set(), [start]
         while left:
-            for name in graph.get(left.pop(), ()):
-                if name in graph and name not in seen:
-                    seen.add(name)
-                    left.append(name)
+            new = graph.get(left.pop(), set()) & graph.keys() - seen
+            seen |= new
+            left += new
         return seen
 
     return {name for name in graph if name in reached(name)}
 
 
 def test_no_files_import_each_other():
-    graph = modules(*BELOW)
-    graph = {name: {m for m in imported if m in graph} for name, imported in graph.items()}
-    for name, imported in graph.items():  # a package is no part of what is in it
-        imported -= {m for m in imported if name == m or name.startswith(f"{m}.")}
-    graph["fpk"] = set()  # the face
-    assert circles(graph) == set()
-
-
-def test_a_circle_is_seen():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == {"b", "c"}
+    graph = {  # a package is no part of what is in it
+        name: {other for other in names if not f"{name}.".startswith(f"{other}.")}
+        for name, names in modules().items()
+        if name != FACE
+    }
+    assert circles(graph) == set()

@@ -381,18 +381,6 @@ def test_a_limit_near_the_start_is_seen_passed(limit: str, start: str, times: An
     assert off((answer.survival, answer.survival_error), right) < SIGMAS
 
 
-@pytest.mark.parametrize("limit", ["q1={0!r}", "H={0!r}"])
-def test_a_limit_in_other_units_is_passed_in_other_units_of_time(limit: str) -> None:
-    # Free motion: q scales as t^1.5, H as t.
-    answers = []
-    for unit, seed in ((1.0, 1), (1e-12, 2)):
-        end = unit ** (2.0 / 3.0 if limit[0] == "q" else 1.0)
-        own: Any = {"times": [0.5 * end, end], "time": end, "seed": seed, "paths": 8192}
-        answers.append(passed(LOOSE, limit.format(0.5 * unit), **own))
-    one, other = ((a.survival, a.survival_error) for a in answers)
-    assert answers[1].certificate.certified and off(other, one) < SIGMAS
-
-
 def test_steps_grow_with_the_time_since_the_start() -> None:
     steps = list(stages(1e-6, 0.3, 1e3, most=256))
     ends = np.cumsum([h * many for h, many in steps])

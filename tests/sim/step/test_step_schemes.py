@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm, solve_continuous_lyapunov
-from sim_systems import exact, fig6, linear, mixed, place
+from sim_systems import fig6, linear, mixed, place
 
 from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
@@ -83,22 +83,19 @@ def cubic(monkeypatch: pytest.MonkeyPatch) -> System:
     return System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.1, 0.1], contacts=contacts)
 
 
-SLOW = [("baoab", mixed), ("euler_maruyama", mixed), *((name, lambda: linear(5)) for name in TWINS)]
-
-
 @pytest.mark.parametrize(
     ("name", "make"),
     [
-        *((name, make) for name in TWINS for make in (fig6, linear)),
-        ("exact_flow", exact),
-        ("exact_flow", lambda: linear(1)),
+        *((name, fig6) for name in TWINS),
+        ("exact_flow", linear),
         ("exact_flow", mixed),
         ("exact_flow", cubic),
-        *(pytest.param(*row, marks=pytest.mark.slow) for row in SLOW),
+        *(pytest.param(name, mixed, marks=pytest.mark.slow) for name in (*TWINS,)[1:]),
     ],
 )
 def test_kernel_equals_its_twin(name: str, make, monkeypatch: pytest.MonkeyPatch) -> None:
     system = make(monkeypatch) if make is cubic else make()
+    assert set(SCHEMES) == set(TWINS)
     h, paths, seed = 0.02 if name == "euler_maruyama" else 0.11, 150, 977
     ensemble = Ensemble(system, SCHEMES[name], h, paths, seed, 1)
     q, p = (x.T * 3.0 for x in ensemble.phase_points())
@@ -112,11 +109,7 @@ def test_kernel_equals_its_twin(name: str, make, monkeypatch: pytest.MonkeyPatch
         np.testing.assert_allclose(own.T, twin, rtol=0, atol=1e-12 * np.abs(twin).max())
 
 
-def test_every_scheme_has_a_twin() -> None:
-    assert set(SCHEMES) == set(TWINS)
-
-
-@pytest.mark.parametrize("dt", [0.01, 1.0, 10.0])
+@pytest.mark.parametrize("dt", [0.01, 10.0])
 def test_covariance_after_any_number_of_steps_is_that_of_one_long_step(dt: float) -> None:
     for system in (linear(2), mixed()):
         flow, covariance = exact_flow(system, dt), np.zeros((2 * system.n, 2 * system.n))
@@ -134,7 +127,7 @@ def test_covariance_after_any_number_of_steps_is_that_of_one_long_step(dt: float
                 )
 
 
-@pytest.mark.parametrize("dt", [1e-3, 0.2, 10.0])
+@pytest.mark.parametrize("dt", [1e-3, 10.0])
 def test_noise_on_one_mass_of_five_and_no_noise(dt: float) -> None:
     for noise in (0.3, 0.0):
         system = System([1.0] * 5, [1.0] * 5, [0.1] * 5, [noise, 0.0, 0.0, 0.0, 0.0])
