@@ -173,7 +173,7 @@ def test_functions_are_compared_by_their_code_and_the_numbers_in_it(monkeypatch)
         fingerprint([object()])
 
 
-def test_a_state_is_that_of_a_setup_equal_in_all_that_matters(tmp_path):
+def test_a_state_is_that_of_a_setup_equal_in_all_that_matters(tmp_path, monkeypatch):
     """A state is not gone on from under any other setting; where it is named, it is."""
     first = setup(checkpoint=tmp_path)
     saved = first.checkpoint()
@@ -183,6 +183,9 @@ def test_a_state_is_that_of_a_setup_equal_in_all_that_matters(tmp_path):
         again = replace(state, path=tmp_path / state.path.name).load()
         assert bool(again) == bool({*way} & {*NOT_IN_STATE}), way
     assert not replace(first, seconds=inf).checkpoint().load()
+    assert first.checkpoint().load()
+    monkeypatch.setattr("sim.sample.workers.program_checksum", lambda: 1)  # it was edited
+    assert not first.checkpoint().load()
 
 
 class Asked(Exception):

@@ -12,6 +12,7 @@ from fpk.answer.names import Coordinate, parse_limit, parse_observable, parse_st
 from fpk.answer.question import Asked
 from fpk.numeric.machine import working_time
 from fpk.system.contact import Contact
+from fpk.system.damping import DampingTerm
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.passage import passage_of
@@ -55,6 +56,12 @@ def linear(n: int = 2) -> System:
 
 def oscillator(damping: float = 0.05, kT: float = 0.5) -> System:
     return System([1.0], [1.0], [damping], [damping * kT])
+
+
+def limit_cycle() -> System:
+    """One mass fed below H = 2 and damped above, by its displacement and by its energy."""
+    terms = (DampingTerm(1, 1, 0.16, q=((1, 2),)), DampingTerm(1, 1, 0.02, energy=1))
+    return System([1.0], [1.0], [-0.2], [0.005], damping_terms=terms)
 
 
 def one_mass(kT: float, side: str, B: float, gap: float, law: str = "hertz") -> System:

@@ -13,6 +13,7 @@ from sim_systems import (
     estimated,
     exact,
     fig6,
+    limit_cycle,
     oscillator,
     passed,
     slow_clock,
@@ -28,7 +29,6 @@ from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.contact import Contact
-from fpk.system.damping import DampingTerm
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
@@ -173,9 +173,8 @@ def test_an_energy_without_noise_passes_where_it_is_driven_and_only_there() -> N
 
 
 def test_damping_that_depends_on_the_state_is_stepped() -> None:
-    # A limit cycle of H = 2: a limit beyond it is passed by noise, one below it by the growth.
-    term = DampingTerm(1, 1, 0.2, q=((1, 2),))
-    system = System([1.0], [1.0], [-0.2], [0.005], damping_terms=(term,))
+    # A limit beyond the cycle at H = 2 is passed by noise, one below it by the growth.
+    system = limit_cycle()
     below = passed(system, "H=1.6", "q1=1", times=[60.0])
     assert below.survival[0] < 0.01 and below.mean.value < 20.0
     one, half = (passed(system, "H=2.6", "q1=1", dt=dt, seed=k) for k, dt in ((1, 0.1), (2, 0.05)))

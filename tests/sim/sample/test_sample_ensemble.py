@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sim_systems import fig6, linear, mixed, ranged
+from sim_systems import fig6, limit_cycle, linear, mixed, ranged
 from test_step_damping import hardened
 from test_step_long import longer, stiff
 
 from fpk.answer.names import Coordinate
 from fpk.numeric.compiling import ROOT
 from fpk.numeric.errors import NotApplicable
-from fpk.system.damping import DampingTerm
 from fpk.system.system import System
 from sim.sample.diagnostics import moment_products
 from sim.sample.ensemble import Ensemble, ensemble_from
@@ -145,17 +144,11 @@ def test_importing_the_room_compiles_nothing_and_a_second_process_finds_the_kern
     assert (done.stdout, done.stderr) == ("[]\n1 0\n", "")
 
 
-def with_terms() -> System:
-    terms = (DampingTerm(1, 1, 0.05, q=((1, 2),)), DampingTerm(2, 2, 0.02, energy=1))
-    b = fig6()
-    return System(b.mass, b.stiffness, b.damping, b.noise_intensity, None, b.contacts, terms)
-
-
 def states(system: System, size: float = 0.6) -> Any:
     return size * np.random.default_rng(1).normal(size=(2, 3 * LANES, system.n))
 
 
-@pytest.mark.parametrize("system", [linear(), fig6(), mixed(), with_terms()])
+@pytest.mark.parametrize("system", [linear(), fig6(), mixed(), limit_cycle()])
 def test_the_first_observed_state_is_the_start(system: System) -> None:
     q, p = states(system)
     first = in_rows(ensemble_from(system, q, p, 0.03, 1, energies=H).last)
