@@ -106,12 +106,13 @@ def refusal(fpk):
 
 @pytest.fixture(scope="session")
 def solved(tmp_path_factory):
-    """Solve the scene of a text by routes, each a name and a solver."""
+    """Solve the scene of a text by routes, each a method, or a name and a solver."""
 
     def solve(text, *routes, name="any"):
         path = tmp_path_factory.mktemp("scene") / f"{name}.toml"
         path.write_text(text, encoding="utf-8")
-        return run_scene(load_scene(path), [method_for(*route.split("/")) for route in routes])
+        methods = [method_for(*r.split("/")) if isinstance(r, str) else r for r in routes]
+        return run_scene(load_scene(path), methods)
 
     return solve
 

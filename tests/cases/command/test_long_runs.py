@@ -12,8 +12,6 @@ import pytest
 distributed = pytest.importorskip("distributed")
 import dask  # noqa: E402
 
-from fpk.numeric.machine import lock_file  # noqa: E402
-
 DENSITY = ["fig3a", "--method", "montecarlo", "--of", "q2", "--at", "0:1:0.25", "--json"]
 GRID = ["--vary", "contact.stiffness=0.01:100:log2", "--paths", 4096, "--time", 60, "--seed", 3]
 
@@ -62,16 +60,7 @@ def test_states_of_another_run_or_damaged_ones_are_refused_and_a_finished_answer
         assert "another run" in refusal("density", *DENSITY, *folder)
 
 
-def test_a_map_is_built_by_one_process_at_a_time(refusal, tmp_path):
-    with lock_file(tmp_path / "run.lock"):
-        err = refusal("regime", "fig6a", *GRID, "--checkpoint", tmp_path)
-    assert "another process is using this folder" in err
-    assert not (tmp_path / "points.jsonl").exists()
-
-
-@pytest.mark.parametrize(
-    "command", [["run", "fig6a"], ["density", *DENSITY], ["regime", "fig6a", *GRID]]
-)
+@pytest.mark.parametrize("command", [["density", *DENSITY], ["regime", "fig6a", *GRID]])
 def test_a_cluster_that_does_not_answer_is_one_line(command, refusal, monkeypatch):
     monkeypatch.setattr("sim.sample.workers.SCHEDULER_TIMEOUT", 0.5)
     assert "no Dask scheduler" in refusal(*command, "--cluster", "tcp://127.0.0.1:9")

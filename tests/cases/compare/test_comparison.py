@@ -42,12 +42,8 @@ def compare(a, b, *, names=("montecarlo", "exact"), exact=True, neglected=""):
 
 def symmetrised(density):
     """The histogram of x and −x together, batch by batch: bins of either sign are then equal."""
-    values, batches = density.values, density.batch_values
-    return replace(
-        density,
-        values=0.5 * (values + values[::-1]),
-        batch_values=0.5 * (batches + batches[:, ::-1]),
-    )
+    values = density.batch_values + density.batch_values[:, ::-1]
+    return replace(density, values=0.5 * values.mean(0), batch_values=0.5 * values)
 
 
 @pytest.mark.parametrize("mirror", [False, True])
@@ -60,18 +56,18 @@ def test_chance_is_measured_as_it_is(mirror):
     assert found.max() < quantile < 2 * found.mean()
 
 
-def test_a_right_density_holds_and_one_three_percent_off_fails():
+def test_samples_are_held_to_chance_solvers_to_their_estimates_and_averaging_to_nothing():
     right, wrong = compare(sample(7), gaussian()), compare(sample(7), gaussian(1.03))
     assert right.measures == "sampling" and right.holds
     assert not wrong.holds and wrong.band < wrong.L1
-
-
-def test_averaging_is_reported_and_not_judged():
-    comparison = compare(
-        sample(7), gaussian(1.5), names=("montecarlo", "nonintegrable"), exact=False
-    )
-    assert comparison.measures == "averaging" and comparison.band is None and comparison.holds
-    assert 0 < comparison.error < comparison.L1
+    names = ("nonintegrable", "nonintegrable")
+    assert compare(gaussian(), gaussian(1 + 1e-13), names=names).holds
+    assert not compare(gaussian(), gaussian(1 + 1e-9), names=names).holds
+    assert compare(gaussian(l1_error=0.0), gaussian(l1_error=0.0), names=names).holds
+    names = ("montecarlo", "nonintegrable")
+    averaged = compare(sample(7), gaussian(1.5), names=names, exact=False)
+    assert averaged.measures == "averaging" and averaged.band is None and averaged.holds
+    assert 0 < averaged.error < averaged.L1
 
 
 def test_what_left_contacts_out_is_not_held_to_the_exact_density():
@@ -84,13 +80,6 @@ def test_what_left_contacts_out_is_not_held_to_the_exact_density():
     assert others.measures == "numerical"
 
 
-def test_solvers_are_held_to_their_own_estimates():
-    names = ("nonintegrable", "nonintegrable")
-    assert compare(gaussian(), gaussian(1 + 1e-13), names=names).holds
-    assert not compare(gaussian(), gaussian(1 + 1e-9), names=names).holds
-    assert compare(gaussian(l1_error=0.0), gaussian(l1_error=0.0), names=names).holds
-
-
 @pytest.mark.parametrize(
     ("a", "b", "coincide", "expected"),
     [
@@ -100,14 +89,10 @@ def test_solvers_are_held_to_their_own_estimates():
         ("nonintegrable", "linear", False, "averaging"),
         ("nonintegrable", "montecarlo", False, "averaging"),
         ("nonintegrable", "montecarlo", True, "sampling"),
-        ("montecarlo", "exact", True, "sampling"),
         ("linear", "montecarlo", False, "sampling"),
         ("integrable", "integrable", False, "numerical"),
         ("integrable", "nonintegrable", False, "averaging"),
         ("integrable", "nonintegrable", True, "numerical"),
-        ("integrable", "exact", True, "numerical"),
-        ("integrable", "linear", False, "averaging"),
-        ("integrable", "montecarlo", False, "averaging"),
     ],
 )
 def test_which_error_a_pair_measures(a, b, coincide, expected):
@@ -128,40 +113,35 @@ def test_a_comparison_is_one_line_of_text():
 
 
 def asked(error, default, *, least=0.0, failures=()):
-    """The tolerances at which a solver of this error was asked, and what came of it."""
+    """The tolerances at which a solver of this error was asked, and what came of it.
+
+    It is content with ``least`` of what it is asked for.
+    """
     tols = []
 
     def ask(tol):
         tols.append(tol)
-        wanted = tol or default
-        # A solver that is content with a tenth of what it is asked for, and reaches ``error``.
-        measured = Measured(max(error, least * wanted), 0.0, 0.0, 0.0, 0.0, failures=failures)
-        return certify(measured, tol=wanted)
+        reached = max(error, least * (tol or default))
+        measured = Measured(reached, 0.0, 0.0, 0.0, 0.0, failures=failures)
+        return certify(measured, tol=tol or default)
 
     answer, note = loosen_tolerance(ask, lambda certificate: [certificate])
     stated = note.removeprefix("certified to ").partition(",")[0]
     return tols, answer.certified, float(stated) if note else None
 
 
-def test_an_answer_that_meets_its_default_or_fails_for_another_reason_is_asked_once():
-    assert asked(1e-11, 1e-10) == ([None], True, None)
-    assert asked(1e-12, 1e-5, failures=("the mesh is too large",)) == ([None], False, None)
-
-
 @pytest.mark.parametrize(("error", "tol"), [(1.2e-10, 1e-9), (3e-7, 1e-6), (9e-5, 1e-4)])
 def test_a_miss_is_asked_again_at_the_least_power_of_ten_that_its_error_meets(error, tol):
     assert asked(error, 1e-10) == ([None, pytest.approx(tol)], True, pytest.approx(tol))
+    # An answer that meets its default or fails for another reason is asked once.
+    assert asked(error, 1e-3) == ([None], True, None)
+    assert asked(error, 1e-3, failures=("the mesh is too large",)) == ([None], False, None)
+    # Tolerances grow up to the loosest, for a solver that always misses what it is asked for.
+    (first, *later), certified, stated = asked(error, 1e-10, least=1.5)
+    assert first is stated is None and not certified and later == sorted(set(later))
+    assert later[-1] == pytest.approx(LOOSEST)
 
 
-@pytest.mark.parametrize("default", [1e-10, 1e-8, 1e-6, 1e-5])
-@pytest.mark.parametrize("error", [2e-10, 3e-8, 4e-6, 5e-5, 0.3, nan, inf])
-@pytest.mark.parametrize("failures", [(), ("the mesh is too large",)])
-@pytest.mark.parametrize("least", [0.0, 1.5])
-def test_tolerances_only_grow_up_to_the_loosest(default, error, failures, least):
-    (first, *later), certified, tol = asked(error, default, least=least, failures=failures)
-    rising = [default, *later]
-    assert first is None and all(a < b for a, b in zip(rising, later, strict=False))
-    assert all(t <= LOOSEST * (1.0 + 1e-12) for t in later)
-    # Without a missed tolerance there is nothing that a looser one could mend.
-    assert later or certified or not error > default or error > LOOSEST or error != error
-    assert (tol is not None) == (certified and bool(later))
+@pytest.mark.parametrize("error", [0.3, nan, inf])
+def test_what_no_tolerance_that_is_allowed_meets_is_asked_once(error):
+    assert asked(error, 1e-10) == ([None], False, None)

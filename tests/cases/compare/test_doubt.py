@@ -80,15 +80,10 @@ def test_every_command_says_it_in_text_and_json(call, frame, fpk, monkeypatch):
     assert f": {NOT_KNOWN}; without contacts" in words and words.endswith("doubt it")
 
 
-def test_what_is_exact_or_full_says_nothing(fpk):
+def test_what_is_exact_says_nothing_and_reports_and_python_say_it_too(frame, fpk, answer, tmp_path):
     for method in ("exact", "nonintegrable"):
         call = ("density", "fig3a", "--method", method, "--of", "q2", "--at", "0")
-        status, out, _ = fpk(*call)
-        assert status == 0 and NOT_KNOWN not in out
-        assert json.loads(fpk(*call, "--json")[1])["averaging_notes"] == []
-
-
-def test_reports_and_python_say_it_too(frame, fpk, tmp_path):
+        assert NOT_KNOWN not in fpk(*call)[1] and answer(*call)["averaging_notes"] == []
     assert fpk("run", frame, *ONE, "--out", tmp_path)[0] == 0
     assert (tmp_path / "report.html").read_text().count(NOT_KNOWN) >= 1
     answers = face.solve(load_scene(frame).system, ["q2"], methods=["nonintegrable"])
@@ -142,19 +137,14 @@ def test_the_ratio_is_that_of_the_two_methods(n):
     assert spread == pytest.approx(theta.max() / theta.min(), rel=0.2)  # couplings are left out
 
 
-def test_no_measure_where_it_would_mean_nothing():
-    for system in (
-        System([1.0], [1.0], [0.0], [0.1]),
-        System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.0, 0.0]),
-    ):
-        with pytest.raises(NotApplicable):
-            rms_ratios(system)
+@pytest.mark.parametrize(("damping", "noise"), [([0.0], [0.1]), ([0.1], [0.0])])
+def test_no_measure_where_it_would_mean_nothing(damping, noise):
+    with pytest.raises(NotApplicable):
+        rms_ratios(System([1.0], [1.0], damping, noise))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("n", "stiffness", "clearance"), [
-    (2, 10.0, 3.0), (2, 10.0, 1.0), (2, 1000.0, 1.0), (3, 10.0, 1.0), (3, 1000.0, 1.0),
-])  # fmt: skip
+@pytest.mark.parametrize(("n", "stiffness", "clearance"), [(2, 10.0, 3.0), (3, 1000.0, 1.0)])
 def test_contacts_bring_averaging_nearer_but_not_near(n, stiffness, clearance):
     """Measured: between the ratio without contacts and 1, and still off by a factor.
 
@@ -162,12 +152,9 @@ def test_contacts_bring_averaging_nearer_but_not_near(n, stiffness, clearance):
     was measured where the system without contacts has 0.555.
     """
     scale = float(np.sqrt(stationary_covariance(storeys(n))[n - 1, n - 1]))
-    stop = Contact(
-        mass=n, side="right", stiffness=stiffness / np.sqrt(scale), clearance=clearance * scale
-    )
+    stop = Contact(n, "right", stiffness / np.sqrt(scale), clearance * scale)
     system, name = storeys(n, contacts=(stop,)), f"q{n}"
     sampled = rms(MonteCarlo(relaxations=20.0, seed=11), system, name)
     ratio = rms(NonIntegrable(), system, name).value / sampled.value
     error = 5.0 * sampled.error / sampled.value * ratio
-    without = rms_ratios(system)[0][n - 1]
-    assert without - error < ratio < 0.8
+    assert rms_ratios(system)[0][n - 1] - error < ratio < 0.8

@@ -4,12 +4,12 @@ import json
 from dataclasses import dataclass, replace
 from math import nan
 
-import h5netcdf
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.special import expi
 
-from cases.compare import answering, in_time
+from cases.compare import answering
 from cases.compare.answering import replies_of
 from cases.compare.claims import time_findings
 from cases.compare.in_time import Given, Replies
@@ -29,7 +29,7 @@ from fpk.answer.method import ROUTES, Method, silent
 from fpk.answer.names import REST, parse_limit
 from fpk.answer.quantities import Number
 from fpk.answer.question import answer
-from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.passage import LEAST_TAIL_FAILURES
@@ -63,16 +63,14 @@ def compared(*answers):
 
 
 def test_stated_errors_are_the_band_of_two_solvers():
-    a = survival_answer([0.5], [1e-3], "numerical", mean=(2.0, 0.01))
+    a = survival_answer([0.5, 0.5], [1e-3], "numerical", mean=(2.0, 0.01))
     for off, holds in ((0.019, True), (0.021, False)):
-        b = survival_answer([0.5], [1e-3], "numerical", mean=(2.0 + off, 0.01))
-        mean = compared((FEM, a), (CLOSED, b))["mean time"]
+        b = survival_answer([0.501, 0.495], [1e-3], "numerical", mean=(2.0 + off, 0.01))
+        rows = compared((FEM, a), (CLOSED, b))
+        mean = rows["mean time"]
         assert mean.measures == "numerical" and mean.norm == "relative"
         assert pytest.approx(off / 2.0) == mean.L1 and mean.holds is holds
-    bad = survival_answer([0.5, 0.5], [1e-3], "numerical")
-    good = survival_answer([0.501, 0.495], [1e-3], "numerical")
-    # Of both times that which is off more.
-    assert compared((FEM, bad), (CLOSED, good))["P(T > 2)"].holds is False
+        assert rows["P(T > 2)"].holds is False  # of both times that which is off more
 
 
 def test_averaging_is_reported_relative_to_the_full_system_and_never_judged():
@@ -93,20 +91,18 @@ def test_averaging_is_reported_relative_to_the_full_system_and_never_judged():
     assert {*compared((FEM, a), (FULL, unknown))} == {"P(T ≤ 1)", "P(T > 1)"}
 
 
-@pytest.mark.parametrize("expected", [(0.9999, 0.99), (0.999, 0.3, 0.003)])
-def test_a_right_simulation_is_rarely_called_wrong(expected):
-    draws, paths, wrong = 4000, 1024, 0
+def test_a_right_simulation_is_rarely_called_wrong():
+    expected, paths = (0.999, 0.3, 0.003), 1024
     stream = np.random.default_rng(SEED)
     exact = survival_answer(expected, 0.0, "numerical")
-    survive = stream.binomial(paths, expected, (draws, len(expected)))
-    for count in np.minimum.accumulate(survive, axis=1):
+    wrong = 0
+    for count in np.minimum.accumulate(stream.binomial(paths, expected, (1000, 3)), axis=1):
         S = count / paths
         errors = np.maximum(np.sqrt(S * (1.0 - S) / paths), 1.0 / paths)
-        both = in_time._survivals(exact, survival_answer(S, errors, "sampling"))
-        (row,) = in_time._worst("{}", exact.times, both, (False, True), "absolute", True)
-        wrong += row[2] > row[4]
-    # Of 4000 draws at FALSE_ALARMS 0.004 are expected; 2 or more have a chance below 1e-5.
-    assert wrong < 2 and draws * FALSE_ALARMS < 0.005
+        rows = compared((FEM, exact), (SIMULATED, survival_answer(S, errors, "sampling")))
+        wrong += any(not c.holds for of, c in rows.items() if "P(T" in of)
+    # Of 1000 draws at FALSE_ALARMS 0.001 are expected.
+    assert wrong == 0 and 1000 * FALSE_ALARMS < 0.002
 
 
 def test_a_wrong_reliability_is_called_wrong_and_few_failures_are_not():
@@ -118,11 +114,8 @@ def test_a_wrong_reliability_is_called_wrong_and_few_failures_are_not():
         ([1.0, 0.9999], [1.0, 1.0], [0.0, 1e-4], True),
     ):
         exact = survival_answer(expected, 0.0, "numerical")
-        sampled = survival_answer(seen, error, "sampling")
-        rows = compared((FEM, exact), (SIMULATED, sampled))
+        rows = compared((FEM, exact), (SIMULATED, survival_answer(seen, error, "sampling")))
         assert [c.holds for of, c in rows.items() if "P(T" in of] == [holds]
-    (_, _), (_, errors) = in_time._survivals(exact, sampled)
-    assert errors == pytest.approx([0.0, 1e-4], rel=1e-3)
 
 
 X = np.linspace(0.0, 7.0, 129)
@@ -149,11 +142,11 @@ def test_smoothed_noise_of_a_density_holds_and_a_tilt_of_it_does_not():
     stream, exact, window = np.random.default_rng(SEED), densities(), (np.arange(X.size),)
 
     def row(tilt=0.0):
-        (one,) = transients(densities(stream, noise=0.02, tilt=tilt), exact, window).comparisons
-        return one
+        noisy = densities(stream, noise=0.02, tilt=tilt)
+        return transients(noisy, exact, window).comparisons[0]
 
-    rows = [row() for _ in range(2000)]
-    assert sum(not row.holds for row in rows) < 3  # 0.2 are expected
+    rows = [row() for _ in range(1000)]
+    assert sum(not row.holds for row in rows) < 3  # 0.1 are expected
     assert np.mean([row.L1 for row in rows]) == pytest.approx(rows[0].error, rel=0.05)
     # A tilt of 20 % has L1 = 0.15: the band is 0.11.
     assert not any(row(0.2).holds for _ in range(20))
@@ -245,15 +238,13 @@ def test_a_default_that_is_missed_is_a_note_and_a_tolerance_reaches_what_solves_
 
 
 def test_routes_of_constant_noise_refuse_a_modulated_one():
-    scene = load_scene("modulated")
-    (question,) = scene.transients
-    answers = replies_of(scene.system, question, [method_for("integrable", "fem")])
-    assert not answers.given and answers.refused
-    assert all("modulated" in r.reason and not r.failed for r in answers.refused)
-    asked = scene.system, parse_limit("H=1", scene.system.n), REST, np.ones(1)
-    for solver in ("closed-form", "fem"):
-        with pytest.raises(NotApplicable, match="modulated"):
-            method_for("integrable", solver).passage(*asked, tol=None, progress=silent)
+    system = load_scene("modulated").system
+    transient = load_scene("modulated").transients[0]
+    passage = replace(PASSAGE, limit=parse_limit("H=1", system.n))
+    for question, solver in ((transient, "fem"), (passage, "closed-form"), (passage, "fem")):
+        found = replies_of(system, question, [method_for("integrable", solver)])
+        assert not found.given and found.refused
+        assert all("modulated" in r.reason and not r.failed for r in found.refused)
 
 
 @pytest.fixture(scope="module")
@@ -278,7 +269,6 @@ def test_everything_is_written(outcome, tmp_path):
     assert json.loads(json.dumps(digest, allow_nan=False)) == digest
     (passage,), (transient,) = digest["passages"], digest["transients"]
     assert passage["question"] == "H=1.5 from rest" and len(passage["answers"]) == 3
-    assert passage["answers"][0]["rate"] == pytest.approx(0.0137421230524)
     assert {"of", "norm", "L1", "band", "holds"} <= transient["comparisons"][0].keys()
     judged = [c for q in (passage, transient) for c in q["comparisons"] if c["band"] is not None]
     assert 0 < len(judged) < digest["judged"]
@@ -287,40 +277,37 @@ def test_everything_is_written(outcome, tmp_path):
 
     page, *pictures = write_report(outcome, digest, tmp_path)
     assert {"passage_1.svg", "transient_1.svg"} <= {path.name for path in pictures}
-    text = page.read_text(encoding="utf-8")
-    assert "In time" in text
+    assert "In time" in page.read_text(encoding="utf-8")
 
     write_netcdf(outcome, tmp_path / "result.nc")
-    with h5netcdf.File(tmp_path / "result.nc") as file:
-        assert file["survival_passage_1"].shape == (1, 3, len(PASSAGE.times))
-        assert file["survival_passage_1"].dimensions[-1] == "time_passage_1"
-        assert file["time_passage_1"][:].tolist() == list(PASSAGE.times)
-        points, p = file["at_transient_1"][0], file["p_transient_1"][0, 0]
+    with xr.open_dataset(tmp_path / "result.nc", engine="h5netcdf") as data:
+        survival = data["survival_passage_1"]
+        assert survival.shape == (1, 3, len(PASSAGE.times))
+        assert data[survival.dims[-1]].values.tolist() == list(PASSAGE.times)
+        points, p = data["at_transient_1"].values[0], data["p_transient_1"].values[0, 0]
         # The density of the last time on all points, by a rule that is good to 1e-4 there.
         assert np.trapezoid(p[-1], points) == pytest.approx(1.0, abs=5e-3)
 
     collection, *meshes = write_time_pvd(outcome, tmp_path)
     assert len(meshes) == len(TRANSIENT.times) and collection.name == "transient_1.pvd"
-    assert all(path.name in collection.read_text(encoding="utf-8") for path in meshes)
     pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
-    mesh = pyvista.read(meshes[-1])
+    reader = pyvista.get_reader(collection)
+    reader.set_active_time_point(len(meshes) - 1)
+    (mesh,) = reader.read()
     assert mesh["nonintegrable fem"].size == mesh.n_points and mesh["time"][0] == 100.0
 
 
-TIMED = ("cir", "fig6-passage", "rare", "two-modes", "modulated", "earthquake")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", TIMED)
+@pytest.mark.parametrize(
+    "name", ["cir", "fig6-passage", "rare", "two-modes", "modulated", "earthquake"]
+)
 def test_shipped_scenes_hold(answer, name):
     digest = answer("run", name)
     claims = {claim["verdict"] for claim in digest["claims"]}
     assert not digest["problems"] and claims == ({"holds"} if name != "modulated" else set())
 
 
-@pytest.mark.parametrize(
-    ("level", "last", "runs"), [(1.5, 400.0, 1), (1.5, 20.0, 2), (3.5, 25.0, 2)]
-)
+@pytest.mark.parametrize(("level", "last", "runs"), [(1.5, 400.0, 1), (3.5, 25.0, 2)])
 def test_the_simulation_that_shows_how_rare_passages_are_is_used_where_it_answers(
     level, last, runs, monkeypatch
 ):

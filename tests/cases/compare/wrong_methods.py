@@ -7,20 +7,12 @@ from averaging.theory import Exact
 from fpk.answer.certificate import Measured
 from fpk.answer.density import certify_density
 from fpk.answer.method import Plan
-from sim.montecarlo import MonteCarlo
 
 
 def displaced(system):
     """The system with its stops ten percent too far."""
     contacts = tuple(replace(c, clearance=1.1 * c.clearance) for c in system.contacts)
     return replace(system, contacts=contacts)
-
-
-class DisplacedSimulation(MonteCarlo):
-    """The simulation of another system."""
-
-    def prepare(self, system):
-        return super().prepare(displaced(system))
 
 
 class DisplacedAveraging(NonIntegrable):

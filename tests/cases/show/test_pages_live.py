@@ -1,13 +1,12 @@
 """Maps, answers in time and pages of studies in a browser: numbers, hover, keyboard, toggles."""
 
 import json
+from itertools import combinations
 
 import numpy as np
 import pytest
 
 import fpk as face
-from cases.compare.routes import method_for
-from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
 from cases.show.pictures.draw import study_figure
@@ -78,11 +77,9 @@ def priced(route, *points):
 
 
 @pytest.fixture(scope="module")
-def outcome(scene_text, tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "any.toml"
-    path.write_text(scene_text.replace('["q2", "H"]', '["q2,p2", "H1,H2"]') + QUESTIONS)
-    methods = [method_for("nonintegrable"), method_for("integrable", "closed-form")]
-    return run_scene(load_scene(str(path)), methods)
+def outcome(solved, scene_text):
+    text = scene_text.replace('["q2", "H"]', '["q2", "q2,p2", "H1,H2"]') + QUESTIONS
+    return solved(text, "nonintegrable/fem", "integrable/closed-form")
 
 
 @pytest.fixture(scope="module")
@@ -102,22 +99,18 @@ def study(outcome):
     return CostStudy(outcome.scene, [coarse, named_by_key], floors=floors)
 
 
-def with_units(path, scene):
-    path.write_text(scene.text + '\n[units]\nlength = "mm"\nmass = "kg"\ntime = "ms"\n', "utf-8")
-    return path
-
-
 @pytest.fixture(scope="module")
-def pages(outcome, sweeps, study, tmp_path_factory):
+def pages(outcome, sweeps, study, units_text, tmp_path_factory):
     """Addresses of the pages as they are written, by name."""
     folder = tmp_path_factory.mktemp("pages")
     write_report(outcome, digest_of(outcome), folder)
     found = {"report": (folder / "report.html").as_uri()}
     scene, (one, two) = sweeps
     regime = build_map(scene, ["contact.clearance=0.5,1", "contact.stiffness=1,10,100"])
-    reader_words = load_scene(str(with_units(folder / "named.toml", scene)))
+    (folder / "named.toml").write_text(f"{scene.text}\n{units_text}", "utf-8")
     grid = {"contact[1].clearance": [0.3, 0.5, 1.0], "system.noise_intensity": [0.123456, 0.5, 1.0]}
-    units = face.sweep(reader_words, grid, ["rms(q2)", "force_in_contact(1)"]).page()
+    named = load_scene(str(folder / "named.toml"))
+    units = face.sweep(named, grid, ["rms(q2)", "force_in_contact(1)"]).page()
     studies = {"line": one.page(), "heat": two.page(), "units": units}
     for name, page in {**studies, "regime": regime.page(), "cost": study.page()}.items():
         (folder / name).mkdir()
@@ -138,7 +131,7 @@ def touched(browser, pages):
 
 def test_every_plot_answers_to_the_pointer_keys_and_buttons(touched):
     count = {name: len(plots) for name, plots in touched.items()}
-    assert count == {"report": 4, "line": 2, "heat": 1, "regime": 1, "cost": 1, "units": 1}
+    assert count == {"report": 5, "line": 2, "heat": 1, "regime": 1, "cost": 1, "units": 1}
     for plot in (plot for plots in touched.values() for plot in plots.values()):
         first, *off, last = plot["visible"]
         assert first == last and min(off) < first
@@ -153,65 +146,68 @@ def test_every_plot_answers_to_the_pointer_keys_and_buttons(touched):
     assert images == ["data:image/png;base64,"] * 2
 
 
-def test_maps_of_joint_densities_have_the_numbers_of_every_route(touched, outcome):
+def assert_shown(value, number, error):
+    assert value["p"] == pytest.approx(number, rel=1e-9) and value["error"] >= error
+
+
+def test_densities_have_the_numbers_of_every_route(touched, outcome):
     plots = {plot["id"]: plot for plot in live_record(outcome)["plots"]}
+    for hover in touched["report"]["q2"]["hover"]:
+        for value, density in zip(
+            hover["values"], outcome.curves[0].of("q2").values(), strict=True
+        ):
+            p, error = density.at(np.array([value["x"]]))
+            assert_shown(value, p[0], error[0])
     for name in ("q2,p2", "H1,H2"):
         densities = outcome.curves[0].of(name)
-        first, second = touched["report"][name]["hover"]
         x, y = plots[name]["x"], plots[name]["y"]
-        assert list(first["place"].values()) == [x[30], y[30]]
-        assert list(second["place"].values()) == [x[31], y[31]]
-        for hover in (first, second):
+        for hover, k in zip(touched["report"][name]["hover"], (30, 31), strict=True):
+            assert list(hover["place"].values()) == [x[k], y[k]]
             at = [np.array([hover["place"][axis]]) for axis in "xy"]
-            assert len(hover["values"]) == len(densities) >= 1
+            assert len(hover["values"]) == len(densities) == hover["words"].count("±") >= 1
             for value, density in zip(hover["values"], densities.values(), strict=True):
                 p, error = density.at(*at)
-                assert value["p"] == pytest.approx(p[0], rel=1e-9) and value["error"] >= error[0]
+                assert_shown(value, p[0], error[0])
                 # Another point has another number: the comparison can fail.
                 assert value["p"] != pytest.approx(density(at[0], at[1] + 0.05)[0], rel=1e-4)
-            assert hover["words"].count("±") == len(densities)
 
 
 def test_answers_in_time_have_the_numbers_of_every_route(touched, outcome):
     (passages,), (transients,) = outcome.curves[0].passages, outcome.curves[0].transients
     given = {g.route.words: g.answer for g in passages.given}
-    for hover, k in zip(touched["report"]["passage_1"]["hover"], (0, 1), strict=True):
+    for k, hover in enumerate(touched["report"]["passage_1"]["hover"]):
         assert hover["place"]["x"] == passages.question.times[k]
         for value in hover["values"]:
             answer = given[value["name"]]
-            assert value["p"] == pytest.approx(answer.survival[k], rel=1e-9)
-            assert value["error"] >= answer.survival_error[k]
+            assert_shown(value, answer.survival[k], answer.survival_error[k])
     hover = touched["report"]["transient_1"]["hover"][0]
-    times = [f"t = {t:g}" for t in transients.question.times]
-    assert {v["curve"] for v in hover["values"]} == {times[0]}  # others on demand
+    first = f"t = {transients.question.times[0]:g}"
+    assert {v["curve"] for v in hover["values"]} == {first}  # others on demand
     given = {g.route.words: g.answer for g in transients.given}
     for value in hover["values"]:
-        answer, k = given[value["name"]], times.index(value["curve"])
-        i = int(np.argmin(np.abs(transients.points - value["x"])))
-        assert value["p"] == pytest.approx(answer.values[k, i], rel=1e-9)
-        assert value["error"] >= answer.errors[k, i]
+        answer, i = given[value["name"]], int(np.argmin(np.abs(transients.points - value["x"])))
+        assert_shown(value, answer.values[0, i], answer.errors[0, i])
 
 
 def test_sweeps_have_the_numbers_of_every_method(touched, sweeps):
     _, (one, two) = sweeps
     for k in range(2):
-        left, *_, right = touched["line"][f"picture_{k}"]["ends"]
-        assert left < one.axes[0].values[0] and right > one.axes[0].values[-1]  # markers are whole
-        for hover, i in zip(touched["line"][f"picture_{k}"]["hover"], (1, 2), strict=True):
-            assert hover["place"]["x"] == one.axes[0].values[i]
+        x, plot = one.axes[0].values, touched["line"][f"picture_{k}"]
+        left, *_, right = plot["ends"]
+        assert left < x[0] and right > x[-1]  # markers are whole
+        for i, hover in enumerate(plot["hover"], 1):
+            assert hover["place"]["x"] == x[i]
             names = [v["name"].partition(" (covers ")[0] for v in hover["values"]]
             assert names == [reader_words(m) for m in one.methods]
             for m, value in enumerate(hover["values"]):
-                assert value["p"] == pytest.approx(one.field("value")[k, m, i], rel=1e-9)
-                assert value["error"] >= one.field("error")[k, m, i]
-    for hover, place in zip(touched["heat"]["picture_0"]["hover"], ((1, 1), (2, 2)), strict=True):
+                assert_shown(value, one.field("value")[k, m, i], one.field("error")[k, m, i])
+    for i, hover in enumerate(touched["heat"]["picture_0"]["hover"], 1):
         values = {v["name"]: v for v in hover["values"]}
         assert len(values) == len(two.quantities) * len(two.methods)
         for k, quantity in enumerate(two.quantities):
             for m, method in enumerate(two.methods):
-                value, at = values[f"{quantity} by {reader_words(method)}"], (k, m, *place)
-                assert value["p"] == pytest.approx(two.field("value")[at], rel=1e-9)
-                assert value["error"] >= two.field("error")[at]
+                value, at = values[f"{quantity} by {reader_words(method)}"], (k, m, i, i)
+                assert_shown(value, two.field("value")[at], two.field("error")[at])
 
 
 def test_a_map_of_regimes_says_which_theory_is_nearer(touched):
@@ -224,11 +220,6 @@ def test_a_map_of_regimes_says_which_theory_is_nearer(touched):
     assert touched["regime"]["picture_0"]["said"] == "Dotted: clearance = 2 rms."
 
 
-def test_legends_of_studies_name_theories_in_words(study):
-    (plot,) = live_plots(study.page().panels, "picture")
-    assert [s["name"] for s in plot["series"]] == ["coarse", "energy averaging, finite elements"]
-
-
 def test_the_diagram_of_cost_says_method_setting_error_and_time(touched, study):
     first, second = touched["cost"]["picture_0"]["hover"]
     (value,) = first["values"]
@@ -239,39 +230,48 @@ def test_the_diagram_of_cost_says_method_setting_error_and_time(touched, study):
     (value,) = second["values"]  # to the right; above the first curve is no other
     point = study.routes[0].points[2]
     assert (value["x"], value["p"]) == (point.seconds, point.error)
+    (plot,) = live_plots(study.page().panels, "picture")
+    assert [s["name"] for s in plot["series"]] == ["coarse", "energy averaging, finite elements"]
 
 
 SIZES = """
 const page = document.documentElement, box = e => e.getBoundingClientRect();
 for (const d of document.querySelectorAll("details")) d.open = true;
+const seen = e => e.checkVisibility({visibilityProperty: true}) && box(e).height > 0;
 const count = words => [...document.querySelectorAll(words)].filter(e => box(e).width).length;
+const own = e => e.closest("svg, .wide, pre");  // these clip or scroll by themselves
+const cut = e => e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).display !== "inline" &&
+  e.clientWidth || box(e).right > page.clientWidth + 1;
+const scale = e => Math.hypot(e.getScreenCTM().a, e.getScreenCTM().b);
 return {live: count(".live"), drawn: count("figure:not(.live)"),
-  still: document.querySelectorAll(".still").length, touch: count("#touch > *"),
-  beyond: [...document.querySelectorAll("body *")].filter(e => !e.closest("svg, .wide") &&
-    box(e).right > page.clientWidth + 1).map(e => e.outerHTML.slice(0, 90)),
-  small: [...document.querySelectorAll(".live svg text")].map(box)
-    .filter(r => r.height > 0 && Math.min(r.height, r.width) < 6).length,
+  still: document.querySelectorAll(".still").length,
+  controls: [...document.querySelectorAll("#touch > *, input")].filter(seen).length,
+  beyond: [...document.querySelectorAll("body *")].filter(e => !own(e) && cut(e)).map(
+    e => e.outerHTML.slice(0, 90)),
+  letters: Math.min(99, ...[...document.querySelectorAll("svg text")].filter(seen).map(
+    e => parseFloat(getComputedStyle(e).fontSize) * scale(e))),
   cut: [...document.querySelectorAll("table")].map(e => e.parentElement)
     .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.textContent.slice(0, 90))};
 """
+LETTERS = 9.0, 8.5
+"""Least height in pixels of letters in pictures as drawn, of a report and of a study."""
 
 
-def test_no_page_is_wider_than_a_telephone_and_paper_and_no_script_have_the_pictures(
-    browser, pages
-):
+def test_no_window_cuts_a_page_and_paper_and_no_script_have_the_pictures(browser, pages):
     def sizes(url, **how):
         browser.open(url, **how)
         return browser.result(SIZES)
 
     for name, url in pages.items():
-        screen, wide = (sizes(url, width=width) for width in (390, 1280))
-        for one in (screen, wide):
-            assert one["beyond"] == [] and one["small"] == 0, name
-            assert one["live"] > 0 and one["touch"] > 0 and one["cut"] == [], name
-        paper = sizes(url, width=700, paper=True)
-        assert paper["touch"] == 0 < paper["live"] and paper["drawn"] == screen["drawn"], name
+        screen, wide = (sizes(url, width=width, height=844) for width in (390, 1280))
         bare = sizes(url, width=390, script=False)
-        assert bare["live"] == bare["still"] == 0
+        for one in (screen, wide, bare):
+            assert one["beyond"] == [] and one["letters"] >= LETTERS[name != "report"], name
+            assert one is bare or (one["live"] > 0 and one["controls"] > 0), name
+            assert one is bare or one["cut"] == [], name
+        paper = sizes(url, width=700, paper=True)
+        assert paper["controls"] == 0 < paper["live"] and paper["drawn"] == screen["drawn"], name
+        assert bare["live"] == bare["still"] == bare["controls"] == 0
         assert bare["drawn"] == screen["drawn"] + screen["still"], name
 
 
@@ -299,35 +299,28 @@ def test_without_script_a_study_shows_its_picture_on_light_ground(browser, pages
         assert picture[0] > 300 and (picture[1] == "rgb(253, 253, 251)") == dark
 
 
-def test_a_telephone_has_fewer_numbers_on_an_axis_of_powers(browser, pages):
+def test_numbers_of_an_axis_stand_apart_on_a_telephone(browser, pages):
     browser.open(pages["cost"], width=390, height=844)
     boxes = browser.result(
         """return [...document.querySelectorAll(".live .pair text")].map(
           e => e.getBoundingClientRect()).map(r => [r.left, r.right, r.top, r.bottom]);"""
     )
     assert len(boxes) > 8
-    for k, (left, right, top, bottom) in enumerate(boxes):
-        for l, r, t, b in boxes[:k]:  # noqa: E741
-            assert right <= l or r <= left or bottom <= t or b <= top
+    for (left, right, top, bottom), other in combinations(boxes, 2):
+        assert right <= other[0] or other[1] <= left or bottom <= other[2] or other[3] <= top
 
 
-def test_columns_of_words_stand_at_the_left(browser, pages):
+def test_columns_of_words_stand_at_the_left_and_parameters_have_all_their_digits(browser, pages):
+    columns = """return [...document.querySelectorAll("table")].map(t => Object.fromEntries(
+      [...t.querySelectorAll("th")].map((h, k) => [h.textContent,
+        [h, t.querySelectorAll("td")[k]].map(e => getComputedStyle(e).textAlign)])));"""
     browser.open(pages["cost"], width=1280)
-    sides = browser.result(
-        """return [...document.querySelectorAll("table")].map(t => Object.fromEntries(
-          [...t.querySelectorAll("th")].map((h, k) => [h.textContent,
-            [h, t.querySelectorAll("td")[k]].map(e => getComputedStyle(e).textAlign)])));"""
-    )
-    for table in sides:
-        for head, side in table.items():
-            words = head in ("equation", "route", "settings", "priced by", "above", "below")
-            assert side == ["left", "left"] if words else ["right", "right"]
-
-
-def test_parameters_of_a_page_have_all_their_digits_and_text_stands_at_the_left(browser, pages):
+    for head, side in (item for table in browser.result(columns) for item in table.items()):
+        words = head in ("equation", "route", "settings", "priced by", "above", "below")
+        assert side == ["left", "left"] if words else ["right", "right"]
     browser.open(pages["units"], width=1280)
-    row = browser.result("""
+    cells = browser.result("""
       return document.querySelector("tbody tr").querySelectorAll("td").values()
         .map(e => [e.textContent, getComputedStyle(e).textAlign]).toArray();""")
-    assert row[:2] == [["0.3", "right"], ["0.123456", "right"]]
-    assert [align for _, align in row[2:4]] == ["left", "left"]
+    assert cells[:2] == [["0.3", "right"], ["0.123456", "right"]]
+    assert [align for _, align in cells[2:4]] == ["left", "left"]

@@ -2,13 +2,12 @@
 
 import re
 from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
 from xml.etree import ElementTree
 
 import pytest
 
-from cases.compare.routes import method_for
-from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
 from cases.show.page import PageStyle
@@ -40,56 +39,49 @@ class Structure(HTMLParser):
         self.texts.append(data)
 
 
-def _outcome(folder, scene_text, *, words, label):
-    path = folder / f"{words.replace('/', '')[:60]}.toml"
-    quoted = "'''" + words + "'''"
-    text = scene_text.replace('"A scene"', quoted).replace('"tests"', quoted)
-    path.write_text(f"# {words}\n{text}")
-    found = run_scene(load_scene(str(path)), [method_for("nonintegrable", "closed-form")])
-    curves = tuple(replace(c, label=f"{label} {i}") for i, c in enumerate(2 * found.curves))
-    return replace(found, curves=curves)
+@pytest.fixture(scope="module")
+def named(solved, scene_text):
+    """The outcome of two curves of which everything that a scene may say is ``words``."""
+
+    def solve(words):
+        quoted = f"'''{words}'''"
+        text = scene_text.replace(', "H"]', "]")
+        text = text.replace('"A scene"', quoted).replace('"tests"', quoted)
+        found = solved(
+            f"# {words}\n{text}", "nonintegrable/closed-form", name=words.replace("/", "")[:60]
+        )
+        curves = tuple(replace(c, label=f"{words} {i}") for i, c in enumerate(2 * found.curves))
+        return replace(found, curves=curves)
+
+    return solve
 
 
-def _elements(outcome):
+def elements(outcome):
     live = live_record(outcome)
     return Structure(report_html(outcome.scene, digest_of(outcome), [], live=live))
 
 
-@pytest.fixture(scope="module")
-def plain(scene_text, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("plain")
-    return _elements(_outcome(folder, scene_text, words="plain", label="B"))
-
-
 @pytest.mark.parametrize("words", PAYLOADS)
-def test_a_scene_adds_text_and_no_element(words, plain, scene_text, tmp_path):
-    outcome = _outcome(tmp_path, scene_text, words=words, label=words)
-    page = _elements(outcome)
+def test_a_scene_adds_text_and_no_element_to_the_page_and_its_pictures(words, named, tmp_path):
+    outcome = named(words)
+    page, plain = elements(outcome), elements(named("plain"))
     assert page.tags == plain.tags and len(page.tags) > 100
     assert sum(words in text for text in page.texts) >= 4  # title twice, source, scene file
     assert not any(name.startswith("on") for tag in page.tags for name in tag[1:])
     scripts = [tag for tag in page.tags if tag[0] == "script"]
     assert scripts == [("script", "type", "id"), ("script",)]  # the data and the page's own
-
-
-def test_text_in_pictures_is_drawn_and_no_element(scene_text, tmp_path):
-    for k, words in enumerate((PAYLOADS[0], PAYLOADS[2])):
-        folder = tmp_path / str(k)
-        folder.mkdir()
-        outcome = _outcome(folder, scene_text.replace(', "H"]', "]"), words=words, label=words)
-        for path in write_report(outcome, digest_of(outcome), folder):
-            if path.suffix == ".svg":
-                tree = ElementTree.parse(path)
-                tags = {node.tag.rpartition("}")[2] for node in tree.iter()}
-                assert {"svg", "path"} <= tags and not tags & {"script", "img", "title"}
-                assert not any(a.startswith("on") for node in tree.iter() for a in node.attrib)
-        assert "pwned" not in "".join(str(t) for t in Structure(_page(folder)).tags)
+    for path in write_report(outcome, digest_of(outcome), tmp_path):
+        if path.suffix == ".svg":
+            tree = ElementTree.parse(path)
+            tags = {node.tag.rpartition("}")[2] for node in tree.iter()}
+            assert {"svg", "path"} <= tags and not tags & {"script", "img", "title"}
+            assert not any(a.startswith("on") for node in tree.iter() for a in node.attrib)
 
 
 @pytest.mark.slow
-def test_a_browser_shows_the_text_and_runs_nothing(browser, scene_text, tmp_path):
+def test_a_browser_shows_the_text_and_runs_nothing(browser, named, tmp_path):
     words = PAYLOADS[1] + PAYLOADS[0]
-    outcome = _outcome(tmp_path, scene_text.replace(', "H"]', "]"), words=words, label=words)
+    outcome = named(words)
     write_report(outcome, digest_of(outcome), tmp_path)
     browser.open((tmp_path / "report.html").as_uri(), width=1280)
     shown = Structure(browser.value("document.documentElement.outerHTML"))
@@ -98,8 +90,7 @@ def test_a_browser_shows_the_text_and_runs_nothing(browser, scene_text, tmp_path
     assert names.count("script") == 2
     assert {tag[1:] for tag in shown.tags if tag[0] == "img"} == {("src", "alt")}
     # The browser does run what is not escaped; the page's policy stops it even then.
-    unescaped = _page(tmp_path).replace("&lt;", "<").replace("&gt;", ">")
-    unescaped = unescaped.replace("&#34;", '"').replace("&#39;", "'")
+    unescaped = unescape((tmp_path / "report.html").read_text(encoding="utf-8"))
     policy = unescaped.partition('<meta http-equiv="Content-Security-Policy"')[2].partition(">")[0]
     assert "default-src 'none'" in policy
     for text, title in ((unescaped, False), (unescaped.replace(policy, ""), True)):
@@ -108,15 +99,9 @@ def test_a_browser_shows_the_text_and_runs_nothing(browser, scene_text, tmp_path
         assert (browser.value("document.title") == "pwned") is title
 
 
-def _page(folder):
-    return (folder / "report.html").read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize("words", [*PAYLOADS, "[a](javascript:b) *c* _d_ `e` | $f$ \\ #"])
-def test_the_title_of_a_page_is_text_in_markdown(words, tmp_path, scene_text):
-    path = tmp_path / "any.toml"
-    path.write_text(scene_text.replace('"A scene"', "'''" + words + "'''"))
-    scene = load_scene(str(path))
+def test_the_title_of_a_page_is_text_in_markdown(words, written, scene_text):
+    scene = load_scene(written(scene_text.replace('"A scene"', f"'''{words}'''")))
     page = Page("regime", scene, f"Map: {scene.title}", [], [])
     first, _, rest = page.text().partition("\n")
     assert first.startswith("# Map: ") and rest.strip() == ""

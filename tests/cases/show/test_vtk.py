@@ -7,7 +7,6 @@ import pytest
 
 from averaging.theory import Exact
 from cases.compare.routes import method_for
-from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.show.vtk import write_vtu
 from fpk.answer.certificate import Certificate
@@ -15,12 +14,8 @@ from fpk.answer.density import Density
 from fpk.answer.names import parse_observable
 from fpk.answer.quantities import FIELD_CUT, SUBDIVISION, field_of
 
+pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
 CERTIFIED = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-@pytest.fixture(scope="module")
-def pyvista():
-    return pytest.importorskip("pyvista", reason="pyvista is not installed")
 
 
 def field_by(name, pdf, *panels):
@@ -29,34 +24,14 @@ def field_by(name, pdf, *panels):
     return field_of({"a": exact})
 
 
-def test_a_quadratic_is_kept_and_cells_shrink_until_the_stated_error_is_met():
-    mesh, error = field_by("q1", lambda x: np.asarray(0.75 * (1 - x**2)), np.array([-1.0, 1.0]))
-    assert error < 1e-15 and len(mesh.points) == 3
-
-    def pdf(x, y):
-        return np.exp(-0.5 * (x * x + 4 * y * y)) / np.pi
-
-    mesh, error = field_by("q1,p1", pdf, np.linspace(-8, 8, 9), np.linspace(-4, 4, 5))
-    assert error <= SUBDIVISION * mesh.point_data["density"].max()
-    nodes = [np.unique(x).size for x in mesh.points.T[:2]]
-    assert len(mesh.points) == np.prod(nodes) and all(n % 2 == 1 for n in nodes)
-
-
-@pytest.mark.parametrize("of", ["q2", "q2,p2"])
-def test_a_density_is_a_mesh_of_meshio_and_a_grid_of_pyvista_in_one_call(of, pyvista):
-    scene = load_scene("fig3a")
-    (p,) = Exact().solve(scene.system, [parse_observable(of, 2)]).densities
-    mesh, grid = p.to_meshio(), p.to_pyvista()
-    axes = mesh.points.T[: len(p.observable)]
-    value, error = p.at(*axes)
-    np.testing.assert_allclose(mesh.point_data["density"], value, atol=1e-14 * value.max())
-    np.testing.assert_allclose(mesh.point_data["error of p"], error, atol=1e-14 * value.max())
-    assert isinstance(grid, pyvista.UnstructuredGrid) and grid.n_points == len(mesh.points)
-    np.testing.assert_array_equal(grid["density"], mesh.point_data["density"])
+def words(grid, *names):
+    return {name: str(grid.field_data[name][0]) for name in names}
 
 
 @pytest.mark.parametrize("correlation", [0.0, -0.9])
-def test_the_field_is_the_smallest_box_that_holds_the_density_down_to_the_cut(correlation):
+def test_cells_shrink_until_the_error_is_met_in_the_smallest_box_that_holds_the_density(
+    correlation,
+):
     """A Gaussian is at the cut on an ellipse of the half-widths σ √(2 ln 1e6), however tilted."""
     deviations = 1.0, 0.5
 
@@ -64,26 +39,28 @@ def test_the_field_is_the_smallest_box_that_holds_the_density_down_to_the_cut(co
         u, v = x / deviations[0], y / deviations[1]
         return np.exp(-(u * u + v * v - 2 * correlation * u * v) / (2 * (1 - correlation**2)))
 
-    mesh, _ = field_by("q1,p1", pdf, np.linspace(-12, 8, 9), np.linspace(-4, 6, 5))
+    mesh, error = field_by("q1,p1", pdf, np.linspace(-12, 8, 9), np.linspace(-4, 6, 5))
+    p = mesh.point_data["density"]
+    assert error <= SUBDIVISION * p.max()
+    nodes = [np.unique(x).size for x in mesh.points.T[:2]]
+    assert len(mesh.points) == np.prod(nodes) and all(n % 2 == 1 for n in nodes)
     for x, deviation in zip(mesh.points.T, deviations, strict=False):
         half_width = deviation * np.sqrt(-2.0 * np.log(FIELD_CUT))
         for end in (x.min(), x.max()):
             # Beyond it by no more than one of 100 intervals along the axis.
             assert 1.0 <= abs(end) / half_width < 1.03
-    p = mesh.point_data["density"]
     assert p.min() < 1e-3 * FIELD_CUT * p.max()  # in the corners of the box
 
 
 @pytest.mark.parametrize("of", ["q2", "q2,p2", "H"])
-def test_what_is_read_back_is_the_density(of, fpk, pyvista, tmp_path):
+def test_what_is_read_back_is_the_density(of, fpk, tmp_path):
     """Between the nodes, the cells' own quadratic interpolation in VTK against the closed form."""
     path = tmp_path / "field.vtu"
     assert fpk("export", "fig3a", "--of", of, "--out", path)[0] == 0
     grid = pyvista.read(path)
     scene = load_scene("fig3a")
     observable = parse_observable(of, 2)
-    words = {name: str(grid.field_data[name][0]) for name in ("scene", "observable", "units")}
-    assert words == {
+    assert words(grid, "scene", "observable", "units") == {
         "scene": "fig3a", "observable": of, "units": "the scene's own consistent units"
     }  # fmt: skip
     assert "[[contact]]" in str(grid.field_data["scene file"][0])
@@ -91,10 +68,9 @@ def test_what_is_read_back_is_the_density(of, fpk, pyvista, tmp_path):
         float(grid.field_data[n][0]) for n in ("subdivision error", "largest density")
     )
     assert stated <= SUBDIVISION * largest
-    truth = Exact().solve(scene.system, [observable]).densities[0]
-    rng = np.random.default_rng(8)
+    (truth,) = Exact().solve(scene.system, [observable]).densities
     low, high = np.array(grid.bounds).reshape(3, 2).T
-    points = rng.uniform(low, high, size=(400, 3))
+    points = np.random.default_rng(8).uniform(low, high, size=(400, 3))
     if of == "q2,p2":
         read = pyvista.PolyData(points).sample(grid)
         assert read["vtkValidPointMask"].all()
@@ -102,8 +78,7 @@ def test_what_is_read_back_is_the_density(of, fpk, pyvista, tmp_path):
     else:  # VTK finds no points in lines: evaluate their quadratics here
         cells = grid.cells.reshape(-1, 4)[:, 1:]
         x, p = grid.points[:, 0], grid["density"]
-        at = np.searchsorted(x[cells[:, 1]], points[:, 0])
-        a, b, m = cells[at].T
+        a, b, m = cells[np.searchsorted(x[cells[:, 1]], points[:, 0])].T
         t = (points[:, 0] - x[a]) / (x[b] - x[a])
         values = (1 - t) * (1 - 2 * t) * p[a] + t * (2 * t - 1) * p[b] + 4 * t * (1 - t) * p[m]
     exact = truth.at(*points[:, : len(observable)].T)[0]
@@ -118,14 +93,18 @@ def test_what_is_read_back_is_the_density(of, fpk, pyvista, tmp_path):
     assert grid.active_scalars_name == "density"
     p, decades = grid["density"], grid["log10 density"]
     np.testing.assert_allclose(10.0 ** decades[p > 0], p[p > 0], rtol=1e-12)
-    # One of 100 intervals too wide at the most: ln p falls as x^2.5 there, by 8 % of itself.
-    for axis in range(len(of.split(","))) if of != "H" else ():
-        x = grid.points[:, axis]
-        for end in (x.min(), x.max()):
-            assert -6.5 < np.log10(p[x == end].max() / p.max()) <= -6.0
+    if of != "H":
+        # The same mesh in memory, for meshio and pyvista.
+        mesh, other = truth.to_meshio(), truth.to_pyvista()
+        value, error = truth.at(*mesh.points.T[: len(observable)])
+        tiny = 1e-14 * value.max()
+        np.testing.assert_allclose(mesh.point_data["density"], value, atol=tiny)
+        np.testing.assert_allclose(mesh.point_data["error of p"], error, atol=tiny)
+        assert isinstance(other, pyvista.UnstructuredGrid) and other.n_points == len(mesh.points)
+        np.testing.assert_array_equal(other["density"], mesh.point_data["density"])
 
 
-def test_a_collection_has_the_varied_number_for_its_time(fpk, pyvista, tmp_path):
+def test_a_collection_has_the_varied_number_for_its_time(fpk, tmp_path):
     assert fpk("export", "fig6a", "--of", "q2", "--out", tmp_path / "all.pvd")[0] == 0
     reader = pyvista.get_reader(tmp_path / "all.pvd")
     assert reader.time_values == sorted(c.value for c in load_scene("fig6a").curves)
@@ -136,45 +115,41 @@ def test_a_collection_has_the_varied_number_for_its_time(fpk, pyvista, tmp_path)
         assert sorted(set(stops.points[:, 0])) == [-0.5, 0.5]
 
 
-def test_every_observable_has_a_collection_of_its_own(
-    answer, pyvista, tmp_path, written, scene_text
+def test_every_observable_has_a_collection_and_stops_stand_where_the_mass_meets_them(
+    answer, tmp_path, written, scene_text
 ):
-    path = written(scene_text.replace('["q2", "H"]', '["q2", "q2,p2"]'))
-    record = answer("export", path, "--out", tmp_path / "all.pvd")
-    names = {p.name for p in map(Path, record["files"]) if p.suffix == ".pvd"}
-    assert names == {"all_q2.pvd", "all_q2_p2.pvd"} == {p.name for p in tmp_path.glob("*.pvd")}
-    assert pyvista.get_reader(tmp_path / "all_q2_p2.pvd").time_values == [0.0]
-    assert all(Path(file).stat().st_size > 200 for file in record["files"])
-
-
-def test_stops_stand_where_the_mass_meets_them(answer, pyvista, tmp_path, written, scene_text):
-    path, out = written(scene_text.replace('"both"', '"left"')), tmp_path / "x.vtu"
-    record = answer("export", path, "--of", "q2,p2", "--out", out)
-    assert record["files"] == [str(out), str(tmp_path / "x_stops.vtu")]
-    field, stops = pyvista.read(out), pyvista.read(tmp_path / "x_stops.vtu")
-    assert stops.n_cells == 1 and set(stops.points[:, 0]) == {-0.5}
+    text = scene_text.replace('["q2", "H"]', '["q1", "q2,p2"]').replace('"both"', '"left"')
+    record = answer("export", written(text), "--out", tmp_path / "all.pvd")
+    files = [Path(file) for file in record["files"]]
+    collections = {path.name for path in tmp_path.glob("*.pvd")}
+    assert {p.name for p in files if p.suffix == ".pvd"} == collections
+    assert collections == {"all_q1.pvd", "all_q2_p2.pvd"}
+    assert all(path.stat().st_size > 100 for path in files)
+    # No stop beside q1.
+    (beside,) = (path for path in files if path.stem.endswith("_stops"))
+    reader = pyvista.get_reader(tmp_path / "all_q2_p2.pvd")
+    assert reader.time_values == [0.0]
+    field, stops = reader.read()
+    assert pyvista.read(beside).n_cells == stops.n_cells == 1 and {*stops.points[:, 0]} == {-0.5}
     assert stops.cell_data["mass"].tolist() == [2.0]
     np.testing.assert_allclose(stops.bounds[2:4], field.bounds[2:4])
     assert stops.bounds[5] == pytest.approx(float(field["density"].max()), rel=1e-12)
     assert stops.area == pytest.approx(np.ptp(field.points[:, 1]) * field["density"].max())
-    for of in ("q1", "p2", "H"):  # no stop beside these
-        record = answer("export", path, "--of", of, "--out", tmp_path / f"{of}.vtu")
-        assert record["files"] == [str(tmp_path / f"{of}.vtu")]
 
 
-def test_the_simulation_is_an_array_of_the_field(
-    pyvista, tmp_path, written, scene_text, units_text
-):
-    scene = load_scene(written(scene_text + units_text))
+def test_the_simulation_is_an_array_of_the_field(solved, tmp_path, scene_text, units_text):
     sampled = method_for("montecarlo", paths=4096, relaxations=2.0, seed=3)
-    outcome = run_scene(scene, [method_for("nonintegrable", "closed-form"), sampled])
+    outcome = solved(scene_text + units_text, "nonintegrable/closed-form", sampled)
     (written, _) = write_vtu(outcome, tmp_path / "x.vtu")
     grid = pyvista.read(written)
-    density = outcome.curves[0].densities(scene.observables[0])
+    density = outcome.curves[0].densities(outcome.scene.observables[0])
     (samples,) = [p for route, p in density.items() if route.sampled]
     value, error = samples.at(grid.points[:, 0])
     np.testing.assert_allclose(grid["montecarlo"], value, rtol=1e-12)
     np.testing.assert_allclose(grid["error of montecarlo"], error, rtol=1e-12)
     assert grid.active_scalars_name == "density"
-    words = {k: str(grid.field_data[k][0]) for k in ("axes", "units", "unit of density")}
-    assert words == {"axes": "q2 [mm]", "units": "mm, kg, s", "unit of density": "mm⁻¹"}
+    assert words(grid, "axes", "units", "unit of density") == {
+        "axes": "q2 [mm]",
+        "units": "mm, kg, s",
+        "unit of density": "mm⁻¹",
+    }

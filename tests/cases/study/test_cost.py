@@ -1,63 +1,36 @@
 """The work-precision study: wrong routes are caught and not timed, prices follow from points."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from averaging.energy_process import closed_form_density
-from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene
-from cases.scene.written import duration
-from cases.show.study_page import Table, cell
+from cases.show.study_page import Table
 from cases.study import prices
-from cases.study.cost import CostStudy, coarsest_routes, equation_routes, study_cost
+from cases.study.cost import CostStudy, coarsest_routes, equation_routes
 from cases.study.equations import energy_density, energy_equation, errors
 from cases.study.law import FULL, Law, price_schemes, price_solutions
 from cases.study.levels import Level
 from cases.study.prices import NotTimed, Priced, crossovers, passage_routes, price_list
 from cases.study.simulation import full_reference
-from fpk.answer.density import l1_distance
-from fpk.answer.names import parse_observable
 from fpk.solvers.line.stationary import solve_stationary
 
-
-def sign_of_28(process):
-    """(28) as the paper prints it: the damping feeds the energy."""
-
-    def coefficients(energy):
-        c = process.coefficients(energy)
-        return c._replace(drift=c.drift - 2.0 * c.dissipation, dissipation=-c.dissipation)
-
-    return replace(process, coefficients=coefficients)
+EMPTY = CostStudy(load_scene("fig6b"))
 
 
 def test_the_sign_of_28_as_printed_is_caught_by_every_route_and_not_timed():
+    """Damping that feeds the energy has no stationary density: every route refuses the process."""
     equation = energy_equation(load_scene("fig6b").system)
-    equation = replace(equation, process=sign_of_28(equation.process))
-    bad = equation_routes(equation, coarsest_routes(equation))
-    assert all(isinstance(n, NotTimed) for n in bad)
-    assert {n.route for n in bad} == {c.name for c in coarsest_routes(equation)}
-    # Damping that feeds the energy has no stationary density: every route refuses the process.
-    assert all("drift points outwards" in n.reason for n in bad)
 
+    def as_printed(energy):
+        c = equation.process.coefficients(energy)
+        return c._replace(drift=c.drift - 2.0 * c.dissipation, dissipation=-c.dissipation)
 
-def test_a_wrong_damping_is_caught_by_every_route_by_its_distance():
-    def stronger(process):
-        def coefficients(energy):
-            c = process.coefficients(energy)
-            return c._replace(dissipation=1.1 * c.dissipation, drift=c.drift + 0.1 * c.dissipation)
-
-        return replace(process, coefficients=coefficients)
-
-    equation = energy_equation(load_scene("fig6b").system)
-    equation = replace(equation, process=stronger(equation.process))
-    bad = equation_routes(equation, coarsest_routes(equation))
-    assert len(bad) == len(coarsest_routes(equation))
-    for n in bad:  # exp(-1.1 α H) beside exp(-α H): L1 is some percent
-        assert isinstance(n, NotTimed) and n.wrong
-        assert n.distance > 0.01 and not n.distance <= n.allowed < np.inf
+    wrong = replace(equation, process=replace(equation.process, coefficients=as_printed))
+    bad = equation_routes(wrong, coarsest_routes(wrong))
+    assert {n.route for n in bad} == {c.name for c in coarsest_routes(wrong)}
+    assert all(isinstance(n, NotTimed) and "drift points outwards" in n.reason for n in bad)
 
 
 def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
@@ -69,7 +42,7 @@ def test_a_slightly_wrong_answer_is_named_with_what_it_disagrees_by():
     wrong = replace(right, answer=moved, measured=replace(right.measured, l1_error=1e-8))
     offered = [quadrature, replace(fem, name="wrong/fem", solve=lambda: wrong)]
     good, caught = equation_routes(equation, offered)
-    assert caught.route == "wrong/fem" and not caught.baseline
+    assert caught.route == "wrong/fem" and caught.wrong and not caught.baseline
     assert abs(caught.distance - 1e-6) < 2e-8 and caught.allowed < 2e-8
     assert isinstance(good, Priced) and good.route == "nonintegrable/quadrature"
     found = replace(EMPTY, routes=[good], not_timed=[caught])
@@ -100,32 +73,19 @@ def test_a_baseline_without_a_usable_step_is_told_and_is_no_failure():
         assert any("not timed" in table.title for table in found.page().tables)
 
 
-def test_json_says_null_where_a_route_states_an_infinite_error(fpk, monkeypatch):
+def test_json_says_null_where_a_route_states_an_infinite_error_and_files_are_named(
+    fpk, answer, refusal, monkeypatch, tmp_path
+):
     endless = Level("4", 0.1, float("inf"), float("inf"))
-    found = replace(
-        EMPTY,
-        routes=[Priced("r", "e", "axis", (endless,))],
-        not_timed=[NotTimed("w", "e", "4", float("nan"), float("inf"), "no finite error")],
-    )
+    untimed = NotTimed("w", "e", "4", float("nan"), float("inf"), "no finite error")
+    found = replace(EMPTY, routes=[Priced("r", "e", "axis", (endless,))], not_timed=[untimed])
     monkeypatch.setattr("cases.study.cost.study_cost", lambda *a, **k: found)
-    status, out, _ = fpk("cost", "fig6b", "--json")
-    record = json.loads(out)
-    assert status == 0 and record["routes"][0]["points"][0]["stated"] is None
+    record = answer("cost", "fig6b", "--out", tmp_path)
+    assert record["scene"] == "fig6b" and record["routes"][0]["points"][0]["stated"] is None
     assert record["not_timed"][0]["allowed"] is None
-
-
-def test_both_studies_say_where_files_are_written_and_print_one_object(fpk, tmp_path, monkeypatch):
-    monkeypatch.setattr("cases.study.cost.study_cost", lambda *a, **k: EMPTY)
     status, out, err = fpk("cost", "fig6b", "--out", tmp_path)
     assert status == 0 and out.count("wrote ") == 4 and not err
-    status, out, err = fpk("cost", "fig6b", "--json", "--out", tmp_path)
-    assert status == 0 and json.loads(out)["scene"] == "fig6b" and not err
-    for command in ("cost", "converge"):
-        status, out, err = fpk(command, "fig6b", "--out", "/dev/null", "--json")
-        assert status == 2 and not out and err.count("\n") == 1
-
-
-EMPTY = CostStudy(load_scene("fig6b"))
+    refusal("cost", "fig6b", "--out", "/dev/null", "--json")
 
 
 def route(name, pairs):
@@ -138,11 +98,16 @@ GOOD = route("good", [(1e-2, 3e-2), (1e-6, 4e-2), (1e-10, 5e-2)])
 
 
 def test_prices_take_the_cheapest_point_that_is_good_enough():
-    prices = {c.digits: c for c in price_list([CHEAP, GOOD])}
-    assert prices[1].route == "cheap" and prices[2].route == "cheap"
-    assert prices[3].route == "good" and prices[3].point.settings == "1e-06"
-    assert prices[10].point.seconds == 5e-2
+    found = {c.digits: c for c in price_list([CHEAP, GOOD])}
+    assert found[1].route == "cheap" and found[2].route == "cheap"
+    assert found[3].route == "good" and found[3].point.settings == "1e-06"
+    assert found[10].point.seconds == 5e-2
     assert {c.digits: c.point for c in price_list([CHEAP])}[5] is None
+    # A tolerance is priced by its promise, not by what it happened to reach.
+    lucky = Level("1e-02", 1e-9, 1e-8, 1.0, promised=1e-2)
+    mesh = Level("24", 1e-9, 1e-8, 0.1)
+    own = price_list([Priced("hp", "e", "axis", (lucky, mesh))], promised=True)[:3]
+    assert [c.point.settings if c.point else None for c in own] == ["1e-02", "1e-02", None]
 
 
 def test_the_crossover_lies_where_the_laws_meet():
@@ -154,13 +119,12 @@ def test_the_crossover_lies_where_the_laws_meet():
     assert abs(np.log(ours / theirs)) < 0.1  # a tenth: three steps of the scan
 
 
-@pytest.mark.parametrize("order", [1, 2, 4])
+@pytest.mark.parametrize("order", [1, 4])
 def test_the_cheapest_path_of_a_law_meets_its_error_and_is_the_cheapest(order):
     law = Law("x", 4.0, 0.2, True, order, 1e-8, 1.0, 0.0)
     dt, sampled = law.cheapest(1e-3)
     assert law.error(sampled, dt) == pytest.approx(1e-3, rel=1e-12)
-    for factor in (0.8, 1.2):
-        other = factor * dt
+    for other in (0.8 * dt, 1.2 * dt):
         left = 1e-3 - law.bias * other**order
         if left > 0:
             assert law.seconds((law.noise / left) ** 2, other) > law.seconds(sampled, dt)
@@ -178,94 +142,59 @@ def table_of_fig6b():
 
 
 @pytest.mark.parametrize(
-    "scene", ["fig6c", "fig8b", "fig4b", pytest.param("three-mass", marks=pytest.mark.slow)]
+    "scene", ["fig6c", "fig4b", pytest.param("three-mass", marks=pytest.mark.slow)]
 )
-def test_settings_of_one_scene_keep_their_digits_on_three_others(table_of_fig6b, scene):
+def test_settings_of_one_scene_keep_their_digits_on_others(table_of_fig6b, scene):
     equation = energy_equation(load_scene(scene).system)
     assert equation.reference_words == "closed form (29)" and len(table_of_fig6b) == 10
     routes = {route.label: solve for route, solve in equation.by_tolerance.items()}
-    settings = {(c.route, c.point.promised): [] for c in table_of_fig6b}
+    settings = {}
     for c in table_of_fig6b:
-        settings[c.route, c.point.promised].append(c.digits)
+        settings.setdefault((c.route, c.point.promised), []).append(c.digits)
     for (name, tol), digits in settings.items():
-        answer = energy_density(
-            equation.reference.observable, routes[name](equation.process, tol=tol)
-        )
+        solution = routes[name](equation.process, tol=tol)
+        answer = energy_density(equation.reference.observable, solution)
         true = errors(answer, equation.reference)["L1"]
         assert true <= 10.0 ** -max(digits)
         assert true <= answer.l1_error + equation.reference.l1_error
 
 
-def test_a_tolerance_is_priced_by_its_promise_not_by_what_it_happened_to_reach():
-    lucky = Level("1e-02", 1e-9, 1e-8, 1.0, promised=1e-2)
-    mesh = Level("24", 1e-9, 1e-8, 0.1)
-    found = price_list([Priced("hp", "e", "axis", (lucky, mesh))], promised=True)[:3]
-    assert [c.point.settings if c.point else None for c in found] == ["1e-02", "1e-02", None]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["fig6c", "three-mass", "fig4b"])
-@pytest.mark.parametrize("tol", [1e-3, 1e-6, 1e-9])
-def test_the_promise_of_tol_holds_on_scenes_the_table_was_not_made_from(scene, tol):
-    system = load_scene(scene).system
-    closed = closed_form_density(system)
-    observable = parse_observable("H", system.n)
-    for solver in ("fem", "quadrature"):
-        (found,) = NonIntegrable(solver, tol=tol).solve(system, [observable]).densities
-        true = energy_density(observable, closed)
-        assert found.certificate.certified
-        assert l1_distance(found, true) <= tol + closed.l1_error
-
-
-@pytest.mark.slow
-def test_the_command_prices_ten_digits_and_leaves_a_diagram(fpk, tmp_path):
-    status, out, _ = fpk("cost", "fig6b", "--no-simulate", "--json", "--out", tmp_path)
-    record = json.loads(out)
-    assert status == 0 and record["problems"] == []
+def test_the_command_prices_ten_digits_and_leaves_a_diagram(answer, tmp_path):
+    record = answer("cost", "fig6b", "--out", tmp_path)
+    assert record["problems"] == []
+    assert {r["equation"] for r in record["routes"]} >= {FULL, "averaged equation (24)"}
     own = [p for p in record["prices"] if p["equation"] == "averaged equation (24)"]
     assert [p["digits"] for p in own] == list(range(1, 11))
     for price in own:
         assert price["point"]["error"] <= 10.0 ** -price["digits"]
-    assert all("numerical" in r["axis"] for r in record["routes"])
-    for ending in ("md", "nc", "svg"):
+    for ending in ("md", "html", "nc", "svg"):
         assert (tmp_path / f"cost.{ending}").stat().st_size > 1000
-
-
-@pytest.mark.slow
-def test_the_whole_study_agrees_with_itself(tmp_path):
-    found = study_cost(load_scene("fig6b"))
-    assert not found.problems
-    assert {r.equation for r in found.routes} >= {FULL, "averaged equation (24)"}
-    written = found.page().write(tmp_path)
-    assert {path.suffix for path in written} == {".md", ".html", ".svg", ".nc"}
-
-
-def test_times_are_shown_in_units_that_suit_them():
-    assert duration(2e-3) == "2 ms" and duration(90.0) == "1.5 min" and duration(2e-6) == "0.002 ms"
-    assert duration(1e14) == "3.2e+06 years"
-    assert duration(86400.0) == "1 day" and duration(2e5) == "2.31 days"
-    assert cell(2e-3, "seconds") == "2 ms" and cell(float("nan"), "seconds") == "–"
 
 
 def test_a_table_is_markdown_in_aligned_columns_without_repeats():
     cells = [("x", 1.0), ("x", None), ("y", (0.5, 2000.0)), ("y", float("nan"))]
     rows = [dict(zip(("first", "second"), row, strict=True)) for row in cells]
-    assert Table("t", "T", rows, ("why",)).markdown() == [
-        "## T",
-        "",
-        "| first |         second |",
-        "| ----- | -------------: |",
-        "| x     |           1.00 |",
-        "|       |              – |",
-        "| y     | 0.500 2.00e+03 |",
-        "|       |              – |",
-        "",
-        "why",
-        "",
-    ]
+    assert (
+        "\n".join(Table("t", "T", rows, ("why",)).markdown())
+        == """\
+## T
+
+| first |         second |
+| ----- | -------------: |
+| x     |           1.00 |
+|       |              – |
+| y     | 0.500 2.00e+03 |
+|       |              – |
+
+why
+"""
+    )
 
 
-def test_the_full_system_is_priced_where_it_is_solved(monkeypatch):
+def test_the_full_system_is_priced_where_it_is_solved_and_nothing_else_knows_its_density(
+    monkeypatch,
+):
     """Two small solutions of weak contact; each tolerance is met by the answer that it gave."""
     monkeypatch.setattr("cases.study.law.TOLERANCES", (1e-1, 1e-2))
     monkeypatch.setattr("cases.study.levels.LONG_RUN", 0.0)  # no repeats: no time is looked at
@@ -274,9 +203,6 @@ def test_the_full_system_is_priced_where_it_is_solved(monkeypatch):
     assert [p.promised for p in priced.points] == [1e-1, 1e-2]
     assert all(p.honest and p.stated <= p.promised and not p.modelled for p in priced.points)
     assert best.density.l1_error == min(p.stated for p in priced.points)
-
-
-def test_where_the_full_density_is_known_no_other_solution_is_priced():
     (lost,), best = price_solutions(load_scene("fig3a").system)
     assert best is None and "exact has the same density" in lost.reason and not lost.wrong
 
@@ -300,8 +226,7 @@ def test_the_page_says_where_a_solution_overtakes_sampling(solved, where):
 @pytest.mark.slow
 def test_the_failure_rate_is_priced_by_every_route_that_solves_it():
     scene = load_scene("cir")
-    (question,) = scene.passages
-    routes = passage_routes(scene.system, question, simulate=False, seed=1)
+    routes = passage_routes(scene.system, scene.passages[0], simulate=False, seed=1)
     priced = {route.route: route for route in routes if isinstance(route, Priced)}
     assert {"nonintegrable/fem", "nonintegrable/closed-form"} <= priced.keys()
     for route in priced.values():
