@@ -105,15 +105,18 @@ def test_walks_with_ties_have_the_exact_mean():
     assert np.mean((1.0 - killed / count) ** levels * (values > 0)) > 5.0 * right
 
 
-@pytest.mark.parametrize(("n", "limit", "start"), [(1, 7.0, "rest"), (2, 9.0, "p1=1")])
+@pytest.mark.parametrize(("n", "limit", "start"), [(1, 5.0, "rest"), (2, 7.0, "p1=1")])
 def test_free_masses_against_their_exact_probability(n, limit, start):
-    """P of 2e-6 to 2e-5; 4 stated errors, each with 15 degrees of freedom or more: 1e-3."""
+    """P of 7e-4 and 1e-4 at a long step; 4 errors of 31 degrees of freedom: 4e-4 each.
+
+    Bridges between the steps are exact but for a tenth of the damping; without them half is lost.
+    """
     right = exact_failure(limit, n, 0.0 if start == "rest" else 0.5)
     begin = parse_start(start, System(*np.ones((4, n))))
-    settings = Splitting(replicas=256, killed=16, repetitions=16, threads=1, seed=2, dt=0.25)
+    settings = Splitting(replicas=512, killed=32, repetitions=32, threads=1, seed=2, dt=1.0)
     found = of_free_masses(limit, n, begin, settings)
-    assert 1e-6 < right < 1e-4
-    assert abs(found.probability - right) < 4.0 * found.error < 2.0 * right
+    assert abs(found.probability - right) < 4.0 * found.sampling_error < 0.3 * right
+    assert found.error >= found.sampling_error
     assert found.log_probability == pytest.approx(np.log(found.probability))
 
 
