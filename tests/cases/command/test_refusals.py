@@ -93,6 +93,7 @@ REFUSED = [
     (f"{SWEEP} correlation(q1)", "name a pair"),
     (f"{SWEEP} upcrossing_rate(p1,1)", "is no contact"),
     (f"{SWEEP} relaxation_rate(0)", "from 1 to 100"),
+    (f"{SWEEP} relaxation_rate(101)", "from 1 to 100"),
     (f"{SWEEP} relaxation_rate({'9' * 5000})", "from 1 to 100"),
     (f"{SWEEP} failure_rate(H)", "use H=1.5"),
     (f"{SWEEP} __class__(q2)", "is no quantity"),

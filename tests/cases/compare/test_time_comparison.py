@@ -112,6 +112,8 @@ def test_a_wrong_reliability_is_called_wrong_and_few_failures_are_not():
     for expected, seen, error, holds in (
         (S + np.array([0.0, 0.05]), S, errors, False),
         ([1.0, 0.9999], [1.0, 1.0], [0.0, 1e-4], True),
+        # Of ten failures one is seen, and its own standard error is too small.
+        ([1.0, 0.99], [1.0, 1.0 - 1.0 / 1024.0], [0.0, 1.0 / 1024.0], True),
     ):
         exact = survival_answer(expected, 0.0, "numerical")
         rows = compared((FEM, exact), (SIMULATED, survival_answer(seen, error, "sampling")))
