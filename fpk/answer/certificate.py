@@ -17,7 +17,7 @@ DISTANCE_FACTOR = 3.0
 """Stated error over the distance to a comparison solution: elements of a higher degree, or coarser
 quadrature. Integrals across kinks (1 − H)^1.5 and (1 − H)^2.5 anywhere in panels were within it in
 97 % of cases. In 3,000 random processes of two energies the true error was 2.1 times the distance
-once, and at most 1.4 times otherwise (test_fpk_plane_random.py)."""
+once, and at most 1.4 times otherwise (test_fpk_plane.py)."""
 MISSED = "the estimated error"
 """First words of the failure whose estimated error exceeds the tolerance."""
 

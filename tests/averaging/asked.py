@@ -1,10 +1,16 @@
-"""How the tests of averaging ask: densities by name, and questions in time."""
+"""How the tests of averaging ask, and the systems with damping terms that they share."""
+
+import re
 
 import numpy as np
+import pytest
 from systems import TURNED as TURNED
 
+from averaging.modal.analysis import modal_analysis
+from fpk import DampingTerm, System
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate, parse_limit, parse_observable, parse_start
+from fpk.numeric.errors import NotApplicable
 
 
 def solved(method, system, *names):
@@ -49,3 +55,106 @@ def assert_near(one, other, rounding=0.0):
     """Two certified answers at points agree within the sum of their errors."""
     assert one.certificate.certified, one.certificate.failures
     assert np.all(np.abs(one.values - other.values) <= one.errors + other.errors + rounding)
+
+
+def assert_known(density, at, exact, rounding=0.0):
+    """The density is certified and, where it is ``exact``, within its error, which is returned."""
+    value, error = density.at(*at)
+    assert density.certificate.certified, density.certificate.failures
+    assert np.all(np.abs(value - exact) <= error + rounding)
+    return error
+
+
+def assert_refused(error, words, asked, *arguments):
+    """``asked`` raises ``error`` with ``words`` in a message of one line."""
+    with pytest.raises(error, match=words) as caught:
+        asked(*arguments)
+    assert "\n" not in str(caught.value)
+
+
+def assert_refusal(method, system, name, reason):
+    """``method`` gives one reason for refusing the density, before and when it is asked for it."""
+    observable = parse_observable(name, system.n)
+    given = method.refusal(system, observable)
+    assert given is not None
+    assert_refused(NotApplicable, reason, method.solve, system, [observable])
+    with pytest.raises(NotApplicable, match=re.escape(given)):
+        method.solve(system, [observable])
+
+
+def refusal(method, system, name):
+    """Why the averaged equations have no such density, also where the motion itself escapes."""
+    try:
+        return method.prepare(system).refusal(parse_observable(name, system.n))
+    except NotApplicable as reason:
+        return str(reason)
+
+
+def random_system(rng, n):
+    """Random masses, springs, full damping and terms: odd powers, off the diagonal, energies."""
+    terms = [DampingTerm(i + 1, i + 1, 0.3, energy=e) for i in range(n) for e in (1, 3)]
+    for _ in range(6):
+        i, j, *at = (int(k) + 1 for k in rng.integers(n, size=4))
+        a, b, e = (int(k) for k in rng.integers([1, 1, 0], [4, 3, 2]))
+        size, q = 0.01 * rng.normal(), ((at[0], a),)
+        terms += [DampingTerm(i, j, size, q, v, e) for v in ((), ((at[1], b),))]
+    c = np.diag(rng.uniform(0.05, 0.1, n)) + 0.01 * rng.normal(size=(n, n))
+    f = rng.normal(size=(n, n))
+    mass, stiffness = rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 2.0, n)
+    return System(mass, stiffness, c, 0.02 * (f @ f.T + np.eye(n)), damping_terms=terms)
+
+
+def van_der_pol(coefficient=0.1, damping=(-0.02, 0.01), noise=(8e-4, 8e-4)):
+    """c_11 += k (q1² + q2²), with a constant damping that feeds energy into mode 2."""
+    terms = tuple(DampingTerm(1, 1, coefficient, ((k + 1, 2),)) for k in (0, 1))
+    return System([1.0, 1.0], [1.0, 1.0], damping, noise, damping_terms=terms)
+
+
+def in_masses(base, matrix, monomial, coefficient):
+    """Terms of the modal damping ``matrix`` times Q_k², k = ``monomial``, in the masses' q.
+
+    c = T⁻ᵀ c* T⁻¹ and Q_k = Σ_a T⁻¹_ka q_a: a monomial q_a q_b for every entry.
+    """
+    inverse = np.linalg.inv(modal_analysis(base).mode_shapes)
+    physical = coefficient * inverse.T @ matrix @ inverse
+    terms = []
+    for i, j, a, b in np.ndindex(*(4 * (base.n,))):
+        powers = ((a + 1, 2),) if a == b else ((a + 1, 1), (b + 1, 1))
+        size = physical[i, j] * inverse[monomial, a] * inverse[monomial, b]
+        terms.append(DampingTerm(i + 1, j + 1, size, powers))
+    return terms
+
+
+def by_modes(base, damping, noise, terms):
+    """The system of ``base`` with diagonal modal damping and noise, and terms."""
+    inverse = np.linalg.inv(modal_analysis(base).mode_shapes)
+    c, D = (inverse.T @ np.diag(x) @ inverse for x in (damping, noise))
+    return System(base.mass, base.stiffness, c, 0.5 * (D + D.T), damping_terms=tuple(terms))
+
+
+def modal_van_der_pol(own=0.03, others=0.03, mass=(1.0, 1.0)):
+    """c*_11 = −0.004 + own Q1² + others Q2², c*_22 = 0.01, as monomials in the masses' q."""
+    base, first = System(mass, [1.0, 1.0], [0.1, 0.1], [1.0, 1.0]), np.diag([1.0, 0.0])
+    terms = in_masses(base, first, 0, own) + in_masses(base, first, 1, others)
+    return by_modes(base, [-0.004, 0.01], [2e-4, 2e-4], terms)
+
+
+PROPORTIONAL = np.array([[0.02, 0.005], [0.005, 0.01]])
+
+
+def noise_proportional(h0, h1, *, mass=(1.0, 2.0), scale=1.0):
+    """c = (h0 + h1 H) f D fᵀ: condition (8), so the density is C exp(−h0 H − h1 H²/2)."""
+    D = scale * PROPORTIONAL
+    terms = tuple(DampingTerm(i + 1, j + 1, h1 * D[i, j], energy=1) for i, j in np.ndindex(2, 2))
+    return System(mass, [1.0, 1.5], h0 * D, D, damping_terms=terms)
+
+
+def three_to_one(coefficient, *, energy=False, power=2):
+    """Two unit masses with ω2 = 3 ω1: λ and 9λ are the roots for 18λ² − 10λ + 1 = 0, k_2 = 9λ²."""
+    least = (10.0 - np.sqrt(28.0)) / 36.0
+    D = np.array([1e-3, 1e-3])
+    if energy:
+        terms = tuple(DampingTerm(i + 1, i + 1, coefficient, energy=1) for i in (0, 1))
+    else:
+        terms = (DampingTerm(1, 1, coefficient, ((1, power),)),)
+    return System([1.0, 1.0], [1.0, 9.0 * least**2], 10.0 * D, D, damping_terms=terms)

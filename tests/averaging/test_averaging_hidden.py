@@ -2,17 +2,9 @@
 
 import numpy as np
 import pytest
-from asked import solved
-from scipy.integrate import cubature
-from systems import TWO_MASSES
+from asked import assert_known, solved
 
 from averaging import Exact, NonIntegrable
-from averaging.conditional import (
-    conditionals,
-    gibbs_integral,
-    hidden_integral,
-)
-from averaging.energy_process import log_gibbs_norm
 from fpk import Contact, System
 
 ALPHA = 2.0
@@ -59,80 +51,22 @@ def expected_q1(system, q1):
     return np.array([weight(part) for part in q1]) / (w @ np.array([weight(part) for part in x]))
 
 
-@pytest.mark.parametrize("ratio", [1.0, 1e6])
-def test_a_mass_tied_to_a_contact_mass(ratio):
-    system, q1 = tied(ratio, (Contact(2, "both", 10.0, 0.5),)), np.array([0.05, 0.49, 0.5, 0.6])
-    expected = expected_q1(system, q1)
-    for method in METHODS.values():
-        (density,) = solved(method, system, "q1")
-        assert density.certificate.certified
-        value, error = density.at(q1)
-        assert np.all(np.abs(value - expected) <= error + 2e-12)
-        assert np.all(error < 1e-11)
-
-
-@pytest.mark.parametrize("ratio", [pytest.param(1.0, marks=pytest.mark.slow), 1e6])
-def test_the_norm_over_two_tied_contact_masses(ratio):
-    contacts = (Contact(1, "both", 10.0, 0.4), Contact(2, "both", 20.0, 0.5))
-    system = tied(ratio, contacts)
-    q1 = np.array([0.0, 0.41, 0.55])
-    (q,) = solved(Exact(), system, "q1")
-    assert q.certificate.certified
-    value, error = q.at(q1)
-    assert np.all(np.abs(value - expected_q1(system, q1)) <= error + 2e-12)
-    assert np.all(error < 1e-11)
-    # E p² = m/h whatever touches what.
-    (p1,) = solved(Exact(), system, "p1")
-    assert p1.moment(2).value == pytest.approx(1.0 / ALPHA, rel=1e-10)
-
-
-def test_conditional_laws_are_those_of_the_stiffness_matrix():
-    system = System([1.0] * 4, [1.0, 3.0, 2.0, 5.0], [0.1] * 4, [0.1] * 4)
-    order = [2, 0, 3, 1]
-    laws = conditionals(system, order)
-    assert np.prod([law.precision for law in laws]) == pytest.approx(np.prod(system.stiffness))
-    q = np.array([0.3, -0.2, 0.7, 0.1])
-    energy = sum(
-        float(law.energy(q[k], law.weights @ q[order[:i]]))
-        for i, (k, law) in enumerate(zip(order, laws, strict=True))
-    )
-    assert energy == pytest.approx(0.5 * q @ system.stiffness_matrix @ q, rel=1e-14)
+ONE = (Contact(2, "both", 10.0, 0.5),)
+BOTH = (Contact(1, "both", 10.0, 0.4), Contact(2, "both", 20.0, 0.5))
 
 
 @pytest.mark.parametrize(
-    ("observed", "hidden"),
-    [([1], [0, 3]), ([2], [0, 1]), ([3, 1], [0, 2]), ([], [0, 2])],
+    ("ratio", "contacts", "methods"),
+    [(1.0, ONE, METHODS), (1e6, ONE, METHODS), (1e6, BOTH, ["exact"])],
 )
-def test_passes_along_the_chain_are_the_integral_over_all_hidden_masses_at_once(observed, hidden):
-    contacts = tuple(Contact(i + 1, "right", 10.0, 0.3) for i in hidden)
-    system = System([1.0] * 4, [1.0, 3.0, 2.0, 5.0], [0.1] * 4, [0.1] * 4, contacts=contacts)
-    at = np.linspace(-0.5, 0.9, 3 * len(observed)).reshape(len(observed), 3)
-    laws = conditionals(system, [*observed, *hidden])[len(observed) :]
-    T = 0.5
-    zero = np.zeros(at.shape[1])
-    direct = hidden_integral(
-        lambda V: np.exp(-V / T), zero, at, laws, temperature=T, end=40.0 * T, points=12
-    )
-    scale = np.prod([np.sqrt(2.0 * np.pi * T / law.precision) for law in laws])
-    value, error = gibbs_integral(system, observed, at, temperature=T, points=12)
-    assert error < 1e-12
-    np.testing.assert_allclose(scale * value, direct, rtol=1e-10, atol=scale * 1e-12)
-
-
-def test_the_norm_over_three_contact_masses():
-    # One pass along the chain, beside the cubature of the whole at once.
-    contacts = (*TWO_MASSES, Contact(3, "left", 8.0, 0.4))
-    system = System([1.0] * 3, [1.0, 2.0, 3.0], [0.2] * 3, [0.1] * 3, contacts=contacts)
-
-    def weight(q):
-        return np.exp(-ALPHA * system.potential(q))
-
-    box = np.full(3, 6.0)
-    integral = cubature(weight, -box, box, rtol=1e-5, rule="gk15").estimate
-    momenta = (2.0 * np.pi / ALPHA) ** 1.5
-    log_norm, error = log_gibbs_norm(system, ALPHA)
-    assert error < 1e-12
-    assert log_norm == pytest.approx(-np.log(integral * momenta), abs=1e-4)
+def test_a_mass_tied_to_a_contact_mass(ratio, contacts, methods):
+    system, q1 = tied(ratio, contacts), np.array([0.0, 0.05, 0.41, 0.5, 0.6])
+    expected = expected_q1(system, q1)
+    for name in methods:
+        q, p = solved(METHODS[name], system, "q1", "p1")
+        assert np.all(assert_known(q, [q1], expected, rounding=2e-12) < 1e-11)
+        # E p² = m/h whatever touches what.
+        assert p.moment(2).value == pytest.approx(1.0 / ALPHA, rel=1e-10)
 
 
 @pytest.mark.parametrize("method", ["exact", "fem", "closed-form"])
@@ -153,9 +87,7 @@ def test_far_out_the_error_covers_what_the_grid_of_a_hidden_mass_leaves_out(meth
     own = np.exp(log_weight(x, x))
     expected = np.array(unnormalised) / (np.sum(w * own) * np.sqrt(2.0 * np.pi * T / stiffness[1]))
     (density,) = solved(METHODS[method], system, "q2")
-    p, error = density.at(q2)
-    assert density.certificate.certified
-    assert np.all(np.abs(p - expected) <= error + 1e-13 * expected)
+    assert_known(density, [q2], expected, rounding=1e-13 * expected)
 
 
 @pytest.mark.parametrize(("coordinate", "masses"), [("q", 5), ("p", 10)])
@@ -167,5 +99,107 @@ def test_the_error_of_a_table_covers_every_point(masses, coordinate):
     x = np.linspace(-6.0, 6.0, 1001) * np.sqrt(variance)
     expected = np.exp(-0.5 * x**2 / variance) / np.sqrt(2.0 * np.pi * variance)
     (density,) = solved(METHODS["quadrature"], system, f"{coordinate}{n}")
-    p, error = density.at(x)
-    assert np.all(np.abs(p - expected) <= error + 5e-16 * (1.0 + 0.5 * x**2 / variance) * expected)
+    rounding = 5e-16 * (1.0 + 0.5 * x**2 / variance) * expected
+    assert_known(density, [x], expected, rounding)
+
+
+EXPONENTS = {"hertz": 1.5, "bilinear": 1.0}
+X, W = np.polynomial.legendre.leggauss(80)
+SHARE, REST = np.sin(0.25 * np.pi * (1.0 + X)) ** 2, np.cos(0.25 * np.pi * (1.0 + X)) ** 2
+SLOPE = 0.5 * np.pi * np.sqrt(SHARE * REST) * W
+ROUND_OFF = 4e-15
+"""Relative round-off of the reference."""
+
+
+def system_of(stiffness, damping, noise, stops, mass=1.0):
+    """One mass with ``stops``: side, stiffness, clearance and law of each."""
+    contacts = tuple(Contact(1, *stop) for stop in stops)
+    return System([mass], [stiffness], [[damping]], [[noise]], contacts=contacts)
+
+
+def beyond(k, stop, energy):
+    """∫dx/√(E − kδx − kx²/2 − B x^(e+1)/(e+1)) from the stop to the turning point, E > 0."""
+    e, B, gap = EXPONENTS[stop.law], stop.stiffness, stop.clearance
+    low, high = np.zeros_like(energy), np.sqrt(2.0 * energy / k)
+    for _ in range(200):
+        x = 0.5 * (low + high)
+        above = k * gap * x + 0.5 * k * x * x + B * x ** (e + 1.0) / (e + 1.0) > energy
+        low, high = np.where(above, low, x), np.where(above, x, high)
+    parts = np.array([k * gap * x, 0.5 * k * x * x, B * x ** (e + 1.0) / (e + 1.0)])
+    a, b, c = (parts / parts.sum(axis=0))[:, :, None]
+    # What is left of E at x sin²φ, not as a difference.
+    left = a * REST + b * REST * (1.0 + SHARE) - c * np.expm1((e + 1.0) * np.log(SHARE))
+    return x / np.sqrt(energy) * np.sum(SLOPE / np.sqrt(left), axis=1)
+
+
+def by_quadrature(system, kT, energy):
+    """p(H) = ∫(H − V)^(−½) dq e^(−H/kT)/√(π kT)/∫e^(−V/kT) dq."""
+    k, states, whole = float(system.stiffness[0]), np.zeros_like(energy), 0.0
+    reach = np.sqrt(90.0 * kT / k)
+    for side in ("left", "right"):
+        stop = next((s for s in system.stops if s.side == side), None)
+        gap = reach if stop is None else min(stop.clearance, reach)
+        inside = np.minimum(np.sqrt(0.5 * k / energy) * gap, 1.0) if stop else 1.0
+        states += np.sqrt(2.0 / k) * np.arcsin(inside)
+        lengths = [(0.0, gap)]
+        if stop is not None:
+            above = energy > 0.5 * k * gap * gap
+            states[above] += beyond(k, stop, energy[above] - 0.5 * k * gap * gap)
+            lengths.append((gap, min(reach, float(stop.overlap_at(45.0 * kT)))))
+        for start, length in lengths:
+            nodes = start + length * np.linspace(0.0, 1.0, 41) ** 3
+            half = 0.5 * np.diff(nodes)[:, None]
+            q = nodes[:-1, None] + half * (1.0 + X)
+            V = 0.5 * k * q * q
+            if stop is not None:
+                e, over = EXPONENTS[stop.law] + 1.0, np.maximum(q - gap, 0.0)
+                V = V + stop.stiffness * over**e / e
+            whole += float(np.sum(half * W * np.exp(-V / kT)))
+    return states * np.exp(-energy / kT) / (np.sqrt(np.pi * kT) * whole)
+
+
+def assert_certified_and_right(system):
+    """Every check of p(H) holds, and next to each energy of a stop p is right to its error."""
+    (p,) = solved(Exact(), system, "H")
+    assert p.l1_error < 1e-11
+    kT = float(system.noise_matrix[0, 0] / system.damping[0, 0])
+    touched = [0.5 * system.stiffness[0] * s.clearance**2 for s in system.stops]
+    shares = np.array([0.5, 1.0 - 1e-6, 1.0 + 1e-12, 1.0 + 1e-8, 1.0 + 1e-5, 1.001, 1.1, 3.0])
+    H = np.append(
+        kT * np.array([1e-12, 1e-6, 0.01, 0.3, 1.0, 3.0, 10.0]), np.outer(touched, shares)
+    )
+    H = H[H > 0.0]
+    expected = by_quadrature(system, kT, H)
+    assert_known(p, [H], expected, ROUND_OFF * expected)
+
+
+STOPS = {
+    "far and none": (
+        [("left", 22636.573, 2.10133450600572, "bilinear"), ("right", 184.84, 0.0, "hertz")],
+        (0.13803692208250382, 0.053247678927404375, 6.890192884958267),
+    ),
+    "Hertz, both": ([("both", 118.9207115, 0.014142135623730949, "hertz")], (1.0, 0.1, 0.05)),
+    "near and far, stiff": (
+        [("left", 2e6, 0.085, "bilinear"), ("right", 433.0, 0.562, "bilinear")],
+        (5.9, 0.1, 0.027),
+    ),
+    "very stiff": ([("right", 1e8, 0.4, "bilinear")], (1.0, 0.1, 0.1)),
+}
+
+
+@pytest.mark.parametrize("name", STOPS)
+def test_the_mass_of_the_energy_is_one_to_its_error(name):
+    stops, numbers = STOPS[name]
+    assert_certified_and_right(system_of(*numbers, stops))
+
+
+@pytest.mark.parametrize("share", [-4e-16, 0.0, 4e-16])
+def test_the_energy_of_a_stop_itself_is_known_to_its_rounding(share):
+    # p rises from there like √(H − H_c), so that one rounding of H_c is 1e-8 of p.
+    system = system_of(1.0, 0.1, 0.1, (("both", 1e6, 0.7, "bilinear"),))
+    (p,) = solved(Exact(), system, "H")
+    (contact,) = {0.5 * s.clearance**2 for s in system.stops}
+    H = np.array([contact * (1.0 + share)])
+    value, error = p.at(H)
+    assert 1e-9 < error[0] / value[0] < 3e-8
+    assert abs(value - by_quadrature(system, 1.0, H)) <= error

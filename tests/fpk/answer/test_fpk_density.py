@@ -15,9 +15,11 @@ from fpk.answer.density import (
     l1_distance,
 )
 from fpk.answer.dynamics import certify_curve
-from fpk.answer.names import parse_observable
+from fpk.answer.method import Method
+from fpk.answer.names import Coordinate, observable_name, parse_observable
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import InvalidInput
+from fpk.system.system import System
 
 PASSED = Certificate(l1_error=0.0, mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)
 REACH = 9.0
@@ -72,18 +74,11 @@ def test_the_error_of_a_distance_holds_where_densities_cross_between_nodes(scale
     assert abs(found - 2.0 * (within[0] - within[1])) <= error and error < 1e-3 * found
 
 
-def test_moments_of_two_coordinates():
-    density = correlated(0.6)
-    assert density.moment(0, 0).value == pytest.approx(1.0, rel=1e-13)
-    assert density.moment(1, 1).value == pytest.approx(0.6, rel=1e-13)
-    assert density.moment(2, 2).value == pytest.approx(1.0 + 2.0 * 0.36, rel=1e-13)
-    assert density.name == "q1,p1"
-
-
 def test_cell_averages_of_a_normal_density():
     edges = np.array([-4.0, -1.3, 0.1, 0.2, 2.7, 8.0])
     expected = np.diff(norm.cdf(edges)) / np.diff(edges)
     np.testing.assert_allclose(normal().cell_averages(edges), expected, rtol=1e-12)
+    assert correlated(0.6).moment(2, 2).value == pytest.approx(1.0 + 2.0 * 0.36, rel=1e-13)
     two = correlated(0.0).cell_averages(edges, edges[1:])
     np.testing.assert_allclose(two, np.outer(expected, expected[1:]), rtol=1e-12)
 
@@ -137,34 +132,20 @@ def test_smoothing_is_unbiased_for_a_smooth_density():
         assert_unbiased(z_scores(sampled, normal(0.0, 1.03)))
 
 
-def test_outside_the_bins_is_nothing():
-    values, error = histogram().at(np.array([-6.1, 6.1]))
-    assert np.all(values == 0.0) and np.all(error < 1e-6)
-
-
-@pytest.mark.parametrize("factor", [5, 48])
-def test_coarser_bins_hold_the_same_mass(factor):
+def test_coarser_bins_hold_the_same_mass(factor=48):
     sampled = histogram()
     coarse = sampled.joined(factor)
     assert coarse.moment(0).value == pytest.approx(sampled.moment(0).value, rel=1e-14)
     assert coarse.values.size * factor == sampled.values.size
     # The errors are those of the joined counts, and the differences stay linear.
     np.testing.assert_allclose(coarse.batch_values.mean(axis=0), coarse.values, rtol=1e-12)
-    np.testing.assert_allclose(
-        bin_differences(coarse, normal()),
-        bin_differences(sampled, normal()).reshape(-1, factor).mean(axis=1),
-        atol=1e-14,
-    )
+    differences = bin_differences(sampled, normal()).reshape(-1, factor).mean(axis=1)
+    np.testing.assert_allclose(bin_differences(coarse, normal()), differences, atol=1e-14)
     assert sampled.joined(7).values.size * 6 == sampled.values.size
-
-
-def test_coarser_bins_of_two_coordinates():
     axis, values = BinAxis(np.linspace(0.0, 1.0, 7)), np.random.default_rng(SEED).random((6, 6))
-    pair, batches = parse_observable("q1,p1", 1), np.stack([values, values])
-    two = SampledDensity(pair, (axis, axis), values, batches, PASSED)
-    coarse = two.joined(3)
-    assert coarse.values[1, 0] == pytest.approx(values[3:, :3].mean(), rel=1e-14)
-    assert coarse.moment(0, 0).value == pytest.approx(two.moment(0, 0).value, rel=1e-14)
+    batches = np.stack([values, values])
+    two = SampledDensity(parse_observable("q1,p1", 1), (axis, axis), values, batches, PASSED)
+    assert two.joined(3).values[1, 0] == pytest.approx(values[3:, :3].mean(), rel=1e-14)
 
 
 def test_distance_to_a_histogram_is_that_of_the_bins():
@@ -198,17 +179,10 @@ def test_what_cannot_be_compared_is_refused():
         l1_distance(normal(name="q2"), histogram())
 
 
-@pytest.mark.parametrize(
-    "density, points",
-    [
-        (normal(), np.zeros((2, 3))),
-        (correlated(), (np.zeros((3, 2)),)),
-        (histogram(), np.zeros((2, 3))),
-    ],
-)
-def test_points_of_another_number_of_coordinates_are_refused(density, points):
-    words = f"takes {len(density.observable)}, one for each coordinate"
-    with pytest.raises(InvalidInput, match=words):
+@pytest.mark.parametrize("density", [normal(), correlated(), histogram()])
+def test_points_of_another_number_of_coordinates_are_refused(density):
+    points = np.zeros((3, 3))
+    with pytest.raises(InvalidInput, match="one for each coordinate"):
         density.at(*points)
 
 
@@ -245,3 +219,43 @@ def test_a_curve_inherits_the_failures_of_its_density_but_not_its_tolerance():
     assert density.certificate.missed is not None and not density.certificate.certified
     curve = certify_curve(np.ones(1), np.zeros(1), scale=1.0, of=density, tol=1e-6)
     assert curve.certificate.failures == ("the ladder ended",)
+
+
+@pytest.mark.parametrize(
+    "text", ["q1", "p3", "H", "H3", "q2,p2", "p1,p3", "q1,q2", "H,q1", "H1,H2"]
+)
+def test_names_survive_the_round_trip(text):
+    assert observable_name(parse_observable(text, 3)) == text
+
+
+def test_indices_count_from_zero_inside():
+    assert parse_observable(" q2 , p1", 2) == (Coordinate("q", 1), Coordinate("p", 0))
+    assert parse_observable("H", 1) == (Coordinate("H"),)
+    assert parse_observable("q1000", 1000) == (Coordinate("q", 999),)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "q", "p", "q0", "q4", "p4", "H4", "x1", "Q1", "q1,", ",q1", "q1,q1", "q1,q2,q3"),
+        *("q-1", "q1.0", "q01", "q²", "q１", "q1 p1", "h", "q1;p1", "q99999"),
+    ],
+)
+def test_what_is_not_an_observable_is_refused_by_name(text):
+    with pytest.raises(InvalidInput, match=r"^observable = ") as caught:
+        parse_observable(text, 3)
+    assert caught.value.value == text
+
+
+@pytest.mark.parametrize("observables", [["q2"], "q2", [3], [()], [("q", 1)]])
+def test_a_method_refuses_an_observable_that_is_not_parsed(observables):
+    system = System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02])
+
+    class Never(Method):
+        route = refined = None
+
+        def prepare(self, system):
+            raise AssertionError("prepared")
+
+    with pytest.raises(InvalidInput, match="is not parsed; use parse_observable"):
+        Never().solve(system, observables)

@@ -1,11 +1,11 @@
 """Moments, probabilities and quantiles of densities against closed forms."""
 
-import pickle
 from functools import cache, partial
 
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import erfc
 
 from averaging import Exact, Linear, NonIntegrable
 from fpk import Contact, System
@@ -13,6 +13,7 @@ from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Certificate, Measured
 from fpk.answer.contacts import contact_quantities
 from fpk.answer.density import Density, certify_density
+from fpk.answer.dynamics import upcrossings
 from fpk.answer.names import parse_observable
 from fpk.answer.quantities import Number
 from fpk.answer.sampled_density import SampledDensity
@@ -115,16 +116,6 @@ def test_quantities_of_finite_elements_err_by_no_more_than_stated():
     assert abs(density.mean().value - 1.001 * GAMMA.mean()) > 100.0 * density.mean().error
 
 
-def test_quantiles_of_a_momentum_by_averaging():
-    """Nothing lies below the support, where such a density takes no empty list of points."""
-    one = System([1.0], [1.0], [0.08], [0.08 * 0.3], contacts=(Contact(1, "both", 10.0, 0.3),))
-    density = solved(NonIntegrable(solver="fem"), one, "p1")
-    low, high = density.panels[0][[0, -1]]
-    assert_within(density.cdf(low), 0.0)
-    assert_within(density.exceedance(2.0 * high), 0.0)
-    assert_within(density.quantile(0.01), NORMAL.ppf(0.01) * np.sqrt(0.3))
-
-
 @pytest.mark.parametrize("power", [1, 2, 4])
 def test_an_l1_error_that_is_at_no_point_is_in_the_moments(power):
     """A Gaussian wider by 1e-6 of itself and shifted as much, which states its L1 error alone."""
@@ -180,12 +171,6 @@ def test_joint_densities_have_expectations_but_no_quantiles():
             ask()
 
 
-@pytest.mark.parametrize("p", [-0.1, 0.0, 1.0])
-def test_a_quantile_needs_a_probability(p):
-    with pytest.raises(InvalidInput, match="probability"):
-        known("gaussian").quantile(p)
-
-
 @pytest.mark.parametrize("value", [[0.1, 0.2], np.array([0.1]), "0.1", None, True, float("nan")])
 @pytest.mark.parametrize("name", ["gaussian", "sampled"])
 def test_anything_but_one_number_is_refused_by_name(value, name):
@@ -195,11 +180,9 @@ def test_anything_but_one_number_is_refused_by_name(value, name):
             ask(value)
     with pytest.raises(InvalidInput, match=r"^high = .*must be one number"):
         density.probability(-1.0, value)
-
-
-@pytest.mark.parametrize("x", [1, np.float32(1.0), np.int64(1)])
-def test_any_real_number_will_do(x):
-    assert known("gaussian").cdf(x) == known("gaussian").cdf(1.0)
+    for p in (-0.1, 0.0, 1.0):
+        with pytest.raises(InvalidInput, match="probability"):
+            density.quantile(p)
 
 
 def test_sampled_quantities_scatter_by_their_standard_error():
@@ -220,25 +203,9 @@ def test_sampled_quantities_scatter_by_their_standard_error():
     assert np.all(np.abs(np.mean(z, axis=0)) < 4.0 / np.sqrt(60.0))
 
 
-def test_wide_bins_do_not_bias_moments():
-    """Bins of half a standard deviation: were samples spread evenly the variance would err by 2 %.
-
-    By the fitted density the quadratic has no error left: three standard errors are 0.7 %.
-    """
-    number = histogram(np.random.default_rng(6).standard_normal(400_000), 24).variance()
-    assert abs(number.value - 1.0) < 3.0 * np.sqrt(2.0 / 400_000)
-    assert_within(number, 1.0, most=3.0)
-
-
 def test_a_tail_without_samples_is_not_zero_for_certain():
     number = SAMPLED.exceedance(5.0)
     assert number.value == 0.0 and number.error >= 1.0 / 800.0
-
-
-def test_quantities_can_be_asked_of_a_copy():
-    again = pickle.loads(pickle.dumps(known("gaussian")))
-    assert again.cdf(0.1) == known("gaussian").cdf(0.1)
-    assert partial(again.moment, 2)() == known("gaussian").moment(2)
 
 
 @pytest.mark.parametrize("mass", [0.999, 1.001])
@@ -262,3 +229,68 @@ def test_a_stop_far_beyond_the_support_is_not_known_to_have_no_force(clearance, 
     density = SAMPLED if name == "sampled" else known(name)
     felt = contact_quantities(Contact(1, "right", 10.0, clearance), density)
     assert felt["mean force"].error > 0.0 and felt["mean overlap"].error > 0.0
+
+
+AT = np.array([-2.0, 0.0, 0.7, 5.0])
+
+
+def joint_of(pdf, nodes, error=0.0, q=9.0):
+    """The density ``pdf`` of q1 and p1 on panels to ±``q`` and between ``nodes``."""
+    pair, measured = parse_observable("q1,p1", 1), Measured(1e-12, 0.0, 0.0, 0.0, 0.0)
+    nodes = np.linspace(-q, q, 19), nodes
+    return certify_density(
+        pair, nodes, pdf, lambda q, p: error + 0.0 * (q + p), measured=measured, tol=1.0
+    )
+
+
+@pytest.mark.parametrize("panels", [1, 3, 40])
+@pytest.mark.parametrize("reach", [1.5, 9.0, 50.0])
+@pytest.mark.parametrize("correlation", [0.0, 0.6])
+def test_the_error_holds_on_any_mesh(panels, reach, correlation):
+    """Of a Gaussian known exactly: E max(p, 0) of a normal p | q, by its mean and deviation."""
+    own = np.sqrt(1.0 - correlation**2)
+
+    def pdf(q, p):
+        square = (p - correlation * q) ** 2 / own**2 + q**2
+        return np.exp(-0.5 * square) / (2.0 * np.pi * own)
+
+    nodes = np.linspace(-reach, reach, 2 * panels + 1)
+    joint = joint_of(pdf, nodes)
+    values, errors = upcrossings(joint, 2.0, AT)
+    z = correlation * AT / own
+    flow = own * (np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) + 0.5 * z * erfc(-z / np.sqrt(2.0)))
+    exact = np.exp(-0.5 * AT**2) / np.sqrt(2.0 * np.pi) * flow / 2.0
+    # 1e-14: the round-off of both formulas.
+    assert np.all(np.abs(values - exact) <= errors + 1e-14 * exact)
+    if reach == 9.0 and panels == 40:
+        assert np.all(errors <= 1e-12 * np.max(exact))
+
+
+@pytest.mark.parametrize("power", [1.5, 2.5])
+def test_a_kink_within_a_panel_is_in_the_error(power):
+    """f = (1 − H)^power, H = (q² + p²)/2 < 1: the rate is (1 − q²/2)^(power + 1)/(power + 1)."""
+
+    def pdf(q, p):
+        return np.maximum(1.0 - 0.5 * (q**2 + p**2), 0.0) ** power
+
+    joint = joint_of(pdf, np.linspace(-2.0, 2.0, 9), q=2.0)
+    at = np.linspace(0.0, 1.2, 2001)
+    values, errors = upcrossings(joint, 1.0, at)
+    exact = np.maximum(1.0 - 0.5 * at**2, 0.0) ** (power + 1.0) / (power + 1.0)
+    missed = np.abs(values - exact) / (errors + 1e-14)
+    # As ``DISTANCE_FACTOR`` says of kinks: with one coarser rule up to 15 % are outside, by factors
+    # of 200.
+    assert np.mean(missed > 1.0) < 0.03 and missed.max() < 3.0
+
+
+@pytest.mark.parametrize("slope", [0.0, 1e-18, -1e-18])
+def test_round_off_at_the_end_does_not_decide_the_error(slope):
+    """There f is 0 within its error 1e-12: whether it falls by round-off says nothing."""
+
+    def pdf(q, p):
+        end = 1e-14 * (1.0 + slope * 1e14 * (8.0 - p))
+        return np.where(np.abs(p) < 7.0, np.exp(-0.5 * (q * q + p * p)) / (2.0 * np.pi), end)
+
+    joint = joint_of(pdf, np.linspace(-8.0, 8.0, 17), error=1e-12)
+    _, errors = upcrossings(joint, 1.0, np.zeros(1))
+    assert errors[0] < 2e-10  # 1e-12 (e + l) l, l = 8, and what the momenta below that add

@@ -1,10 +1,12 @@
-"""First passage of one energy: exact answers of the square-root process, and of any process."""
+"""First passage of one energy: exact answers of the square-root process, and of any process.
+
+The exact ones by mpmath, x = c H/d, time in units of 1/c.
+"""
 
 import numpy as np
 import pytest
-from mpmath import mpf
+from mpmath import mp, mpf
 from processes import cox_ingersoll_ross
-from square_root_exact import failure, moments, rate
 from systems import both, fig6
 
 from averaging.energy_process import energy_process
@@ -15,6 +17,45 @@ from fpk.solvers.line.time.transition import Source
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.contact import Contact
 
+mp.dps = 40
+
+
+def moments(n, x):
+    """c E T and c² Var T of the passage 0 → x, from Σ (a)_k x^k/(k! (n)_k) in powers of a."""
+    x, term, first, second, harmonic = mp.mpf(x), mp.mpf(1), mp.mpf(0), mp.mpf(0), mp.mpf(0)
+    for k in range(1, int(x + 40 * mp.sqrt(x)) + 120):
+        term *= x / (n + k - 1)
+        first += term / k
+        second += harmonic * term / k
+        harmonic += mp.mpf(1) / k
+    return first, first**2 - 2 * second
+
+
+def rate(n, x, guess):
+    """The failure rate: the least zero in a of 1F1(−a; n; x)."""
+    return mp.findroot(lambda a: mp.hyp1f1(-a, n, x, maxterms=10**6), guess, verify=False)
+
+
+def failure(n, start, limit, t):
+    """P(T <= t) by Talbot's inverse transform of 1F1(s; n; x_0)/1F1(s; n; x_f)/s."""
+
+    def transform(s):
+        above, below = (mp.hyp1f1(s, n, x, maxterms=10**6) for x in (start, limit))
+        return above / below / s
+
+    return mp.invertlaplace(transform, t, method="talbot", degree=40)
+
+
+def density(n, x, start, t):
+    """p(x, t | start), noncentral χ² of 2n degrees."""
+    theta = 1 - mp.exp(-mp.mpf(t))
+    x, y = mp.mpf(x) / theta, mp.mpf(start) * mp.exp(-mp.mpf(t)) / theta
+    if y == 0:
+        return x ** (n - 1) * mp.exp(-x) / mp.gamma(n) / theta
+    bessel = mp.besseli(n - 1, 2 * mp.sqrt(x * y))
+    return mp.exp(-x - y) * (x / y) ** (mp.mpf(n - 1) / 2) * bessel / theta
+
+
 NONE = np.zeros(0)
 
 
@@ -24,7 +65,6 @@ def process(n, c=1.0, d=1.0):
 
 # Masses, limit in temperatures: mean times of 1e-4 to 4e291 units.
 CASES = [(1, 1e-4), (2, 30.0), (4, 680.0), (100, 150.0)]
-CASES += [pytest.param(*c, marks=pytest.mark.slow) for c in ((1, 3.0), (1, 200.0), (20, 40.0))]
 
 
 @pytest.mark.parametrize(("n", "x"), CASES)
@@ -58,13 +98,6 @@ def test_the_failure_rate_is_the_least_zero_of_the_confluent_function(n, x):
     assert abs(value - closed.value) <= error + closed.error
     if x < 100.0:
         assert abs(value - rate(n, x, value)) <= error
-
-
-def test_the_failure_rate_of_the_literature_value():
-    # c = 0.1, D' = 0.05, H_f = 3 D'/c.
-    value, error = chain_first_passage(process(1, 0.1, 0.05), 1.5, times=NONE).rate()
-    assert value == pytest.approx(0.013742123052434, abs=5e-16) and error < 1e-14
-    assert SquareRoot(1, 0.1, 0.05).rate(1.5).value == pytest.approx(value, rel=1e-12)
 
 
 def test_the_probability_of_failure_at_any_time():
@@ -109,14 +142,10 @@ def nested(process, limit, start):
 CONTACTS = {
     "two masses": fig6(both(10.0)),
     "one mass": fig6((Contact(1, "both", 10.0, 0.3),), n=1),
-    "bilinear, one side": fig6((Contact(1, "right", 50.0, 0.2, "bilinear"),), n=1),
     "stiff": fig6(both(1e6, 0.3)),
     "no clearance": fig6(both(10.0, 0.0)),
 }
-IN_TIME = [
-    name if name in ("one mass", "stiff") else pytest.param(name, marks=pytest.mark.slow)
-    for name in CONTACTS
-]
+IN_TIME = ["one mass", "stiff", pytest.param("no clearance", marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("name", IN_TIME)
@@ -130,13 +159,6 @@ def test_contacts_by_the_formula_of_the_mean_and_the_forward_equation(name):
     # Gauss panels that end in layers of 1e-14 have the round-off of as many sums.
     assert answer.mean.value == pytest.approx(nested(p, limit, start), rel=1e-12)
     assert answer.mean.error < 1e-11 * answer.mean.value
-    # ∫_0^∞ P(T > t) dt = E T, by the trapezoidal rule in ln t from e^(−12) E T on.
-    t = answer.mean.value * np.exp(np.arange(-12.0, 12.0, 0.05))
-    survival = (
-        1.0 - chain_first_passage(p, limit, times=t[::40]).failure(t, np.array([start]))[0][:, 0]
-    )
-    total = 0.05 * (t * survival)[t < 40.0 / answer.rate.value].sum()
-    assert total == pytest.approx(answer.mean.value, rel=1e-4)
 
 
 def test_starts_at_once_and_stationary_starts():

@@ -1,14 +1,13 @@
 """The two-dimensional solver against (34), against manufactured problems, and its orders."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from processes import process_of
 
-from fpk.numeric.errors import InvalidInput, NotCertified
+from fpk.answer.certificate import DISTANCE_FACTOR
 from fpk.numeric.quadrature import panel_rule
+from fpk.solvers.operator import solve_by_scikit_fem
 from fpk.solvers.plane.solution import solve_plane_on_mesh
 from fpk.solvers.plane.stationary import solve_plane
 from fpk.solvers.plane.weight import UNIT_WEIGHT, Weight
@@ -25,13 +24,24 @@ def square_root_process(c, d):
     )
 
 
-def manufactured(cross, swirl):
-    """Coupled process with the stationary density exp(−H1 − 1.5 H2 − 0.3 H1 H2), by construction.
+def constructed(log_p, slope, diffusion, divergence, swirl, scales):
+    """The process with the stationary density p, ∇ ln p = ``slope``, and its ln p.
 
-    b is full (off-diagonal by ``cross``) and depends on both energies. The drift is what makes
-    J = (∂ψ/∂H2, −∂ψ/∂H1), ψ = swirl H1 H2 p: free of divergence, tangential to both axes, and
-    zero without ``swirl``. So p is stationary with, in general, circulating probability.
+    J = (∂ψ/∂H2, −∂ψ/∂H1), ψ = swirl H1 H2 p: free of divergence, tangential to both axes, and zero
+    without ``swirl``.
     """
+
+    def drift(H):
+        g = slope(H)
+        s = 0.5 * divergence(H) + 0.5 * np.einsum("nij,nj->ni", diffusion(H), g)
+        turned = np.stack([H[:, 0], -H[:, 1]], axis=1) * (1.0 + (H * g)[:, ::-1])
+        return s + swirl * turned
+
+    return process_of(drift, diffusion, divergence, scales), log_p
+
+
+def manufactured(cross, swirl):
+    """The density exp(−H1 − 1.5 H2 − 0.3 H1 H2); b depends on both energies; b_12 ~ ``cross``."""
 
     def log_p(x, y):
         return -x - 1.5 * y - 0.3 * x * y
@@ -53,15 +63,7 @@ def manufactured(cross, swirl):
         second = 2.0 * (1.0 + 0.1 * x) + cross * y * (1.0 + y) / q**2
         return np.stack([first, second], axis=1)
 
-    def drift(H):
-        x, y = H.T
-        g = slope(H)
-        s = 0.5 * divergence(H) + 0.5 * np.einsum("nij,nj->ni", diffusion(H), g)
-        s[:, 0] += swirl * x * (1.0 + y * g[:, 1])
-        s[:, 1] -= swirl * y * (1.0 + x * g[:, 0])
-        return s
-
-    return process_of(drift, diffusion, divergence, (1.0, 0.7)), log_p
+    return constructed(log_p, slope, diffusion, divergence, swirl, (1.0, 0.7))
 
 
 def l1_error(solution, log_p, *, beyond=1.5):
@@ -94,6 +96,34 @@ def van_der_pol(gamma, alpha, cross, noise: tuple[float, float]):
         (float(scales[0]), float(scales[1])),
     )
     return process, log_p
+
+
+def mixture(
+    shares=(0.6, 0.4), means=((1.0, 0.5), (0.4, 1.25)), noise=(1.0, 0.5), common=0.25, swirl=0.3
+):
+    """Full diffusion diag(2 d_i H_i) + 2 κ H Hᵀ, with p a mixture of exponentials.
+
+    One energy is large or the other: ln p is no polynomial.
+    """
+    d, slopes = np.array(noise), -1.0 / np.array(means)
+    heights = np.log(np.array(shares) * slopes.prod(axis=1))
+
+    def log_p(x, y):
+        parts = heights + np.stack(np.broadcast_arrays(x, y), axis=-1) @ slopes.T
+        return np.asarray(np.logaddexp.reduce(parts, axis=-1))
+
+    def diffusion(H):
+        return 2.0 * (d * H)[:, :, None] * np.eye(2) + 2.0 * common * H[:, :, None] * H[:, None]
+
+    def divergence(H):
+        return 2.0 * d + 6.0 * common * H
+
+    def slope(H):
+        parts = heights + H @ slopes.T
+        return np.exp(parts - np.logaddexp.reduce(parts, axis=1)[:, None]) @ slopes
+
+    scales = tuple(np.array(shares) @ np.array(means))
+    return constructed(log_p, slope, diffusion, divergence, swirl, scales)
 
 
 COUPLED = {
@@ -130,18 +160,19 @@ KNOWN = {
     "product": manufactured(0.0, 0.0),
     "correlated": manufactured(0.4, 0.0),
     "circulating": manufactured(0.4, 0.2),
+    "no potential": manufactured(0.4, 1.0),
     **COUPLED,
 }
 QUICK = [("square roots", 1e-4), ("square roots", 1e-10), ("circulating", 1e-8)]
-QUICK += [(name, 1e-9) for name in COUPLED]
+QUICK += [("no potential", 1e-6)]
 
 
 @pytest.mark.parametrize(
     ("name", "tol"),
     [
-        pytest.param(name, tol, marks=[] if (name, tol) in QUICK else pytest.mark.slow)
-        for name in KNOWN
-        for tol in (1e-4, 1e-8, 1e-9, 1e-10)
+        *QUICK,
+        *((name, 1e-9) for name in COUPLED),
+        *(pytest.param(name, 1e-10, marks=pytest.mark.slow) for name in KNOWN),
     ],
 )
 def test_known_densities_are_within_an_honest_estimate(name, tol):
@@ -155,15 +186,9 @@ def test_known_densities_are_within_an_honest_estimate(name, tol):
         assert solution.unknowns <= 3.0 * product.unknowns
 
 
-def test_a_wrong_cross_diffusion_is_seen():
-    process, _ = manufactured(0.4, 0.0)
-    uncrossed, log_p = manufactured(0.0, 0.0)
-
-    def coefficients(H):
-        return uncrossed.coefficients(H)._replace(drift=process.coefficients(H).drift)
-
-    wrong = replace(process, coefficients=coefficients)
-    assert l1_error(solve_plane(wrong, tol=1e-5), log_p) > 1e-2
+def test_scikit_fem_gives_the_density_of_two_energies():
+    process, log_p = KNOWN["correlated"]
+    assert_within(solve_by_scikit_fem(process, tol=1e-4), log_p, 1e-4)
 
 
 ANY = Weight(np.array([[0.0, 1.2], [0.8, 0.2]]), (1.0, 1.0))
@@ -193,12 +218,68 @@ def test_observed_order_is_degree_plus_one(degree, weight, counts):
     assert_allclose(orders, degree + 1, atol=0.15)
 
 
-def test_drift_outwards_is_not_certified_and_one_energy_is_refused():
-    process = square_root_process((0.1, 0.1), (0.1, 0.1))
-    within = process.coefficients
-    process = replace(process, coefficients=lambda H: within(H)._replace(drift=0.1 + 0.1 * H))
-    with pytest.raises(NotCertified, match="does not fall off along H1"):
-        solve_plane(process)
-    one = process_of(lambda H: -H, lambda H: H[:, :, None], np.ones_like, (1.0,))
-    with pytest.raises(InvalidInput, match="two energies"):
-        solve_plane(one)
+LARGEST_RATIO = 2.1
+"""Error over the distance to the enriched solution, named at ``DISTANCE_FACTOR``."""
+MASS_ROUND_OFF = 2e-14
+"""Round-off of the reference's own mass."""
+
+
+def drawn(seed):
+    """A mixture of exponentials, a manufactured or a van der Pol density, and a tolerance."""
+    rng = np.random.default_rng(seed)
+    tol = 10.0 ** rng.integers(-11, -2)
+    kind = rng.integers(3)
+    if kind == 0:
+        count = int(rng.integers(2, 4))
+        shares = rng.dirichlet(2.0 * np.ones(count)).tolist()
+        means = np.exp(rng.normal(0.0, 0.5, (count, 2))).tolist()
+        first, second = np.exp(rng.normal(0.0, 0.4, 2)).tolist()
+        common, swirl = float(rng.choice([0.0, 0.25])), float(rng.choice([0.0, 0.05, 0.3]))
+        return *mixture(shares, means, (first, second), common, swirl), tol
+    if kind == 1:
+        return *manufactured(rng.uniform(-0.5, 0.5), 10.0 ** rng.uniform(-9.0, 0.0)), tol
+    pairs = rng.uniform(-0.3, 0.3, 2), rng.uniform(0.03, 0.3, 2), 10.0 ** rng.uniform(-2, -0.5, 2)
+    (g1, g2), (a1, a2), (d1, d2) = (pair.tolist() for pair in pairs)
+    return *van_der_pol((g1, g2), (a1, a2), rng.uniform(0.0, 14.0), (d1, d2)), tol
+
+
+def test_errors_at_points_hold_where_the_distance_vanishes():
+    """.06 % of the points of 300 seeds are outside; by the distance at a point alone 2.7 %."""
+    outside, count = 0, 0
+    for seed in range(16):
+        process, log_p, tol = drawn(seed)
+        solution = solve_plane(process, tol=tol)
+        if not solution.certificate.certified:
+            continue
+        rng = np.random.default_rng(1000 + seed)
+        x, y = (nodes[-1] * rng.uniform(0.0, 1.0, 3000) ** 2 for nodes in solution.nodes)
+        rules = [panel_rule(np.append(nodes, 1.5 * nodes[-1]), 24) for nodes in solution.panels]
+        (a, wa), (b, wb) = ((t.ravel(), w.ravel()) for t, w in rules)
+        p = np.exp(log_p(x, y)) / (wa @ np.exp(log_p(a[:, None], b)) @ wb)
+        missed = np.abs(solution.density(x, y) - p) - MASS_ROUND_OFF * p
+        seen = p > 1e-14 * p.max()
+        outside += np.count_nonzero(missed[seen] > solution.pointwise_error(x, y)[seen])
+        count += np.count_nonzero(seen)
+    assert count > 2e4 and outside < 1e-3 * count
+
+
+# Of seed 2467, 20 and 22 points on two panels were both off by 3.5e-13, of one another by 1.1e-13.
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        range(10),
+        range(2467, 2468),
+        *(pytest.param(range(k, k + 250), marks=pytest.mark.slow) for k in range(0, 3000, 250)),
+    ],
+)
+def test_random_densities_are_within_their_stated_error(seeds):
+    certified = 0
+    for seed in seeds:
+        process, log_p, tol = drawn(seed)
+        solution = solve_plane(process, tol=tol)
+        if solution.certificate.certified:
+            certified += 1
+            error = l1_error(solution, log_p) - MASS_ROUND_OFF
+            assert error <= solution.l1_error <= tol, f"seed {seed}"
+            assert error <= LARGEST_RATIO / DISTANCE_FACTOR * solution.l1_error, f"seed {seed}"
+    assert certified >= 0.95 * len(seeds)

@@ -3,23 +3,19 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scikit_operator import Operator
 from scipy.linalg import expm
-from scipy.sparse.linalg import splu
 from scipy.special import ive
+from skfem import Basis, BilinearForm, ElementQuadP, LinearForm, MeshQuad
+from skfem.helpers import dot, grad, mul
 from test_fpk_plane import COUPLED, FIG8, manufactured, square_root_process
 
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.plane.solution import root_spaced_nodes
 from fpk.solvers.plane.stationary import solve_plane
+from fpk.solvers.plane.time import transient
 from fpk.solvers.plane.time.operator import PlaneOperator, PlaneStart
-from fpk.solvers.plane.time.passage import (
-    PlaneLimit,
-    _hopeless,
-    plane_first_passage,
-    relaxation_rates,
-)
+from fpk.solvers.plane.time.passage import PlaneLimit, plane_first_passage, relaxation_rates
 from fpk.solvers.plane.time.transient import krylov_exponential, transient_densities
 
 
@@ -55,47 +51,36 @@ def assert_within(seed):
     return answer.certificate.certified
 
 
-def test_random_transients_are_within_their_stated_errors():
-    assert sum(map(assert_within, range(3))) >= 2
-
-
-@pytest.mark.slow
-def test_a_hundred_random_transients():
-    assert sum(map(assert_within, range(3, 104))) >= 80
-
-
-@pytest.mark.parametrize("limit", [PlaneLimit(0.6, 0.5), PlaneLimit(total=0.7)])
-def test_one_equation_written_twice(limit):
-    # The process as it is, and with a weight: the matrices differ, u and T do not.
-    process, _ = manufactured(0.4, 0.2)
-    start, times = PlaneStart(np.array([0.2, 0.1])), np.array([0.1, 0.4])
-    by_weight = plane_first_passage(density(process), start, limit, times, tol=1e-9)
-    assert by_weight.certificate.certified, by_weight.certificate.failures
-    nodes = (
-        root_spaced_nodes((0.6, 0.5), 4)
-        if limit.total is None
-        else (root_spaced_nodes((0.7, 1.0), 4)[0], np.linspace(0, 1, 5))
-    )
-    op = PlaneOperator(process, nodes, 14, absorbing=limit.absorbing, collapsed=limit.collapsed)
-    A, M, shares = op.matrices
-    forward = krylov_exponential(A, M, start.dual(op), times, tol=1e-13)
-    assert_allclose(forward.values @ shares, by_weight.survival, atol=1e-9)
-    mean = start.dual(op) @ splu((-A).T.tocsc()).solve(shares)
-    assert_allclose(mean, by_weight.mean.value, rtol=1e-9)
+@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 104), marks=pytest.mark.slow)])
+def test_random_transients_are_within_their_stated_errors(seeds):
+    assert sum(map(assert_within, seeds)) >= 0.6 * len(seeds)
 
 
 def test_reliability_is_the_mass_that_the_absorbing_forward_equation_keeps():
-    # Another assembly, of scikit-fem, and another exponential.
+    # Another assembly, ∂p/∂t = −∇·J, J = (s − ½ ∇·b) p − ½ b ∇p, and another exponential.
     process, _ = manufactured(0.4, 0.2)
-    nodes = (np.array([0.0, 0.1, 0.3, 0.6]), np.array([0.0, 0.1, 0.25, 0.5]))
-    forward = Operator(process, nodes, 8, 12, absorbing=(0, 1))
-    at = forward.basis.probes(np.array([[0.2], [0.15]])).toarray()[0][forward.free]
-    step = expm(0.2 * np.linalg.solve(forward.M.toarray(), forward.A.toarray()))
-    p = step @ np.linalg.solve(forward.M.toarray(), at)
+    mesh = MeshQuad.init_tensor(np.array([0.0, 0.1, 0.3, 0.6]), np.array([0.0, 0.1, 0.25, 0.5]))
+    basis = Basis(mesh, ElementQuadP(8), intorder=22)
+    x = np.asarray(basis.global_coordinates())
+    at = process.coefficients(x.reshape(2, -1).T)
+    fields = {
+        "F": (at.drift - 0.5 * at.divergence).T.reshape(x.shape),
+        "b": np.moveaxis(at.diffusion, 0, -1).reshape(2, *x.shape),
+    }
+    outwards = BilinearForm(lambda u, v, w: dot(w["F"] * u - 0.5 * mul(w["b"], grad(u)), grad(v)))
+    held = basis.get_dofs(lambda x: np.isclose(x[0], 0.6) | np.isclose(x[1], 0.5)).all()
+    free = np.setdiff1d(np.arange(basis.N), held)
+    A, M = (
+        form.assemble(basis, **fields).toarray()[np.ix_(free, free)]
+        for form in (outwards, BilinearForm(lambda u, v, w: u * v))
+    )
+    begin = basis.probes(np.array([[0.2], [0.15]])).toarray()[0][free]
+    p = expm(0.2 * np.linalg.solve(M, A)) @ np.linalg.solve(M, begin)
+    kept = LinearForm(lambda v, w: 1.0 * v).assemble(basis)[free] @ p
     start, times = PlaneStart(np.array([0.2, 0.15])), np.array([0.2])
     answer = plane_first_passage(density(process), start, PlaneLimit(0.6, 0.5), times, tol=1e-8)
     assert answer.certificate.certified, answer.certificate.failures
-    assert abs(answer.survival[0] - forward.shares @ p) <= 1e-9
+    assert abs(answer.survival[0] - kept) <= 1e-9
 
 
 def test_a_time_by_which_all_have_failed_spoils_no_other():
@@ -110,11 +95,8 @@ def test_a_time_by_which_all_have_failed_spoils_no_other():
     assert abs(late.survival[1]) <= late.survival_error[1] < 1e-8
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "one of two modes")) for n in COUPLED]
-)
-def test_the_slowest_rate_is_that_of_a_finer_tolerance(name):
-    process, _ = COUPLED[name]
+def test_the_slowest_rate_is_that_of_a_finer_tolerance():
+    process, _ = COUPLED["one of two modes"]
     coarse, fine = (relaxation_rates(density(process), 3, tol=tol) for tol in (1e-4, 1e-9))
     assert fine.certificate.certified, fine.certificate.failures
     assert np.all(np.abs(coarse.values - fine.values) <= coarse.errors + fine.errors)
@@ -128,13 +110,7 @@ def test_degenerate_rates_are_all_there():
 
 
 @pytest.mark.parametrize(
-    ("name", "seen"),
-    [
-        ("ridge", (0, 1)),
-        ("ridge", ()),
-        ("Gibbs of H1 + H2", (0,)),
-        *(pytest.param("Gibbs of H1 + H2", s, marks=pytest.mark.slow) for s in ((0, 1), ())),
-    ],
+    ("name", "seen"), [("ridge", (0, 1)), ("ridge", ()), ("Gibbs of H1 + H2", (0,))]
 )
 def test_coupled_transients_relax_to_the_exact_density(name, seen):
     process, log_p = COUPLED[name]
@@ -226,13 +202,18 @@ def test_coordinates_and_energies_are_inverse(collapsed):
     assert_allclose(jacobian @ of_y @ jacobian.T, w * b, rtol=1e-5)
 
 
-def test_levels_end_where_no_later_one_could_meet_the_tolerance():
-    """Distances as measured at modes of rates 1, 1e-4, 1e-8 and 1e-20 of each other."""
-    assert not _hopeless([3e-6], 4, 1e-8)
-    # Slow at first, then exponential: 1e-8 is met by the last level.
-    falling = [4.9e-2, 9.8e-3, 1.1e-3, 2.1e-5]
-    assert not any(_hopeless(falling[:k], 5 - k, 1e-8) for k in range(1, 5))
-    halving = [5.2e-2, 1.4e-2, 5.2e-3, 2.6e-3]
-    assert not _hopeless(halving[:2], 3, 1e-8) and _hopeless(halving, 1, 1e-8)
-    assert _hopeless([1e-3, 1e-10], 2, 1e-8)  # what is left is no error of the level
-    assert not _hopeless(halving, 1, 1e-2)
+@pytest.mark.parametrize("k", [0, 2, 4])
+def test_nan_is_not_lost_where_the_largest_residual_of_krylov_spaces_is_taken(monkeypatch, k):
+    nodes = root_spaced_nodes((5.0, 5.0), 3)
+    op = PlaneOperator(square_root_process((0.1, 0.2), (0.1, 0.2)), nodes, 5)
+    A, M, _ = op.matrices
+    made = []
+
+    def residual(*_):
+        made.append(np.nan if len(made) == k else 0.0)
+        return made[-1]
+
+    monkeypatch.setattr(transient, "relative_residual", residual)
+    # Times so far apart that no Krylov space serves both.
+    dual, times = PlaneStart(np.zeros(2)).dual(op), np.array([1.0, 100.0])
+    assert np.isnan(krylov_exponential(A, M, dual, times, tol=1e-6).residual) and len(made) > 4

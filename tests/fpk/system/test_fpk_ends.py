@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from processes import by_hand, cox_ingersoll_ross, process_of
-from systems import both, fig6
 
-from averaging.energy_process import energy_process
-from fpk.system.ends import classify
+from averaging.zero_flux import solve_by_quadrature
+from fpk.numeric.errors import NotCertified
+from fpk.solvers.line.stationary import solve_stationary
+from fpk.solvers.plane.stationary import solve_plane
+from fpk.system.ends import classify, require_confined
 
 
 @pytest.mark.parametrize(
@@ -43,14 +45,6 @@ def test_infinity(power, sign, kind):
     assert found.kind == kind and found.end == "H = ∞"
 
 
-@pytest.mark.parametrize("n, contact", [(1, True), (2, False), (5, True)])
-def test_averaged_processes_enter_at_zero_and_never_reach_infinity(n, contact):
-    # σ² ~ (2 D_Σ/n) H and s(0) = D_Σ: κ = n >= 1.
-    lower, upper = classify(energy_process(fig6(both(10.0, mass=n) if contact else (), n=n)))
-    assert lower.kind == "entrance" and f"→ {n}" in lower.reason
-    assert upper.kind == "natural"
-
-
 def pair(start, power=1.0):
     """dH_1 = (start − (1 + H_2) H_1^power) dt + √(2 H_1) dB: 0 is reached where start < 1."""
 
@@ -67,21 +61,102 @@ def pair(start, power=1.0):
     )
 
 
+def outwards(process):
+    within = process.coefficients
+    return replace(process, coefficients=lambda H: within(H)._replace(drift=-within(H).drift))
+
+
 @pytest.mark.parametrize(
-    "start, kind", [(1.5, "entrance"), (1.0, "entrance"), (0.5, "regular"), (-0.5, "exit")]
+    "process, energy, end, kind",
+    [
+        (pair(1.5), 0, 0, "entrance"),
+        (pair(1.0), 0, 0, "entrance"),
+        (pair(0.5), 0, 0, "regular"),
+        (pair(-0.5), 0, 0, "exit"),
+        (pair(-0.5), 1, 0, "entrance"),
+        (pair(1.0), 0, 1, "natural"),
+        (pair(1.0, 2.0), 0, 1, "entrance"),
+        (outwards(pair(1.0)), 0, 1, "not confining"),
+    ],
 )
-def test_the_edge_of_two_energies_at_zero(start, kind):
-    assert classify(pair(start), 0)[0].kind == kind
-    assert classify(pair(start), 1)[0].kind == "entrance"
+def test_the_edges_of_two_energies(process, energy, end, kind):
+    assert classify(process, energy)[end].kind == kind
 
 
-def test_the_edge_of_two_energies_at_infinity():
-    assert classify(pair(1.0, 1.0), 0)[1].kind == "natural"
-    assert classify(pair(1.0, 2.0), 0)[1].kind == "entrance"
-    growing = pair(1.0)
+WEAK_NOISE = 1e-6
+"""So little that the bulk, at 1e-5, ends 5e5 times below the energy where damping turns around."""
 
-    def outwards(H):
-        c = growing.coefficients(H)
-        return c._replace(drift=-c.drift)
 
-    assert classify(replace(growing, coefficients=outwards), 0)[1].kind == "not confining"
+def turning(first, second, third=0.0, *, d=WEAK_NOISE):
+    """Damping γ(H) = first + second H + third H²."""
+    scale = d / max(first, 1e-3)
+    return by_hand(lambda H: -H * (first + H * (second + third * H)), d=d, scale=scale)
+
+
+@pytest.mark.parametrize("solve", [solve_stationary, solve_by_quadrature])
+@pytest.mark.parametrize("rate", [(0.1, -0.02), (0.1, 0.1, -1e-6), (0.1, 0.0, -1e-12)])
+@pytest.mark.parametrize("d", [WEAK_NOISE, 1e-3])
+def test_damping_that_turns_into_driving_far_out_is_refused(solve, rate, d):
+    with pytest.raises(NotCertified, match="the drift points outwards"):
+        solve(turning(*rate, d=d))
+    for undamped in (by_hand(lambda H: 0.1 * H, d=d), by_hand(lambda H: 0.0 * H, d=d, n=2.0)):
+        with pytest.raises(NotCertified, match="does not fall off"):
+            solve_stationary(undamped)
+
+
+@pytest.mark.parametrize("d, resolved", [(1e-6, False), (1e-3, False), (0.1, True)])
+def test_driving_in_between_makes_no_false_certificate(d, resolved):
+    # γ < 0 between H = 1 and 10 only: nearly all of the mass is beyond, at 10, and a mesh of the
+    # bulk near 0 would be all but empty. ln p = −(0.1/d) (H − 0.55 H² + H³/30).
+    between = by_hand(lambda H: -0.1 * H * (1.0 - H) * (1.0 - 0.1 * H), d=d, scale=10.0 * d)
+    solution = solve_stationary(between)
+    assert solution.certificate.certified is resolved
+    if resolved:
+        low, high = solution.density(np.array([0.0, 10.0]))
+        assert np.log(high / low) == pytest.approx(0.1 / d * (55.0 - 10.0 - 100.0 / 3.0), rel=1e-6)
+
+
+@pytest.mark.parametrize("rate", [(0.1, 1e-9), (0.1, 0.1, 1e-6), (-0.1, 0.1), (0.1, -0.02, 0.002)])
+@pytest.mark.parametrize("d", [1e-3, 0.1])
+def test_damping_that_holds_is_solved(rate, d):
+    assert solve_stationary(turning(*rate, d=d), tol=1e-8).certificate.certified
+
+
+def coupled(coupling, scales=(1.0, 1.0)):
+    """Two energies with the damping γ = 0.1 + coupling H and unit noise of each."""
+    A = np.array(coupling)
+    return process_of(
+        lambda H: 0.1 - H * (0.1 + H @ A.T),
+        lambda H: 0.2 * H[:, :, None] * np.eye(2),
+        lambda H: np.full(H.shape, 0.2),
+        scales,
+    )
+
+
+@pytest.mark.parametrize(
+    "coupling",
+    [
+        [[-1e-9, 0.0], [0.0, 0.1]],
+        [[1.0, -2.0], [-2.0, 1.0]],  # outwards on the ray H1 = H2 alone, which attracts
+        [[0.0, -1e-5], [-1e-5, 0.0]],
+    ],
+)
+def test_two_energies_that_leave_for_infinity_are_refused(coupling):
+    for refuse in (require_confined, solve_plane):
+        with pytest.raises(NotCertified, match="does not fall off"):
+            refuse(coupled(coupling))
+
+
+@pytest.mark.parametrize(
+    "coupling",
+    [
+        [[0.0, 0.0], [0.0, 0.0]],
+        [[1.0, -0.5], [-0.5, 1.0]],
+        [[0.1, -3.0], [3.0, 0.1]],  # each energy gains as much as the other loses
+        [[0.1, -3.0], [0.03, 0.1]],  # ... a hundred times less: Σ H_i/θ_i rises on some rays
+        [[1.0, 1.0], [1e-6, 1e-6]],
+    ],
+)
+@pytest.mark.parametrize("scales", [(1.0, 1.0), (1.0, 0.05)])
+def test_two_energies_that_come_back_are_not_refused(coupling, scales):
+    require_confined(coupled(coupling, scales))

@@ -84,36 +84,20 @@ def test_what_escapes_is_known_from_the_motion_far_out(name):
     assert (system.fact(escape) is not None) == escapes, system.fact(escape)
 
 
-def motion_of(system):
-    """dz/dt of z = (q, v) without noise: another program than the one that decides."""
-    n = system.n
+def goes_out(system, start):
+    """Whether the motion without noise from ``start`` (q, v) gets 1e20 times as far.
 
-    def rate(z):
+    Another program than the one that decides. In the time s, ds = (1 + |dz/dt|/|z|) dt, z at most
+    grows by e in a unit. It is back at half of the distance.
+    """
+    n, size = system.n, float(np.linalg.norm(start))
+
+    def slowed(s, z):
         q, v = z[:n], z[n:]
         c = system.damping.copy()
         for t in system.damping_terms:
             c[t.row, t.column] += t.value(q, v, system.hamiltonian(q, system.mass * v))
-        force = -c @ v - system.stiffness_matrix @ q
-        for s in system.stops:
-            force[s.index] -= s.sign * s.force(max(s.sign * q[s.index] - s.clearance, 0.0))
-        return np.concatenate([v, force / system.mass])
-
-    return rate
-
-
-def goes_out(system, start, *, calls=5000):
-    """Whether the motion from ``start`` (2n,) gets 1e20 times as far; None where it takes long.
-
-    In the time s, ds = (1 + |dz/dt|/|z|) dt, in which |z| at most grows by e in a unit. It is back
-    at half of the distance.
-    """
-    rate, left, size = motion_of(system), [calls], float(np.linalg.norm(start))
-
-    def slowed(s, z):
-        left[0] -= 1
-        if not left[0]:
-            raise TimeoutError
-        change = rate(z)
+        change = np.concatenate([v, (-c @ v - system.stiffness_matrix @ q) / system.mass])
         return change / (1.0 + np.linalg.norm(change) / np.linalg.norm(z))
 
     def away(s, z):
@@ -123,74 +107,8 @@ def goes_out(system, start, *, calls=5000):
         return float(np.log(np.linalg.norm(z) / (0.5 * size)))
 
     away.terminal = back.terminal = True
-    try:
-        path = solve_ivp(
-            slowed, (0.0, 1e12), start, method="LSODA", rtol=1e-6, atol=1e-12, events=(away, back)
-        )
-    except TimeoutError:
-        return None
-    return bool(path.t_events[0].size) if path.status == 1 else None
-
-
-def feeds_along(system, ray):
-    """Whether Σ c_ij v_i v_j falls without bound along R ``ray``, R → ∞, without stops."""
-    q, v = ray[: system.n], ray[system.n :]
-    H = system.hamiltonian(q, system.mass * v)
-    of_degree = {0: [float(v @ system.damping @ v)]}
-    for t in system.damping_terms:
-        power = float(t.value(q, v, H)) * v[t.row] * v[t.column]
-        of_degree.setdefault(t.degree, []).append(power)
-    for _, parts in sorted(of_degree.items(), reverse=True):
-        if abs(sum(parts)) > 1e-9 * sum(map(abs, parts)):
-            return sum(parts) < 0.0
-    return False
-
-
-def drawn(rng):
-    """One or two monomials of degree 1 to 4, three times in four below even ones on all masses."""
-    n, terms, top = int(rng.integers(1, 3)), [], 4
-    if rng.random() < 0.75:
-        even = ["q{0} q{0}", "v{1} v{1}", "H"], ["q{0} q{0} v{1} v{1}", "q{0} q{0} q{0} q{0}"]
-        top = int(rng.integers(2))
-        for i in range(1, n + 1):
-            factors = rng.choice(even[top]).format(rng.integers(1, n + 1), i)
-            terms.append((rng.uniform(0.1, 0.6), f"{i}{i}: {factors}"))
-        top = 2 * top + 1
-    for _ in range(rng.integers(1, 3)):
-        i = j = int(rng.integers(1, n + 1))
-        if rng.random() < 0.25:
-            j = int(rng.integers(1, n + 1))
-        factors = [
-            f"{'q' if rng.random() < 0.6 else 'v'}{rng.integers(1, n + 1)}"
-            for _ in range(rng.integers(1, top + 1))
-        ]
-        size = rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.6)
-        terms.append((size, f"{i}{j}: {' '.join(factors)}"))
-    return damped(*((round(float(c), 2), text) for c, text in terms), n=n)
-
-
-@np.errstate(all="ignore")
-def judged(system, rng):
-    """Whether the motion escapes by both judges; None where they differ or one is not sure.
-
-    It begins on rays along which the power falls without bound, and in other states far out in
-    which the damping terms feed energy in, some coordinates being up to 1e5 times smaller.
-    """
-    shape = (4000, 2 * system.n)
-    rays = rng.normal(size=shape) * (rng.random(shape) < 0.7)
-    feeding = [1e4 * ray for ray in rays[:400] if feeds_along(system, ray)]
-    small = np.where(rng.random(shape) < 0.5, 0.0, -5.0 * rng.random(shape))
-    z = 1e4 * 10.0**small * rng.normal(size=shape)
-    q, v = z[:, : system.n], z[:, system.n :]
-    H = system.hamiltonian(q, system.mass * v)
-    terms = system.damping_terms
-    power = sum(t.value(q, v, H) * v[:, t.row] * v[:, t.column] for t in terms)
-    for start in [*feeding[:8], *z[power < 0.0][:32]]:
-        # Beside a coordinate plane: within one a motion may go out that does not beside it.
-        out = goes_out(system, start + 1e-2 * rng.normal(size=start.size))
-        if out is not False:
-            return True if out and feeding else None
-    return False
+    path = solve_ivp(slowed, (0.0, 1e12), start, method="LSODA", rtol=1e-6, events=(away, back))
+    return bool(path.t_events[0].size)
 
 
 def every_refusal(system):
@@ -207,7 +125,7 @@ def test_the_reason_names_the_term_and_states_from_which_the_motion_escapes():
     words = "damping term 0.4 q1 of c_11 feeds energy in for q1 < -0.25 without bound: the motion "
     assert reason.startswith(words + "escapes") and "\n" not in reason
     start = np.array([float(x) for x in re.findall(r"[qv]\d = (\S+?)[, ]", reason)])
-    assert goes_out(ODD, start)
+    assert goes_out(ODD, start) and not goes_out(ODD, -start)
     for system, words in (
         (CASES["negative"][1], "-0.3 v1^2 of c_11 feeds energy in for |v1| > 0.577 without bound"),
         (damped((-0.3, "q1 q1 H")), "-0.3 q1^2 H of c_11 feeds energy in without bound"),
@@ -256,32 +174,3 @@ def test_what_does_not_need_a_stationary_state_is_answered():
 def test_units_do_not_matter(name):
     escapes, system = CASES[name]
     assert (escape(in_units(system, 1e3, 1e-4, 1e5)) is not None) == escapes
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("n, place", [(1, "11"), *((2, f"{i}{j}") for i in "12" for j in "12")])
-def test_every_odd_term_alone_lets_the_motion_escape(n, place):
-    for text in ("q1", "v1", "q1 q1 q1", "q1 q1 v1", "q1 v1 v1", "v1 v1 v1", "q1 H", "v1 H"):
-        assert damped((0.4, f"{place}: {text}"), n=n).fact(escape), text
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:lsoda")  # gives up on a motion: neither judge decides it
-def test_forty_random_polynomials_are_refused_where_both_judges_see_the_motion_escape():
-    """None of twenty that escape is given by any route, none of twenty others is refused for it."""
-    left = {True: 20, False: 20}
-    for seed in range(400):
-        rng = np.random.default_rng([20261126, seed])
-        system = drawn(rng)
-        escapes = judged(system, rng)
-        if escapes is None or not left[escapes]:
-            continue
-        left[escapes] -= 1
-        reasons = every_refusal(system)
-        if escapes:
-            assert all(reasons.values()), system.damping_terms
-        else:
-            assert reasons["montecarlo q1"] is reasons["montecarlo H"] is None, reasons
-        if not any(left.values()):
-            return
-    raise AssertionError(left)
