@@ -137,9 +137,10 @@ def abandon() -> None:
             abandoned.discard(result)
 
 
-def cached_njit() -> Callable[[Function], Function]:
-    """Return a decorator that compiles a function at its first call, with a disk cache. Without a
-    writable folder the function is compiled again in every process."""
+def cached_njit(sources: int = 0) -> Callable[[Function], Function]:
+    """Return a decorator that compiles a function at its first call, with a disk cache for each
+    ``checksum`` of ``sources``: numba watches the function's own file only. Without a writable
+    folder the function is compiled again in every process."""
 
     def decorated(function: Function) -> Function:
         compiled = _njit(fastmath=FLAGS, error_model="numpy", nogil=True)(function)
@@ -154,7 +155,7 @@ def cached_njit() -> Callable[[Function], Function]:
             cache = compiled._cache
             files = cache._cache_file
             # Not numba's file name: its files have no checksum and would count as damaged.
-            name = files._index_name.removesuffix(".nbi") + ".sha256"
+            name = f"{files._index_name.removesuffix('.nbi')}.{sources}.sha256"
             cache._cache_file = CheckedFiles(cache._cache_path, name, files._source_stamp)
         result: Function = compiled
         return result
@@ -170,6 +171,5 @@ def njit_inline(function: Function) -> Function:
 
 
 def checksum(files: Sequence[Path]) -> int:
-    """Return the CRC-32 of the source ``files``; a compiled function that closes over it and
-    returns it is recompiled when any of them is edited: numba watches its own file only."""
+    """Return the CRC-32 of the source ``files``, which changes when any of them is edited."""
     return crc32(b"".join(file.read_bytes() for file in files))

@@ -18,7 +18,7 @@ from fpk.system.system import System
 from sim.questions.limits import energies_at, energies_of, modal_rates
 from sim.sample.ensemble import Reader
 from sim.step.arrays import W
-from sim.step.kernel import kernel_checksum, once
+from sim.step.kernel import kernel_checksum
 from sim.step.lanes import quadratic_form
 
 Cubic = tuple[float, float, float, float]
@@ -57,9 +57,7 @@ def turning_points(c: Cubic) -> tuple[float, float]:
 @njit_inline
 def distance_to(limit: float, H: float, variance: float, growth: float, at_rest: float) -> float:
     """Return ∫dH/σ from ``H`` to the ``limit``, for σ² that is linear in H; <= 0 beyond the limit.
-
-    σ² is ``variance`` at H, and its slope is β = ``growth``/σ², or ``at_rest`` if σ = 0.
-    """
+    σ² is ``variance`` at H, and its slope is β = ``growth``/σ², or ``at_rest`` if σ = 0."""
     beta = growth / variance if growth > 0.0 else at_rest
     e = variance / beta
     return float(2.0 * (np.sqrt(max(e + limit - H, 0.0)) - np.sqrt(e)) / np.sqrt(beta))
@@ -87,17 +85,21 @@ NEGLIGIBLE_NATS = 40.0
 """−ln of a probability that is neglected: 4e-18."""
 
 
-def reader(make: Callable[[int], Any]) -> Reader:
-    """Return the reader that ``make(sources)`` compiles at its first call.
+class Diffusion(NamedTuple):
+    """Diffusion of energies, dH = … + σ dB, as quadratic forms of the momenta p."""
 
-    The compiled function returns ``sources``, the checksum of its source files, so that numba's
-    disk cache compiles anew when they change.
-    """
-    compiled = once(lambda: make(kernel_checksum()))
+    variance: Array  # (limits, n, n), F of σ² = pᵀ F p
+    growth: Array  # (limits, n, n), G of β σ² = pᵀ G p, see ``distance_to``
+    at_rest: Array  # (limits,), β for p = 0
 
-    @wraps(make)
+
+def reader(function: Callable[..., None]) -> Reader:
+    """Return ``function``, compiled at its first call with the disk cache of its sources."""
+    compiled = cached_njit(kernel_checksum())(function)
+
+    @wraps(function)  # of a module: another process finds it by its name
     def read(*arrays: Any, **numbers: Any) -> None:
-        compiled()(*arrays, **numbers)
+        compiled(*arrays, **numbers)
 
     return read
 
@@ -114,135 +116,99 @@ def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None
 
 
 @reader
-def count_upcrossings(sources: int) -> Any:
+def count_upcrossings(
+    trace: Array, samples: int, done: int, counts: Integers, dt: float, row: int, momentum: int,
+    inverse_mass: float, levels: Array,
+) -> None:  # fmt: skip
     """Add to ``counts`` (blocks, levels + 1), whose running sums are upcrossings of the ``levels``.
-
-    Levels ascend. Every rising part of the cubic between two steps counts.
-    """
-
-    @cached_njit()
-    def read(
-        trace: Array, samples: int, done: int, counts: Integers, dt: float, row: int, momentum: int,
-        inverse_mass: float, levels: Array,
-    ) -> int:  # fmt: skip
-        for b in range(trace.shape[0]):
-            own = counts[b]
-            for k in range(samples):
-                q0, q1 = trace[b, k, row], trace[b, k + 1, row]
-                p0, p1 = trace[b, k, momentum], trace[b, k + 1, momentum]
-                for w in range(W):
-                    v0, v1 = inverse_mass * p0[w], inverse_mass * p1[w]
-                    change = q1[w] - q0[w]
-                    # A cubic with these slopes is monotone (de Boor and Swartz).
-                    if min(v0, v1) >= 0.0 and dt * max(v0, v1) <= 3.0 * change:
-                        count_rise(own, levels, q0[w], q1[w])
-                    elif max(v0, v1) > 0.0 or dt * min(v0, v1) < 3.0 * change:
-                        cubic, before = cubic_of(q0[w], v0, q1[w], v1, dt), q0[w]
-                        for s in turning_points(cubic):
-                            value = value_of(cubic, s)
-                            count_rise(own, levels, before, value)
-                            before = value
-                        count_rise(own, levels, before, q1[w])
-        return sources
-
-    return read
+    Levels ascend. Every rising part of the cubic between two steps counts."""
+    for b in range(trace.shape[0]):
+        own = counts[b]
+        for k in range(samples):
+            q0, q1 = trace[b, k, row], trace[b, k + 1, row]
+            p0, p1 = trace[b, k, momentum], trace[b, k + 1, momentum]
+            for w in range(W):
+                v0, v1 = inverse_mass * p0[w], inverse_mass * p1[w]
+                change = q1[w] - q0[w]
+                # A cubic with these slopes is monotone (de Boor and Swartz).
+                if min(v0, v1) >= 0.0 and dt * max(v0, v1) <= 3.0 * change:
+                    count_rise(own, levels, q0[w], q1[w])
+                elif max(v0, v1) > 0.0 or dt * min(v0, v1) < 3.0 * change:
+                    cubic, before = cubic_of(q0[w], v0, q1[w], v1, dt), q0[w]
+                    for s in turning_points(cubic):
+                        value = value_of(cubic, s)
+                        count_rise(own, levels, before, value)
+                        before = value
+                    count_rise(own, levels, before, q1[w])
 
 
 @reader
-def pass_displacement(sources: int) -> Any:
+def pass_displacement(
+    trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
+    row: int, momentum: int, inverse_mass: float, limit: float,
+) -> None:  # fmt: skip
     """Write the time when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES).
-
-    Only if ``time`` is inf; ``chance`` is not used.
-    """
-
-    @cached_njit()
-    def read(
-        trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
-        row: int, momentum: int, inverse_mass: float, limit: float,
-    ) -> int:  # fmt: skip
-        for b in range(trace.shape[0]):
-            own = time[b, 0]
-            for k in range(samples):
-                q0, q1 = trace[b, k, row], trace[b, k + 1, row]
-                p0, p1 = trace[b, k, momentum], trace[b, k + 1, momentum]
-                # A cubic exceeds the larger of its ends by 4/27 · h (|v0| + |v1|) at most.
-                slope = 4.0 / 27.0 * dt * inverse_mass
-                for w in range(W):
-                    reach = max(abs(q0[w]), abs(q1[w])) + slope * (abs(p0[w]) + abs(p1[w]))
-                    if reach >= limit and own[w] == np.inf:
-                        v0, v1 = inverse_mass * p0[w], inverse_mass * p1[w]
-                        share = cubic_passage(cubic_of(q0[w], v0, q1[w], v1, dt), limit)
-                        if share <= 1.0:
-                            own[w] = begin + (done + k + share) * dt
-        return sources
-
-    return read
+    Only if ``time`` is inf; ``chance`` is not used."""
+    for b in range(trace.shape[0]):
+        own = time[b, 0]
+        for k in range(samples):
+            q0, q1 = trace[b, k, row], trace[b, k + 1, row]
+            p0, p1 = trace[b, k, momentum], trace[b, k + 1, momentum]
+            # A cubic exceeds the larger of its ends by 4/27 · h (|v0| + |v1|) at most.
+            slope = 4.0 / 27.0 * dt * inverse_mass
+            for w in range(W):
+                reach = max(abs(q0[w]), abs(q1[w])) + slope * (abs(p0[w]) + abs(p1[w]))
+                if reach >= limit and own[w] == np.inf:
+                    v0, v1 = inverse_mass * p0[w], inverse_mass * p1[w]
+                    share = cubic_passage(cubic_of(q0[w], v0, q1[w], v1, dt), limit)
+                    if share <= 1.0:
+                        own[w] = begin + (done + k + share) * dt
 
 
 @reader
-def pass_energies(sources: int) -> Any:
-    """Write the time when an energy in ``rows`` first passes its limit to ``time`` (…, LANES).
-
-    Only if ``time`` is inf or later. Momenta are rows from ``first`` on. Between samples the
-    distance d (``distance_to``) is a Brownian bridge, which reaches 0 with the probability exp(−2
-    d0 d1/h), h in ``spread`` (samples,) being ∫e² dt over the step; then at the share d0/(d0 +
-    |d1|) of the step, which is right in the mean. A limit is passed when the sum of −ln(1 −
-    probability) exceeds its exponential random number in ``chance`` (blocks, limits, LANES): the
-    same motion at another step passes at nearly the same time.
-    """
-
-    @cached_njit()
-    def read(
-        trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
-        first: int, rows: Integers, limits: Array, diffusion: Diffusion, spread: Array,
-    ) -> int:  # fmt: skip
-        variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
-        for b in range(trace.shape[0]):
-            own = time[b, 0]
-            for m in range(rows.size):
-                left, limit = chance[b, m], limits[m]
-                for k in range(samples + 1):
-                    state = trace[b, k].reshape(trace.shape[2] * W)
-                    quadratic_form(variance, state, first, diffusion.variance[m])
-                    quadratic_form(rise, state, first, diffusion.growth[m])
-                    H = trace[b, k, rows[m]]
-                    near, h = 0, spread[max(k - 1, 0)]
+def pass_energies(
+    trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
+    first: int, rows: Integers, limits: Array, diffusion: Diffusion, spread: Array,
+) -> None:  # fmt: skip
+    """Write the time when an energy in ``rows`` first passes its limit to ``time`` (…, LANES), if
+    it is earlier. Momenta are rows from ``first`` on. Between samples the distance d
+    (``distance_to``) is a Brownian bridge, which reaches 0 with the probability exp(−2 d0 d1/h), h
+    in ``spread`` (samples,) being ∫e² dt, at the share d0/(d0 + |d1|) of the step: right in the
+    mean. A limit is passed when the sum of −ln(1 − probability) exceeds its exponential number in
+    ``chance`` (blocks, limits, LANES): at another step the same motion passes at nearly the same
+    time."""
+    variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
+    for b in range(trace.shape[0]):
+        own = time[b, 0]
+        for m in range(rows.size):
+            left, limit = chance[b, m], limits[m]
+            for k in range(samples + 1):
+                state = trace[b, k].reshape(trace.shape[2] * W)
+                quadratic_form(variance, state, first, diffusion.variance[m])
+                quadratic_form(rise, state, first, diffusion.growth[m])
+                H = trace[b, k, rows[m]]
+                near, h = 0, spread[max(k - 1, 0)]
+                for w in range(W):
+                    after[w] = distance_to(limit, H[w], variance[w], rise[w], diffusion.at_rest[m])
+                    near += 2.0 * before[w] * after[w] < NEGLIGIBLE_NATS * h
+                if k > 0 and near > 0:
+                    end = begin + (done + k) * dt
                     for w in range(W):
-                        after[w] = distance_to(
-                            limit, H[w], variance[w], rise[w], diffusion.at_rest[m]
-                        )
-                        near += 2.0 * before[w] * after[w] < NEGLIGIBLE_NATS * h
-                    if k > 0 and near > 0:
-                        end = begin + (done + k) * dt
-                        for w in range(W):
-                            # If several limits are passed in a step, the first counts.
-                            if own[w] > end - dt:
-                                nats = 2.0 * before[w] * after[w] / h
-                                if 0.0 < nats < NEGLIGIBLE_NATS:
-                                    left[w] += np.log1p(-np.exp(-nats))
-                                if nats <= 0.0 or left[w] <= 0.0:
-                                    share = before[w] / (before[w] + abs(after[w]))
-                                    own[w] = min(own[w], end - dt * (1.0 - share))
-                    before[:] = after
-        return sources
-
-    return read
-
-
-class Diffusion(NamedTuple):
-    """Diffusion of energies, dH = … + σ dB, as quadratic forms of the momenta p."""
-
-    variance: Array  # (limits, n, n), F of σ² = pᵀ F p
-    growth: Array  # (limits, n, n), G of β σ² = pᵀ G p, see ``distance_to``
-    at_rest: Array  # (limits,), β for p = 0
+                        # If several limits are passed in a step, the first counts.
+                        if own[w] > end - dt:
+                            nats = 2.0 * before[w] * after[w] / h
+                            if 0.0 < nats < NEGLIGIBLE_NATS:
+                                left[w] += np.log1p(-np.exp(-nats))
+                            if nats <= 0.0 or left[w] <= 0.0:
+                                share = before[w] / (before[w] + abs(after[w]))
+                                own[w] = min(own[w], end - dt * (1.0 - share))
+                before[:] = after
 
 
 def diffusion_of(system: System, limit: Limit) -> Diffusion:
-    """Return the diffusion of the energies that ``limit`` is on by the noise N = f D fᵀ.
-
-    For H, F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; for a mode of shape T_m the same with its own
-    momentum. β = 0 means that no noise reaches the energy: the distance to its limit is then huge.
-    """
+    """Return the diffusion of the energies that ``limit`` is on by the noise N = f D fᵀ. For H, F =
+    2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; for a mode of shape T_m the same with its own momentum. β
+    = 0 means that no noise reaches the energy: the distance to its limit is then huge."""
     N = system.noise_matrix
     if limit.kind == "H":
         mobility = np.diag(1.0 / system.mass)
@@ -271,19 +237,15 @@ def pass_under(
     trace: Array, samples: int, done: int, *arrays: Array, modulation: Modulation | None,
     dt: float, begin: float, **known: Any,
 ) -> None:  # fmt: skip
-    """Call ``pass_energies`` with the ∫e² dt of the steps in ``trace``; a ``Reader``.
-
-    ``samples`` steps ``dt`` after ``done`` steps from the time ``begin``.
-    """
+    """Call ``pass_energies`` with the ∫e² dt of the steps in ``trace``; a ``Reader``. ``samples``
+    steps ``dt`` after ``done`` steps from the time ``begin``."""
     spread = spread_of(modulation, dt, done, samples, begin)
     pass_energies(trace, samples, done, *arrays, dt=dt, begin=begin, spread=spread, **known)
 
 
 def reader_of(system: System, limit: Limit, dt: float, begin: float = 0.0) -> Reader:
     """Return the reader of first passage of ``limit``, for samples ``dt`` apart from ``begin`` on.
-
-    Its arrays are ``time`` and ``chance``, see ``pass_energies``.
-    """
+    Its arrays are ``time`` and ``chance``, see ``pass_energies``."""
     n, known = system.n, dict[str, Any](dt=dt, begin=begin)
     if limit.kind == "q":
         row = limit.observable(n)[0].row

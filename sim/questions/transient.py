@@ -27,10 +27,8 @@ from sim.step.step_size import loudest
 
 def sample_transient(method: Settings, asked: Asked) -> Transient:
     """Return the densities of ``asked.observable`` by steps dt and dt/2, same random numbers.
-
     ``asked.tol`` is the expected L1 error at every time; without it and ``seconds`` eight rounds of
-    ``paths`` trajectories are made.
-    """
+    ``paths`` trajectories are made."""
     system, observable, start = asked.system, asked.observable, asked.start
     times, modulation = require_times(asked.times), system.modulation
     tol, loud = tolerance(asked.tol, method.tol), loudest(system)
@@ -45,27 +43,26 @@ def sample_transient(method: Settings, asked: Asked) -> Transient:
         q, p = np.split(states, 2, axis=1)
         return [histogram.values_of(system, c, q, p) for c in observable]
 
-    def states(number: int, begin: Callable[[], Any]) -> Iterable[tuple[Array, ...]]:
+    def states(number: int, begin: Callable[[], Any]) -> Iterable[tuple[Any, ...]]:
         q, p = origin(paths, number)
         settings: Any = {"seed": seed_of(method.seed, number), "workers": workers}
         begun = partial(ensemble_from, system, q, p, modulation=modulation, **settings)
-        return motions(begun, np.hstack([q, p]), states_of, times, longest, many, begin)
+        seen = lambda ensemble: columns(states_of(ensemble))  # noqa: E731
+        return motions(begun, columns(np.hstack([q, p])), seen, times, longest, many, begin)
 
     with working(method, system, tol, start) as (workers, watch, origin):
-        axis = partial(histogram.axis_of, system)
+        axis, rounds = partial(histogram.axis_of, system), (8, max(1, MAX_TRAJECTORIES // paths))
         settings = {"seed": method.seed, "scheme": method.scheme}
-        known = 8, paths, dt, settings, failures
-        return transient_in_rounds(asked, watch, states, columns, axis, *known, mirror=mirror)
+        known = axis, rounds, dt, settings, failures
+        return transient_in_rounds(asked, watch, states, *known, mirror=mirror)
 
 
 def transient_in_rounds(
     asked: Asked,
     watch: Watch,
-    states: Callable[..., Iterable[tuple[Array, ...]]],
-    columns: Callable[[Array], Sequence[Array]],
+    states: Callable[..., Iterable[tuple[Any, ...]]],
     axis: Callable[..., BinAxis],
-    rounds: int,
-    paths: int,
+    rounds: tuple[int, int],
     dt: float,
     settings: Mapping[str, Any],
     failures: Sequence[str] = (),
@@ -74,12 +71,11 @@ def transient_in_rounds(
 ) -> Transient:
     """Return the densities of ``asked.observable``; ``dt`` is the longer step.
 
-    ``states(number, begin)`` yields states (``paths``, …) of a round as ``motions`` does: at half
-    the step and, if the step has an error, at the step. ``columns`` returns the coordinates
-    (paths,) of the observable, ``axis`` makes bins as ``axis_of`` does, over the ranges of the
-    first round. Rounds are made until the ``watch`` ends them; ``rounds`` of them without a
-    tolerance. The error is one standard error and the change at the longer step, added in squares,
-    or inf at points whose bins do not resolve the density.
+    ``states(number, begin)`` yields the coordinates (paths,) of a round as ``motions`` does, at
+    half the step and, if the step has an error, at the step; ``axis`` makes bins as ``axis_of``
+    does. ``rounds``: number without a tolerance, and the largest. The error is one standard error
+    and the change at the longer step, added in squares, or inf where bins do not resolve the
+    density.
     """
     times, tol = asked.times, inf if watch.tol is None else watch.tol
     sampled = list[tuple[histogram.Histogram, Integers]]()  # counts (2, GROUPS, bins + 1)
@@ -98,18 +94,17 @@ def transient_in_rounds(
         later = lambda: lambda share: watch.ends()  # noqa: E731
         for k, at_steps in enumerate(states(number, later if number else first)):
             stepped = len(at_steps) > 1
-            for which, values in enumerate(map(columns, at_steps)):
+            for which, values in enumerate(at_steps):
                 if k == len(sampled):
                     bins = bins_over(asked.observable, values, axis, times[k])
                     sampled.append((bins, np.zeros((2, MAX_BATCHES, bins.size + 1), np.int64)))
                 sampled[k][1][which] += sampled[k][0].counted(values, MAX_BATCHES)
-            taken[k] += len(at_steps[0])
-            every = rounds * times.size
+            taken[k] += at_steps[0][0].size
+            every = rounds[0] * times.size
             asked.progress(min(every, number * times.size + k + 1), every, "transient")
         return inf if tol == inf else max(d.l1_error for d in densities())
 
-    least, most = rounds if tol == inf else 1, max(1, MAX_TRAJECTORIES // paths)
-    interrupted = watch.until(error_after, least=least, most=most)
+    interrupted = watch.until(error_after, least=rounds[0] if tol == inf else 1, most=rounds[1])
     fine, bias, wide = densities(), 0.0, list[str]()
     values, errors = np.zeros((2, times.size, asked.at[0].size))
     for k, (a, b) in enumerate(zip(fine, densities(1) if stepped else fine, strict=True)):
@@ -140,10 +135,8 @@ def transient_in_rounds(
 def bins_over(
     observable: Observable, columns: Sequence[Array], axis: Callable[..., BinAxis], time: float
 ) -> histogram.Histogram:
-    """Return bins over the ``columns`` (paths,) of ``observable`` at ``time``.
-
-    Raises ``InvalidInput`` if a coordinate has the same value on all paths.
-    """
+    """Return bins over the ``columns`` (paths,) of ``observable`` at ``time``. Raises
+    ``InvalidInput`` if a coordinate has the same value on all paths."""
     reached = np.array([(x.min(), x.max()) for x in columns])
     for c, (low, high) in zip(observable, reached.tolist(), strict=True):
         if not high - low > 1e-9 * max(abs(low), abs(high)):

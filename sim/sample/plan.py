@@ -31,7 +31,7 @@ from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
 from sim.sample.settings import NOT_IN_STATE, Settings, default_step
 from sim.sample.workers import Checkpoint, checkpoint_of
-from sim.step.arrays import LANES, NARROW, Rows, StepArrays, TermArrays, WatchArrays
+from sim.step.arrays import LANES, NARROW, StepArrays, TermArrays, WatchArrays
 from sim.step.kernel import KernelKey
 from sim.step.schemes import SCHEMES, Scheme, exact_flow, lower_trapezoidal, pad_columns
 from sim.step.step_size import relaxation_time, sampling_interval, stability_limit, temperature
@@ -53,12 +53,9 @@ def noise_reach(system: System, H: float, masses: Integers) -> Array:
 
 
 def bends(system: System, H: float, masses: Integers) -> Array:
-    """Return rows (masses, 2n) whose product with ``|x|`` is b(x).
-
-    b(x) bounds the distance of the mean motion q(t) of ``masses`` within a step ``H`` from its
-    chord. The curvature is bounded by its largest value on a grid of times, plus half an interval
-    times the largest slope.
-    """
+    """Return rows (masses, 2n) whose product with ``|x|`` is b(x). b(x) bounds the distance of the
+    mean motion q(t) of ``masses`` within a step ``H`` from its chord. The curvature is bounded by
+    its largest value on a grid of times, plus half an interval times the largest slope."""
     drift, step = drift_matrix(system), H / 64
     across, values = expm(drift * step), [drift[system.n + masses] / system.mass[masses, None]]
     for _ in range(64):
@@ -68,10 +65,8 @@ def bends(system: System, H: float, masses: Integers) -> Array:
 
 
 def relative_cost(system: System, dt: float, small: int) -> float:
-    """Return the estimated processor time with long steps, relative to uniform steps ``dt``.
-
-    A long step has ``small`` steps; displacements have the Gibbs density at kT.
-    """
+    """Return the estimated processor time with long steps, relative to uniform steps ``dt``. A long
+    step has ``small`` steps; displacements have the Gibbs density at kT."""
     if small == 1:
         return 1.0
     H, kT, far, masses = small * dt, temperature(system), 1.0, system.contact_masses
@@ -92,10 +87,8 @@ def relative_cost(system: System, dt: float, small: int) -> float:
 
 
 def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, float, str]:
-    """Return the scheme, the length of its long steps of small steps ``dt``, and words on it.
-
-    A long step is no longer than the sampling interval, and only the exact flow can make it.
-    """
+    """Return the scheme, the length of its long steps of small steps ``dt``, and words on it. A
+    long step is no longer than the sampling interval, and only the exact flow can make it."""
     if not system.stops:
         return scheme, dt, "no contact: all trajectories make the same steps"
     if system.damping_terms:
@@ -117,12 +110,10 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
 @dataclass(frozen=True, eq=False)
 class Setup:
     """Everything that the numbers of a simulation of Eq. (6) depend on; times in the system's unit.
-
-    ``dt`` is the long step if ``scheme`` has small steps. Each trajectory is sampled for ``time``
-    or, if ``seconds`` is finite, for this wall time or until the expected L1 error of the first
-    observable is below ``tol``. ``histograms`` None: bins over the range of a pilot. ``division``
-    and ``limited_by`` are words of the report, ``failures`` reasons not to certify an answer.
-    """
+    ``dt`` is the long step if ``scheme`` has small steps. A trajectory is sampled for ``time`` or,
+    with finite ``seconds``, for this wall time or until the L1 error of the first observable is
+    below ``tol``. ``histograms`` None: over the range of a pilot. ``failures``: against
+    certification."""
 
     method: Settings
     system: System
@@ -154,10 +145,8 @@ class Setup:
 
 
 def setup_of(method: Settings, system: System, observables: Sequence[Observable]) -> Setup:
-    """Return the setup of ``method`` for ``system`` and ``observables``.
-
-    Raises ``InvalidInput`` for an unstable step, or for steps so short that random numbers run out.
-    """
+    """Return the setup of ``method`` for ``system`` and ``observables``. Raises ``InvalidInput``
+    for an unstable step, or for steps so short that random numbers run out."""
     scheme, failures = SCHEMES[method.scheme], list[str]()
     dt = method.dt or method.step_factor * default_step(method, system, observables)
     limit = stability_limit(system, scheme)
@@ -255,23 +244,21 @@ def observation_arrays(
     products: Sequence[Product],
     traced: Sequence[Coordinate] = (),
 ) -> tuple[KernelKey, WatchArrays]:
-    """Return the key of the kernel, and the numbers that it reads to observe.
-
-    ``products`` are summed; ``traced`` coordinates are copied to the trace.
-    """
+    """Return the key of the kernel, and the numbers that it reads to observe. ``products`` are
+    summed; ``traced`` coordinates are copied to the trace."""
     n, slots, effects = system.n, step.slot_mass, effects_of(system)
     observed = {c for histogram in histograms for c in histogram.observable} | {*traced}
     modes = sorted(c.row for c in observed if c.kind == "H" and c.index is not None)
     forces = 0 if step.terms is None else n
-    work = 5 if forces else 1
-    sizes = [2 * slots.size, n, n, n, 1, len(modes), forces, 3 * forces, work]
-    at = Rows(*np.cumsum([step.matrix.shape[1] + 2 * n, *sizes]).tolist())
-    first = {"q": at.q, "p": at.p, "f": at.force, "d": at.damping}
+    sizes = [2 * slots.size, n, n, n, 1, len(modes), forces, 3 * forces, 5 if forces else 1]
+    begins: list[int] = np.cumsum([step.matrix.shape[1] + 2 * n, *sizes]).tolist()
+    at = dict(zip(WatchArrays._fields[-len(begins) :], begins, strict=True))
+    first = {"q": at["q"], "p": at["p"], "f": at["force"], "d": at["damping"]}
 
     def row_of(c: Coordinate) -> int:
         if c.kind != "H":
             return first[c.kind] + c.row
-        return at.energy if c.index is None else at.modal + modes.index(c.index)
+        return at["energy"] if c.index is None else at["modal"] + modes.index(c.index)
 
     shapes, frequency = natural_modes(system)
     T = shapes.T[modes]
@@ -288,6 +275,7 @@ def observation_arrays(
                 pieces.append((low, high, count, unit / (high - low), widens))
             piece[m, k] = begin, len(pieces)
     half, shift = 0.5 * step.dt if scheme.kick_first else 0.0, scheme.modified * step.dt**2
+    summed = [(first[a] + i, first[b] + j) for a, i, b, j in products]
     watch = WatchArrays(
         half_kick=half,
         half_springs=(half if scheme.springs_kicked else 0.0) * system.stiffness_matrix,
@@ -295,16 +283,14 @@ def observation_arrays(
         cross=shift * system.damping[:, slots] / system.mass[slots],
         mode_q=frequency[modes, None] * T * system.mass,
         mode_p=np.ascontiguousarray(T),
-        at=at,
         start=starts(histograms)[:-1],
-        products=np.array(
-            [(first[a] + i, first[b] + j) for a, i, b, j in products], dtype=np.int64
-        ).reshape(-1, 2),
+        products=np.array(summed, dtype=np.int64).reshape(-1, 2),
         traced=np.array([row_of(c) for c in traced], dtype=np.int64),
         rows=rows,
         bins=bins,
         pieces=np.array(pieces, dtype=float).reshape(-1, 5),
         piece=piece,
+        **at,
     )
     key = KernelKey(
         laws=effects.laws,

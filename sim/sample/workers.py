@@ -14,13 +14,13 @@ from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
+from hashlib import sha256
 from importlib import import_module
 from io import BytesIO
 from math import inf
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,10 +54,8 @@ class Workers:
     remote_errors: tuple[type[Exception], ...] = ()  # of a lost cluster, raised as ``NotCertified``
 
     def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
-        """Return the results of ``task`` for each row of ``columns``.
-
-        The task may change its arguments in place; on a cluster it gets copies.
-        """
+        """Return the results of ``task`` for each row of ``columns``. The task may change its
+        arguments in place; on a cluster it gets copies."""
         own = deepcopy if self.remote_errors else tuple  # arguments from Dask are read-only
         rows = list(zip(*columns, strict=True))
         return list(self._unless_lost(self.executor.map(lambda row: task(*own(row)), rows)))
@@ -78,10 +76,8 @@ class Workers:
 @contextmanager
 def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
     """Yield ``threads`` of this process, or, with an ``address``, the threads of a Dask cluster.
-
     Raises ``Unavailable`` if Dask is not installed, the scheduler does not answer or has no worker,
-    or the workers have other sources of this program.
-    """
+    or the workers have other sources of this program."""
     if address is None:
         with ThreadPoolExecutor(threads) as executor:
             yield Workers(executor, threads)
@@ -118,12 +114,10 @@ def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
 
 @dataclass(eq=False)
 class Checkpoint:
-    """Advances an ensemble in pieces and saves its state every ``INTERVAL`` seconds.
-
-    States are saved as a NumPy .npz file at ``path`` (None: never), with ``identity``, a hash of
-    everything that the numbers depend on, and ``notes``, arrays of the caller. The simulation ends
-    when ``stopped()`` is true, or at the ``deadline``, a value of ``working_time``.
-    """
+    """Advances an ensemble in pieces and saves its state every ``INTERVAL`` seconds, until
+    ``stopped()`` is true or at the ``deadline``, a value of ``working_time``: as .npz file at
+    ``path`` (None: never), with ``identity``, a hash of all that the numbers depend on, and
+    ``notes``."""
 
     path: Path | None = None
     identity: str = ""
@@ -136,10 +130,8 @@ class Checkpoint:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Lock the state, and remove incomplete files that killed processes have left.
-
-        Raises ``Unavailable`` if another process uses it.
-        """
+        """Lock the state, and remove incomplete files that killed processes have left. Raises
+        ``Unavailable`` if another process uses it."""
         if self.path is None:
             yield
             return
@@ -152,54 +144,44 @@ class Checkpoint:
         """Replace the file by ``state`` and the notes; on failure it stays, ``Unavailable``."""
         if self.path is None:
             return
-        part = self.path.with_name(f"{self.path.name}.{token_hex(4)}.part")
-        arrays: dict[str, Any] = {**state, **self.notes}
+        part, stream = self.path.with_name(f"{self.path.name}.{token_hex(4)}.part"), BytesIO()
+        np.savez(stream, identity=self.identity, **state, **self.notes)
         try:
-            with part.open("xb") as stream:
-                np.savez(stream, about=[self.identity, *arrays], **arrays)
-                stream.flush()
-                os.fsync(stream.fileno())
+            with part.open("xb") as file:
+                file.write(stream.getbuffer())
+                file.write(sha256(stream.getbuffer()).digest())
+                file.flush()
+                os.fsync(file.fileno())
             os.replace(part, self.path)
         except OSError as error:
-            raise Unavailable(
-                f"{self.path}: cannot be written: {error.strerror or error}"
-            ) from None
+            words = f"{self.path}: cannot be written: {error.strerror or error}"
+            raise Unavailable(words) from None
         finally:
             part.unlink(missing_ok=True)
         self._saved = working_time()
 
     def load(self) -> dict[str, NDArray[Any]]:
-        """Return the saved arrays, none without a file.
-
-        Raises ``Unavailable`` if the file is damaged or belongs to another simulation.
-        """
+        """Return the saved arrays, none without a file. Raises ``Unavailable`` if the file, whose
+        SHA-256 is at its end, is damaged or belongs to another simulation."""
         if self.path is None or not self.path.exists():
             return {}
         try:
-            content = BytesIO(self.path.read_bytes())
+            content = self.path.read_bytes()
         except OSError as error:
             raise Unavailable(f"{self.path}: cannot be read: {error.strerror or error}") from None
-        try:
-            with np.load(content, allow_pickle=False) as saved:
-                # NumPy checks a member only as far as its header says, and does not notice that a
-                # member is missing: hence ``testzip``, and the names in ``about``.
-                whole, arrays = saved.zip.testzip() is None, dict(saved)
-            identity, *names = arrays.pop("about").tolist()
-        except (BadZipFile, EOFError, KeyError, OSError, RuntimeError, ValueError):
-            whole = False
-        if not whole or names != list(arrays):
+        if sha256(content[:-32]).digest() != content[-32:]:
             raise Unavailable(f"{self.path}: is damaged; remove it to begin anew")
-        if identity != self.identity:
+        with np.load(BytesIO(content[:-32]), allow_pickle=False) as saved:
+            arrays = dict(saved)
+        if arrays.pop("identity") != self.identity:
             words = "is of another simulation (other system, settings or version)"
             raise Unavailable(f"{self.path}: {words}; give another folder or remove it")
         return arrays
 
     def advance(self, ensemble: Any, steps: int, *, stride: int = 1, saving: bool = True) -> bool:
         """Advance ``ensemble`` by ``steps``, observed every ``stride``, unless stopped before.
-
         Return whether it was stopped, which is after one piece or more. The state is saved if
-        ``saving``.
-        """
+        ``saving``."""
         ended = False
         while steps > 0 and not ended:
             piece, start = min(steps, self._piece), working_time()
@@ -229,11 +211,9 @@ def checkpoint_of(
 
 @contextmanager
 def interruptible(partial: bool) -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether Ctrl-C was pressed; a second Ctrl-C interrupts.
-
-    Unless an answer may be ``partial``, and during compilation, the first Ctrl-C interrupts, too.
-    Only the main thread receives signals: in other threads the function returns False.
-    """
+    """Yield a function that returns whether Ctrl-C was pressed; a second Ctrl-C interrupts. Unless
+    an answer may be ``partial``, and during compilation, the first Ctrl-C interrupts, too. Only the
+    main thread receives signals: in other threads the function returns False."""
     pressed = threading.Event()
     if not partial or threading.current_thread() is not threading.main_thread():
         yield pressed.is_set

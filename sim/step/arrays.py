@@ -22,25 +22,6 @@ MAX_TRAJECTORIES = 1 << 24
 """Largest number of trajectories of a seed: each owns 2**40 of the 2**64 words of the sequence."""
 
 
-class Rows(NamedTuple):
-    """First row of each quantity in the workspace of a block; in brackets how many rows it has.
-
-    Before them lie the state (q, p) (2n), the normals that the linear map reads, and the result of
-    the map (2n).
-    """
-
-    contact: int  # (2 slots), g and g' of each slot
-    q: int  # (n), observed displacements
-    p: int  # (n), observed momenta
-    force: int  # (n), total force K q + g(q) at the observed q
-    energy: int  # (1), H of the observed state
-    modal: int  # (modes), modal energies of the observed state
-    damping: int  # (n), forces of the damping terms
-    change: int  # (3n), d(q, p)/dt by springs and contacts, and the change of the terms' forces
-    work: int  # scratch: (1), or (5) with damping terms
-    total: int  # number of rows
-
-
 class TermArrays(NamedTuple):
     """Damping terms ``p_i' = −scale · Π factors · H^energy · p_i^power``, in powers of momenta."""
 
@@ -54,11 +35,8 @@ class TermArrays(NamedTuple):
 
 
 class StepArrays(NamedTuple):
-    """Numbers of one step: of the small steps in a long step, and of the long step itself.
-
-    A slot is a mass with one stop or more. Without long steps (``sim.sample.plan``) ``after``,
-    ``bend`` and ``reach`` have no rows.
-    """
+    """Numbers of one step: of the small steps in a long step, and of the long step itself. A slot
+    is a mass with stops. Without long steps ``after``, ``bend`` and ``reach`` have no rows."""
 
     matrix: Array  # (2n, columns), propagator and noise factor of the linear map, columns padded
     pairs: int  # of normals in a linear map
@@ -81,7 +59,11 @@ class StepArrays(NamedTuple):
 
 
 class WatchArrays(NamedTuple):
-    """Numbers of the observed state, of the histograms and of the products that are summed."""
+    """Numbers of the observed state, of the histograms and of the products that are summed.
+
+    The last fields are first rows of quantities in the workspace of a block (in brackets how many),
+    after the state (q, p) (2n), the normals of the linear map, and its result (2n).
+    """
 
     half_kick: float  # ½ dt if the observed momentum is in the middle of the kick, else 0
     half_springs: Array  # (n, n), the same times K, of a scheme that kicks by the springs
@@ -89,7 +71,6 @@ class WatchArrays(NamedTuple):
     term_shift: float  # w h² of the processor of the damping terms
     mode_q: Array  # (modes, n), ω_m T_rm m_r: H_m = ½ (mode_q q)² + ½ (mode_p p)²
     mode_p: Array  # (modes, n), T_rm
-    at: Rows
     rows: Integers  # (histograms, 2), rows of the coordinates; −1: there is no second coordinate
     bins: Integers  # (histograms, 2), bins of each axis
     pieces: Array  # (pieces, 5), low, high, bins, bins per unit, 1 if bins widen from low, else 0
@@ -97,6 +78,16 @@ class WatchArrays(NamedTuple):
     start: Integers  # (histograms,), first bin of each in the counts
     products: Integers  # (moments, 2), rows whose products are summed
     traced: Integers  # rows that are copied to the trace
+    contact: int  # (2 slots), g and g' of each slot
+    q: int  # (n), observed displacements
+    p: int  # (n), observed momenta
+    force: int  # (n), total force K q + g(q) at the observed q
+    energy: int  # (1), H of the observed state
+    modal: int  # (modes), modal energies of the observed state
+    damping: int  # (n), forces of the damping terms
+    change: int  # (3n), d(q, p)/dt by springs and contacts, and the change of the terms' forces
+    work: int  # scratch: (1), or (5) with damping terms
+    total: int  # number of rows
 
 
 def in_blocks(rows: Array) -> Array:

@@ -1,13 +1,13 @@
 """Contact forces, damping terms and the observed state, lane by lane.
 
-Every function reads and writes rows of ``width`` lanes of the workspace ``s`` (``arrays.Rows``).
+Every function reads and writes rows of ``width`` lanes of the workspace ``s`` (``WatchArrays``).
 Contact laws are compiled functions, None for a system without stops. A damping term changes one
 momentum only, ``p_i' = −κ p_i^N``, κ constant unless the term contains H: the solution is a shift,
 an exponential, or ``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. If the base is not positive the solution
 has blown up: the momentum becomes NaN and the trajectory counts as lost. With H, κ is taken in the
 middle of the step, from a predictor.
 
-The scratch rows from ``at.work`` are the rate of a term, V and H of the state, and two more.
+The scratch rows from ``watch.work`` are the rate of a term, V and H of the state, and two more.
 """
 
 from typing import Any
@@ -18,7 +18,7 @@ from numba import njit
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.compiling import njit_inline
 from fpk.system.compiled_laws import of_law
-from sim.step.arrays import Rows, StepArrays, TermArrays, W, WatchArrays
+from sim.step.arrays import StepArrays, TermArrays, W, WatchArrays
 from sim.step.lanes import (
     add,
     add_matrix,
@@ -76,10 +76,8 @@ def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W)
 def add_contact(
     s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool, width: int = W
 ) -> None:
-    """Add the contact forces at q (rows of ``s`` from ``q0``) to its rows from ``to``.
-
-    ``law_part`` is the laws' force; if not ``forces``, their energy: U is added to the row ``to``.
-    """
+    """Add the contact forces at q (rows of ``s`` from ``q0``) to its rows from ``to``. ``law_part``
+    is the laws' force; if not ``forces``, their energy: U is added to the row ``to``."""
     for stop in range(step.stop_slot.size):
         i = step.slot_mass[step.stop_slot[stop]]
         q, f = row(s, q0 + i, 1, width), row(s, to + i if forces else to, 1, width)
@@ -157,10 +155,8 @@ def term_flows(
     s: Array, work: int, step: StepArrays, backwards: bool, with_energy: bool, width: int = W
 ) -> None:
     """Advance the state in ``s`` (``width`` lanes) by each damping term alone over half a step.
-
     ``backwards``: in reverse order. ``with_energy``, a constant: some term contains H^e; V of the
-    state is then in row ``work`` + 1, and H is taken half-way, from a predictor.
-    """
+    state is then in row ``work`` + 1, and H is taken half-way, from a predictor."""
     terms, rate, h = step.terms, row(s, work, 1, width), step.dt
     for index in range(terms.target.size):
         k = terms.target.size - 1 - index if backwards else index
@@ -183,39 +179,37 @@ def term_flows(
 
 @njit_inline
 def damping_forces(
-    s: Array, first: int, H: Array, at: Rows, step: StepArrays, width: int = W
+    s: Array, first: int, H: Array, watch: WatchArrays, step: StepArrays, width: int = W
 ) -> None:
-    """Write Σ_j c̃_ij v_j to rows ``at.damping`` of ``s``; state: rows ``first``…, energy ``H``."""
-    n, rate, terms = step.half_inverse_mass.size, row(s, at.work, 1, width), step.terms
-    fill(row(s, at.damping, n, width), 0.0, n * width)
+    """Write Σ_j c̃_ij v_j to rows ``watch.damping``; state: rows ``first``… of ``s``, energy
+    ``H``."""
+    n, rate, terms = step.half_inverse_mass.size, row(s, watch.work, 1, width), step.terms
+    fill(row(s, watch.damping, n, width), 0.0, n * width)
     for k in range(terms.target.size):
         term_rate(rate, s, first, terms, k, terms.power[k], width)
         multiply(rate, H, terms.energy[k], width)
-        add(row(s, at.damping + terms.target[k] - n, 1, width), rate, 1.0, width)
+        add(row(s, watch.damping + terms.target[k] - n, 1, width), rate, 1.0, width)
 
 
 @njit_inline
 def apply_term_processor(
-    s: Array, at: Rows, shift: float, step: StepArrays, width: int = W
+    s: Array, watch: WatchArrays, shift: float, step: StepArrays, width: int = W
 ) -> None:
-    """Apply the processor of the damping terms to the observed (q*, p*) in ``s`` (``width`` lanes).
-
-    ``q_i* = q_i − shift D_i/m_i``, ``p_i* = p_i + shift dD_i/dt``, ``shift`` = h²/12, D_i the force
-    of the terms, d/dt along the flow of springs and contact, the contact with the other sign:
-    docs/theory.md, "The step of the simulation".
-    """
-    terms, H = step.terms, row(s, at.work + 2, 1, width)
-    n, work = step.half_inverse_mass.size, at.work
-    fill(row(s, at.change, 3 * n, width), 0.0, 3 * n * width)
+    """Apply the processor of the damping terms to the observed (q*, p*): ``q_i* = q_i − shift
+    D_i/m_i``, ``p_i* = p_i + shift dD_i/dt``, ``shift`` = h²/12, D_i the force of the terms, d/dt
+    along springs and contact of the other sign: docs/theory.md, "The step of the simulation"."""
+    terms, H = step.terms, row(s, watch.work + 2, 1, width)
+    n, work = step.half_inverse_mass.size, watch.work
+    fill(row(s, watch.change, 3 * n, width), 0.0, 3 * n * width)
     # d(q, p)/dt: M⁻¹ p, −K q + g.
     for i in range(n):
-        p = row(s, at.p + i, 1, width)
-        add(row(s, at.change + i, 1, width), p, 2.0 * step.half_inverse_mass[i], width)
-    add_matrix(s, at.change + n, at.q, step.stiffness_matrix, -1.0, width)
+        p = row(s, watch.p + i, 1, width)
+        add(row(s, watch.change + i, 1, width), p, 2.0 * step.half_inverse_mass[i], width)
+    add_matrix(s, watch.change + n, watch.q, step.stiffness_matrix, -1.0, width)
     for slot in range(step.slot_mass.size):
-        force = row(s, at.change + n + step.slot_mass[slot], 1, width)
-        add(force, row(s, at.contact + 2 * slot, 1, width), 1.0, width)
-    damping_forces(s, at.q, H, at, step, width)
+        force = row(s, watch.change + n + step.slot_mass[slot], 1, width)
+        add(force, row(s, watch.contact + 2 * slot, 1, width), 1.0, width)
+    damping_forces(s, watch.q, H, watch, step, width)
     change, product = row(s, work, 1, width), row(s, work + 3, 1, width)
     for k in range(terms.target.size):
         # The product rule, without H.
@@ -223,15 +217,15 @@ def apply_term_processor(
         for moving in range(terms.first[k], terms.first[k + 1]):
             fill(product, terms.scale[k], width)
             for f in range(terms.first[k], terms.first[k + 1]):
-                first = at.change if f == moving else at.q
+                first = watch.change if f == moving else watch.q
                 multiply(product, row(s, first + terms.factor[f], 1, width), 1, width)
             add(change, product, 1.0, width)
         multiply(change, H, terms.energy[k], width)
-        add(row(s, at.change + n + terms.target[k], 1, width), change, 1.0, width)
+        add(row(s, watch.change + n + terms.target[k], 1, width), change, 1.0, width)
     for i in range(n):
         a = 2.0 * shift * step.half_inverse_mass[i]
-        add(row(s, at.q + i, 1, width), row(s, at.damping + i, 1, width), -a, width)
-        add(row(s, at.p + i, 1, width), row(s, at.change + 2 * n + i, 1, width), shift, width)
+        add(row(s, watch.q + i, 1, width), row(s, watch.damping + i, 1, width), -a, width)
+        add(row(s, watch.p + i, 1, width), row(s, watch.change + 2 * n + i, 1, width), shift, width)
 
 
 @njit(inline="always")
@@ -239,60 +233,55 @@ def observe(
     s: Array, step: StepArrays, watch: WatchArrays, damping: bool, energy_damping: bool,
     energy: bool, moments: bool, force: Any, potential: Any, width: int = W,
 ) -> None:  # fmt: skip
-    """Write the observed state, its energies and its forces to the rows ``watch.at`` of ``s``.
-
-    Observed are q, and p in the middle of the kicks, both corrected by the processor. ``width``
-    lanes a row. Inlined before types are inferred: a flag that is a constant False compiles
-    nothing.
-    """
-    at, n, slots = watch.at, step.half_inverse_mass.size, step.slot_mass.size
-    copy(row(s, at.q, 2 * n, width), row(s, 0, 2 * n, width), 2 * n * width)
-    add_matrix(s, at.p, 0, watch.half_springs, -1.0, width)
+    """Write the observed state, its energies and its forces to the rows of ``watch`` in ``s``: q,
+    and p in the middle of the kicks, both corrected by the processor. Inlined before types are
+    inferred: a flag that is a constant False compiles nothing."""
+    n, slots = step.half_inverse_mass.size, step.slot_mass.size
+    copy(row(s, watch.q, 2 * n, width), row(s, 0, 2 * n, width), 2 * n * width)
+    add_matrix(s, watch.p, 0, watch.half_springs, -1.0, width)
     for slot in range(slots):
         i, shift = step.slot_mass[slot], step.slot_shift[slot]
-        g = row(s, at.contact + 2 * slot, 2, width)
-        add(row(s, at.q + i, 1, width), g, -shift, width)
-        p = row(s, at.p + i, 1, width)
+        g = row(s, watch.contact + 2 * slot, 2, width)
+        add(row(s, watch.q + i, 1, width), g, -shift, width)
+        p = row(s, watch.p + i, 1, width)
         kick(p, g, watch.half_kick, shift, width)
         for k in range(width):
             p[k] *= 1.0 + shift * g[width + k]
     for i in range(n):
         for slot in range(slots):
-            g = row(s, at.contact + 2 * slot, 1, width)
-            add(row(s, at.p + i, 1, width), g, watch.cross[i, slot], width)
+            g = row(s, watch.contact + 2 * slot, 1, width)
+            add(row(s, watch.p + i, 1, width), g, watch.cross[i, slot], width)
     if damping and watch.term_shift != 0.0:
         if energy_damping:
-            whole_energy(s, at.work, step, width)
-        apply_term_processor(s, at, watch.term_shift, step, width)
-    whole = row(s, at.energy, 1, width)
+            whole_energy(s, watch.work, step, width)
+        apply_term_processor(s, watch, watch.term_shift, step, width)
+    whole = row(s, watch.energy, 1, width)
     if energy:
-        potential_energy(s, at.q, at.energy, step, potential, width)
-        add_kinetic(whole, s, at.p, step, width)
-    u = row(s, at.work, 1, width)
+        potential_energy(s, watch.q, watch.energy, step, potential, width)
+        add_kinetic(whole, s, watch.p, step, width)
+    u = row(s, watch.work, 1, width)
     for m in range(watch.mode_q.shape[0]):
-        modal = row(s, at.modal + m, 1, width)
+        modal = row(s, watch.modal + m, 1, width)
         fill(modal, 0.0, width)
-        for first, shape in ((at.q, watch.mode_q), (at.p, watch.mode_p)):
+        for first, shape in ((watch.q, watch.mode_q), (watch.p, watch.mode_p)):
             fill(u, 0.0, width)
             for r in range(n):
                 add(u, row(s, first + r, 1, width), shape[m, r], width)
             add_product(modal, u, u, 0.5, width)
     if moments:
-        fill(row(s, at.force, n, width), 0.0, n * width)
-        add_matrix(s, at.force, at.q, step.stiffness_matrix, 1.0, width)
-        add_contact(s, at.q, at.force, step, force, True, width)
+        fill(row(s, watch.force, n, width), 0.0, n * width)
+        add_matrix(s, watch.force, watch.q, step.stiffness_matrix, 1.0, width)
+        add_contact(s, watch.q, watch.force, step, force, True, width)
         if damping:
-            damping_forces(s, at.q, whole, at, step, width)
+            damping_forces(s, watch.q, whole, watch, step, width)
 
 
 @njit_inline
 def find_bins(
     x: Array, number: Array, watch: WatchArrays, m: int, axis: int, index: Integers
 ) -> None:
-    """Write the bin of each lane's ``x`` on ``axis`` of histogram ``m`` to ``index``.
-
-    It is the number of bins outside and for NaN. ``number`` is a scratch row: bins below x.
-    """
+    """Write the bin of each lane's ``x`` on ``axis`` of histogram ``m`` to ``index``. It is the
+    number of bins outside and for NaN. ``number`` is a scratch row: bins below x."""
     first, last = watch.piece[m, axis, 0], watch.piece[m, axis, 1]
     fill(number, 0.0)
     for piece in range(first, last):
@@ -318,9 +307,7 @@ def count_all(
     counts: Integers,
 ) -> None:  # fmt: skip
     """Add 1 to ``counts`` at the bin of each of the first ``live`` lanes of ``s``, per histogram.
-
-    ``number``, ``index`` and ``second`` are scratch rows.
-    """
+    ``number``, ``index`` and ``second`` are scratch rows."""
     for m in range(watch.rows.shape[0]):
         find_bins(row(s, watch.rows[m, 0]), number, watch, m, 0, index)
         if watch.rows[m, 1] >= 0:

@@ -95,10 +95,8 @@ def map_state(s: Array, z: Singles, matrix: Array, pairs: int, width: int = W) -
 @njit_inline
 def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: StepArrays) -> int:
     """Write the lanes that may touch a stop within the long step to ``index``; return their number.
-
     ``s`` holds the states. ``near`` (W,) is scratch, and so is ``work``: two rows, the mean
-    displacement after the step and the bound b(x) of the deviation from the chord.
-    """
+    displacement after the step and the bound b(x) of the deviation from the chord."""
     after, bend = row(work, 0), row(work, 1)
     for k in range(W):
         near[k] = 0
@@ -133,13 +131,10 @@ def small_steps(
     halves: random.Halves, first: np.uint64, step: StepArrays, at_contact: int, pairs: int,
     force: Any, slope: Any,
 ) -> None:  # fmt: skip
-    """Copy the states in ``s`` of the ``count`` lanes in ``index`` to ``groups``; advance them.
-
-    Each group has ``size`` numbers, laid out as a workspace of ``NARROW`` lanes with g at row
-    ``at_contact``; the first lane fills up the last group. ``first`` is the place in the sequence
-    of the first word of lane 0, ``pairs`` the words of a step. ``begins`` (W,), the distance of
-    each lane's words from it, ``z`` and ``halves`` are scratch.
-    """
+    """Copy the states in ``s`` of the ``count`` lanes in ``index`` to ``groups``; advance them. A
+    group has ``size`` numbers, a workspace of ``NARROW`` lanes with g at row ``at_contact``; the
+    first lane fills up the last. ``first``: first word of lane 0, ``pairs``: words of a step.
+    ``begins`` (W,), the distance of each lane's words from it, ``z`` and ``halves`` are scratch."""
     n, many = step.matrix.shape[0] // 2, -(-count // NARROW)
     for k in range(many * NARROW):
         begins[k] = (np.uint64(index[k]) << np.uint64(40)) * GOLDEN
@@ -165,31 +160,32 @@ def kernel_for(key: KernelKey) -> Any:
     """Return the kernel compiled for ``key``, whose flags are constants: False compiles nothing."""
     laws, kick_first, damping, energy_damping, energy, moments, pairs, substeps = key
     force, slope, potential = key.parts_of_laws()
-    sources = kernel_checksum(laws)
 
-    @cached_njit()
+    @cached_njit(kernel_checksum(laws))
     def advance(
         x: Array, sums: Array, counts: Integers, live: Integers, batch: Integers,
         first: int, counter: np.uint64, steps: int, phase: int, stride: int, offset: np.uint64,
         step: StepArrays, watch: WatchArrays, trace: Array,
-    ) -> int:  # fmt: skip
+    ) -> None:  # fmt: skip
         """Advance the states ``x`` (blocks, 2n·W) by ``steps`` steps, in place.
 
-        ``x[0]`` is block ``first`` of the ensemble, ``counter`` the first word of each trajectory,
-        ``offset`` the offset of the seed. The state is observed at the start of a step if ``(phase
-        + step number) % stride == 0``; with ``stride`` 0 never. An observation adds to ``sums``
-        (blocks, moments·W) and, for the first ``live`` (blocks,) lanes, to the row of ``counts``
-        (batches, bins) of the block's ``batch`` (blocks,); it is copied to ``trace`` (blocks,
-        samples·rows·W) from its second sample on. Returns the checksum of its sources: when it has
-        changed, numba's disk cache compiles anew.
+        ``x[0]`` is block ``first``, ``counter`` the first word of each trajectory, ``offset`` the
+        offset of the seed. The state is observed at the start of a step if ``(phase + step number)
+        % stride == 0``, never with ``stride`` 0: added to ``sums`` (blocks, moments·W), for the
+        first ``live`` (blocks,) lanes to the row of ``counts`` (batches, bins) of the block's
+        ``batch`` (blocks,), and copied to ``trace`` (blocks, samples·rows·W) from its second sample
+        on.
         """
-        n, at = step.matrix.shape[0] // 2, watch.at
-        matrix = step.long_matrix if substeps else step.matrix
-        s, number = zero_rows(at.total), zero_rows(1)
+        n, matrix = step.matrix.shape[0] // 2, step.long_matrix if substeps else step.matrix
+        s, number = zero_rows(watch.total), zero_rows(1)
         z, words = zero_rows(pairs).view(np.float32), zero_rows(1).view(np.uint64)
         index, second = np.zeros(W, np.int64), np.zeros(W, np.int64)
         if substeps:
-            size, groups, chosen = at.total * NARROW, zero_rows(at.total), np.zeros(W, np.int64)
+            size, groups, chosen = (
+                watch.total * NARROW,
+                zero_rows(watch.total),
+                np.zeros(W, np.int64),
+            )
             begins, halves = zero_rows(1).view(np.uint64), words.view(np.uint32)
         for b in range(x.shape[0]):
             s[: 2 * n * W] = x[b]
@@ -198,13 +194,13 @@ def kernel_for(key: KernelKey) -> Any:
 
                 # Forces and energies at the state before the kick.
                 if not substeps or watched or energy_damping:
-                    forces.contact_forces(s, at.contact, step, force, slope)
+                    forces.contact_forces(s, watch.contact, step, force, slope)
                 if energy_damping:
-                    forces.potential_energy(s, 0, at.work + 1, step, potential)
+                    forces.potential_energy(s, 0, watch.work + 1, step, potential)
 
                 # First half of the damping terms.
                 if damping and kick_first:
-                    forces.term_flows(s, at.work, step, False, energy_damping)
+                    forces.term_flows(s, watch.work, step, False, energy_damping)
 
                 # Observation.
                 if watched:
@@ -222,23 +218,23 @@ def kernel_for(key: KernelKey) -> Any:
 
                 # Kicks, and the second half of the terms in reverse: a symmetric step.
                 if kick_first and not substeps:
-                    forces.kick_by_contact(s, at.contact, step, n)
+                    forces.kick_by_contact(s, watch.contact, step, n)
                 if damping and kick_first:
                     add_matrix(s, n, 0, step.terms.springs, -1.0)
-                    forces.term_flows(s, at.work, step, True, energy_damping)
+                    forces.term_flows(s, watch.work, step, True, energy_damping)
                 if damping and not kick_first:  # Euler's rule: forces of the state before the map
                     if energy_damping:
-                        forces.whole_energy(s, at.work, step)
-                    forces.damping_forces(s, 0, row(s, at.work + 2), at, step)
+                        forces.whole_energy(s, watch.work, step)
+                    forces.damping_forces(s, 0, row(s, watch.work + 2), watch, step)
 
                 # The linear map, or small steps of trajectories near a stop.
                 word = counter + np.uint64(t * step.words)
                 place = random.word_place((first + b) * W, word, offset)
                 if substeps:
-                    near = near_lanes(s, row(s, at.q, 2), index, chosen, step)
+                    near = near_lanes(s, row(s, watch.q, 2), index, chosen, step)
                     small_steps(
                         s, groups, size, chosen, near, begins, z, halves,
-                        place + np.uint64(pairs) * GOLDEN, step, at.contact, pairs, force, slope,
+                        place + np.uint64(pairs) * GOLDEN, step, watch.contact, pairs, force, slope,
                     )  # fmt: skip
                 for _ in range(step.maps):
                     random.fill_normals(z, words, place, pairs)
@@ -255,11 +251,10 @@ def kernel_for(key: KernelKey) -> Any:
 
                 # Kicks of a scheme that kicks after its map.
                 if not kick_first:
-                    forces.kick_by_contact(s, at.contact, step, n)
+                    forces.kick_by_contact(s, watch.contact, step, n)
                     if damping:
                         for i in range(n):
-                            add(row(s, n + i), row(s, at.damping + i), -step.dt)
+                            add(row(s, n + i), row(s, watch.damping + i), -step.dt)
             x[b] = s[: 2 * n * W]
-        return sources
 
     return advance

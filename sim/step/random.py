@@ -43,9 +43,7 @@ _LN4 = f32(2.0 * 0.6931471805599453 / 2**23)
 
 def stream_of(seed: int, number: int, *, of_starts: bool = False) -> np.random.Generator:
     """Return the NumPy stream ``number`` (below 2**63) of a ``seed``, for one round or repetition.
-
-    ``of_starts``: a second set of streams, for initial states, which no step draws from.
-    """
+    ``of_starts``: a second set of streams, for initial states, which no step draws from."""
     number += of_starts << 63
     return np.random.Generator(np.random.Philox(key=np.array([seed, number], dtype=np.uint64)))
 
@@ -67,9 +65,7 @@ def stream_offset(seed: int) -> np.uint64:
 @njit_inline
 def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
     """Write one normal pair for each of ``width`` lanes to ``rows``: r cos θ, then r sin θ.
-
-    ``halves`` (2 · width,) are the 32-bit halves of the words, as in the text of the module.
-    """
+    ``halves`` (2 · width,) are the 32-bit halves of the words, as in the text of the module."""
     root_half, mantissa = u32(0x3F3504F3), u32(0x007FFFFF)  # bits of √½; u is scaled by 2**32
     for k in range(width):
         a = halves[width + k]
@@ -123,10 +119,8 @@ def normals(seed: int, paths: int, counter: int, count: int) -> Array:
 
 def start_states(system: System, seed: int, blocks: int) -> Array:
     """Return the states (``blocks``, 2n, LANES) before the burn-in, by the words of a ``seed``.
-
     They are q = 0 and momenta of covariance kT M. With damping terms displacements are drawn, too:
-    on a limit cycle the noise alone mixes phases slowly.
-    """
+    on a limit cycle the noise alone mixes phases slowly."""
     n, kT, first = system.n, temperature(system), 2**63 // MAX_TRAJECTORIES  # no step comes so far
     L = covariance_factor(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))
     p = L @ normals(seed, blocks * LANES, first, n)[: L.shape[1]]
@@ -138,10 +132,8 @@ def start_states(system: System, seed: int, blocks: int) -> Array:
 
 def start_displacements(system: System, kT: float, z: Array) -> Array:
     """Return displacements (n, paths) from standard normals ``z`` (n, paths): covariance kT K⁻¹.
-
     Displacements in contact are shortened, by bisection, until their potential energy is the energy
-    that the springs alone had before.
-    """
+    that the springs alone had before."""
     # An inverse, not ``system.compliance``, whose rounding differs: a seed has the same states.
     q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
     level = 0.5 * np.sum(q * (system.stiffness_matrix @ q), axis=0)

@@ -18,6 +18,7 @@ from fpk.answer.question import Asked
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags, Integers
 from fpk.numeric.errors import InvalidInput
+from fpk.numeric.machine import usable_cores
 from fpk.system.modulation import Modulation
 from sim.questions.averaged.square_root import SquareRootForm, square_root_step
 from sim.questions.limits import CHUNK_STEPS, first_step
@@ -28,9 +29,12 @@ from sim.questions.transient import transient_in_rounds
 from sim.sample.ensemble import Reader
 from sim.sample.histogram import MARGIN, bin_axis, covering, density_of_counts, log_states
 from sim.sample.workers import workers_of
-from sim.step.arrays import LANES, MAX_BATCHES, in_blocks
+from sim.step.arrays import LANES, MAX_BATCHES, MAX_TRAJECTORIES, in_blocks
 from sim.step.random import stream_of
 from sim.step.step_size import STEP_PER_RATE
+
+Starts = Callable[[int, Generator], Array]
+"""Draws the energies (paths, d) at time 0 of so many paths by a stream."""
 
 GROUP = 4
 """Blocks of paths that share a stream of random numbers and make one task of a thread."""
@@ -42,9 +46,7 @@ MOST_DRAWS = 3e7
 @dataclass(eq=False)
 class EnergyEnsemble:
     """Paths of X (paths, d) that advance together from the time ``begin``, as an ``Ensemble`` does.
-
-    Each ``GROUP`` of blocks has its own stream of the ``seed``, from number ``number`` · 2**32 on.
-    """
+    Each ``GROUP`` of blocks has a stream of the ``seed``, from number ``number`` · 2**32 on."""
 
     form: SquareRootForm
     X: Array
@@ -118,9 +120,8 @@ def simulate_energies(
     number of batches.
     """
     if paths < 4 * MAX_BATCHES or paths % MAX_BATCHES:
-        raise InvalidInput(
-            "paths", paths, f"use a multiple of {MAX_BATCHES}, {4 * MAX_BATCHES} or more"
-        )
+        many = f"use a multiple of {MAX_BATCHES}, {4 * MAX_BATCHES} or more"
+        raise InvalidInput("paths", paths, many)
     stream = stream_of(seed, 0, of_starts=True)
     start = stream.exponential(form.scales, (paths, form.scales.size))
     watch, samples, taken = Watch(seconds or inf, lambda: False), max(1, round(time / interval)), 0
@@ -150,10 +151,8 @@ def simulate_energies(
 def burnt_in(
     form: SquareRootForm, paths: int, stream: Generator, dt: float, steps: int, threads: int
 ) -> Array:
-    """Return the energies (``paths``, d) after ``steps`` of ``dt`` from exponential X.
-
-    ``stream`` draws X and the seed of the steps, made by so many ``threads``.
-    """
+    """Return the energies (``paths``, d) after ``steps`` of ``dt`` from exponential X. ``stream``
+    draws X and the seed of the steps, made by so many ``threads``."""
     start, seed = stream.exponential(form.scales, (paths, form.scales.size)), stream.integers(2**63)
     with workers_of(None, threads) as workers:
         ensemble = EnergyEnsemble(form, start, dt, int(seed), 0, workers)
@@ -166,9 +165,7 @@ def energy_axis(
     *, rises: bool = False,
 ) -> BinAxis:  # fmt: skip
     """Return bins of an energy from 0 to ``high``, as ``sim.sample.histogram.axis_of`` does.
-
-    ``low``, its least sampled value, is not used.
-    """
+    ``low``, its least sampled value, is not used."""
     total = coordinate.index is None
     kinks = [*([0.0] if rises else []), *(form.kinks if total else ())]
     reference = partial(log_states, form.degrees_of_freedom if total else 1)
@@ -182,34 +179,22 @@ def energy_columns(observable: Observable, H: Array) -> list[Array]:
 
 
 def energy_passage(
-    form: SquareRootForm,
-    limits: tuple[Array, Array],
-    starts: Callable[[int, Generator], Array],
-    asked: Asked,
-    *,
-    dt: float,
-    memory: float,
-    paths: int,
-    seed: int,
-    threads: int = 1,
-    seconds: float | None = None,
-    tol: float | None = None,
+    form: SquareRootForm, limits: tuple[Array, Array], starts: Starts, asked: Asked, method: Any
 ) -> Passage:
-    """Return the first passage of any of ``limits`` in steps of dt/2, and of ``dt`` for comparison.
-
-    Limits: weights (limits, d) · X reach values (limits,). Exact steps (``form.damping`` None) are
-    made once and read at both steps; else each step has its own paths. ``starts(paths, stream)``
-    draws energies (paths, d). ``paths`` are simulated for ``MOST_DRAWS`` or ``seconds``; ``tol``:
-    relative error of the mean; ``memory``: see ``passage_of``.
-    """
-    own, exact = min(-(-paths // LANES) * LANES, MOST_SUMS // CHUNK_STEPS), form.damping is None
-    (weights, values), d, modulation = limits, form.noise.size, asked.system.modulation
+    """Return the first passage of any of ``limits``: weights (limits, d) · X reach values
+    (limits,). ``method``: an ``AveragedSimulation``; its ``step``, in units of the fastest
+    relaxation time, is read at half of it, too. Exact steps are made once; else each step has its
+    own ``paths``, for ``MOST_DRAWS`` or ``seconds``; ``tol``: relative error of the mean."""
+    exact, modulation = form.damping is None, asked.system.modulation
+    own = min(-(-method.paths // LANES) * LANES, MOST_SUMS // CHUNK_STEPS)
+    (weights, values), d, times = limits, form.noise.size, form.scales / form.noise
     # From rest the mean of Σ w X with the largest noise reaches the limit L at the time L/(w · d).
     loudest = 1.0 if modulation is None else modulation.largest
-    dt = min(dt, STEP_PER_RATE / (loudest * float(np.max(weights @ form.noise / values))))
-    rounds, first = -(-paths // own), first_step(dt, asked.times)
+    filling = loudest * float(np.max(weights @ form.noise / values))
+    dt = min(method.step * float(times.min()), STEP_PER_RATE / filling)
+    rounds, first = -(-method.paths // own), first_step(dt, asked.times)
     most = MOST_DRAWS / ((2 if exact else 3) * rounds * own * d)
-    most = (most if seconds is None else 2.0**40) * dt  # with seconds the wall time ends it
+    most = (most if method.seconds is None else 2.0**40) * dt  # with seconds the wall time ends it
     longest = max(min(most, noise_end(modulation)), float(np.max(asked.times, initial=0.0)))
     known: Any = {"modulation": modulation, "diffusion": form.diffusion(weights)}
     known |= {"rows": d + np.arange(values.size), "limits": values, "first": 0}
@@ -222,57 +207,47 @@ def energy_passage(
             pass_under(rows, samples // k, done // k, *times, dt=k * dt, begin=begin, **known)
 
     def begun(number: int) -> tuple[list[Run], Flags, Array]:
-        stream = stream_of(seed, number, of_starts=True)
+        stream = stream_of(method.seed, number, of_starts=True)
         X = form.inverse(starts(own, stream))
         past = np.any((1.0 - ROUND_OFF) * values <= X @ weights.T, axis=1)
         reader = lambda motion: partial(see, dt=motion.dt, begin=motion.begin)  # noqa: E731
         runs = list[Run]()
         for k, (many, which) in enumerate([(2, (0, 1))] if exact else [(2, (0,)), (1, (1,))]):
-            numbers = first / many, seed, 2 * number + k
+            numbers = first / many, method.seed, 2 * number + k
             motion = EnergyEnsemble(form, X, *numbers, workers, modulation)
             runs.append((motion, many, reader, which))
         return runs, past, stream.exponential(size=(own, values.size))  # see ``pass_energies``
 
-    with workers_of(None, threads) as workers:
-        watch, steps = Watch(seconds or inf, lambda: False, tol), (first, dt, 1, longest, longest)
-        settings = {"steps": "exact" if exact else "Strang splitting", "seed": seed}
+    memory, steps = 2.0 * float(times.max()), (first, dt, 1, longest, longest)
+    with workers_of(None, method.threads or usable_cores()) as workers:
+        watch = Watch(method.seconds or inf, lambda: False, method.tol)
+        settings = {"steps": form.steps, "seed": method.seed}
         return passage_in_rounds(asked, watch, (rounds, rounds), begun, steps, memory, settings)
 
 
-def energy_transient(
-    form: SquareRootForm,
-    starts: Callable[[int, Generator], Array],
-    asked: Asked,
-    *,
-    dt: float,
-    paths: int,
-    seed: int,
-    threads: int = 1,
-    seconds: float | None = None,
-    tol: float | None = None,
-) -> Transient:
-    """Return the densities of energies ``asked.observable`` at ``asked.times``, certified.
+def energy_transient(form: SquareRootForm, starts: Starts, asked: Asked, method: Any) -> Transient:
+    """Return the densities of energies ``asked.observable``, certified. Exact steps lead from time
+    to time; else a step of ``method`` (see ``energy_passage``) and half of it have their own paths.
+    Without ``tol`` two rounds of ``paths`` are made, else rounds until it or ``seconds``."""
+    dt = method.step * float((form.scales / form.noise).min())
+    longest, many = (inf, (1,)) if form.damping is None else (dt, (2, 1))
+    seen = lambda ensemble: energy_columns(asked.observable, form.energies(ensemble.X))  # noqa: E731
 
-    Exact steps (``form.damping`` None) lead from time to time; else steps ``dt`` and dt/2 have
-    their own paths. ``starts(paths, stream)`` draws energies (paths, d). Two rounds of ``paths``
-    are made; with ``tol`` one, and more until the expected L1 error is below it at all times, or
-    ``seconds`` of wall time have passed.
-    """
-    exact, modulation = form.damping is None, asked.system.modulation
-    longest, many = (inf, (1,)) if exact else (dt, (2, 1))
+    def states(number: int, begin: Callable[[], Any]) -> Iterable[tuple[Any, ...]]:
+        X = form.inverse(starts(method.paths, stream_of(method.seed, number, of_starts=True)))
 
-    def states(number: int, begin: Callable[[], Any]) -> Iterable[tuple[Array, ...]]:
-        X = form.inverse(starts(paths, stream_of(seed, number, of_starts=True)))
+        def begun(dt: float, halved: bool) -> EnergyEnsemble:
+            numbers = dt, method.seed, 2 * number + halved
+            return EnergyEnsemble(form, X, *numbers, workers, asked.system.modulation)
 
-        begun = lambda dt, halved: EnergyEnsemble(  # noqa: E731
-            form, X, dt, seed, 2 * number + halved, workers, modulation
-        )
-        seen = lambda ensemble: form.energies(ensemble.X)  # noqa: E731
-        return motions(begun, form.energies(X), seen, asked.times, longest, many, begin)
+        start = energy_columns(asked.observable, form.energies(X))
+        return motions(begun, start, seen, asked.times, longest, many, begin)
 
-    with workers_of(None, threads) as workers:
+    with workers_of(None, method.threads or usable_cores()) as workers:
         # Without a tolerance, two rounds whatever the time: no error is above inf.
-        watch = Watch(seconds or inf, lambda: False, inf if tol is None else tol)
-        settings = {"seed": seed, "steps": "exact" if exact else "Strang splitting"}
-        read, axis = partial(energy_columns, asked.observable), partial(energy_axis, form)
-        return transient_in_rounds(asked, watch, states, read, axis, 2, paths, dt, settings)
+        watch = Watch(
+            method.seconds or inf, lambda: False, inf if method.tol is None else method.tol
+        )
+        settings = {"seed": method.seed, "steps": form.steps}
+        axis, rounds = partial(energy_axis, form), (2, max(1, MAX_TRAJECTORIES // method.paths))
+        return transient_in_rounds(asked, watch, states, axis, rounds, dt, settings)

@@ -35,6 +35,10 @@ SCORE_LEVELS = 2048
 """Levels of the score from 0 to failure. For probabilities of 1e-10 to 1e-40 a level is a factor of
 1.01 to 1.05, and the list of records of a path stays short."""
 
+LimitArrays = tuple[Array, passing.Diffusion, Array, float, int]
+"""A limit on c energies, or on one displacement: its values (c,); the diffusion of the energies;
+for a displacement ``reach`` (n,), Σ reach_m √H_m = √(E_i/E_f) without contact, E_f, and its row."""
+
 ROWS, COLUMNS = 128, 256
 """Cells of the score table: over the root of the remaining time, over the share of the limit."""
 
@@ -42,12 +46,9 @@ ROWS, COLUMNS = 128, 256
 def least_action(
     energies: Array, times: Array, *, limit: float, noise: float, decay: float
 ) -> Array:
-    """Return −(least action) of failure of ``dH = (D' − γ H) dt + √(2 D' H) dB``.
-
-    ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))``, H in ``energies``, τ in ``times``, H_f
-    ``limit``, D' ``noise``, γ ``decay`` of any sign: the exponent of the Gaussian transition of an
-    oscillator's amplitude.
-    """
+    """Return −(least action) of failure of ``dH = (D' − γ H) dt + √(2 D' H) dB``, the exponent of
+    the transition of an amplitude: ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))``, H in
+    ``energies``, τ in ``times``, H_f ``limit``, D' ``noise``, γ ``decay`` of any sign."""
     tau = times[:, None]
     grown = tau if decay == 0.0 else -np.expm1(-decay * tau) / decay
     short = np.sqrt(limit) - np.sqrt(energies) * np.exp(-0.5 * decay * tau)
@@ -57,12 +58,9 @@ def least_action(
 def score_tables(
     scores: Sequence[ScoreFunction], energies: Sequence[Callable[[Array], Array]], time: float
 ) -> Array:
-    """Return the level of each coordinate's score, (coordinates, rows + 1, columns + 1).
-
-    x = column/columns is the share of the limit, where the coordinate has the energy
-    ``energies[i](x)``; (row/rows)² is the remaining share of ``time``. The level is 0 at energy 0
-    with the whole time, and nowhere falls with the energy or with the remaining time.
-    """
+    """Return the level of each coordinate's score, (coordinates, rows + 1, columns + 1), from 0,
+    which nowhere falls with the energy or the remaining time. x = column/columns is the share of
+    the limit, at the energy ``energies[i](x)``; (row/rows)² the remaining share of ``time``."""
     left, tables = time * (np.arange(1, ROWS + 1) / ROWS) ** 2, []
     shares = np.maximum(np.arange(COLUMNS), 0.5) / COLUMNS  # ½ in place of 0
     for score, energy in zip(scores, energies, strict=True):
@@ -90,22 +88,9 @@ class Paths(NamedTuple):
     moved: Integers  # (replicas,), steps that were computed
 
 
-class LimitArrays(NamedTuple):
-    """The limit of a first passage: of c energies, or of one displacement q_i with c = 1."""
-
-    values: Array  # (c,)
-    diffusion: passing.Diffusion  # of the energies; not used for a displacement
-    reach: Array  # (n,), Σ reach_m √H_m = √(E_i/E_f) without contact, see ``SystemProblem``
-    energy: float  # E_f
-    mass: int  # index of the displacement, from 0
-
-
 class CompiledReplicas:
-    """Replicas of one repetition: N paths from ``states`` (N, d) of up to ``steps`` steps.
-
-    The compiled ``function`` with the arguments ``model`` simulates them; each new path has the
-    next stream of the ``seed``.
-    """
+    """Replicas of one repetition: N paths from ``states`` (N, d) of up to ``steps`` steps, by the
+    compiled ``function`` of ``model``; each new path has the next stream of the ``seed``."""
 
     def __init__(
         self, function: Any, model: tuple[Any, ...], states: Array, steps: int, seed: int
@@ -123,20 +108,16 @@ class CompiledReplicas:
         self.renew(every, every, -1)
 
     def renew(self, dead: Integers, parents: Integers, level: int) -> None:
-        """Replace replicas ``dead`` by copies of ``parents`` until these exceed ``level``.
-
-        From there on they are simulated anew. The arguments are numbers of replicas, and a level.
-        """
+        """Replace replicas ``dead`` by copies of ``parents`` until these exceed ``level``. From
+        there on they are simulated anew. The arguments are numbers of replicas, and a level."""
         self.function(dead, parents, level, self.streams, self.offset, *self.model, self.paths)
         self.streams += dead.size
 
 
 @njit_inline
 def restart_from(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
-    """Copy the first record of ``parent`` above ``level`` to replica ``i``, as its only record.
-
-    Its state is written to ``x``. Returns the number of steps from the start to this record.
-    """
+    """Copy the first record of ``parent`` above ``level`` to replica ``i``, as its only record. Its
+    state is written to ``x``. Returns the number of steps from the start to this record."""
     m = 0
     while paths.level[parent, m] <= level:
         m += 1
@@ -155,9 +136,7 @@ def write_record(paths: Paths, i: int, records: int, x: Array, level: int, step:
 @njit_inline
 def level_of(t: Array, x: float, elapsed: float) -> int:
     """Return the level at the share ``x`` of the limit and the ``elapsed`` share of the time.
-
-    Bilinear interpolation in the score table ``t``; x >= 1 is failure in any case.
-    """
+    Bilinear interpolation in the score table ``t``; x >= 1 is failure in any case."""
     if not x < 1.0:
         return SCORE_LEVELS if x >= 1.0 else 0
     rows, columns = t.shape[0] - 1, t.shape[1] - 1
@@ -180,29 +159,26 @@ def look(
     seen: Array, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, law: Any,
     of_q: bool,
 ) -> None:  # fmt: skip
-    """Write four numbers of each limit to ``seen`` (c, 4), for the observed state in ``s``.
-
-    They are: the distance to the limit; q and v of a displacement, or σ² and its growth of an
-    energy; and the share x = √(E/E_f).
-    """
-    at = watch.at
+    """Write four numbers of each limit to ``seen`` (c, 4), for the observed state in ``s``. They
+    are: the distance to the limit; q and v of a displacement, or σ² and its growth of an energy;
+    and the share x = √(E/E_f)."""
+    values, noise, reach, energy, mass = limit
     if of_q:
-        root, contact, mass = 0.0, 0.0, limit.mass
-        q, v = s[at.q + mass], 2.0 * step.half_inverse_mass[mass] * s[at.p + mass]
-        for m in range(limit.reach.size):
-            root += limit.reach[m] * sqrt(s[watch.traced[m]])
+        root, contact = 0.0, 0.0
+        q, v = s[watch.q + mass], 2.0 * step.half_inverse_mass[mass] * s[watch.p + mass]
+        for m in range(reach.size):
+            root += reach[m] * sqrt(s[watch.traced[m]])
         for stop in range(step.stop_slot.size):
             if step.slot_mass[step.stop_slot[stop]] == mass:
                 sign, clearance, B, e, kind = forces.numbers_of(step, stop)
                 contact += B * of_law(law, kind, forces.overlap_of(q, sign, clearance)[1], e)
-        share = sqrt(root * root + contact / limit.energy)
-        seen[0, 0], seen[0, 1], seen[0, 2], seen[0, 3] = limit.values[0] - abs(q), q, v, share
+        share = sqrt(root * root + contact / energy)
+        seen[0, 0], seen[0, 1], seen[0, 2], seen[0, 3] = values[0] - abs(q), q, v, share
     else:
-        noise = limit.diffusion
-        for m in range(limit.values.size):
-            quadratic_form(seen[m, 1:2], s, at.p, noise.variance[m], 1.0, 1)
-            quadratic_form(seen[m, 2:3], s, at.p, noise.growth[m], 1.0, 1)
-            H, value = s[watch.traced[m]], limit.values[m]
+        for m in range(values.size):
+            quadratic_form(seen[m, 1:2], s, watch.p, noise.variance[m], 1.0, 1)
+            quadratic_form(seen[m, 2:3], s, watch.p, noise.growth[m], 1.0, 1)
+            H, value = s[watch.traced[m]], values[m]
             seen[m, 0] = passing.distance_to(value, H, seen[m, 1], seen[m, 2], noise.at_rest[m])
             seen[m, 3] = sqrt(max(H, 0.0) / value)
 
@@ -212,21 +188,20 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
     """Return the compiled function that simulates paths; ``kind``: the ``Limit.kind``."""
     laws, _, damping, energy_damping, energy, _, pairs, _ = key
     force, slope, law = key.parts_of_laws()
-    displacement, sources = kind == "q", kernel_checksum(laws)
+    displacement = kind == "q"
 
-    @cached_njit()
+    @cached_njit(kernel_checksum(laws))
     def renew(
         dead: Integers, parents: Integers, level: int, first: int, offset: np.uint64,
         step: StepArrays, watch: WatchArrays, limit: LimitArrays, tables: Array, steps: int,
         paths: Paths,
-    ) -> int:  # fmt: skip
+    ) -> None:  # fmt: skip
         """Copy ``parents`` to ``dead`` up to where they exceed ``level``; simulate the rest anew.
-
         ``first``: number of the stream of ``dead[0]``; ``steps`` of a whole path. States are
-        recorded in the middle of the damping and before the kick. Returns ``kernel_checksum``.
-        """
-        n, h, at = step.matrix.shape[0] // 2, step.dt, watch.at
-        s, c = np.zeros(at.total), limit.values.size
+        recorded in the middle of the damping and before the kick."""
+        n, h, s = step.matrix.shape[0] // 2, step.dt, np.zeros(watch.total)
+        values = limit[0]
+        c = values.size
         x, z, words = s[: 2 * n], np.zeros(2 * pairs, np.float32), np.zeros(1, np.uint64)
         seen, before = np.zeros((c, 4)), np.zeros((c, 4))
         for number in range(dead.size):
@@ -237,14 +212,14 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
                 top, records = -1, 0
             while True:
                 # To the middle of the damping. A start is also in the middle of the kick.
-                forces.contact_forces(s, at.contact, step, force, slope, 1)
+                forces.contact_forces(s, watch.contact, step, force, slope, 1)
                 if energy_damping:
-                    forces.potential_energy(s, 0, at.work + 1, step, law, 1)
+                    forces.potential_energy(s, 0, watch.work + 1, step, law, 1)
                 if damping and done > begun:
-                    forces.term_flows(s, at.work, step, False, energy_damping, 1)
+                    forces.term_flows(s, watch.work, step, False, energy_damping, 1)
                 if records == 0:
                     for slot in range(step.slot_mass.size):
-                        r, g = n + step.slot_mass[slot], row(s, at.contact + 2 * slot, 2, 1)
+                        r, g = n + step.slot_mass[slot], row(s, watch.contact + 2 * slot, 2, 1)
                         kick(row(s, r, 1, 1), g, -0.5 * h, step.slot_shift[slot], 1)
                 before[:] = seen
                 forces.observe(
@@ -257,7 +232,7 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
                         gone, a, b = seen[m, 0] <= 0.0, before[m], seen[m]
                         if done > begun and displacement:
                             cubic = passing.cubic_of(a[1], a[2], b[1], b[2], h)
-                            gone = passing.cubic_passage(cubic, limit.values[m]) <= 1.0
+                            gone = passing.cubic_passage(cubic, values[m]) <= 1.0
                         elif done > begun:  # of a Brownian bridge between both
                             nats, u = 2.0 * a[0] * b[0] / h, place + np.uint64(pairs + m) * GOLDEN
                             if a[0] <= 0.0:
@@ -277,16 +252,15 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
                     break
 
                 # Kick, the other half of the damping in reverse, and the linear map.
-                forces.kick_by_contact(s, at.contact, step, n, 1)
+                forces.kick_by_contact(s, watch.contact, step, n, 1)
                 if damping:
-                    forces.term_flows(s, at.work, step, True, energy_damping, 1)
+                    forces.term_flows(s, watch.work, step, True, energy_damping, 1)
                 place = word_place(first + number, (done - begun) * (pairs + c), offset)
                 fill_normals(z, words, place, pairs, 1)
                 map_state(s, z, step.matrix, pairs, 1)
                 done += 1
             paths.best[i] = top
             paths.moved[i] += done - begun
-        return sources
 
     return renew
 
@@ -306,12 +280,9 @@ class SystemProblem:
         self, count: int, steps: int, seed: int, stream: np.random.Generator
     ) -> CompiledReplicas:
         """Return ``count`` paths of ``steps`` steps by ``seed``, with starts drawn from ``stream``.
-
-        For |q_i| < a the score is a function of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2
-        H_m)/ω_m the largest |q_i| of free motion, k the static stiffness at mass i. E_i <= H, and
-        E_i >= E_f = ½ k a² + U_i(a) when |q_i| passes a. |q_i| itself would be a poor score: the
-        height of the next peak is decided long before the path is there.
-        """
+        For |q_i| < a the score is of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the
+        largest |q_i| of free motion, k the static stiffness: E_i <= H, and E_i >= E_f = ½ k a² +
+        U_i(a) at a. |q_i| would be poor: the next peak is decided long before the path is there."""
         system, limit, n = self.system, self.limit, self.system.n
         at, reach, energy, mass = limits.energies_at(system, limit), np.zeros(n), 1.0, 0
         if limit.kind == "q":
@@ -323,7 +294,7 @@ class SystemProblem:
         energies = limits.energies_of(limit, n) or [Coordinate("H", m) for m in range(n)]
         key, watch = observation_arrays(system, scheme, step, (), (), energies)
         starts = initial_states(system, self.start, int(stream.integers(2**63)), count)
-        numbers = LimitArrays(at, passing.diffusion_of(system, limit), reach, energy, mass)
+        numbers = at, passing.diffusion_of(system, limit), reach, energy, mass
         model = step, watch, numbers, self.tables, steps
         renew = path_function_for(key, limit.kind)
         return CompiledReplicas(renew, model, np.hstack(starts), steps, seed)
