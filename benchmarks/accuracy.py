@@ -5,6 +5,7 @@ from math import exp
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from fpk.answer.bins import BinAxis
@@ -26,8 +27,19 @@ def exact_scene() -> System:
     return System([1.0, 1.0], [1.0, 1.0], [0.2, 0.4], [0.1, 0.2], contacts=contacts)
 
 
-def _weight(q: float) -> float:
-    return exp(-2.0 * (0.25 * q * q + 4.0 * max(abs(q) - 0.5, 0.0) ** 2.5))
+EDGES = np.linspace(-1.6, 1.6, 65)
+"""Bins of p(q2); beyond them is one bin more."""
+
+
+def probabilities() -> NDArray[np.float64]:
+    """Return the exact probability of each bin of ``EDGES`` and, last, beyond them."""
+
+    def weight(q: float) -> float:
+        return exp(-2.0 * (0.25 * q * q + 4.0 * max(abs(q) - 0.5, 0.0) ** 2.5))
+
+    norm = 2.0 * quad(weight, 0, 6, points=[0.5])[0]
+    inside = np.array([quad(weight, a, b)[0] / norm for a, b in pairwise(EDGES)])
+    return np.append(inside, 1.0 - inside.sum())
 
 
 def error_against_time(*, levels: int = 6, seeds: int = 4) -> tuple[list[Row], float]:
@@ -35,10 +47,7 @@ def error_against_time(*, levels: int = 6, seeds: int = 4) -> tuple[list[Row], f
 
     Burnt in before; each level samples four times as long. Means of ``seeds`` runs.
     """
-    system, edges = exact_scene(), np.linspace(-1.6, 1.6, 65)
-    norm = 2.0 * quad(_weight, 0, 6, points=[0.5])[0]
-    exact = np.array([quad(_weight, a, b)[0] / norm for a, b in pairwise(edges)])
-    exact = np.append(exact, 1.0 - exact.sum())
+    system, exact = exact_scene(), probabilities()
     dt = chosen_step(system)
     stride, rows = max(1, round(0.4 / dt)), []
     found = np.zeros((levels, seeds, 2))
@@ -46,7 +55,7 @@ def error_against_time(*, levels: int = 6, seeds: int = 4) -> tuple[list[Row], f
         ensemble = Ensemble(system, SCHEMES["exact_flow"], dt, 8192, 100 + seed, 1)
         ensemble.advance(round(60.0 / dt))
         for level in range(levels):
-            ensemble.watch((Histogram(parse_observable("q2", 2), (BinAxis(edges),)),))
+            ensemble.watch((Histogram(parse_observable("q2", 2), (BinAxis(EDGES),)),))
             ensemble.advance(stride, stride=stride)  # compiled, when the clock starts
             start = perf_counter()
             ensemble.advance(stride * 10 * 4**level, stride=stride)

@@ -19,6 +19,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -39,84 +40,70 @@ TIMES = re.compile(r"seconds|_ms$|^ms$|time_|speed|cost|memory|version|processor
 """Keys of times, which differ from run to run, and of the machine."""
 SAMPLED = "--seconds"
 """Commands that simulate for a given wall time: only their keys and words are compared."""
-LAST = {"fig3a": 2, "sdof": 1, "three-mass": 3, "cir": 1}
-SCENES = [
-    "fig6a",
-    "fig3a",
-    "fig7",
-    "fig8a",
-    "sdof",
-    "three-mass",
-    "vanderpol",
-    "vanderpol-modal",
-    "two-modes",
-    "cir",
-    "bistable",
-    "unequal-sides",
-]
+SCENES = """
+fig6a fig3a fig7 fig8a sdof three-mass vanderpol vanderpol-modal two-modes cir bistable
+unequal-sides
+"""
+LAST = {"sdof": 1, "three-mass": 3, "cir": 1}
+"""The mass whose displacement q is asked for, where it is not the second."""
+OF_EACH = """
+show SCENE
+check SCENE
+run SCENE --no-simulation
+density SCENE --method {exact|linear|nonintegrable|integrable|phase-space} --of q --at 0,0.3,0.6
+density SCENE --method {exact|nonintegrable|integrable} --of H --at 0.01,0.2,1
+crossings SCENE --method {exact|nonintegrable|integrable} --of q --at 0,0.3
+density SCENE --method integrable --of H1,H2 --at 0.01,0.1x0.02,0.2
+density SCENE --method nonintegrable --solver {closed-form|quadrature|fem} --of H --at 0.1,0.4
+density SCENE --method nonintegrable --solver simulation --seconds 1 --of H --at 0.1,0.4
+transient SCENE --method nonintegrable --start {rest|H=0.2} --of H --times 1,5,20 --at 0.05,0.2,0.5
+passage SCENE --method nonintegrable --start {rest|H=0.2} --limit H=1.2 --times 5,50
+transient SCENE --method integrable --start {rest|H1=0.1,H2=0.05} --of H --times 1,5,20 --at 0.05,0.2,0.5
+passage SCENE --method integrable --start {rest|H1=0.1,H2=0.05} --limit H=1.2 --times 5,50
+relaxation SCENE --method {linear|nonintegrable|integrable} --rates 3
+"""  # noqa: E501
+OTHERS = """
+list
+schema
+passage two-modes --method integrable --limit H1=0.4,H2=0.6 --times 10,100
+transient modulated --method nonintegrable --of H --times 5,20,60 --at 0.05,0.2,0.5
+passage modulated --method nonintegrable --limit H=1 --times 5,20,60
+transient fig8a --method integrable --of q2 --start H1=0.1,H2=0.2 --times 5 --at 0,0.3
+transient fig8a --method integrable --of H1,H2 --times 5 --at 0.05,0.1x0.02
+transient cir --method linear --of q1 --times 1,3 --at 0,0.5
+relaxation fig3a --method phase-space --rates 3
+spectrum fig3a --method phase-space --of q2 --at 0:2:0.5
+spectrum cir --method linear --of q1 --at 0:2:0.5
+correlation fig3a --method phase-space --of q2 --at 0:4:1
+crossings fig6a --method phase-space --of q2 --at 0,0.3
+density fig6a --method montecarlo --of q2 --at 0,0.3,0.6 --seconds 2
+passage fig6a --method montecarlo --limit H=0.8 --times 10 --seconds 2
+transient fig6a --method montecarlo --of H --times 1,5 --at 0.1,0.2 --seconds 2
+crossings fig6a --method montecarlo --of q2 --at 0,0.3 --seconds 2
+spectrum fig6a --method montecarlo --of q2 --at 0.5,1 --seconds 2
+correlation fig6a --method montecarlo --of q2 --at 0,1 --seconds 2
+passage fig6a --method nonintegrable --solver simulation --limit H=0.5 --seconds 2
+converge {fig6a --route nonintegrable|vanderpol-modal --route integrable}
+sweep fig6a --vary contact.clearance=0.3:1:3 --quantity rms(q2) --method nonintegrable
+density {fig6a --method nosuch --of q2|fig6a --method exact --of q9|nosuch --method exact --of q1} --at 0
+passage fig6a --method nonintegrable --limit H=-1
+transient fig6a --method nonintegrable --of H --times -1 --at 0.1
+"""  # noqa: E501
 
 
 def commands() -> list[str]:
-    """Return every command line, without ``--json``."""
-    lines = ["list", "schema"]
-    for scene in SCENES:
-        q = f"q{LAST.get(scene, 2)}"
-        lines += [f"show {scene}", f"check {scene}", f"run {scene} --no-simulation"]
-        for method in ("exact", "linear", "nonintegrable", "integrable", "phase-space"):
-            lines += [f"density {scene} --method {method} --of {q} --at 0,0.3,0.6"]
-        for method in ("exact", "nonintegrable", "integrable"):
-            lines += [
-                f"density {scene} --method {method} --of H --at 0.01,0.2,1",
-                f"crossings {scene} --method {method} --of {q} --at 0,0.3",
-            ]
-        lines += [f"density {scene} --method integrable --of H1,H2 --at 0.01,0.1x0.02,0.2"]
-        lines += [
-            f"density {scene} --method nonintegrable --solver {solver} --of H --at 0.1,0.4"
-            for solver in ("closed-form", "quadrature", "fem", "simulation --seconds 1")
-        ]
-        for way in (
-            "nonintegrable --start rest",
-            "nonintegrable --start H=0.2",
-            "integrable --start rest",
-            "integrable --start H1=0.1,H2=0.05",
-        ):
-            lines += [
-                f"transient {scene} --method {way} --of H --times 1,5,20 --at 0.05,0.2,0.5",
-                f"passage {scene} --method {way} --limit H=1.2 --times 5,50",
-            ]
-        lines += [
-            f"relaxation {scene} --method {method} --rates 3"
-            for method in ("linear", "nonintegrable", "integrable")
-        ]
-    return [
-        *lines,
-        "passage two-modes --method integrable --limit H1=0.4,H2=0.6 --times 10,100",
-        "transient modulated --method nonintegrable --of H --times 5,20,60 --at 0.05,0.2,0.5",
-        "passage modulated --method nonintegrable --limit H=1 --times 5,20,60",
-        "transient fig8a --method integrable --of q2 --start H1=0.1,H2=0.2 --times 5 --at 0,0.3",
-        "transient fig8a --method integrable --of H1,H2 --times 5 --at 0.05,0.1x0.02",
-        "transient cir --method linear --of q1 --times 1,3 --at 0,0.5",
-        "relaxation fig3a --method phase-space --rates 3",
-        "spectrum fig3a --method phase-space --of q2 --at 0:2:0.5",
-        "spectrum cir --method linear --of q1 --at 0:2:0.5",
-        "correlation fig3a --method phase-space --of q2 --at 0:4:1",
-        "crossings fig6a --method phase-space --of q2 --at 0,0.3",
-        "density fig6a --method montecarlo --of q2 --at 0,0.3,0.6 --seconds 2",
-        "passage fig6a --method montecarlo --limit H=0.8 --times 10 --seconds 2",
-        "transient fig6a --method montecarlo --of H --times 1,5 --at 0.1,0.2 --seconds 2",
-        "crossings fig6a --method montecarlo --of q2 --at 0,0.3 --seconds 2",
-        "spectrum fig6a --method montecarlo --of q2 --at 0.5,1 --seconds 2",
-        "correlation fig6a --method montecarlo --of q2 --at 0,1 --seconds 2",
-        "passage fig6a --method nonintegrable --solver simulation --limit H=0.5 --seconds 2",
-        "converge fig6a --route nonintegrable",
-        "converge vanderpol-modal --route integrable",
-        "sweep fig6a --vary contact.clearance=0.3:1:3 --quantity rms(q2) --method nonintegrable",
-        "density fig6a --method nosuch --of q2 --at 0",
-        "density fig6a --method exact --of q9 --at 0",
-        "passage fig6a --method nonintegrable --limit H=-1",
-        "transient fig6a --method nonintegrable --of H --times -1 --at 0.1",
-        "density nosuch --method exact --of q1 --at 0",
+    """Return every command line, without ``--json``: each of the words in braces."""
+    lines = [
+        line.replace("SCENE", scene).replace("--of q ", f"--of q{LAST.get(scene, 2)} ")
+        for scene in SCENES.split()
+        for line in OF_EACH.strip().splitlines()
     ]
+    found = []
+    for line in [*lines, *OTHERS.strip().splitlines()]:
+        before, _, rest = line.partition("{")
+        choices, _, after = rest.partition("}")
+        found += [f"{before}{choice}{after}" for choice in choices.split("|")]
+    return found
 
 
 def answer(line: str) -> dict[str, Any]:
@@ -168,17 +155,14 @@ def bits(scene: str, names: str, settings: dict[str, Any]) -> str:
 
 def all_answers(words: str) -> dict[str, Any]:
     """Return the answers of all commands that contain ``words``, and the bits of simulations."""
+    asked = {line: partial(answer, line) for line in commands()}
+    asked |= {f"simulation {' '.join(map(str, s))}": partial(bits, *s) for s in SIMULATIONS}
     answers: dict[str, Any] = {}
-    for line in commands():
+    for line, call in asked.items():
         if words in line:
             start = perf_counter()
-            answers[line] = answer(line)
+            answers[line] = call()
             print(f"{perf_counter() - start:6.1f} s  {line}", file=sys.stderr, flush=True)
-    for scene, names, settings in SIMULATIONS:
-        line = f"simulation {scene} {names} {settings}"
-        if words in line:
-            answers[line] = bits(scene, names, settings)
-            print(line, file=sys.stderr, flush=True)
     return answers
 
 
@@ -235,7 +219,7 @@ def differences(line: str, old: Any, new: Any) -> Iterator[str]:
                 yield f"{path}: {np.max(np.abs(x - y)):.1e} apart, {np.max(allowed):.1e} allowed"
 
 
-def main() -> int:
+def main() -> None:
     """Save answers, or compare two files of them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=["save", "compare"])
@@ -243,19 +227,17 @@ def main() -> int:
     parser.add_argument("other", type=Path, nargs="?", help="a later file; left out, all run again")
     parser.add_argument("--of", default="", help="only commands that contain these words")
     asked = parser.parse_args()
+    text = asked.other.read_text() if asked.other else json.dumps(all_answers(asked.of), indent=1)
     if asked.what == "save":
-        asked.file.write_text(json.dumps(all_answers(asked.of), indent=1))
-        return 0
-    saved, count = json.loads(asked.file.read_text()), 0
-    later = asked.other.read_text() if asked.other else json.dumps(all_answers(asked.of))
-    answers = json.loads(later)
-    for line, new in answers.items():
-        for difference in differences(line, saved[line], new):
-            count += 1
-            print(f"{line}\n    {difference}")
-    print(f"{len(answers)} answers, {count} differences")
-    return int(count > 0)
+        asked.file.write_text(text)
+        return
+    saved, later = json.loads(asked.file.read_text()), json.loads(text)
+    found = [
+        f"{line}\n    {x}" for line in later for x in differences(line, saved[line], later[line])
+    ]
+    print(*found, f"{len(later)} answers, {len(found)} differences", sep="\n")
+    sys.exit(bool(found))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

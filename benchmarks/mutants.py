@@ -14,7 +14,6 @@ seconds is killed. ``--about "error|bound|SAFETY"`` changes only lines that a pa
 
 import argparse
 import ast
-import copy
 import json
 import random
 import re
@@ -22,6 +21,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from time import perf_counter
@@ -57,41 +57,31 @@ def changes(tree: ast.Module) -> Iterator[tuple[ast.expr, ast.expr, str]]:
         if isinstance(node, ast.JoinedStr | ast.match_case):
             skipped |= set(ast.walk(node if isinstance(node, ast.JoinedStr) else node.pattern))
     for node in ast.walk(tree):
-        if node in skipped or not isinstance(node, ast.expr | ast.If | ast.While):
-            continue
-        for new in _replacements(node):
-            old = node.test if isinstance(node, ast.If | ast.While) else node
-            yield old, new, f"{ast.unparse(old)[:60]}  ->  {ast.unparse(new)[:60]}"
+        if node not in skipped:
+            for old, new in _replacements(node):
+                yield old, new, f"{ast.unparse(old)[:60]}  ->  {ast.unparse(new)[:60]}"
 
 
-def _replacements(node: ast.AST) -> Iterator[ast.expr]:
+def _replacements(node: ast.AST) -> Iterator[tuple[ast.expr, ast.expr]]:
+    def changed(**fields: object) -> tuple[ast.expr, ast.expr]:
+        return node, type(node)(**{**vars(node), **fields})
+
     match node:
         case ast.Compare(ops=[operator]):
-            for table in (COMPARISONS, BOUNDARIES):
-                if type(operator) in table:
-                    new = copy.copy(node)
-                    new.ops = [table[type(operator)]()]
-                    yield new
+            tables = COMPARISONS, BOUNDARIES
+            yield from (changed(ops=[t[type(operator)]()]) for t in tables if type(operator) in t)
         case ast.BinOp(op=operator) if type(operator) in ARITHMETIC:
             if not any(isinstance(n, ast.JoinedStr) for n in ast.walk(node)):
-                new = copy.copy(node)
-                new.op = ARITHMETIC[type(operator)]()
-                yield new
+                yield changed(op=ARITHMETIC[type(operator)]())
         case ast.BoolOp(op=operator):
-            new = copy.copy(node)
-            new.op = ast.Or() if isinstance(operator, ast.And) else ast.And()
-            yield new
-        case ast.If(test=test) | ast.While(test=test) | ast.IfExp(test=test):
-            negated = ast.UnaryOp(op=ast.Not(), operand=test)
-            if isinstance(node, ast.IfExp):
-                new = copy.copy(node)
-                new.test = negated
-                yield new
-            else:
-                yield negated
-        case ast.Constant(value=value) if isinstance(value, int | float) and value is not True:
-            if value is not False:
-                yield ast.Constant(value=2 * value if value else 1)
+            yield changed(op=ast.Or() if isinstance(operator, ast.And) else ast.And())
+        case ast.If(test=test) | ast.While(test=test):
+            yield test, ast.UnaryOp(op=ast.Not(), operand=test)
+        case ast.IfExp(test=test):
+            yield changed(test=ast.UnaryOp(op=ast.Not(), operand=test))
+        case ast.Constant(value=value) if isinstance(value, int | float):
+            if not isinstance(value, bool):
+                yield node, ast.Constant(value=2 * value if value else 1)
 
 
 def mutant(file: Path, number: int) -> tuple[str, int, int, str]:
@@ -157,12 +147,7 @@ def main() -> None:
     # A shell starts work in the background with Ctrl-C ignored, and tests of it would fail.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     reached = recorded(ROOT)
-    ids = sorted({test for lines in reached.values() for tests in lines.values() for test in tests})
-    breadth = dict.fromkeys(ids, 0)
-    for lines in reached.values():
-        for tests in lines.values():
-            for test in tests:
-                breadth[test] += 1
+    breadth = Counter(t for lines in reached.values() for tests in lines.values() for t in tests)
     files = sorted(f for package in PACKAGES for f in (ROOT / package).rglob("*.py"))
     places = []
     for file in files:
@@ -180,7 +165,9 @@ def main() -> None:
         changed, first, last, words = mutant(file, number)
         lines = reached.get(name, {})
         tests = set().union(*(lines.get(line, set()) for line in range(first, last + 1)))
-        tests = tests or {t for t in ids if t.startswith(f"tests/{name.partition('/')[0]}/")}
+        tests = tests or {
+            t for t in sorted(breadth) if t.startswith(f"tests/{name.partition('/')[0]}/")
+        }
         order, start = sorted(tests, key=breadth.__getitem__), perf_counter()
         try:
             file.write_text(changed)
@@ -195,9 +182,8 @@ def main() -> None:
         results.append({**row, "verdict": verdict, "seconds": seconds})
         asked.out.write_text(json.dumps(results, indent=1))
         killed = sum(r["verdict"] != "survived" for r in results)
-        print(
-            f"{killed}/{len(results)} {name}:{first} {words}: {verdict} ({seconds} s)", flush=True
-        )
+        about = f"{name}:{first} {words}: {verdict} ({seconds} s)"
+        print(f"{killed}/{len(results)} {about}", flush=True)
 
 
 if __name__ == "__main__":

@@ -41,8 +41,8 @@ def main() -> None:
     kept = [p for p in beyond if p["L1"]["integrable"] + p["error"]["integrable"] <= ACCEPTABLE]
     near = [p for p in points if p["L1"]["integrable"] <= ACCEPTABLE]
     best = [min(p["L1"].values()) for p in points]
-    references = Counter(p["reference"] for p in points)
-    of = ", ".join(f"{count} by {name}" for name, count in references.items())
+    references = Counter(p["reference"] for p in points).items()
+    of = ", ".join(f"{count} by {name}" for name, count in references)
     fine = sum(e <= FINE for e in errors)
     rest = f"; {max(errors):.2g} at the most, with stiff stops" if fine < len(points) else ""
     shutil.copy(arguments.picture, DOCS / "regime.svg")

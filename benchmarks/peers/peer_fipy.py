@@ -81,6 +81,5 @@ def setting(name, count):
 if __name__ == "__main__":
     settings = [setting("W1", count) for count in (1_000, 8_000, 200_000)]
     settings += [setting("W1, B = 1e4", 16_000)]
-    settings += [setting("W2", count) for count in (32, 128, 256)]
     settings += [setting("W3", count) for count in (32, 128)]
     measure_all("FiPy", "FiPy", settings)

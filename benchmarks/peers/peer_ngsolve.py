@@ -170,16 +170,6 @@ def plane_setting(name, degree, count, reach, words):
 
 LINE_GRADED = ((10, 7.2, 4, 2.5), (18, 7.5, 4, 3.0), (24, 7.5, 5, 2.5), (28, 7.6, 5, 3.0))
 """Elements far out, end of the box, layers above a contact energy, power of the grading far out."""
-PLANE = (
-    (2, 32, 20.0, "uniform"),
-    (2, 128, 20.0, "uniform"),
-    (8, 4, 18.0, "graded"),
-    (8, 6, 21.0, "graded"),
-    (8, 8, 24.0, "graded"),
-    (8, 10, 26.0, "graded"),
-    (8, 12, 28.0, "graded"),
-    (16, 5, 34.0, "graded"),
-)
 COUPLED = (
     (2, 128, 20.0, "uniform"),
     (8, 4, 18.0, "graded"),
@@ -217,7 +207,6 @@ def settings():
                 axes = graded_line(problem, *step)
                 words = f"graded, {axes[0].size - 1} elements, box {step[1]:g}"
                 found.append(line_setting(name, 8, words, axes))
-    found += [plane_setting("W2", *step) for step in PLANE]
     found += [plane_setting("W3", *step) for step in COUPLED]
     return found + [plane_setting("W4", *step) for step in CIRCULATING]
 

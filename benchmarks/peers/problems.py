@@ -1,10 +1,9 @@
-"""The equations that every peer solves: coefficients for the peers, closed forms to judge them.
+"""The equations that every peer solves: coefficients for the peers, densities to judge them.
 
 Peers get the coefficients by a quadrature of the level integrals in NumPy, which takes 16 Gauss
-points on each smooth part of the reduced potential and estimates no error. What they are judged
-against are the closed forms (29) and (34) of this program. W1 is fig6 with B = 10 and δ = 0.5, the
-energy p(H); W2 is fig8b, two uncoupled modal energies p(H1, H2); W3 and W4 are coupled, see
-``coupled.py`` and ``vanderpol.py``; one more is W1 with stiffer stops.
+points on each smooth part of the reduced potential and estimates no error. They are judged by the
+closed form (29) of this program. W1 is fig6 with B = 10 and δ = 0.5, the energy p(H); W3 and W4 are
+two coupled energies, see ``coupled.py`` and ``vanderpol.py``; one more is W1 with stiffer stops.
 """
 
 from dataclasses import dataclass
@@ -13,14 +12,12 @@ from functools import cached_property
 import numpy as np
 from coupled import Mixture
 from numpy.typing import NDArray
-from vanderpol import Averaged, afresh
+from vanderpol import Averaged
 
 from averaging.energy_process import closed_form_density
-from averaging.modal.analysis import modal_analysis
 from averaging.weyl import Solution
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 from fpk.system.contact import Contact
-from fpk.system.process import Process
 from fpk.system.system import System
 
 Array = NDArray[np.float64]
@@ -103,68 +100,12 @@ class Line:
         return float(np.sum(w * self.closed_form.density(x))) if beyond.size > 1 else 0.0
 
 
-@dataclass(frozen=True)
-class Plane:
-    """Two energies: fig8b, two square-root processes that do not know of each other."""
-
-    name: str
-    scene: str
-
-    dimension = 2
-    contact_energies = ()
-
-    @property
-    def process(self) -> Process:
-        """The averaged modal energies, from the system on, nothing remembered."""
-        return modal_analysis(afresh(self.scene)).process()
-
-    @cached_property
-    def rates(self) -> tuple[Array, Array]:
-        """c*_ii and d_i of (33), M*_i = 1."""
-        modes = modal_analysis(afresh(self.scene))
-        return np.diag(modes.modal_damping), modes.noise
-
-    @cached_property
-    def temperature(self) -> Array:
-        """The mean of each energy, d_i/c*_ii."""
-        damping, noise = self.rates
-        return np.asarray(noise / damping)
-
-    def coefficients(self, points: Array) -> tuple[Array, Array, Array]:
-        """Return s_i, b_ii and Σ_j ∂b_ij/∂H_j at points (2, ...), each of that shape."""
-        damping, noise = (r.reshape(2, *[1] * (points.ndim - 1)) for r in self.rates)
-        constant = np.broadcast_to(2.0 * noise, points.shape)
-        return noise - damping * points, 2.0 * noise * points, constant
-
-    def written(self, x, y, sigmoid):
-        """Return (s_1, s_2), (b_11, b_22), Σ_j ∂b_ij/∂H_j and no b_12, for symbols."""
-        found = [
-            (d - c * H, 2.0 * d * H, 2.0 * d) for c, d, H in zip(*self.rates, (x, y), strict=True)
-        ]
-        return *zip(*found, strict=True), None
-
-    def cross(self, points: Array) -> None:
-        """No b_12: None, for whoever can leave it out."""
-
-    def exact(self, points: Array) -> Array:
-        """p(H1, H2) of (34) at points (2, ...)."""
-        first, second = self.temperature
-        p = np.exp(-points[0] / first - points[1] / second) / (first * second)
-        return np.asarray(p)
-
-    def tail(self, ends: tuple[float, ...]) -> float:
-        """Return the probability outside the box."""
-        inside = -np.expm1(-np.array(ends) / self.temperature)
-        return float(1.0 - inside[0] * inside[1])
-
-
-Problem = Line | Plane | Mixture | Averaged
+Problem = Line | Mixture | Averaged
 PROBLEMS: dict[str, Problem] = {
     p.name: p
     for p in (
         Line("W1", 10.0),
         Line("W1, B = 1e4", 1e4),
-        Plane("W2", "fig8b"),
         Mixture("W3"),
         Averaged("W4", "vanderpol"),
     )

@@ -6,23 +6,17 @@ dp = −(K q + g(q2) e2 + c p) dt + √(2 D) dW, Eq. (6) with unit masses (D: ``
 
 import sys
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import quad
 
 sys.path.append(str(Path(__file__).resolve().parent.parent))
 
-from accuracy import _weight, exact_scene
-
-from fpk.system.system import System
+from accuracy import EDGES, exact_scene, probabilities
 
 Array = NDArray[np.float64]
-
-EDGES = np.linspace(-1.6, 1.6, 65)
-"""Bins of p(q2), those of ``accuracy.error_against_time``; beyond them is one bin more."""
+__all__ = ["EDGES", "Array", "Chain", "judged", "probabilities"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,25 +48,9 @@ class Chain:
         return np.vstack([np.zeros_like(p), p])
 
 
-def chain_of(system: System) -> Chain:
-    """Return the numbers of a system of two unit masses with one two-sided Hertz contact."""
-    right = next(stop for stop in system.stops if stop.side == "right")
-    return Chain(
-        system.stiffness_matrix,
-        np.diag(system.damping).copy(),
-        np.diag(system.noise_matrix).copy(),
-        float(right.stiffness),
-        float(right.clearance),
-    )
-
-
 def judged() -> Chain:
     """Return the chain with equal c/D, whose p(q2) is exact."""
-    return chain_of(exact_scene())
-
-
-def probabilities() -> Array:
-    """Return the exact probability of each bin of ``EDGES`` and, last, beyond them."""
-    norm = 2.0 * quad(_weight, 0, 6, points=[0.5])[0]
-    inside = np.array([quad(_weight, a, b)[0] / norm for a, b in pairwise(EDGES)])
-    return np.append(inside, 1.0 - inside.sum())
+    system = exact_scene()
+    stop = next(stop for stop in system.stops if stop.side == "right")
+    damping, noise = np.diag(system.damping).copy(), np.diag(system.noise_matrix).copy()
+    return Chain(system.stiffness_matrix, damping, noise, stop.stiffness, stop.clearance)

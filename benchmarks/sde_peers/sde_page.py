@@ -12,7 +12,6 @@ SCRIPTS = {
     OURS: "ours.py",
     BY_HAND: "peer_numpy.py",
     "diffrax": "peer_diffrax.py",
-    "torchsde": "peer_torchsde.py",
 }
 INTRODUCTION = """\
 The full system (6) of fig6 with B = 10, δ = 0.5 and c = (0.2, 0.4), D = (0.1, 0.2): c/D equal, so
@@ -45,9 +44,9 @@ OMISSIONS = """\
   schemes of a package the one with the least ns a unit of time is taken, in favour of the peer.
 - One way of using each package, by authors who know this program best. Tried: paths at once (512 to
   8192), JAX's generators (`unsafe_rbg` gains nothing that lasts) and a loop of the user's own for
-  diffrax, `g_prod` for torchsde. Not tried: float32, GPUs, two cores, adaptive steps, multilevel
-  sampling, Julia's DifferentialEquations, implicit schemes, diffrax's VirtualBrownianTree (it is
-  for adaptive steps).
+  diffrax. Not tried: float32, GPUs, two cores, adaptive steps, multilevel sampling, Julia's
+  DifferentialEquations, implicit schemes, diffrax's VirtualBrownianTree (it is for adaptive steps).
+  torchsde, three times as slow as diffrax at its best, is no longer compared.
 - Unfair to the peers: they step any equation, given as one function; ours steps mechanical systems
   with contacts and integrates their linear part exactly. The schemes of the NumPy script, on the
   other hand, know of the mechanics and are by hand.
@@ -55,8 +54,6 @@ OMISSIONS = """\
   for both masses; fig6 as printed they cannot express with one potential.
 - Unfair to this program: no peer has errors, histograms, streams that threads do not change, or a
   check of its step.
-- torchsde's `BrownianInterval` can be queried anywhere, which a fixed step does not need; its
-  interface has nothing simpler, and none was written for it.
 - Processor time is not quite free of what else a machine does: shared caches and clocks have moved
   it by a third.
 """
