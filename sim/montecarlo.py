@@ -116,15 +116,5 @@ class MonteCarlo(Settings, Method):
         )
 
 
-register_route(
-    Route(
-        method="montecarlo",
-        solver="simulation",
-        words="simulation",
-        equation="(6)",
-        solves="full",
-        sampled=True,
-        colour="#b50c01",
-        make=MonteCarlo,
-    )
-)
+_NAMES = ("montecarlo", "simulation", "simulation", "(6)", "full")
+register_route(Route(*_NAMES, sampled=True, colour="#b50c01", make=MonteCarlo))

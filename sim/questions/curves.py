@@ -32,10 +32,10 @@ EXTRA_LAGS = 6
 
 
 def sample_correlation(method: Settings, asked: Asked) -> Curve:
-    """Return the autocovariances of q of mass ``asked.row`` at the lags ``asked.at``: products q(s)
-    q(s + t) about the common mean, s in ``RECORD_TIMES`` relaxation times or the ``time``, or fewer
-    if memory does not suffice; a cubic spline of t. The error: spread of blocks, difference between
-    dt and dt/2, spline. Raises ``InvalidInput`` for lags too long for memory."""
+    """Return the autocovariances of q of mass ``asked.row`` at the lags ``asked.at``: means of q(s)
+    q(s + t), s in ``RECORD_TIMES`` relaxation times or the ``time``, at most what memory holds, by
+    a spline of t. The error: blocks, step, spline. Raises ``InvalidInput`` for lags beyond
+    memory."""
     system, at = asked.system, asked.at
     dt, too_long = motion_step(method, system, Reach())
     stepped = needs_steps(system)
@@ -84,9 +84,9 @@ def curve_answer(
     settings: Mapping[str, float],
     positive: Array | None = None,
 ) -> Curve:
-    """Return the mean of ``blocks`` (blocks, points) as a curve. Its standard error and the errors
-    ``beside`` are added in squares; ``scale`` is the unit of the tolerance. The answer is certified
-    only if ``positive`` (None: the values) is not negative."""
+    """Return the mean of ``blocks`` (blocks, points) as a curve in units ``scale`` of the
+    tolerance; the errors ``beside`` its own add in squares. ``positive`` (None: the values) must
+    not be negative."""
     values, errors = blocks.mean(axis=0), np.sqrt(sum(e**2 for e in (error_of(blocks), *beside)))
     relative, least = float(np.max(errors)) / scale, values if positive is None else positive
     measured = Measured(relative, None, float(np.min(least)) / scale, None, None)
@@ -117,9 +117,9 @@ def products_at_lags(q: Array, origins: int) -> tuple[Array, ...]:
 def autocovariance(
     rounds: list[tuple[Array, ...]], spacing: float, at: Array, every: int = 1
 ) -> Array:
-    """Return the autocovariances (blocks, lags) at the lags ``at`` about the common mean.
-    ``rounds``: results of ``products_at_lags``. A cubic spline through each ``every``-th sample,
-    ``spacing`` apart; its slope is 0 at t = 0, as E q v = 0."""
+    """Return the autocovariances (blocks, lags) at the lags ``at`` about the common mean, of
+    ``rounds`` of ``products_at_lags``: a cubic spline through each ``every``-th sample, with slope
+    0 at t = 0."""
     products, sums, means = (np.concatenate(x) for x in zip(*rounds, strict=True))
     # Unbiased: the variance of the mean, which is correlated with q, is added.
     mean = float(means.mean())
@@ -144,15 +144,11 @@ contact. Aliasing adds (1/5)⁴ of the spectrum where it falls as ω^−4."""
 
 def sample_spectrum(method: Settings, asked: Asked) -> Curve:
     """Return the power spectral density of q of mass ``asked.row`` at ``asked.at``, in rad per
-    time.
-
-    Welch's method: |Σ w q e^(−iωt)|² of one Hann window w on each trajectory, 2 ``RECORD_TIMES``
-    relaxation times or the ``time`` long, about the common mean. Leakage is a constant over the
-    square of the length: a third of the difference to windows of half the length is added. The
-    error: spread of blocks, this third, a bound of the aliasing. The step is half the step of a
-    density. Raises ``InvalidInput`` for so many or so high frequencies that they would take
-    minutes.
-    """
+    time, by Welch's method: |Σ w q e^(−iωt)|² of one Hann window w on each trajectory, 2
+    ``RECORD_TIMES`` relaxation times or the ``time`` long, about the common mean. Leakage falls
+    with the square of the length: a third of the difference to half windows is added. The error:
+    blocks, this third, a bound of the aliasing. Raises ``InvalidInput`` for so many or so high
+    frequencies that they take minutes."""
     system, row, at, most = asked.system, asked.row, asked.at, MOST_SUMS // (MAX_BATCHES * LANES)
     if at.size > most:  # with 8192 windows of 3000 samples they take minutes
         words = f"frequencies, each of which is summed on its own; ask for {most}"
@@ -215,11 +211,10 @@ def add_fourier_sums(
 
 
 def sample_crossings(method: Settings, asked: Asked) -> Curve:
-    """Return the upcrossings per unit time of the levels ``asked.at`` by q of mass ``asked.row``.
-    The share that the noise makes within a step is proportional to it: the rate is extrapolated
-    from dt and dt/2, by the same random numbers; it may be negative within its error, which
-    contains the whole difference and the spread of blocks. Trajectories are as long as ``tol``
-    needs."""
+    """Return the upcrossings per unit time of the levels ``asked.at`` by q of mass ``asked.row``,
+    extrapolated from dt and dt/2 by the same random numbers, as the share that noise makes within a
+    step is proportional to it. It may be negative within its error: difference and spread of
+    blocks."""
     system, row, order = asked.system, asked.row, np.argsort(asked.at)
     dt, too_long = motion_step(method, system, Reach(), error=tolerance(asked.tol, method.tol))
     whole = ceil((method.time or RECORD_TIMES * relaxation_time(system)) / dt)

@@ -149,11 +149,10 @@ def motion_step(
     error: float | None = None,
     too_long: float = TOO_LONG,
 ) -> tuple[float, list[str]]:
-    """Return the longer step of the two simulations of a motion, and words against it, if any: a
-    ``dt`` beyond ``too_long`` times the step chosen for ``reach`` and ``error``, the wanted
-    relative error of p. Raises ``InvalidInput`` for an unstable step, a checkpoint, and any scheme
-    but exact_flow, which alone can repeat a motion at half the step; ``NotApplicable`` without
-    noise."""
+    """Return the longer step of the two simulations of a motion, and words against a ``dt`` beyond
+    ``too_long`` times the step chosen for ``reach`` and ``error``, the wanted relative error of p.
+    Raises ``InvalidInput`` for an unstable step, a checkpoint, and any scheme but exact_flow, which
+    alone can repeat a motion at half the step; ``NotApplicable`` without noise."""
     if method.scheme != "exact_flow":
         raise InvalidInput("scheme", method.scheme, "motions in time take exact_flow")
     if method.checkpoint is not None:
@@ -180,9 +179,8 @@ def first_step(dt: float, times: Array, start: float = inf, factor: float = 1.0)
 
 
 def stages(first: float, dt: float, end: float, *, most: int) -> Iterator[tuple[float, int]]:
-    """Yield a step and how often it is made, at ``most`` so many at once, from time 0 to ``end``.
-    Steps double from ``first`` to ``dt``; each is at most the time so far /
-    ``STEPS_SINCE_START``."""
+    """Yield steps, doubled from ``first`` to ``dt``, and how often each is made, ``most`` at once,
+    from time 0 to ``end``; a step is at most the time so far / ``STEPS_SINCE_START``."""
     now, step = 0.0, first
     while now < end * (1.0 - 1e-12):
         until = min(2.0 * STEPS_SINCE_START * step, end) if step < dt else end

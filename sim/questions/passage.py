@@ -44,8 +44,8 @@ the failure times that it writes: 0 of the finer simulation, 1 of the coarser.""
 
 
 def sample_passage(method: Settings, asked: Asked) -> Passage:
-    """Return the first passage of ``asked.limit`` by simulation at dt/2 and at dt: until all
-    ``paths`` have failed or the ``horizon``, in more rounds until ``asked.tol`` of the mean, or
+    """Return the first passage of ``asked.limit`` by simulation at dt/2 and at dt, until all
+    ``paths`` have failed or the ``horizon``; in more rounds until ``asked.tol`` of the mean, or
     ``seconds``."""
     system, limit, start, times = asked.system, asked.limit, asked.start, require_times(asked.times)
     tol, modulation, loud = tolerance(asked.tol, method.tol), system.modulation, loudest(system)
@@ -92,9 +92,8 @@ def constant_noise_begin(modulation: Modulation | None) -> float:
 
 
 def horizon(method: Settings, dt: float, last: float, end: float = inf) -> float:
-    """Return the longest time of a trajectory: ``time`` of the method, or by its ``most_steps``: of
-    dt and dt/2, at most to the ``end`` of the noise, at least to ``last``, the last time asked
-    for."""
+    """Return the longest time of a path: ``time``, or ``most_steps`` of dt and dt/2, at most to the
+    ``end`` of the noise, at least to ``last``, the last time asked for."""
     return method.time or max(min(method.most_steps / 3.0 * dt, end), last)
 
 
@@ -183,10 +182,9 @@ def estimates(time: Array, until: Array, times: Array, begin: float) -> Array:
 
 
 def tail_begin(time: Array, until: Array, memory: float) -> float:
-    """Return the time from which on the failure rate is constant within its sampling error: the
-    earliest from which it agrees with the rates from all later times within ``CHANCE`` errors
-    (Lepski's rule), plus ``memory``, with ``LEAST_TAIL_FAILURES`` to come. ``time``, ``until``: see
-    ``estimates``."""
+    """Return the earliest time from which the failure rate agrees with the rates from all later
+    times within ``CHANCE`` errors (Lepski's rule), plus ``memory``, with ``LEAST_TAIL_FAILURES`` to
+    come. ``time``, ``until``: see ``estimates``."""
     seen = np.minimum(time, until)
     events = np.sort(seen[time <= until])
     if events.size < 2 * LEAST_TAIL_FAILURES + 1:

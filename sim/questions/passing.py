@@ -206,9 +206,8 @@ def pass_energies(
 
 
 def diffusion_of(system: System, limit: Limit) -> Diffusion:
-    """Return the diffusion of the energies that ``limit`` is on by the noise N = f D fᵀ. For H, F =
-    2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; for a mode of shape T_m the same with its own momentum. β
-    = 0 means that no noise reaches the energy: the distance to its limit is then huge."""
+    """Return the diffusion by the noise N = f D fᵀ of the energies of ``limit``. For H, F = 2 M⁻¹ N
+    M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; for a mode with its own momentum. β = 0: no noise reaches it."""
     N = system.noise_matrix
     if limit.kind == "H":
         mobility = np.diag(1.0 / system.mass)

@@ -52,9 +52,9 @@ class Watch:
     def until(
         self, answer: Callable[[int], float | None], *, least: int = 1, most: float = inf
     ) -> list[str]:
-        """Call ``answer`` with 0, 1, … until its result, an error, is at most ``tol``. It is called
-        ``least`` to ``most`` times, but not after ``ends()`` or a result None (cut short). Return
-        words if Ctrl-C was pressed."""
+        """Call ``answer`` with 0, 1, … until its result, an error, is at most ``tol``, ``least`` to
+        ``most`` times, but not after ``ends()`` or None (cut short). Return words if Ctrl-C was
+        pressed."""
         number, more = 0, True
         while more and (error := answer(number)) is not None:
             number += 1
@@ -63,9 +63,9 @@ class Watch:
         return ["partial: interrupted by Ctrl-C"] if self.stopped() else []
 
     def required(self, phase: str) -> Callable[[float], bool]:
-        """Return a check of a ``phase``, which begins now and without which there is no answer. It
-        is called with the share of the phase that is done and returns False. When the time is over
-        it raises ``InvalidInput``, after Ctrl-C ``KeyboardInterrupt``."""
+        """Return a check of a ``phase`` that begins now and is required: of the share that is done
+        it returns False; when the time is over it raises ``InvalidInput``, after Ctrl-C
+        ``KeyboardInterrupt``."""
         begin = working_time()
 
         def check(share: float) -> bool:
@@ -170,9 +170,9 @@ def motions(
 
 
 def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tuple[Array, Array]:
-    """Return q and p (``paths``, n) drawn from the density δ(H − ``energy``) by ``stream``:
-    directions scaled so that H = r²/2 without contact, accepted with the weight r^(2n−1)/(∂H/∂r)
-    relative to its bound R^(2n−2), R = √(2 energy). Raises ``NotApplicable`` below ``ACCEPTED``."""
+    """Return q and p (``paths``, n) drawn from δ(H − ``energy``) by ``stream``: directions in which
+    H = r²/2 without contact, accepted with r^(2n−1)/(∂H/∂r) over its bound R^(2n−2), R = √(2
+    energy). Raises ``NotApplicable`` below ``ACCEPTED``."""
     n, many = system.n, max(paths, 4096)
     back = np.linalg.inv(np.linalg.cholesky(system.stiffness_matrix)).T
     root, most = np.sqrt(system.mass), np.sqrt(2.0 * energy)

@@ -1,9 +1,8 @@
 """Report of a simulation: moment identities, autocorrelation times, effective samples, drift.
 
-τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity with the variance σ². The mean
-of the quantity over a time T of a trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, so that
-τ follows from independent trajectories without an autocovariance: ``τ = T var(path means)/(2 σ²)``.
-N trajectories have ``N T/(2τ)`` effective samples; ``N σ²/var(path means)`` holds below τ, too.
+τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity with the variance σ². Its mean
+over a time T of a trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, so that ``τ = T var(path
+means)/(2 σ²)``; N trajectories have ``N σ²/var(path means)`` effective samples.
 """
 
 from collections.abc import Mapping, Sequence
@@ -140,9 +139,8 @@ def variance_error(samples: Array) -> Array:
 
 
 def split_r_hat(draws: Array) -> float:
-    """Return the split R-hat of ``draws`` (chains, draws); NaN for fewer than four draws. Each
-    chain is divided into halves of n draws: ``R = √((n − 1)/n + B/(n W))``, W the mean of the
-    variances, B n times the variance of the means (Gelman et al., BDA3, section 11.4)."""
+    """Return the split R-hat of ``draws`` (chains, draws), NaN below four draws: of halves of n
+    draws ``√((n − 1)/n + B/(n W))``, W within, B between (Gelman et al., BDA3, section 11.4)."""
     half = draws.shape[1] // 2
     if half < 2:
         return nan
@@ -188,9 +186,9 @@ def diagnosis(
     paths: int,
     burn_in: float,
 ) -> Diagnosis:
-    """Return the diagnosis of ``paths`` trajectories of ``time`` each after ``burn_in``.
-    ``effective``: name, effective samples and their relative error; ``means`` (quantities, batches,
-    chunks) have the ``names``."""
+    """Return the diagnosis of ``paths`` trajectories of ``time`` each. ``effective``: names,
+    effective samples and relative errors; ``means`` (quantities, batches, chunks) have the
+    ``names``."""
     slowest, samples, relative_error = min(effective, key=lambda e: e[1])
     tau = paths * time / (2.0 * samples) if samples > 0 else inf
     quantities, batches, chunks = means.shape

@@ -43,10 +43,9 @@ def advance_batches(
     stride: int, read: Reader | None,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Advance the batches from block ``first`` on, and return the ``arrays``, changed in place:
-    states, sums, counts and last sample of these blocks, then those of ``read``. ``live``
-    (blocks,): lanes that count; ``batch`` (blocks,): number of the batch. ``word``: first random
-    word; ``samples``, ``phase``: made before these ``steps``, of which every ``stride``-th is
-    observed."""
+    states, sums, counts and last sample of these blocks, then those of ``read``. ``live``,
+    ``batch`` (blocks,): lanes that count, and batch. ``word``: first random word; ``samples``,
+    ``phase``: made before."""
     states, sums, counts, last, *own = arrays
     blocks, rows, strength = len(states), watch.traced.size, step.strength
     piece = max(1, TRACED // blocks) * stride if rows else steps
@@ -171,10 +170,9 @@ class Ensemble:
         passed: Array | None = None,
     ) -> None:  # fmt: skip
         """Advance by ``steps``; every ``stride``-th step since ``watch`` is observed, none if 0.
-        With a start ``steps`` is a multiple of ``stride``; ``read`` gets the samples, the sample
-        before them, and its ``arrays``, by blocks. Raises ``NotCertified`` if a trajectory (with
-        ``passed``, (blocks, 1, LANES): one for which it is inf) leaves the range that the energy
-        allows."""
+        With a start ``steps`` is a multiple of ``stride``; ``read`` gets the samples, the last
+        before them, and its ``arrays``. Raises ``NotCertified`` if a trajectory (``passed``
+        (blocks, 1, LANES) being inf) leaves the range that the energy allows."""
         self._advance(steps, stride, read, arrays)
         if stride:
             self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)

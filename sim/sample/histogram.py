@@ -54,9 +54,8 @@ class Histogram:
         return int(np.prod(self.shape))
 
     def counted(self, columns: Sequence[Array], groups: int = 1) -> Integers:
-        """Return the counts (``groups``, bins + 1) of samples, the last bin for samples outside.
-        ``columns``: the values (samples,) of each coordinate; sample k belongs to group k %
-        groups."""
+        """Return the counts (``groups``, bins + 1) of samples, outside last, by the ``columns``
+        (samples,) of each coordinate; sample k belongs to group k % groups."""
         bins, inside = np.array(0), np.array(True)
         for x, e in zip(columns, self.edges, strict=True):
             inside = inside & (x >= e[0]) & (x < e[-1])
@@ -88,9 +87,8 @@ def bin_axis(
 
 
 def kinks_of(system: System, coordinate: Coordinate) -> list[float]:
-    """Return, ascending, the values of ``coordinate`` at which its density may have a kink. For
-    q_i: the stops of mass i; for H: the least energy to touch each stop, ½ δ²/C_ii plus the contact
-    energy of nearer stops, C the compliance; for H_m: by mode m alone, ½ (ω_m δ/T_im)²."""
+    """Return, ascending, where the density of ``coordinate`` may have a kink: q_i at its stops; H
+    at the least energy to touch each stop, ½ δ²/C_ii and nearer contacts; H_m by mode m alone."""
     at = [(stop.index, stop.sign * stop.clearance) for stop in system.stops]
     kinks: list[float] = []
     if coordinate.kind == "q":

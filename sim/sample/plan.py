@@ -1,14 +1,10 @@
 """The setup of a simulation, the arrays that the kernel reads, and the key of the kernel.
 
-In a long step ``H = small · h``, trajectories that are *near* a stop in their state x at its start
-make ``small`` steps ``h`` with kicks; *far* trajectories are mapped over the long step, which is
-exact in law unless they touch a stop. With q the displacement of the mass and d the side of the
-stop, a trajectory is far if
-
-    max(d q(0), d q(H) + a) + b(x) < clearance ,
-
-q(H) its mean motion without noise, a the ``noise_reach``, and b(x) from ``bends``. It then touches
-the stop with a probability below 1.4e-11: docs/theory.md, "The step of the simulation".
+In a long step ``H = small · h`` trajectories *near* a stop make ``small`` steps ``h`` with kicks;
+*far* trajectories are mapped over the long step, exactly in law unless they touch a stop, which has
+a probability below 1.4e-11 (docs/theory.md, "The step of the simulation"). A trajectory is far if
+``max(d q(0), d q(H) + a) + b(x) < clearance``, d the side of the stop, q(H) its mean motion without
+noise, a the ``noise_reach``, and b(x) from ``bends``.
 """
 
 from collections.abc import Sequence
@@ -53,9 +49,9 @@ def noise_reach(system: System, H: float, masses: Integers) -> Array:
 
 
 def bends(system: System, H: float, masses: Integers) -> Array:
-    """Return rows (masses, 2n) whose product with ``|x|`` is b(x). b(x) bounds the distance of the
-    mean motion q(t) of ``masses`` within a step ``H`` from its chord. The curvature is bounded by
-    its largest value on a grid of times, plus half an interval times the largest slope."""
+    """Return rows (masses, 2n) whose product with ``|x|`` is b(x), which bounds the distance of the
+    mean motion of ``masses`` in a step ``H`` from its chord by the curvature on a grid and its
+    slope."""
     drift, step = drift_matrix(system), H / 64
     across, values = expm(drift * step), [drift[system.n + masses] / system.mass[masses, None]]
     for _ in range(64):

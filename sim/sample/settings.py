@@ -52,9 +52,8 @@ NOT_IN_STATE = {
 
 
 def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, int]) -> None:
-    """Raise ``InvalidInput`` if a field of ``own`` cannot be used. Fields in ``positive`` must be
-    finite and > 0; ``ranges`` are (name, least, most). The fields ``seed`` and ``threads`` are
-    checked, too. None is allowed."""
+    """Raise ``InvalidInput`` if a field of ``own`` cannot be used: ``positive`` are finite and > 0;
+    ``ranges``, and ``seed`` and ``threads``, are (name, least, most). None is allowed."""
     threads = 4 * (os.cpu_count() or 1)
     for key, low, high in (*ranges, ("seed", 0, 2**64 - 1), ("threads", 1, threads)):
         value = getattr(own, key)

@@ -155,9 +155,9 @@ def sample_stationary(
     progress: Progress,
     beside: Sequence[Observable] = (),
 ) -> Result:
-    """Return the densities of ``observables``, and of ``beside``, with their report. With
-    ``step_pair`` they are compared with a second run at half the step, unless either run was
-    interrupted or completed no chunk."""
+    """Return the densities of ``observables``, and of ``beside``, with their report; with
+    ``step_pair`` beside a second run at half the step, unless either was interrupted or completed
+    no chunk."""
     setup = setup_of(method, system, [*observables, *beside])
     with workers_of(method.cluster, method.threads or usable_cores()) as workers:
         result = simulate(setup, workers=workers, progress=progress)
@@ -325,6 +325,7 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
         )
         for m, (histogram, counts) in enumerate(ensemble.counted())
     )
+    ns = 1e9 * record.elapsed * threads / (paths * (ensemble.done - record.untimed))
     report = diagnostics.Report(
         dt=setup.dt / setup.scheme.small,
         paths=paths,
@@ -339,10 +340,7 @@ def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
         threads=threads,
         kT=kT,
         long_step=setup.dt,
-        ns_per_particle_step=1e9
-        * record.elapsed
-        * threads
-        / (paths * (ensemble.done - record.untimed)),
+        ns_per_particle_step=ns,
         small_steps=setup.division,
         limited_by=setup.limited_by,
         diagnosis=diagnosed,

@@ -1,9 +1,8 @@
 """Workers, checkpoints on disk, and Ctrl-C.
 
-Workers are threads of this process or of a Dask cluster. On a cluster a task gets the arrays of
-some batches, advances them, and returns them; when a worker dies, Dask gives its tasks to another:
-the answer is bitwise that of one machine with the same kind of processor. Dask is imported only for
-a cluster: it takes a second.
+Workers are threads of this process or of a Dask cluster, imported only for one, as it takes a
+second. There a task gets the arrays of some batches, advances them, and returns them; when a worker
+dies, another gets its tasks: the answer is bitwise that of one machine of the same processor.
 """
 
 import os
@@ -75,9 +74,9 @@ class Workers:
 
 @contextmanager
 def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
-    """Yield ``threads`` of this process, or, with an ``address``, the threads of a Dask cluster.
-    Raises ``Unavailable`` if Dask is not installed, the scheduler does not answer or has no worker,
-    or the workers have other sources of this program."""
+    """Yield ``threads`` of this process, or, with an ``address``, those of a Dask cluster. Raises
+    ``Unavailable`` without Dask, scheduler, worker, or if workers have other sources of the
+    program."""
     if address is None:
         with ThreadPoolExecutor(threads) as executor:
             yield Workers(executor, threads)
@@ -179,9 +178,8 @@ class Checkpoint:
         return arrays
 
     def advance(self, ensemble: Any, steps: int, *, stride: int = 1, saving: bool = True) -> bool:
-        """Advance ``ensemble`` by ``steps``, observed every ``stride``, unless stopped before.
-        Return whether it was stopped, which is after one piece or more. The state is saved if
-        ``saving``."""
+        """Advance ``ensemble`` by ``steps``, observed every ``stride``, in pieces; return whether
+        it was stopped before, after one piece or more. The state is saved if ``saving``."""
         ended = False
         while steps > 0 and not ended:
             piece, start = min(steps, self._piece), working_time()

@@ -2,12 +2,10 @@
 
 Every function reads and writes rows of ``width`` lanes of the workspace ``s`` (``WatchArrays``).
 Contact laws are compiled functions, None for a system without stops. A damping term changes one
-momentum only, ``p_i' = −κ p_i^N``, κ constant unless the term contains H: the solution is a shift,
-an exponential, or ``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. If the base is not positive the solution
-has blown up: the momentum becomes NaN and the trajectory counts as lost. With H, κ is taken in the
-middle of the step, from a predictor.
-
-The scratch rows from ``watch.work`` are the rate of a term, V and H of the state, and two more.
+momentum, ``p_i' = −κ p_i^N``: by a shift, an exponential, or ``p/(1 + (N−1) κ p^(N−1)
+t)^(1/(N−1))``, NaN after a blow-up, which counts as lost. With H, κ is taken in the middle of the
+step, from a predictor. Scratch rows from ``watch.work`` are the rate of a term, V and H of the
+state, and two more.
 """
 
 from typing import Any

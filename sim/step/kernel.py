@@ -1,13 +1,11 @@
 """The compiled stepper: many steps of many blocks of lanes, with only the effects of the system.
 
-The random linear map is ``x <- matrix @ (x, z)``, z rows of normals, two rows for each random word.
-It is applied to two rows and ``MAP_COLUMNS`` columns at a time, through scratch rows.
-
-Lanes that may touch a stop within a long step (``sim.sample.plan``) make its small steps in groups
-of ``NARROW`` lanes; all lanes are mapped over the long step, and the results of the small steps
-then replace those of the map. The normals of a small step belong to the trajectory and the step,
-not to the place of a lane in its group: the lower half of a word is the radius, the upper half the
-angle."""
+The random linear map ``x <- matrix @ (x, z)``, z two rows of normals a random word, is applied to
+two rows and ``MAP_COLUMNS`` columns at a time. Lanes that may touch a stop within a long step
+(``sim.sample.plan``) make its small steps in groups of ``NARROW`` lanes, and replace what the map
+over the long step made of them. The normals of a small step belong to trajectory and step, not to a
+place in a group: the lower half of a word is the radius, the upper half the angle.
+"""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -94,9 +92,8 @@ def map_state(s: Array, z: Singles, matrix: Array, pairs: int, width: int = W) -
 
 @njit_inline
 def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: StepArrays) -> int:
-    """Write the lanes that may touch a stop within the long step to ``index``; return their number.
-    ``s`` holds the states. ``near`` (W,) is scratch, and so is ``work``: two rows, the mean
-    displacement after the step and the bound b(x) of the deviation from the chord."""
+    """Write the lanes of ``s`` that may touch a stop within the long step to ``index``; return
+    their number. ``near`` (W,) and ``work``, mean displacement and bound b(x), are scratch."""
     after, bend = row(work, 0), row(work, 1)
     for k in range(W):
         near[k] = 0

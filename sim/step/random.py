@@ -1,13 +1,10 @@
 """Counter-based normal numbers: a function of the seed, the trajectory and the step.
 
 The word number ``t = (trajectory << 40) + step · pairs + pair`` is the SplitMix64 finaliser
-(Steele, Lea, Flood, OOPSLA 2014) of ``t · GOLDEN + finaliser(seed)``: no two trajectories share a
-word, and any word is computed without the words before it.
-
-The 64 bits of a word make one Box-Muller pair ``√(−2 log u) (cos θ, sin θ)``. The words of a block
-of lanes are read as 32-bit halves, in the order of memory: half ``k`` is the radius of lane k
-(``u = (2j + 1) / 2**32``), half ``LANES + k`` its angle (24 bits). Tests of their distribution are
-in docs/theory.md, "The step of the simulation".
+(Steele, Lea, Flood, OOPSLA 2014) of ``t · GOLDEN + finaliser(seed)``. Its 64 bits make one
+Box-Muller pair ``√(−2 log u) (cos θ, sin θ)``; words of a block are read as 32-bit halves in the
+order of memory: half ``k`` is the radius of lane k (``u = (2j + 1) / 2**32``), half ``LANES + k``
+its angle (24 bits). Tests of their distribution: docs/theory.md, "The step of the simulation".
 """
 
 from typing import Any
@@ -118,9 +115,8 @@ def normals(seed: int, paths: int, counter: int, count: int) -> Array:
 
 
 def start_states(system: System, seed: int, blocks: int) -> Array:
-    """Return the states (``blocks``, 2n, LANES) before the burn-in, by the words of a ``seed``.
-    They are q = 0 and momenta of covariance kT M. With damping terms displacements are drawn, too:
-    on a limit cycle the noise alone mixes phases slowly."""
+    """Return the states (``blocks``, 2n, LANES) before the burn-in, by the words of a ``seed``: q =
+    0, momenta of covariance kT M. With damping terms q, too: noise alone mixes phases slowly."""
     n, kT, first = system.n, temperature(system), 2**63 // MAX_TRAJECTORIES  # no step comes so far
     L = covariance_factor(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))
     p = L @ normals(seed, blocks * LANES, first, n)[: L.shape[1]]
@@ -131,9 +127,8 @@ def start_states(system: System, seed: int, blocks: int) -> Array:
 
 
 def start_displacements(system: System, kT: float, z: Array) -> Array:
-    """Return displacements (n, paths) from standard normals ``z`` (n, paths): covariance kT K⁻¹.
-    Displacements in contact are shortened, by bisection, until their potential energy is the energy
-    that the springs alone had before."""
+    """Return displacements (n, paths) from standard normals ``z`` (n, paths): covariance kT K⁻¹,
+    shortened by bisection in contact until V is the energy that springs alone had."""
     # An inverse, not ``system.compliance``, whose rounding differs: a seed has the same states.
     q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
     level = 0.5 * np.sum(q * (system.stiffness_matrix @ q), axis=0)

@@ -1,10 +1,9 @@
 """Integrators of Eq. (6): a kick by the contact force, then a random linear map.
 
 ``exact_flow``: the modified contact kick, then the exact flow of the linear system; of fourth order
-in the step h with contact, exact for any h without. The force of Takahashi and Imada (J. Phys. Soc.
-Japan 53, 1984, 3765), ``g_i (1 − h² g_i'/(12 m_i))``, leaves an error of second order that a change
-of variables, the processor, removes; its derivation is in docs/theory.md, "The step of the
-simulation". The other schemes are baselines. ``register_scheme`` adds a scheme.
+in the step h with contact, exact for any h without: the error of second order that the force of
+Takahashi and Imada (J. Phys. Soc. Japan 53, 1984, 3765), ``g_i (1 − h² g_i'/(12 m_i))``, leaves is
+a change of variables, the processor (docs/theory.md). ``register_scheme`` adds a scheme.
 """
 
 from collections.abc import Callable
@@ -61,9 +60,8 @@ def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, A
 
 
 def covariance_factor(covariance: Array) -> Array:
-    """Return a factor L (m, rank) with L Lᵀ = ``covariance`` (m, m), which may be singular.
-    Cholesky with pivoting of the matrix scaled to unit diagonal, so that variances of different
-    units and powers of the step have equal weight; it ends at a pivot of the size of round-off."""
+    """Return a factor L (m, rank) with L Lᵀ = ``covariance`` (m, m), which may be singular:
+    Cholesky with pivoting, scaled to unit diagonal as units differ, up to a pivot of round-off."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
     rest = covariance * np.outer(inverse, inverse)
@@ -80,9 +78,8 @@ def covariance_factor(covariance: Array) -> Array:
 
 
 def lower_trapezoidal(factor: Array) -> Array:
-    """Return the ``factor`` (m, rank) of the same covariance whose row i ends at column i.
-    Householder's QR of the transpose with scaled rows: the error of each row is its own
-    round-off."""
+    """Return the ``factor`` (m, rank) of the same covariance whose row i ends at column i, by QR of
+    the transpose with scaled rows: the error of each row is its own round-off."""
     size = np.linalg.norm(factor, axis=1, keepdims=True)
     unit = np.divide(factor, size, out=np.zeros_like(factor), where=size > 0)
     upper: Array = np.asarray(np.linalg.qr(unit.T, mode="r"))

@@ -220,9 +220,9 @@ def modal_temperatures(system: System) -> Array:
 
 
 def modal_powers(system: System, temperatures: Array) -> Array:
-    """Return the mean power (n,) that each mode loses to damping, E P_m (Tᵀ c M⁻¹ p)_m. Modes are
-    independent Gaussians of ``temperatures`` (n,). H^e of a term is replaced by E H^e of the Gibbs
-    density of the same mean temperature."""
+    """Return the mean power (n,) that damping takes from each mode, E P_m (Tᵀ c M⁻¹ p)_m, of
+    Gaussian modes of ``temperatures`` (n,); H^e of a term by its mean in Gibbs' density at their
+    mean."""
     n, (shapes, omega) = system.n, natural_modes(system)
     displacements = (shapes * (temperatures / omega**2)) @ shapes.T
     velocities = (shapes * temperatures) @ shapes.T

@@ -112,13 +112,10 @@ def simulate_energies(
     failures: Sequence[str] = (),
     progress: Progress = silent,
 ) -> tuple[SampledDensity, ...]:
-    """Return sampled densities of energies H_i, of pairs of them and of H = Σ H_i, certified.
-
-    ``paths`` are sampled every ``interval``, in ``steps`` steps, for ``time`` after ``burn_in``,
-    whose last states give the ranges of the histograms, or for ``seconds`` of wall time. ``tol``:
-    tolerance of the expected L1 error. Raises ``InvalidInput`` if ``paths`` is no multiple of the
-    number of batches.
-    """
+    """Return sampled densities of energies H_i, of pairs of them and of H = Σ H_i, certified: of
+    ``paths``, every ``interval`` of ``steps`` steps, for ``time`` after ``burn_in``, whose last
+    states give the ranges, or for ``seconds``. ``tol``: of the expected L1 error. Raises
+    ``InvalidInput`` if ``paths`` is no multiple of the number of batches."""
     if paths < 4 * MAX_BATCHES or paths % MAX_BATCHES:
         many = f"use a multiple of {MAX_BATCHES}, {4 * MAX_BATCHES} or more"
         raise InvalidInput("paths", paths, many)
@@ -227,8 +224,8 @@ def energy_passage(
 
 def energy_transient(form: SquareRootForm, starts: Starts, asked: Asked, method: Any) -> Transient:
     """Return the densities of energies ``asked.observable``, certified. Exact steps lead from time
-    to time; else a step of ``method`` (see ``energy_passage``) and half of it have their own paths.
-    Without ``tol`` two rounds of ``paths`` are made, else rounds until it or ``seconds``."""
+    to time; else a step (see ``energy_passage``) and half of it have their own paths. Without
+    ``tol`` two rounds of ``paths`` are made."""
     dt = method.step * float((form.scales / form.noise).min())
     longest, many = (inf, (1,)) if form.damping is None else (dt, (2, 1))
     seen = lambda ensemble: energy_columns(asked.observable, form.energies(ensemble.X))  # noqa: E731

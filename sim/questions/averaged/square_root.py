@@ -155,15 +155,12 @@ def square_root_step(
     modulation: Modulation | None = None,
     begin: float = 0.0,
 ) -> Array:
-    """Return X (paths, d) after a step ``dt``, drawn from ``stream``; it stays positive.
-
-    Strang splitting of weak order two: half a step of ``dX = −(γ(X) − γ₀) X dt`` by an exponential
-    midpoint rule, an exact step of the rest, and the other half. The exact step is X(t) = k χ'², k
-    = β (1 − e^{−γ₀t})/(4γ₀), χ'² noncentral chi-square with 4 d/β degrees of freedom and
-    noncentrality X e^{−γ₀t}/k. Under modulated noise e from the time ``begin``, (1 − e^{−γ₀t})/γ₀
-    is ∫e(s)² e^{−γ₀(t−s)} ds, and γ belongs to the mean of e². Raises ``NotCertified`` if the step
-    is unstable.
-    """
+    """Return X (paths, d) > 0 after a step ``dt``, drawn from ``stream``. Strang splitting of weak
+    order two: half a step of ``dX = −(γ(X) − γ₀) X dt`` by an exponential midpoint rule, an exact
+    step of the rest, the other half. The exact step is X(t) = k χ'², k = β (1 − e^{−γ₀t})/(4γ₀),
+    χ'² noncentral chi-square with 4 d/β degrees of freedom and noncentrality X e^{−γ₀t}/k; under
+    noise e from ``begin``, (1 − e^{−γ₀t})/γ₀ is ∫e(s)² e^{−γ₀(t−s)} ds, and γ belongs to the mean
+    of e². Raises ``NotCertified`` if the step is unstable."""
     factor = 1.0 if modulation is None else float(modulation.mean_square(np.array(begin), dt))
     form = form if modulation is None else form.under(factor)
 

@@ -58,9 +58,9 @@ def least_action(
 def score_tables(
     scores: Sequence[ScoreFunction], energies: Sequence[Callable[[Array], Array]], time: float
 ) -> Array:
-    """Return the level of each coordinate's score, (coordinates, rows + 1, columns + 1), from 0,
-    which nowhere falls with the energy or the remaining time. x = column/columns is the share of
-    the limit, at the energy ``energies[i](x)``; (row/rows)² the remaining share of ``time``."""
+    """Return the level of each score, (coordinates, rows + 1, columns + 1), which never falls with
+    the energy ``energies[i](x)``, x = column/columns, or the remaining time (row/rows)²
+    ``time``."""
     left, tables = time * (np.arange(1, ROWS + 1) / ROWS) ** 2, []
     shares = np.maximum(np.arange(COLUMNS), 0.5) / COLUMNS  # ½ in place of 0
     for score, energy in zip(scores, energies, strict=True):
@@ -159,9 +159,8 @@ def look(
     seen: Array, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, law: Any,
     of_q: bool,
 ) -> None:  # fmt: skip
-    """Write four numbers of each limit to ``seen`` (c, 4), for the observed state in ``s``. They
-    are: the distance to the limit; q and v of a displacement, or σ² and its growth of an energy;
-    and the share x = √(E/E_f)."""
+    """Write four numbers of each limit to ``seen`` (c, 4), for the observed state in ``s``:
+    distance; q and v, or σ² of the energy and its growth; and the share x = √(E/E_f)."""
     values, noise, reach, energy, mass = limit
     if of_q:
         root, contact = 0.0, 0.0
@@ -196,9 +195,9 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
         step: StepArrays, watch: WatchArrays, limit: LimitArrays, tables: Array, steps: int,
         paths: Paths,
     ) -> None:  # fmt: skip
-        """Copy ``parents`` to ``dead`` up to where they exceed ``level``; simulate the rest anew.
-        ``first``: number of the stream of ``dead[0]``; ``steps`` of a whole path. States are
-        recorded in the middle of the damping and before the kick."""
+        """Copy ``parents`` to ``dead`` up to where they exceed ``level``, record them in the middle
+        of the damping before the kick, and simulate the rest to ``steps``. ``first``: stream of
+        ``dead[0]``."""
         n, h, s = step.matrix.shape[0] // 2, step.dt, np.zeros(watch.total)
         values = limit[0]
         c = values.size

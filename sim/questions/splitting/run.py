@@ -1,11 +1,9 @@
 """Adaptive multilevel splitting of paths, in repetitions at two steps.
 
 Cerou and Guyader, Stoch. Anal. Appl. 25, 2007, 417, in the unbiased form of Brehier, Gazeau,
-Goudenege, Lelievre and Rousset, Ann. Appl. Probab. 26, 2016, 3559: at each level Z all replicas
-whose score has not exceeded Z are killed, ties included; the estimate is the product of the shares
-that survive. A killed replica is replaced by a copy of a survivor up to the first time when its
-score exceeds Z, and continued with new noise. For a Markov chain in discrete time and any score the
-mean of the estimate is exactly P.
+Goudenege, Lelievre and Rousset, Ann. Appl. Probab. 26, 2016, 3559: each level Z kills the replicas
+whose score has not exceeded it; the estimate is the product of the shares that survive. Copies of
+survivors up to the first time above Z replace them. Its mean is exactly P: docs/theory.md.
 """
 
 from collections.abc import Mapping
@@ -34,6 +32,8 @@ from sim.sample.workers import checkpoint_of, interruptible, workers_of
 from sim.step.arrays import MAX_TRAJECTORIES
 from sim.step.random import stream_of
 from sim.step.step_size import STEP_PER_RATE, chosen_step, temperature
+
+Score = ScoreFunction | None
 
 LEAST_REPETITIONS = 8
 """Least number of repetitions for an estimate of the error from their spread."""
@@ -119,10 +119,9 @@ class RareFailure:
 def split(
     replicas: Any, failure: int, killed: int, stream: np.random.Generator, until: float = inf
 ) -> tuple[float, int, int]:
-    """Return ln of the estimated P(score >= ``failure``), the number of levels, and early failures,
-    of replicas before any is killed. ``replicas`` have ``best`` and ``renew``; each level kills
-    ``killed`` of them, and ties. ln is −inf if a level kills all, NaN at the working time
-    ``until``."""
+    """Return ln of the estimated P(score >= ``failure``), the number of levels, and of replicas
+    that fail before any is killed. A level kills ``killed`` of ``replicas``, and ties. ln is −inf
+    if it kills all, NaN at the working time ``until``."""
     log_probability, levels = 0.0, 0
     failed = int(np.sum(replicas.best >= failure))
     while working_time() <= until:
@@ -140,17 +139,10 @@ def split(
 
 
 def system_problem(
-    system: System,
-    limit: Limit,
-    start: Start,
-    time: float,
-    *,
-    dt: float | None,
-    score: ScoreFunction | None,
+    system: System, limit: Limit, start: Start, time: float, *, dt: float | None, score: Score
 ) -> SystemProblem:
-    """Return failure of ``limit`` before ``time`` with its score, and its step, by default chosen.
-    Raises as ``rare_failure`` does, and ``InvalidInput`` for ``dt`` beyond ``limits.TOO_LONG``
-    times the chosen step."""
+    """Return failure of ``limit`` before ``time``, its score and step. Raises as ``rare_failure``,
+    and ``InvalidInput`` for ``dt`` beyond ``limits.TOO_LONG`` times the chosen step."""
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: whether the limit is passed is no chance")
     # Some states of a random start may lie beyond the limit.
