@@ -52,12 +52,10 @@ def sample_passage(method: Settings, asked: Asked) -> Passage:
     reach = limits.motion_reach(loud, limit, start, method.time or inf)
     dt, failures = limits.motion_step(method, loud, reach, error=tol)
     first = limits.first_step(dt, times, reach.start, method.step_factor)
-    last = float(np.max(times, initial=0.0))
-    longest = horizon(method, dt, last, noise_end(modulation))
+    last, (constant, end) = float(np.max(times, initial=0.0)), noise_times(modulation)
+    longest = horizon(method, dt, last, end)
     # With modulated noise failures may begin late.
-    hopeless = method.time or max(
-        longest / HOPELESS, last, min(constant_noise_begin(modulation), longest)
-    )
+    hopeless = method.time or max(longest / HOPELESS, last, min(constant, longest))
     at_once = MOST_SUMS // limits.CHUNK_STEPS  # a chunk takes less than a second
     paths = -(-min(method.paths, at_once) // LANES) * LANES
     energies = limits.energies_of(limit, system.n)
@@ -84,22 +82,18 @@ def sample_passage(method: Settings, asked: Asked) -> Passage:
         return passage_in_rounds(asked, watch, rounds, begun, steps, *known)
 
 
-def constant_noise_begin(modulation: Modulation | None) -> float:
-    """Return the time after which the noise is constant; inf if it is then zero."""
+def noise_times(modulation: Modulation | None) -> tuple[float, float]:
+    """Return the times after which the noise is constant, and after which there is none; or inf."""
     if modulation is None:
-        return 0.0
-    return float(modulation.times[-1]) if modulation.last else inf
+        return 0.0, inf
+    end = float(modulation.times[-1])
+    return (end, inf) if modulation.last else (inf, end)
 
 
 def horizon(method: Settings, dt: float, last: float, end: float = inf) -> float:
     """Return the longest time of a path: ``time``, or ``most_steps`` of dt and dt/2, at most to the
     ``end`` of the noise, at least to ``last``, the last time asked for."""
     return method.time or max(min(method.most_steps / 3.0 * dt, end), last)
-
-
-def noise_end(modulation: Modulation | None) -> float:
-    """Return the time after which there is no noise, and motion only decays; inf if none."""
-    return inf if modulation is None or modulation.last else float(modulation.times[-1])
 
 
 def passage_in_rounds(
@@ -252,7 +246,7 @@ def passage_of(
     if the simulation is shorter, moments, rate and later P(T > t) are not known. ``failures``:
     against it. Raises ``InvalidInput`` if all trajectories start beyond the limit.
     """
-    times, settled = asked.times, constant_noise_begin(asked.system.modulation)
+    times, (settled, _) = asked.times, noise_times(asked.system.modulation)
     (fine, _, until), failed = sampled, sampled[0] <= sampled[2]
     if np.all(fine == 0.0):
         remedy = "all trajectories begin beyond it; take a higher one"

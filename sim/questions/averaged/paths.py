@@ -22,7 +22,7 @@ from fpk.numeric.machine import usable_cores
 from fpk.system.modulation import Modulation
 from sim.questions.averaged.square_root import SquareRootForm, square_root_step
 from sim.questions.limits import CHUNK_STEPS, first_step
-from sim.questions.passage import Run, noise_end, passage_in_rounds
+from sim.questions.passage import Run, noise_times, passage_in_rounds
 from sim.questions.passing import pass_under
 from sim.questions.rounds import MOST_SUMS, Watch, motions
 from sim.questions.transient import transient_in_rounds
@@ -192,7 +192,7 @@ def energy_passage(
     rounds, first = -(-method.paths // own), first_step(dt, asked.times)
     most = MOST_DRAWS / ((2 if exact else 3) * rounds * own * d)
     most = (most if method.seconds is None else 2.0**40) * dt  # with seconds the wall time ends it
-    longest = max(min(most, noise_end(modulation)), float(np.max(asked.times, initial=0.0)))
+    longest = max(min(most, noise_times(modulation)[1]), float(np.max(asked.times, initial=0.0)))
     known: Any = {"modulation": modulation, "diffusion": form.diffusion(weights)}
     known |= {"rows": d + np.arange(values.size), "limits": values, "first": 0}
 
