@@ -10,6 +10,7 @@ from math import exp, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
 from fpk.answer.names import Coordinate, Limit, Start
 from fpk.numeric.arrays import Array, Integers
@@ -88,51 +89,6 @@ class Paths(NamedTuple):
     moved: Integers  # (replicas,), steps that were computed
 
 
-class CompiledReplicas:
-    """Replicas of one repetition: N paths from ``states`` (N, d) of up to ``steps`` steps, by the
-    compiled ``function`` of ``model``; each new path has the next stream of the ``seed``."""
-
-    def __init__(
-        self, function: Any, model: tuple[Any, ...], states: Array, steps: int, seed: int
-    ) -> None:
-        """Simulate all paths from ``states``."""
-        (replicas, coordinates), records = states.shape, min(steps, SCORE_LEVELS) + 1
-        state = np.empty((replicas, records, coordinates))  # only written pages take memory
-        state[:, 0] = states
-        level, step = (np.empty((replicas, records), dtype=np.int64) for _ in range(2))
-        level[:, 0] = step[:, 0] = 0
-        self.best, moved = np.zeros((2, replicas), dtype=np.int64)
-        self.paths = Paths(state, level, step, self.best, moved)
-        self.function, self.model, self.offset = function, model, stream_offset(seed)
-        self.streams, every = 0, np.arange(replicas)
-        self.renew(every, every, -1)
-
-    def renew(self, dead: Integers, parents: Integers, level: int) -> None:
-        """Replace replicas ``dead`` by copies of ``parents`` until these exceed ``level``. From
-        there on they are simulated anew. The arguments are numbers of replicas, and a level."""
-        self.function(dead, parents, level, self.streams, self.offset, *self.model, self.paths)
-        self.streams += dead.size
-
-
-@njit_inline
-def restart_from(paths: Paths, i: int, parent: int, level: int, x: Array) -> int:
-    """Copy the first record of ``parent`` above ``level`` to replica ``i``, as its only record. Its
-    state is written to ``x``. Returns the number of steps from the start to this record."""
-    m = 0
-    while paths.level[parent, m] <= level:
-        m += 1
-    x[:] = paths.state[parent, m]
-    write_record(paths, i, 0, x, paths.level[parent, m], paths.step[parent, m])
-    return int(paths.step[i, 0])
-
-
-@njit_inline
-def write_record(paths: Paths, i: int, records: int, x: Array, level: int, step: int) -> None:
-    """Write the state ``x``, its ``level`` and ``step`` as record ``records`` of replica ``i``."""
-    paths.state[i, records] = x
-    paths.level[i, records], paths.step[i, records] = level, step
-
-
 @njit_inline
 def level_of(t: Array, x: float, elapsed: float) -> int:
     """Return the level at the share ``x`` of the limit and the ``elapsed`` share of the time.
@@ -146,12 +102,6 @@ def level_of(t: Array, x: float, elapsed: float) -> int:
     low = t[k, j] + a * (t[k, j + 1] - t[k, j])
     high = t[k + 1, j] + a * (t[k + 1, j + 1] - t[k + 1, j])
     return min(int(low + b * (high - low)), SCORE_LEVELS - 1)
-
-
-@njit_inline
-def uniform(place: np.uint64) -> float:
-    """Return the uniform number in (0, 1) of the word at ``place`` in the sequence."""
-    return (np.float64(splitmix64(place) >> np.uint64(11)) + 0.5) * 2.0**-53
 
 
 @njit_inline
@@ -204,9 +154,13 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
         x, z, words = s[: 2 * n], np.zeros(2 * pairs, np.float32), np.zeros(1, np.uint64)
         seen, before = np.zeros((c, 4)), np.zeros((c, 4))
         for number in range(dead.size):
-            i = dead[number]
-            done = restart_from(paths, i, parents[number], level, x)
-            begun, top, records, place = done, paths.level[i, 0], 1, np.uint64(0)
+            i, parent, m, records, place = dead[number], parents[number], 0, 1, np.uint64(0)
+            while paths.level[parent, m] <= level:
+                m += 1
+            top, begun = paths.level[parent, m], paths.step[parent, m]
+            x[:] = paths.state[parent, m]
+            paths.state[i, 0] = x
+            paths.level[i, 0], paths.step[i, 0], done = top, begun, begun
             if level < 0:  # a new path: its start is recorded below
                 top, records = -1, 0
             while True:
@@ -237,7 +191,10 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
                             if a[0] <= 0.0:
                                 gone = True
                             elif nats < passing.NEGLIGIBLE_NATS and not gone:
-                                gone = uniform(u) < exp(-nats)
+                                uniform = (
+                                    np.float64(splitmix64(u) >> np.uint64(11)) + 0.5
+                                ) * 2.0**-53
+                                gone = uniform < exp(-nats)
                         # By round-off the table may give failure without passage.
                         inside = min(
                             level_of(tables[m], seen[m, 3], done / steps), SCORE_LEVELS - 1
@@ -245,7 +202,8 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
                         reached = max(reached, SCORE_LEVELS if gone else inside)
                     if reached > top:
                         top = reached
-                        write_record(paths, i, records, x, top, done)
+                        paths.state[i, records] = x
+                        paths.level[i, records], paths.step[i, records] = top, done
                         records += 1
                 if done >= steps or top >= SCORE_LEVELS:
                     break
@@ -275,25 +233,46 @@ class SystemProblem:
     dt: float
     tables: Array  # of the score
 
-    def replicas(
-        self, count: int, steps: int, seed: int, stream: np.random.Generator
-    ) -> CompiledReplicas:
-        """Return ``count`` paths of ``steps`` steps by ``seed``, with starts drawn from ``stream``.
-        For |q_i| < a the score is of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the
-        largest |q_i| of free motion, k the static stiffness: E_i <= H, and E_i >= E_f = ½ k a² +
-        U_i(a) at a. |q_i| would be poor: the next peak is decided long before the path is there."""
-        system, limit, n = self.system, self.limit, self.system.n
+
+class Replicas:
+    """``count`` paths of one repetition of a ``problem``, of up to ``steps`` steps, from starts
+    drawn from ``stream``; each new path has the next stream of the ``seed``.
+
+    For |q_i| < a the score is of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the largest
+    |q_i| of free motion, k the static stiffness: E_i <= H, and E_i >= E_f = ½ k a² + U_i(a) at a.
+    |q_i| would be poor: the next peak is decided long before the path is there.
+    """
+
+    def __init__(
+        self, problem: SystemProblem, count: int, steps: int, seed: int, stream: Generator
+    ) -> None:
+        """Simulate all paths."""
+        system, limit, n = problem.system, problem.limit, problem.system.n
         at, reach, energy, mass = limits.energies_at(system, limit), np.zeros(n), 1.0, 0
         if limit.kind == "q":
             at, energy = np.array([limit.value]), float(np.min(at))
             mass, (shapes, omega) = limit.observable(n)[0].row, natural_modes(system)
             reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
         scheme = SCHEMES["exact_flow"]
-        step = step_arrays(system, scheme, self.time / steps)
+        step = step_arrays(system, scheme, problem.time / steps)
         energies = limits.energies_of(limit, n) or [Coordinate("H", m) for m in range(n)]
         key, watch = observation_arrays(system, scheme, step, (), (), energies)
-        starts = initial_states(system, self.start, int(stream.integers(2**63)), count)
+        starts = initial_states(system, problem.start, int(stream.integers(2**63)), count)
         numbers = at, passing.diffusion_of(system, limit), reach, energy, mass
-        model = step, watch, numbers, self.tables, steps
-        renew = path_function_for(key, limit.kind)
-        return CompiledReplicas(renew, model, np.hstack(starts), steps, seed)
+        self.model = step, watch, numbers, problem.tables, steps
+        self.function, self.offset = path_function_for(key, limit.kind), stream_offset(seed)
+        records = min(steps, SCORE_LEVELS) + 1
+        state = np.empty((count, records, 2 * n))  # only written pages take memory
+        state[:, 0] = np.hstack(starts)
+        level, taken = (np.empty((count, records), dtype=np.int64) for _ in range(2))
+        level[:, 0] = taken[:, 0] = 0
+        self.best, moved = np.zeros((2, count), dtype=np.int64)
+        self.paths = Paths(state, level, taken, self.best, moved)
+        self.streams, every = 0, np.arange(count)
+        self.renew(every, every, -1)
+
+    def renew(self, dead: Integers, parents: Integers, level: int) -> None:
+        """Replace replicas ``dead`` by copies of ``parents`` until these exceed ``level``, from
+        where on they are simulated anew; the arguments are numbers of replicas, and a level."""
+        self.function(dead, parents, level, self.streams, self.offset, *self.model, self.paths)
+        self.streams += dead.size

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import ceil, exp, hypot, inf, isfinite, log, nan
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from sim.questions import limits
 from sim.questions.passage import most_events
 from sim.questions.rounds import Watch, initial_states
 from sim.questions.splitting import kernel
-from sim.questions.splitting.kernel import SCORE_LEVELS, ScoreFunction, SystemProblem
+from sim.questions.splitting.kernel import SCORE_LEVELS, Replicas, ScoreFunction, SystemProblem
 from sim.sample.settings import NOT_IN_STATE, check_settings
 from sim.sample.workers import checkpoint_of, interruptible, workers_of
 from sim.step.arrays import MAX_TRAJECTORIES
@@ -116,28 +115,6 @@ class RareFailure:
         return self.error / self.probability if self.probability > 0.0 else inf
 
 
-def split(
-    replicas: Any, failure: int, killed: int, stream: np.random.Generator, until: float = inf
-) -> tuple[float, int, int]:
-    """Return ln of the estimated P(score >= ``failure``), the number of levels, and of replicas
-    that fail before any is killed. A level kills ``killed`` of ``replicas``, and ties. ln is −inf
-    if it kills all, NaN at the working time ``until``."""
-    log_probability, levels = 0.0, 0
-    failed = int(np.sum(replicas.best >= failure))
-    while working_time() <= until:
-        best = replicas.best
-        level = int(np.partition(best, killed - 1)[killed - 1])
-        if level >= failure:
-            return log_probability + log(np.mean(best >= failure)), levels, failed
-        dead, alive = np.flatnonzero(best <= level), np.flatnonzero(best > level)
-        if alive.size == 0:
-            return -inf, levels, failed
-        log_probability += log(alive.size / best.size)
-        replicas.renew(dead, alive[stream.integers(alive.size, size=dead.size)], level)
-        levels += 1
-    return nan, levels, failed
-
-
 def system_problem(
     system: System, limit: Limit, start: Start, time: float, *, dt: float | None, score: Score
 ) -> SystemProblem:
@@ -208,18 +185,30 @@ def rare_failure(
 
 
 def repetition(
-    problem: Any, settings: Splitting, left: float, number: int, fine: int
-) -> tuple[float, ...]:
-    """Make repetition ``number`` at the step dt / 2**``fine``, within ``left`` seconds; return what
-    ``split`` returns, and the number of steps. ``problem``: like a ``SystemProblem``."""
+    problem: SystemProblem, settings: Splitting, left: float, number: int, fine: int
+) -> tuple[float, int, int, int]:
+    """Make repetition ``number`` at the step dt / 2**``fine``; return ln of its estimate, the
+    numbers of levels, of replicas that fail before any is killed, and of steps. ln is −inf if a
+    level kills all replicas, NaN if it takes longer than ``left`` seconds."""
     until, stream = working_time() + left, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
-    replicas = problem.replicas(settings.replicas, steps, seed, stream)
-    result = split(replicas, SCORE_LEVELS, settings.killed, stream, until)
-    return *result, int(replicas.paths.moved.sum())
+    replicas = Replicas(problem, settings.replicas, steps, seed, stream)
+    log_probability, levels, best = nan, 0, replicas.best
+    failed, survived = int(np.sum(best >= SCORE_LEVELS)), 0.0
+    while working_time() <= until:
+        level = int(np.partition(best, settings.killed - 1)[settings.killed - 1])
+        dead, alive = np.flatnonzero(best <= level), np.flatnonzero(best > level)
+        if level >= SCORE_LEVELS or alive.size == 0:
+            share = np.mean(best >= SCORE_LEVELS)
+            log_probability = survived + log(share) if share > 0.0 else -inf
+            break
+        survived += log(alive.size / best.size)
+        replicas.renew(dead, alive[stream.integers(alive.size, size=dead.size)], level)
+        levels += 1
+    return log_probability, levels, failed, int(replicas.paths.moved.sum())
 
 
-def step_count(problem: Any) -> int:
+def step_count(problem: SystemProblem) -> int:
     """Return the number of the longer steps in the time; a path has 2**40 words, 2**8 a step."""
     steps: int = ceil(problem.time / problem.dt * (1.0 - 1e-12))
     most = 2**56 // MAX_TRAJECTORIES
@@ -228,7 +217,7 @@ def step_count(problem: Any) -> int:
     return steps
 
 
-def sample_failure(problem: Any, settings: Splitting, progress: Progress) -> RareFailure:
+def sample_failure(problem: SystemProblem, settings: Splitting, progress: Progress) -> RareFailure:
     """Return the probability of failure in ``problem``; see ``rare_failure``."""
     dt, s = 0.5 * problem.time / step_count(problem), settings
     checkpoint = checkpoint_of(s.checkpoint, (problem, s), "splitting", less=NOT_IN_STATE)
