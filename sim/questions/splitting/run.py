@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import ceil, exp, hypot, inf, isfinite, log, nan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -115,6 +116,28 @@ class RareFailure:
         return self.error / self.probability if self.probability > 0.0 else inf
 
 
+def split(
+    replicas: Any, failure: int, killed: int, stream: np.random.Generator, until: float = inf
+) -> tuple[float, int, int]:
+    """Return ln of the estimated P(score >= ``failure``), the number of levels, and of replicas
+    that fail before any is killed. A level kills ``killed`` of ``replicas``, which have ``best``
+    and ``renew``, and ties. ln is −inf if it kills all, NaN at the working time ``until``."""
+    log_probability, levels = 0.0, 0
+    failed = int(np.sum(replicas.best >= failure))
+    while working_time() <= until:
+        best = replicas.best
+        level = int(np.partition(best, killed - 1)[killed - 1])
+        if level >= failure:
+            return log_probability + log(np.mean(best >= failure)), levels, failed
+        dead, alive = np.flatnonzero(best <= level), np.flatnonzero(best > level)
+        if alive.size == 0:
+            return -inf, levels, failed
+        log_probability += log(alive.size / best.size)
+        replicas.renew(dead, alive[stream.integers(alive.size, size=dead.size)], level)
+        levels += 1
+    return nan, levels, failed
+
+
 def system_problem(
     system: System, limit: Limit, start: Start, time: float, *, dt: float | None, score: Score
 ) -> SystemProblem:
@@ -187,25 +210,13 @@ def rare_failure(
 def repetition(
     problem: SystemProblem, settings: Splitting, left: float, number: int, fine: int
 ) -> tuple[float, int, int, int]:
-    """Make repetition ``number`` at the step dt / 2**``fine``; return ln of its estimate, the
-    numbers of levels, of replicas that fail before any is killed, and of steps. ln is −inf if a
-    level kills all replicas, NaN if it takes longer than ``left`` seconds."""
+    """Make repetition ``number`` at the step dt / 2**``fine``; return what ``split`` returns,
+    within ``left`` seconds, and the number of steps."""
     until, stream = working_time() + left, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
     replicas = Replicas(problem, settings.replicas, steps, seed, stream)
-    log_probability, levels, best = nan, 0, replicas.best
-    failed, survived = int(np.sum(best >= SCORE_LEVELS)), 0.0
-    while working_time() <= until:
-        level = int(np.partition(best, settings.killed - 1)[settings.killed - 1])
-        dead, alive = np.flatnonzero(best <= level), np.flatnonzero(best > level)
-        if level >= SCORE_LEVELS or alive.size == 0:
-            share = np.mean(best >= SCORE_LEVELS)
-            log_probability = survived + log(share) if share > 0.0 else -inf
-            break
-        survived += log(alive.size / best.size)
-        replicas.renew(dead, alive[stream.integers(alive.size, size=dead.size)], level)
-        levels += 1
-    return log_probability, levels, failed, int(replicas.paths.moved.sum())
+    result = split(replicas, SCORE_LEVELS, settings.killed, stream, until)
+    return *result, int(replicas.paths.moved.sum())
 
 
 def step_count(problem: SystemProblem) -> int:
