@@ -116,5 +116,15 @@ class MonteCarlo(Settings, Method):
         )
 
 
-_NAMES = ("montecarlo", "simulation", "simulation", "(6)", "full")
-register_route(Route(*_NAMES, sampled=True, colour="#b50c01", make=MonteCarlo))
+register_route(
+    Route(
+        method="montecarlo",
+        solver="simulation",
+        words="simulation",
+        equation="(6)",
+        solves="full",
+        sampled=True,
+        colour="#b50c01",
+        make=MonteCarlo,
+    )
+)

@@ -8,8 +8,8 @@ dies, another gets its tasks: the answer is bitwise that of one machine of the s
 import os
 import signal
 import threading
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -57,8 +57,16 @@ class Workers:
         arguments in place; on a cluster it gets copies."""
         own = deepcopy if self.remote_errors else tuple  # arguments from Dask are read-only
         rows = list(zip(*columns, strict=True))
+        return list(self._unless_lost(self.executor.map(lambda row: task(*own(row)), rows)))
+
+    def as_finished(self, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any]:
+        """Return the results of ``tasks`` without arguments, in the order in which they finish."""
+        futures = [self.executor.submit(task) for task in tasks]
+        return self._unless_lost(future.result() for future in as_completed(futures))
+
+    def _unless_lost(self, results: Iterable[Any]) -> Iterator[Any]:
         try:
-            return list(self.executor.map(lambda row: task(*own(row)), rows))
+            yield from results
         except self.remote_errors as error:
             words = " ".join(f"{type(error).__name__} {error}".split())
             raise NotCertified(f"the cluster was lost on the way: {words[:200]}") from None

@@ -210,13 +210,13 @@ def rare_failure(
 def repetition(
     problem: SystemProblem, settings: Splitting, left: float, number: int, fine: int
 ) -> tuple[float, int, int, int]:
-    """Make repetition ``number`` at the step dt / 2**``fine``; return what ``split`` returns,
-    within ``left`` seconds, and the number of steps."""
+    """Make repetition ``number`` at the step dt / 2**``fine``; return both and its result: what
+    ``split`` returns, within ``left`` seconds, and the number of steps."""
     until, stream = working_time() + left, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
     replicas = Replicas(problem, settings.replicas, steps, seed, stream)
     result = split(replicas, SCORE_LEVELS, settings.killed, stream, until)
-    return *result, int(replicas.paths.moved.sum())
+    return number, fine, (*result, int(replicas.paths.moved.sum()))
 
 
 def step_count(problem: SystemProblem) -> int:
@@ -243,11 +243,12 @@ def sample_failure(problem: SystemProblem, settings: Splitting, progress: Progre
         left = np.argwhere(np.isnan(made[0, :, :wanted]).T).tolist()
         for first in range(0, len(left), workers.threads):
             most = s.seconds - (working_time() - watch.begin)
-            index, fine = zip(*left[first : first + workers.threads], strict=True)
-            results = workers.map(partial(repetition, problem, s, most), index, fine)
-            made[:, fine, index] = np.transpose(results)
-            seconds = working_time() - watch.begin
-            checkpoint.save({"made": made, "seconds": np.array(seconds)})
+            tasks = left[first : first + workers.threads]
+            calls = [partial(repetition, problem, s, most, *task) for task in tasks]
+            for index, fine, result in workers.as_finished(calls):
+                made[:, fine, index] = result
+                seconds = working_time() - watch.begin
+                checkpoint.save({"made": made, "seconds": np.array(seconds)})
             progress(finished(), wanted, "splitting")
             if watch.ends():
                 return None
