@@ -209,7 +209,7 @@ def rare_failure(
 
 def repetition(
     problem: SystemProblem, settings: Splitting, left: float, number: int, fine: int
-) -> tuple[float, int, int, int]:
+) -> tuple[int, int, tuple[float, int, int, int]]:
     """Make repetition ``number`` at the step dt / 2**``fine``; return both and its result: what
     ``split`` returns, within ``left`` seconds, and the number of steps."""
     until, stream = working_time() + left, stream_of(settings.seed, 2 * number + fine)
