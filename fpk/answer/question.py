@@ -117,11 +117,8 @@ def register_question(question: Question) -> Question:
 
 
 def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
-    """Return ``function(method, asked)`` as a method that takes the arguments of the question.
-
-    The question has the name of ``function``. Tolerance, observable and points are checked before
-    the call, as the head of this file says.
-    """
+    """Return ``function(method, asked)`` as a method that takes the arguments of the question with
+    the name of ``function``. Tolerance, observable and points are checked before the call."""
     question, given = QUESTIONS[function.__name__], Parameter.POSITIONAL_OR_KEYWORD
     parameters = [Parameter(name, given) for name in ("self", "system", *question.takes)]
     for name, value in (("tol", None), ("progress", silent)):

@@ -1,9 +1,5 @@
-"""Fingerprints of settings, by which stored results are recognised.
-
-A fingerprint contains every field of a record, so that a new field is compared, too. Fields that
-cannot change a result are excluded by name, ``less``, as "MonteCarlo.threads"; each such list gives
-the reasons beside the names.
-"""
+"""Fingerprints of settings, by which stored results are recognised: every field of a record is
+compared, except those named in ``less``, as "MonteCarlo.threads", which cannot change a result."""
 
 import json
 from collections.abc import Container, Mapping, Set

@@ -1,7 +1,5 @@
-"""Mean power of damping terms given the contact displacements, and its balance with the noise.
-
-The balance gives energy scales for meshes, ranges and time steps; no answer depends on its error.
-"""
+"""Mean power of damping terms given the contact displacements, and its balance with the noise:
+energy scales for meshes, ranges and time steps. No answer depends on its error."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -35,12 +33,10 @@ GROWS = "the damping does not balance the noise, so the energy grows for ever"
 
 
 class Balance(NamedTuple):
-    """Highest temperature and energy at which damping dissipates the power of the noise.
-
-    The mean dissipated power P in the Gibbs state exp(−H/``temperature``) has the ``slope`` dP/dθ
-    there; the microcanonical mean balances at ``energy``. Each is 0 if there is no balance. With
-    stops the relative error is a few per cent.
-    """
+    """Highest temperature and energy at which damping dissipates the power of the noise. The mean
+    dissipated power P in the Gibbs state exp(−H/``temperature``) has the ``slope`` dP/dθ there; the
+    microcanonical mean balances at ``energy``. Each is 0 if there is no balance. With stops the
+    relative error is a few per cent."""
 
     temperature: float
     slope: float
@@ -48,13 +44,9 @@ class Balance(NamedTuple):
 
 
 def equivalent_temperature(system: System) -> float:
-    """Return the θ at which E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i in the Gibbs state exp(−H/θ).
-
-    It is the largest of several roots, beyond which the damping dominates. With constant damping it
-    is Σ D_ii/m_i / Σ c_ii/m_i.
-
-    Raises ``NotApplicable`` if no noise reaches a mass, or the damping never balances it.
-    """
+    """Return the θ at which E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i in the Gibbs state exp(−H/θ), the
+    largest of several roots. With constant damping it is Σ D_ii/m_i / Σ c_ii/m_i. Raises
+    ``NotApplicable`` if no noise reaches a mass, or the damping never balances it."""
     if not np.any(np.diag(system.noise_matrix) > 0.0):
         raise NotApplicable("no noise reaches a mass, so the energy has no stationary density")
     temperature = system.fact(damping_balance).temperature
@@ -199,13 +191,10 @@ def _temperature_of_sizes(system: System, constant: float, noise: float) -> floa
 
 
 def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
-    """Displacements (masses, points) of the contact masses and weights (points,) of a Gibbs mean.
-
-    ``theta`` is the temperature. Along the chain each contact mass is Gaussian about the previous,
-    with the variance θ times the flexibility in between, and is cut off at its stops. With
-    five or more contact masses ``RESAMPLED_POINTS`` are drawn by their weights after each mass, as
-    otherwise few points carry all of the weight.
-    """
+    """Displacements (masses, points) of the contact masses and weights (points,) of a Gibbs mean at
+    the temperature ``theta``. Along the chain each contact mass is Gaussian about the previous,
+    with the variance θ times the flexibility in between, and cut off at its stops. With five or
+    more contact masses ``RESAMPLED_POINTS`` are drawn by their weights after each mass."""
     masses, reach = system.contact_masses, sqrt(2.0 * DEPTH)
     on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= MAX_GRID_POINTS]
     x, w = gauss_legendre([*on_grid, 16][0])

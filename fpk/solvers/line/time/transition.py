@@ -49,9 +49,7 @@ class Source:
     @cached_property
     def extent(self) -> float:
         """Energy above which the mass of the source is below round-off."""
-        return (
-            self.energy if self.process is None else float(probe_process(self.process).extent(EPS))
-        )
+        return float(probe_process(self.process).extent(EPS)) if self.process else self.energy
 
     def nodes(self, end: float, degree: int) -> Array:
         """Return nodes up to ``end`` that resolve a source density; empty for one energy. Above its
@@ -91,11 +89,9 @@ class Question:
     tol: float
 
     def common_error(self, e: Elements, p: Array, size: Array, x: Array) -> Array:
-        """Return the errors of ``p`` (times, points) at ``x`` that no mesh shows.
-
-        They are errors by the coefficients, amplified where p is small, as at short times
-        ln p ~ −(distance)²/(2 b t); and round-off of energies and of terms of ``size`` in p.
-        """
+        """Return the errors of ``p`` (times, points) at ``x`` that no mesh shows: by the
+        coefficients, amplified where p is small, as at short times ln p ~ −(distance)²/(2 b t); and
+        round-off of energies and of terms of ``size`` in p."""
         rounding = ROUNDINGS * EPS * (1.0 + x / self.width + e.log_range)
         top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
         steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
@@ -107,10 +103,8 @@ class Question:
 @dataclass(frozen=True, eq=False)
 class Transition:
     """Density of an energy at several times after a start, with its error and certificate.
-
     ``distance`` (times, elements, points) is the distance of p to more accurate solutions, ``top``
-    (times,) the largest p.
-    """
+    (times,) the largest p."""
 
     question: Question
     solution: ChainDensity
@@ -159,9 +153,9 @@ def pose_question(
     """Return the question and the first pair of elements for it.
 
     ``time`` is the first time, ``tol`` the L1 tolerance. Meshes end at the absorbing ``limit``, or
-    where the mass beyond is ``TAIL_SHARES`` · tol at any time: from a start at H_0 it is less than
-    the stationary mass beyond, over the stationary mass beyond H_0. Raises ``InvalidInput`` for a
-    start beyond the range of double precision.
+    where the mass beyond is ``TAIL_SHARES`` · tol at any time: from H_0 less than the stationary
+    mass beyond, over the stationary mass beyond H_0. Raises ``InvalidInput`` for a start beyond the
+    range of double precision.
     """
     degree, start, width, fine = degree_for(tol), source.energy, process.energy_scale, []
     if source.process is None:
@@ -175,26 +169,20 @@ def pose_question(
         nodes = time_nodes(process, limit, degree, fine=fine, more=source.nodes(limit, degree))
         return Question(source, width, tol), element_pair(process, nodes, degree)
     probe, share = probe_process(process), 0.0
-    top, least = (
-        int(probe.log_mass.argmax()),
-        MIN_LOG_SHARE * (1.0 if source.process is None else 4.0),
-    )
+    top = int(probe.log_mass.argmax())
     if source.extent > probe.energy[top]:
         above = np.interp(np.log(source.extent), np.log(probe.energy), probe.log_mass)
         share = float(above - probe.log_mass[top])
-    if share < least:
+    if share < MIN_LOG_SHARE * (1.0 if source.process is None else 4.0):
         remedy = "the stationary probability beyond it is out of the range of double precision"
         raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
-    ends = []
-    for tail in TAIL_SHARES:
-        if source.process is None:
-            ends.append(max(probe.extent(math.exp(math.log(tail * tol) + share)), 1.05 * start))
-        else:
-            ends.append(
-                max(each.extent(tail * tol) for each in (probe, probe_process(source.process)))
-            )
-    # The mesh of the enriched solution is longer by 2 % at least.
-    end, last = ends[0], max(ends[1], 1.02 * ends[0])
+    tails = [tail * tol for tail in TAIL_SHARES]
+    if source.process is None:
+        end, last = (max(probe.extent(x * math.exp(share)), 1.05 * start) for x in tails)
+    else:
+        both = probe, probe_process(source.process)
+        end, last = (max(each.extent(x) for each in both) for x in tails)
+    last = max(last, 1.02 * end)  # the mesh of the enriched solution is longer by 2 % at least
     nodes = time_nodes(process, end, degree, fine=fine, more=source.nodes(end, degree))
     beyond = np.linspace(end, last, 1 + math.ceil((last - end) / float(nodes[-1] - nodes[-2])))
     return Question(source, width, tol), element_pair(process, nodes, degree, beyond=beyond[1:])
@@ -222,12 +210,9 @@ def solve_adaptively(
 def estimate_error(
     question: Question, own: ChainDensity, finer: ChainDensity, *, distance: Array | None = None
 ) -> tuple[Transition, Array, Array]:
-    """Return the transition of the solution ``own`` with its error, and the errors by elements.
-
-    The error is based on ``distance`` (times, elements, points), by default to the enriched
-    solution ``finer``. The last two arrays (elements,) are the shares of each element in the
-    distance and in ``Question.common_error``.
-    """
+    """Return the transition of the solution ``own`` with its error, and the shares (elements,) of
+    each element in the distance and in ``Question.common_error``. The error is based on
+    ``distance`` (times, elements, points), by default to the enriched solution ``finer``."""
     answer, enriched = own.elements, finer.elements
     x, w = answer.x, answer.weight
     (p, size), (better, other) = (f.density(x.ravel()) for f in (own, finer))
@@ -242,11 +227,9 @@ def estimate_error(
     common = question.common_error(answer, p, size + other, x.ravel())
     pointwise = DISTANCE_FACTOR * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w
-    top = p.max(axis=1)
+    top, errors = p.max(axis=1), ((DISTANCE_FACTOR * distance * w) + common).sum(axis=(1, 2))
     measured = Measured(
-        l1_error=float(
-            ((DISTANCE_FACTOR * distance * w) + common).sum(axis=(1, 2)).max() + 2.0 * tail
-        ),
+        l1_error=float(errors.max() + 2.0 * tail),
         mass_defect=float(np.abs(p @ w.ravel() - 1.0).max()),
         minimum=float((p.min(axis=1) / top).min()),
         residual=own.residual,
