@@ -100,12 +100,9 @@ def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
     inwards = np.flatnonzero(~(rate > error))
     first = int(inwards[-1]) + 1 if inwards.size else 0
     if first < energy.size:
-        if energy[first] > MAX_ENERGY:
-            raise NotCertified(OUT_OF_RANGE)
-        raise NotCertified(
-            f"the density does not fall off: from H = {energy[first]:.3g} on the drift points "
-            "outwards, so nothing brings the energy back"
-        )
+        words = f"the density does not fall off: from H = {energy[first]:.3g} on the drift points"
+        words += " outwards, so nothing brings the energy back"
+        raise NotCertified(OUT_OF_RANGE if energy[first] > MAX_ENERGY else words)
 
 
 def require_confined(process: Process) -> None:

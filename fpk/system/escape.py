@@ -190,10 +190,8 @@ def _escape_reason(system: System, state: Array) -> str:
     if term.i == term.j and term.energy == 0 and len(term.q + term.v) == 1:
         k, constant = int(np.argmax(powers)), max(float(system.damping[term.row, term.row]), 0.0)
         bound = (constant / abs(term.coefficient)) ** (1.0 / powers[k])
-        if powers[k] % 2 == 0:
-            where = f" for |{names[k]}| > {bound:.3g}"
-        else:
-            where = f" for {names[k]} {side[k]} {bound if side[k] == '>' else 0.0 - bound:.3g}"
+        signed = f"{names[k]} {side[k]} {bound if side[k] == '>' else 0.0 - bound:.3g}"
+        where = f" for {signed}" if powers[k] % 2 else f" for |{names[k]}| > {bound:.3g}"
     else:
         odd = np.flatnonzero(np.mod([*powers[: system.n], *term.velocities(system.n)], 2))
         signs = [f"{names[k]} {side[k]} 0" for k in odd]

@@ -15,24 +15,7 @@ from scipy.ndimage import maximum_filter1d
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.numeric.piecewise import Piecewise
-from fpk.solvers.line.elements import (
-    CONTACT_POINTS,
-    ENRICHMENT,
-    NullVectors,
-    element_null_vectors,
-    element_rule,
-    residuals_of,
-)
-from fpk.solvers.line.mesh import (
-    ELEMENT_FALL,
-    GRADED_LAYERS,
-    SMOOTH_FALL,
-    Probe,
-    initial_nodes,
-    probe_process,
-    split_points,
-    with_layers,
-)
+from fpk.solvers.line import elements, mesh
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 LINE_FACTOR = 2.0
@@ -75,7 +58,7 @@ class StationarySolution:
     @property
     def panels(self) -> Array:
         """Nodes with layers where p is not smooth: Gauss rules between them have round-off only."""
-        return with_layers(self.nodes, self.process.nonsmooth)
+        return mesh.with_layers(self.nodes, self.process.nonsmooth)
 
     @property
     def unknowns(self) -> int:
@@ -137,7 +120,7 @@ class StationarySolution:
         scale, other = np.array([self.answer.log_scale, self.enriched.log_scale])[..., None]
         distance = np.abs(u - np.exp(other - scale) * better)
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * 0.5 * (1.0 + t)
-        share = element_rule(self.degree, self.process.degrees_of_freedom)[0][0]
+        share = elements.element_rule(self.degree, self.process.degrees_of_freedom)[0][0]
         log_T = self._log_states(np.maximum(x, self.nodes[1] * share))
         # The maximum filter would drop NaN: it is replaced by the largest number.
         distance = np.nan_to_num(distance, nan=1.0 / SMALLEST, posinf=1.0 / SMALLEST)
@@ -165,21 +148,21 @@ def solve_stationary(
     if degree is None:
         digits = round(-math.log10(tol))
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
-    probe = probe_process(process)
-    nats: Array | float = ELEMENT_FALL
+    probe = mesh.probe_process(process)
+    nats: Array | float = mesh.ELEMENT_FALL
     if smooth:
         # The error of an element is weighted by its mass, and rises as nats^(degree + 1). Up to 7
         # nats p at the far end exceeds the error of its element, so that p stays positive.
         fall = probe.log_mass.max() - probe.log_mass
-        nats = SMOOTH_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
-    end, layers = probe.extent(1e-2 * tol), 0 if smooth else GRADED_LAYERS
-    nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
+        nats = mesh.SMOOTH_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
+    end, layers = probe.extent(1e-2 * tol), 0 if smooth else mesh.GRADED_LAYERS
+    nodes = mesh.initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
         solution, marked = _solve(process, probe, nodes, degree, tol)
         # Element matrices of more than a block take seconds.
         if not marked.any() or marked.size * degree**2 > BLOCK_SIZE:
             break
-        cut = split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
+        cut = mesh.split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
         before, nodes = nodes, np.unique(np.append(nodes, cut))
         if nodes.size < before.size + cut.size:
             break
@@ -192,24 +175,24 @@ def solve_on_mesh(
     degree: int,
     *,
     tol: float = np.inf,
-    null_vectors: NullVectors | None = None,
+    null_vectors: elements.NullVectors | None = None,
 ) -> StationarySolution:
     """Return the solution by elements of ``degree`` between ``nodes``, certified to the L1 ``tol``.
     ``null_vectors``, if given, is used in place of elimination in each element."""
-    return _solve(process, probe_process(process), nodes, degree, tol, null_vectors)[0]
+    return _solve(process, mesh.probe_process(process), nodes, degree, tol, null_vectors)[0]
 
 
 def _solve(
     process: Process,
-    probe: Probe,
+    probe: mesh.Probe,
     nodes: Array,
     degree: int,
     tol: float,
-    null_vectors: NullVectors | None = None,
+    null_vectors: elements.NullVectors | None = None,
 ) -> tuple[StationarySolution, Flags]:
     """Return the solution as ``solve_on_mesh`` does, and which elements to cut in two. ``probe``
     bounds the tail."""
-    share, weight, enriched_weight, P, tested, *of_contact = element_rule(
+    share, weight, enriched_weight, P, tested, *of_contact = elements.element_rule(
         degree, process.degrees_of_freedom
     )
     contact_share, contact_weight, contact_P = of_contact
@@ -227,12 +210,12 @@ def _solve(
     A = (factors @ tested).reshape(left.size, degree + 2, degree + 3)
     largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), SMALLEST)
     A /= largest
-    degrees = degree, degree + ENRICHMENT
+    degrees = degree, degree + elements.ENRICHMENT
     if null_vectors is None:
-        series = [element_null_vectors(A, m) for m in degrees]
+        series = [elements.element_null_vectors(A, m) for m in degrees]
     else:
         series, own = zip(*(null_vectors(process, nodes, m, points) for m in degrees), strict=True)
-    residual, net_flux, one_way = residuals_of(A, series[0])
+    residual, net_flux, one_way = elements.residuals_of(A, series[0])
     residual = float(residual.max()) if null_vectors is None else own[0]
     values, better = (T * (f @ P[: f.shape[1]]) for f in series)
     weights, better_mass = np.broadcast_to(weight, T.shape), better @ enriched_weight
@@ -242,7 +225,7 @@ def _solve(
         inner_T = np.exp(of_T - log_factor[contact, None])
         own_values, finer = (inner_T * (f[contact] @ contact_P[: f.shape[1]]) for f in series)
         # Elements without contact have fewer points: the last is repeated with weight 0.
-        count = degree + CONTACT_POINTS
+        count = degree + elements.CONTACT_POINTS
         places = np.minimum(np.arange(count), points - 1)
         x, values, better = (f[:, places] for f in (x, values, better))
         weights = np.where(np.arange(count) < points, weights[:, places], 0.0)

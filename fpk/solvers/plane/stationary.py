@@ -19,6 +19,7 @@ from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.numeric.piecewise import PiecewiseTensor
 from fpk.numeric.quadrature import gauss_grid, integral
 from fpk.solvers.line.elements import ENRICHMENT
+from fpk.solvers.plane import weight as weights
 from fpk.solvers.plane.elements import null_function
 from fpk.solvers.plane.solution import (
     PlaneSolution,
@@ -26,18 +27,7 @@ from fpk.solvers.plane.solution import (
     solve_plane_on_mesh,
     tails,
 )
-from fpk.solvers.plane.weight import (
-    MAX_WEIGHT_DEGREE,
-    NEGLIGIBLE_FALL,
-    RISE,
-    RISE_PER_DEGREE,
-    Weight,
-    fit_weight,
-    flux_free_weight,
-    inverse_diffusion,
-    last_index,
-    negligible_rise,
-)
+from fpk.solvers.plane.weight import Weight
 from fpk.system.ends import require_confined
 from fpk.system.process import Process
 
@@ -58,7 +48,7 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
     require_confined(process)
-    weight = flux_free_weight(process)
+    weight = weights.flux_free_weight(process)
 
     def attempts() -> Iterator[PlaneSolution]:
         """Solutions in the order of their cost, each computed when the last was not certified."""
@@ -88,7 +78,7 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     if this bound exceeds half of ``tol``, or w varies too fast for 24 panels along each axis."""
     weight = replace(weight, floor=0.0)
     try:
-        ends = weight.ends(max(NEGLIGIBLE_FALL, negligible_rise(tol)))
+        ends = weight.ends(max(weights.NEGLIGIBLE_FALL, weights.negligible_rise(tol)))
     except NotCertified:
         return None
     for panels in (2, 4, 8, 16, 24):
@@ -109,8 +99,8 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     slope = np.stack(weight.slopes(*H), axis=-1).reshape(-1, 2)
     flow = 2.0 * c.drift - c.divergence
     flux = np.einsum("nij,nj->ni", c.diffusion, slope) + flow
-    missed = np.abs(inverse_diffusion(flux, c.diffusion)).reshape(at.shape)
-    missed[w < np.exp(-NEGLIGIBLE_FALL) * w.max()] = 0.0
+    missed = np.abs(weights.inverse_diffusion(flux, c.diffusion)).reshape(at.shape)
+    missed[w < np.exp(-weights.NEGLIGIBLE_FALL) * w.max()] = 0.0
     # Twice, as p is normalised: a factor on p in one place changes p everywhere else.
     along = zip((missed[..., 0].max(axis=1), missed[..., 1].max(axis=0)), grids, strict=True)
     wrong = 2.0 * float(sum(most @ v for most, (_, v) in along))
@@ -134,7 +124,7 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
     """Yield solutions with more unknowns and better weights, as long as these lower the error.
     ``weight`` is the first weight, ``tol`` the L1 tolerance."""
     rung, least, stalled, best = 0, np.inf, 0, weight
-    rise = negligible_rise(tol)
+    rise = weights.negligible_rise(tol)
     farthest = max(rise, 25.0)  # the first weight may be far from p
     while rung < len(RUNGS) and stalled < 2:
         panels, degree = RUNGS[rung]
@@ -148,7 +138,7 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         gained = error < 0.3 * least
         # A mass beyond the mesh below a millionth of the error is not known accurately.
         if (solution.measured.tail_mass or 0.0) > 0.1 * max(tol, 1e-6 * error) or not gained:
-            rise = farthest + RISE
+            rise = farthest + weights.RISE
         farthest = rise
         if gained:
             best, better, least = weight, weight_of(solution), error
@@ -175,10 +165,10 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
     used at which the relative error of p is below ``LARGEST_ERROR``: with the error ε √p of p these
     have p > (ε/LARGEST_ERROR)² of its maximum."""
     rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / LARGEST_ERROR))
-    if not rise > 2.0 * RISE_PER_DEGREE:
+    if not rise > 2.0 * weights.RISE_PER_DEGREE:
         return None
     # Four times as many points along each axis as the fit of the highest degree needs.
-    ends, points = [nodes[-1] for nodes in solution.nodes], 4 * (MAX_WEIGHT_DEGREE + 2)
+    ends, points = [nodes[-1] for nodes in solution.nodes], 4 * (weights.MAX_WEIGHT_DEGREE + 2)
     # First on the whole mesh, to find the box in which p is known; then on this box.
     for _ in range(2):
         x, y = (np.linspace(0.0, end, points) for end in ends)
@@ -188,9 +178,9 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
         known &= better > np.exp(-rise) * better.max()
         if not known.any():
             return None
-        ends = [H[min(last_index(known, k) + 1, points - 1)] for k, H in enumerate((x, y))]
+        ends = [H[min(weights.last_index(known, k) + 1, points - 1)] for k, H in enumerate((x, y))]
     log_p = np.log(np.where(known, better, 1.0))
-    return fit_weight((x, y), log_p, known, rise, present=solution.weight)
+    return weights.fit_weight((x, y), log_p, known, rise, present=solution.weight)
 
 
 def solve_by_elements(

@@ -22,16 +22,10 @@ from fpk.answer.dynamics import LARGEST_ERROR, NO_NOISE_YET, Transient
 from fpk.answer.names import number_text
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.solvers.line.time import transition
 from fpk.solvers.line.time.elements import ChainDensity, Elements, Pair, Settings
 from fpk.solvers.line.time.resolvent import matrices
-from fpk.solvers.line.time.transition import (
-    Question,
-    Source,
-    Transition,
-    estimate_error,
-    pose_question,
-    solve_adaptively,
-)
+from fpk.solvers.line.time.transition import Question, Source, Transition
 from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
@@ -129,7 +123,9 @@ def halve_steps(
     of ``carried``: the answer, with steps twice as long, and these on elements of a higher degree.
     """
     carried = lru_cache(maxsize=4)(carried)
-    solved = solve_adaptively(question, pair, lambda e, **_: carried(e, STEP_HALVINGS[0])[0])
+    solved = transition.solve_adaptively(
+        question, pair, lambda e, **_: carried(e, STEP_HALVINGS[0])[0]
+    )
     e, sizes = solved.elements, []
     for level in range(STEP_HALVINGS[0] + 1, STEP_HALVINGS[1] + 1):
         numbers = carried(e, level)[1]
@@ -161,7 +157,7 @@ def transition_with_modulation(
     modulation, times = modulation.after(quiet), times - quiet
     unit = modulation.largest or 1.0
     first = float(modulation.energy(times[0])) / unit
-    question, pair = pose_question(under(unit), source, first, tol)
+    question, pair = transition.pose_question(under(unit), source, first, tol)
 
     def carried(e: Elements, level: int) -> Carried:
         g = radau_steps(e, source.load(e), modulation, unit, times, level=level)[0]
@@ -178,7 +174,7 @@ def transition_with_modulation(
         return np.asarray(np.abs(p - in_longer) + np.abs(in_longer - in_both))
 
     distance = apart(e.x.ravel()).reshape(-1, *e.x.shape)
-    answer, _, _ = estimate_error(question, own, enriched, distance=distance)
+    answer, _, _ = transition.estimate_error(question, own, enriched, distance=distance)
     # Without noise distances are largest at the ends of elements, which are no quadrature points.
     at_ends = apart(e.right)
     beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))

@@ -18,20 +18,9 @@ from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.line.mesh import MAX_ELEMENT_DEGREE, layer_at, probe_process, time_nodes
-from fpk.solvers.line.time.elements import (
-    Elements,
-    Pair,
-    degree_for,
-    element_pair,
-    solve_with_refinement,
-)
-from fpk.solvers.line.time.modulated import (
-    Carried,
-    Processes,
-    halve_steps,
-    quiet_until,
-    radau_steps,
-)
+from fpk.solvers.line.time import elements as chain
+from fpk.solvers.line.time import modulated
+from fpk.solvers.line.time.elements import Elements, Pair
 from fpk.solvers.line.time.resolvent import chain_potential, inverse_laplace
 from fpk.solvers.line.time.transition import Source, pose_question
 from fpk.system.modulation import Modulation
@@ -159,7 +148,7 @@ def chain_first_passage(
     for moments and rate, absolute for the probability of failure at ascending ``times``. A
     ``source`` that is a density gets nodes that resolve it. Raises ``InvalidInput`` for a limit
     whose mean time is beyond double precision."""
-    degree, wanted = degree_for(tol), 0.25 * tol
+    degree, wanted = chain.degree_for(tol), 0.25 * tol
     beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probe_process(process)
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
     # The mean time is about e^fall relaxation times; this bounds the mesh before it is computed.
@@ -188,7 +177,7 @@ def chain_first_passage(
             marked |= (distance > wanted).reshape(a.count, -1).any(axis=1)
         return answer, marked
 
-    return solve_with_refinement(element_pair(process, nodes, degree), solved)
+    return chain.solve_with_refinement(chain.element_pair(process, nodes, degree), solved)
 
 
 def fem_passage(
@@ -246,7 +235,7 @@ def fem_passage(
 
 
 def passage_with_modulation(
-    under: Processes,
+    under: modulated.Processes,
     modulation: Modulation,
     source: Source,
     limit: float,
@@ -262,7 +251,11 @@ def passage_with_modulation(
     For ``tol`` see ``chain_first_passage``. Raises ``NotApplicable`` if damping feeds energy in at
     the limit while there is no noise, and as ``chain_first_passage`` does.
     """
-    unit, last, quiet = modulation.largest, modulation.last, quiet_until(modulation, source)
+    unit, last, quiet = (
+        modulation.largest,
+        modulation.last,
+        modulated.quiet_until(modulation, source),
+    )
     if unit == 0.0:
         raise NotApplicable("there is no noise at any time: nothing passes a limit")
     if modulation.times.size == 1:
@@ -279,13 +272,13 @@ def passage_with_modulation(
     later = chain_first_passage(under(last), limit, stops[:0], 0.01 * tol) if last else None
     first = float(modulation.energy(stops[1])) / unit
 
-    def carried(e: Elements, level: int) -> Carried:
+    def carried(e: Elements, level: int) -> modulated.Carried:
         """p at the stops > 0; P(T > t) at all stops, E T and E T²; errors by ``later``. The steps
         are halved ``level`` times. The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end
         t_e of the modulation, plus E τ and E(2 t_e τ + τ²) of the remaining time τ over the density
         at t_e."""
         load, how = source.load(e), {"level": level, "absorbing": True}
-        g, t, weight, mass = radau_steps(e, load, modulation, unit, stops[1:], **how)
+        g, t, weight, mass = modulated.radau_steps(e, load, modulation, unit, stops[1:], **how)
         kept = np.append(load[:, :2].sum(), np.einsum("tei,ei->t", g.values, e.load))
         density = weight * mass * (t <= end)
         moments, lost = np.array([density.sum(), 2.0 * density @ t]), np.zeros(2)
@@ -301,7 +294,7 @@ def passage_with_modulation(
             lost += [one[1], 2.0 * end * one[1] + two[1]]
         return g, np.append(kept, moments), lost
 
-    solved, found = halve_steps(
+    solved, found = modulated.halve_steps(
         *pose_question(process, source, first, MODULATED_SHARE * tol, limit=limit),
         carried,
         lambda moved, numbers: float(np.max(moved / np.maximum(numbers, 1.0))),

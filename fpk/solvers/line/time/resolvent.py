@@ -19,14 +19,8 @@ from fpk.answer.dynamics import Rates, certify_rates
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes, Integers
 from fpk.numeric.errors import NotCertified
 from fpk.solvers.line.mesh import probe_process, split_points, time_nodes
-from fpk.solvers.line.time.elements import (
-    MOST_ELEMENTS,
-    TAIL_SHARES,
-    ChainDensity,
-    Elements,
-    degree_for,
-    element_pair,
-)
+from fpk.solvers.line.time import elements as chain
+from fpk.solvers.line.time.elements import ChainDensity, Elements
 from fpk.system.process import Process
 
 CONTOUR_TIMES = 10.0
@@ -205,7 +199,7 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
     """Return the ``count`` smallest nonzero eigenvalues of −L, which are real, to relative ``tol``.
     The mesh ends where π φ² of φ ~ H^``count`` has the mass ``TAIL_SHARES`` · tol beyond. Raises
     ``NotCertified`` if π φ² does not fall, or no eigenvalues are found."""
-    degree, scale = degree_for(tol), process.energy_scale
+    degree, scale = chain.degree_for(tol), process.energy_scale
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
     temperature = scale / process.degrees_of_freedom
     # φ rises above the temperature. π φ² of a Laguerre polynomial of norm 1, φ ~ H^count, is at
@@ -214,7 +208,7 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
     rise = np.where(probe.energy > temperature, 2.0 * count / probe.energy, 0.0)
     grown = replace(probe, slope=probe.slope + rise)
     try:
-        ends = np.array([grown.extent(tail * tol * 0.25**count) for tail in TAIL_SHARES])
+        ends = np.array([grown.extent(tail * tol * 0.25**count) for tail in chain.TAIL_SHARES])
     except NotCertified:
         words = "the density does not fall faster than the eigenfunctions rise"
         raise NotCertified(words) from None
@@ -228,7 +222,7 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
         for _ in range(turn // 2):
             at = split_points(nodes[:-1], nodes[1:], process.nonsmooth)
             nodes = np.sort(np.append(nodes, at))
-        pair, found = element_pair(process, nodes, degree, beyond=[last]), []
+        pair, found = chain.element_pair(process, nodes, degree, beyond=[last]), []
         for e in pair:
             M, K, *_ = matrices(e)
             first, shift = np.linspace(1.0, 2.0, M.shape[0]), -SHIFT * order
@@ -243,7 +237,7 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
         errors = DISTANCE_FACTOR * np.abs(rates - better) + common * rates
         # Round-off of the largest eigenvalue of the inverse, as an error of each λ.
         errors += ROUNDINGS * EPS * (rates + SHIFT * order) ** 2 / (SHIFT * order)
-        if (errors <= tol * rates).all() or 2 * answer.count > MOST_ELEMENTS:
+        if (errors <= tol * rates).all() or 2 * answer.count > chain.MOST_ELEMENTS:
             break
     # The constant is an eigenfunction of 0 on any elements, as no probability is lost. The count
     # shows that no rate was missed.

@@ -11,26 +11,10 @@ from fpk.answer.certificate import DISTANCE_FACTOR, Certificate, Measured, certi
 from fpk.answer.names import number_text
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput
+from fpk.solvers.line import mesh
 from fpk.solvers.line.elements import ENRICHMENT
-from fpk.solvers.line.mesh import (
-    LAYER,
-    LENGTH_RATIO,
-    MAX_ELEMENT_DEGREE,
-    layer_at,
-    probe_process,
-    time_nodes,
-)
-from fpk.solvers.line.time.elements import (
-    TAIL_SHARES,
-    ChainDensity,
-    Elements,
-    Pair,
-    Settings,
-    chain_elements,
-    degree_for,
-    element_pair,
-    solve_with_refinement,
-)
+from fpk.solvers.line.time import elements as chain
+from fpk.solvers.line.time.elements import ChainDensity, Elements, Pair, Settings
 from fpk.solvers.line.time.resolvent import inverse_laplace
 from fpk.system.process import Process
 
@@ -49,7 +33,7 @@ class Source:
     @cached_property
     def extent(self) -> float:
         """Energy above which the mass of the source is below round-off."""
-        return float(probe_process(self.process).extent(EPS)) if self.process else self.energy
+        return float(mesh.probe_process(self.process).extent(EPS)) if self.process else self.energy
 
     def nodes(self, end: float, degree: int) -> Array:
         """Return nodes up to ``end`` that resolve a source density; empty for one energy. Above its
@@ -57,15 +41,17 @@ class Source:
         if self.process is None:
             return np.zeros(0)
         last = min(end, self.extent)
-        steps = np.arange(1.0, np.log(end / last) / np.log(LENGTH_RATIO))
-        return np.append(time_nodes(self.process, last, degree), last * LENGTH_RATIO**steps)
+        steps = np.arange(1.0, np.log(end / last) / np.log(mesh.LENGTH_RATIO))
+        return np.append(
+            mesh.time_nodes(self.process, last, degree), last * mesh.LENGTH_RATIO**steps
+        )
 
     def samples(self, e: Elements) -> tuple[Array, Array]:
         """Return energies in the elements ``e``, and their weights in a mean over the source."""
         if self.process is None:
             return np.array([self.energy]), np.ones(1)
-        nodes = time_nodes(self.process, self.extent, MAX_ELEMENT_DEGREE)
-        own = chain_elements(self.process, nodes[:-1], nodes[1:], MAX_ELEMENT_DEGREE)
+        nodes = mesh.time_nodes(self.process, self.extent, mesh.MAX_ELEMENT_DEGREE)
+        own = chain.chain_elements(self.process, nodes[:-1], nodes[1:], mesh.MAX_ELEMENT_DEGREE)
         within = e.x < self.extent
         x = e.x[within]
         log_p = own.log_density(x) - np.logaddexp.reduce(own.log_mass)
@@ -157,18 +143,18 @@ def pose_question(
     mass beyond, over the stationary mass beyond H_0. Raises ``InvalidInput`` for a start beyond the
     range of double precision.
     """
-    degree, start, width, fine = degree_for(tol), source.energy, process.energy_scale, []
+    degree, start, width, fine = chain.degree_for(tol), source.energy, process.energy_scale, []
     if source.process is None:
         # √(b t), or b' t near H = 0, where b ~ H.
         c = process.coefficients(np.array([max(start, 1e-9 * width)]))
         spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0
         width = max(spread, 0.5 * float(c.divergence[0]) * time)
-        fine.append((start, LAYER * width))
+        fine.append((start, mesh.LAYER * width))
     if limit is not None:
-        fine.append(layer_at(process, limit, time))
-        nodes = time_nodes(process, limit, degree, fine=fine, more=source.nodes(limit, degree))
-        return Question(source, width, tol), element_pair(process, nodes, degree)
-    probe, share = probe_process(process), 0.0
+        fine.append(mesh.layer_at(process, limit, time))
+        nodes = mesh.time_nodes(process, limit, degree, fine=fine, more=source.nodes(limit, degree))
+        return Question(source, width, tol), chain.element_pair(process, nodes, degree)
+    probe, share = mesh.probe_process(process), 0.0
     top = int(probe.log_mass.argmax())
     if source.extent > probe.energy[top]:
         above = np.interp(np.log(source.extent), np.log(probe.energy), probe.log_mass)
@@ -176,16 +162,18 @@ def pose_question(
     if share < MIN_LOG_SHARE * (1.0 if source.process is None else 4.0):
         remedy = "the stationary probability beyond it is out of the range of double precision"
         raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
-    tails = [tail * tol for tail in TAIL_SHARES]
+    tails = [tail * tol for tail in chain.TAIL_SHARES]
     if source.process is None:
         end, last = (max(probe.extent(x * math.exp(share)), 1.05 * start) for x in tails)
     else:
-        both = probe, probe_process(source.process)
+        both = probe, mesh.probe_process(source.process)
         end, last = (max(each.extent(x) for each in both) for x in tails)
     last = max(last, 1.02 * end)  # the mesh of the enriched solution is longer by 2 % at least
-    nodes = time_nodes(process, end, degree, fine=fine, more=source.nodes(end, degree))
+    nodes = mesh.time_nodes(process, end, degree, fine=fine, more=source.nodes(end, degree))
     beyond = np.linspace(end, last, 1 + math.ceil((last - end) / float(nodes[-1] - nodes[-2])))
-    return Question(source, width, tol), element_pair(process, nodes, degree, beyond=beyond[1:])
+    return Question(source, width, tol), chain.element_pair(
+        process, nodes, degree, beyond=beyond[1:]
+    )
 
 
 def solve_adaptively(
@@ -204,7 +192,7 @@ def solve_adaptively(
         before = own.sum()
         return answer, marked & (not small)
 
-    return solve_with_refinement(pair, solved)
+    return chain.solve_with_refinement(pair, solved)
 
 
 def estimate_error(
@@ -223,7 +211,7 @@ def estimate_error(
     far, far_w = enriched.x[answer.count :], enriched.weight[answer.count :]
     beyond = np.abs(finer.density(np.append(far.ravel(), last))[0])
     tail = (beyond[:, :-1] @ far_w.ravel()).max()
-    tail += probe_process(answer.process).tail_bound(last, float(beyond[:, -1].max()))
+    tail += mesh.probe_process(answer.process).tail_bound(last, float(beyond[:, -1].max()))
     common = question.common_error(answer, p, size + other, x.ravel())
     pointwise = DISTANCE_FACTOR * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w

@@ -14,15 +14,8 @@ from scipy.sparse import csc_array, eye_array
 
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.quadrature import gauss_grid
-from fpk.solvers.plane.elements import (
-    Nodes,
-    assemble,
-    axis_numbers,
-    element_matrices,
-    flux_coefficients,
-    local_numbers,
-    shape_functions,
-)
+from fpk.solvers.plane import elements as tensor
+from fpk.solvers.plane.elements import Nodes
 from fpk.solvers.plane.solution import PlaneSolution, gauss_points
 from fpk.solvers.plane.weight import RISE, UNIT_WEIGHT, Weight, negligible_rise
 from fpk.system.process import Process
@@ -133,11 +126,13 @@ class PlaneOperator:
     def matrices(self) -> tuple[csc_array, csc_array, Array]:
         """Sparse A and M of the unknowns, and ∫ w φ of their functions φ."""
         (x, y), ((_, v), (_, u)) = gauss_grid(self.nodes, points=self.points)
-        at, numbers = self.energies(x, y), local_numbers(self.nodes, self.degree)
-        parts = flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
+        at, numbers = self.energies(x, y), tensor.local_numbers(self.nodes, self.degree)
+        parts = tensor.flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
         parts = self.pulled_back(x, y, parts)
-        by_element = (element_matrices(f, self.nodes, self.degree) for f in (parts[1:], parts[:1]))
-        A, M = (assemble(of, numbers) for of in by_element)
+        by_element = (
+            tensor.element_matrices(f, self.nodes, self.degree) for f in (parts[1:], parts[:1])
+        )
+        A, M = (tensor.assemble(of, numbers) for of in by_element)
         S, N, k = self.functions
         A = N.T @ A @ N
         if any(self.absorbing):
@@ -162,10 +157,10 @@ class PlaneOperator:
         t = (y - nodes[panel]) / (nodes[panel + 1] - nodes[panel])
         values = np.zeros((y.size, self.sizes[axis]))
         inside = ((y >= nodes[0]) & (y <= nodes[-1]))[:, None]
-        phi = shape_functions(k, np.clip(t, 0.0, 1.0))[int(slope)].T * inside
+        phi = tensor.shape_functions(k, np.clip(t, 0.0, 1.0))[int(slope)].T * inside
         if slope:
             phi = phi / np.diff(nodes)[panel][:, None]
-        np.put_along_axis(values, axis_numbers(nodes.size - 1, k)[panel], phi, axis=1)
+        np.put_along_axis(values, tensor.axis_numbers(nodes.size - 1, k)[panel], phi, axis=1)
         return values
 
     def spread(self, g: Array) -> Array:
