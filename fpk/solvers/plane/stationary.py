@@ -21,12 +21,7 @@ from fpk.numeric.quadrature import gauss_grid, integral
 from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.plane import weight as weights
 from fpk.solvers.plane.elements import null_function
-from fpk.solvers.plane.solution import (
-    PlaneSolution,
-    root_spaced_nodes,
-    solve_plane_on_mesh,
-    tails,
-)
+from fpk.solvers.plane.solution import PlaneSolution, root_spaced_nodes, solve_plane_on_mesh, tails
 from fpk.solvers.plane.weight import Weight
 from fpk.system.ends import require_confined
 from fpk.system.process import Process
