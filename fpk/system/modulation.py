@@ -1,7 +1,6 @@
 """Noise of intensity e(t)² D that varies with time."""
 
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 from scipy.special import hyp1f1
@@ -53,12 +52,6 @@ class Modulation:
     def last(self) -> float:
         """e² after the last time."""
         return float(self.factor[-1]) ** 2
-
-    @property
-    def quiet(self) -> float:
-        """Time of the first noise; inf if e is 0 at all times."""
-        loud = np.flatnonzero(self.factor > 0.0)
-        return float(self.times[max(loud[0] - 1, 0)]) if loud.size else inf
 
     def after(self, time: float) -> "Modulation":
         """Return the modulation e(``time`` + t) for t >= 0."""

@@ -48,11 +48,12 @@ def quiet_until(modulation: Modulation, source: Source) -> float:
     ``InvalidInput`` if the source is an energy > 0, which decays before the first noise."""
     if source.process is not None:
         return 0.0
-    if modulation.quiet > 0.0 and source.energy > 0.0:
-        when = f"decays without noise until t = {modulation.quiet:g}"
-        remedy = f"{when}; begin there, at rest or from noise=F"
+    loud = np.flatnonzero(modulation.factor > 0.0)
+    quiet = float(modulation.times[max(loud[0] - 1, 0)]) if loud.size else math.inf
+    if quiet > 0.0 and source.energy > 0.0:
+        remedy = f"decays without noise until t = {quiet:g}; begin there, at rest or from noise=F"
         raise InvalidInput("start", f"H={number_text(source.energy)}", remedy)
-    return modulation.quiet
+    return quiet
 
 
 def radau_steps(

@@ -58,10 +58,6 @@ class PlaneOperator:
         H = H1 + H2
         return H, np.divide(H1, H, out=np.full(H.shape, 0.5), where=H > 0.0)
 
-    def jacobian(self, first: Array, second: Array) -> Array:
-        """Return |∂H/∂y| at y = (``first``, ``second``)."""
-        return first + 0.0 * second if self.collapsed else np.ones_like(first + second)
-
     def pulled_back(self, first: Array, second: Array, of_energies: Array) -> Array:
         """Return the coefficients of the weak form in y = (``first``, ``second``), (6, ...):
         |∂H/∂y| times w, G w a and G w b Gᵀ, G = ∂y/∂H, from ``of_energies`` (6, ...) of
@@ -198,8 +194,9 @@ class PlaneStart:
             y, p = op.coordinates(*self.energies[:, None]), np.ones((1, 1))
         else:
             at, ((_, v), (_, w)) = gauss_grid(op.nodes, points=op.points)
-            y, p = (at[0].ravel(), at[1].ravel()), v[:, None] * w * op.jacobian(*at)
-            p *= self.density.density(*op.energies(*at))
+            # |∂H/∂y| = H in collapsed coordinates.
+            area = v[:, None] * w * (at[0] if op.collapsed else 1.0)
+            y, p = (at[0].ravel(), at[1].ravel()), area * self.density.density(*op.energies(*at))
         return np.asarray((op.along(0, y[0]).T @ p @ op.along(1, y[1])).ravel() @ op.functions[0])
 
 
