@@ -44,8 +44,7 @@ STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
 error)² at which the iteration ends."""
 
 PRIOR_WIDTH = 10.0
-"""Standard deviation of the Gaussian prior of each coefficient: larger than changes of ln p/r in a
-box, and effective only where there are no samples."""
+"""Standard deviation of the Gaussian prior of each coefficient: effective only without samples."""
 DOUBT, ALARM = 0.01, 1e-6
 """False-alarm rates of the tests of a fit: to halve its box, and to report it as wrong."""
 STEEPEST = 2.0

@@ -176,14 +176,11 @@ def certify_density(
     added_error: Callable[..., Array] | None = None,
     frame: tuple[Array, tuple[Array, ...]] | None = None,
 ) -> Density:
-    """Return a density given by functions, with its certificate.
-
-    ``panels``, ``pdf`` and ``pointwise`` become fields of ``Density``. ``measured`` comes from the
-    solver, but mass and minimum are measured here; ``tol`` is the L1 tolerance. ``added_error(p,
-    *points)`` is an error of p that ``measured.l1_error`` does not contain. With ``frame``, a
-    matrix F and panels of y, integrals are taken over x = F y, for a ridge that no panels of x
-    resolve.
-    """
+    """Return a density given by functions, with its certificate. ``panels``, ``pdf`` and
+    ``pointwise`` become fields of ``Density``. ``measured`` comes from the solver, but mass and
+    minimum are measured here; ``tol`` is the L1 tolerance. ``added_error(p, *points)`` is an error
+    of p that ``measured.l1_error`` does not contain. With ``frame``, a matrix F and panels of y,
+    integrals are taken over x = F y, for a ridge that no panels of x resolve."""
     jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
     mesh, grids = gauss_grid(axes)
     if frame is not None:

@@ -28,8 +28,8 @@ BEYOND_RANGE = "the mean time to it is beyond the range of double precision; tak
 NO_NOISE_YET = "no noise has acted yet: there is no density"
 """Refusal of a time before which the modulation is 0."""
 LARGEST_ERROR = 0.1
-"""Largest error of a certified probability; relative or L1 error above which a density counts as
-unknown: its stated errors are then infinite."""
+"""Largest error of a certified probability, and relative or L1 error of a density above which
+stated errors are infinite."""
 
 
 @dataclass(frozen=True)
@@ -95,12 +95,10 @@ def certify_curve(
     positive: Array | None = None,
 ) -> Curve:
     """Return a curve that follows from the stationary density ``of``, with its certificate.
-
     ``values`` and ``errors`` are (points,); ``tol`` is the largest error in units of ``scale`` > 0.
     The certificate takes over mass, tail and failures of the density, except a missed tolerance,
     and the larger ``residual``. ``positive``, by default ``values``, must be >= 0 within the
-    largest error.
-    """
+    largest error."""
     relative, given = float(np.max(errors)) / scale, of.certificate
     least = float(np.min(values if positive is None else positive)) / scale
     residual, words = largest_measured((residual, given.residual)), (*given.besides, *failures)
@@ -110,13 +108,11 @@ def certify_curve(
 
 
 def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array]:
-    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp at q = ``at`` (points,), and their errors.
-
-    f is the density ``joint`` of q and p, m the ``mass``. The error is one standard error of
-    samples, or the sum of the integrated error of f, the distance to coarser rules and the tail
-    beyond the last momentum, where f is continued with the slope of its last panel; it is infinite
-    if f neither falls there nor is 0 within its error.
-    """
+    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp at q = ``at`` (points,), and their errors. f is
+    the density ``joint`` of q and p, m the ``mass``. The error is one standard error of samples, or
+    the sum of the integrated error of f, the distance to coarser rules and the tail beyond the last
+    momentum, where f is continued with the slope of its last panel; it is infinite if f neither
+    falls there nor is 0 within its error."""
     nodes = np.unique(np.maximum(joint.panels[1], 0.0))
     if isinstance(joint, SampledDensity):
         return joint.flux(lambda p: p / mass, nodes, at)
@@ -222,13 +218,11 @@ def certify_passage(
     starts: Sequence[Array] | None = None,
     settings: Mapping[str, str | float | int] | None = None,
 ) -> Passage:
-    """Return a first passage computed numerically, with its certificate.
-
-    ``numbers`` are mean, variance and failure rate; ``failure`` is P(T <= t) at ``times``, with
-    ``failure_error``. ``tol`` bounds relative errors of the finite numbers and absolute errors of
-    the probabilities. For ``mass_defect`` and ``residual`` see ``Measured``. ``starts`` are the
-    starts, and mean, its error, variance, its error from there.
-    """
+    """Return a first passage computed numerically, with its certificate. ``numbers`` are mean,
+    variance and failure rate; ``failure`` is P(T <= t) at ``times``, with ``failure_error``.
+    ``tol`` bounds relative errors of the finite numbers and absolute errors of the probabilities.
+    For ``mass_defect`` and ``residual`` see ``Measured``. ``starts`` are the starts, and mean, its
+    error, variance, its error from there."""
     finite = [(x.value, x.error) for x in numbers if x and x.value != np.inf]
     value, error = np.array(finite).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):

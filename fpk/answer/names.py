@@ -167,9 +167,9 @@ def parse_limit(text: str, n: int) -> Limit:
 
 
 class Start(Named):
-    """Initial state of a motion at time 0. ``values`` by ``kind``: "state" has displacements q1..
-    and momenta p1.. (0 unless given, none: rest), "energy" has H, "modal" has all modal energies
-    H1.., and "noise" has the factor ``noise`` on D whose stationary state is the initial state."""
+    """Initial state at time 0. ``values`` by ``kind``: "state" has displacements q1.. and momenta
+    p1.. (0 unless given, none: rest), "energy" has H, "modal" all modal energies H1.., and "noise"
+    the factor ``noise`` on D whose stationary state is the initial state."""
 
     @property
     def rest(self) -> bool:

@@ -22,8 +22,7 @@ ErrorKind = Literal["numerical", "sampling"]
 SUBDIVISION = 1e-5
 """Largest interpolation error of the quadratic cells of a field, over the largest density."""
 FIELD_CUT = 1e-6
-"""The box of a field contains all points at which the first density exceeds this share of its
-maximum."""
+"""The first density exceeds this share of its maximum only inside the box of a field."""
 MOST_CELLS = 60_000
 """Number of cells at which the refinement of a field ends; its error is stated in any case."""
 

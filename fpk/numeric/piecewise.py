@@ -52,12 +52,10 @@ def clenshaw_kernel() -> Callable[..., Array]:
 @dataclass(frozen=True, eq=False)
 class Piecewise:
     """``f(x) = exp(log_scale_k) Σ_j coefficients_kj P_j(t)``, t from −1 to 1 over panel k.
-
     ``nodes`` (panels + 1,) ascend; ``coefficients`` (panels, degree + 1, ...) have the shape of a
     value behind the first two axes; ``log_scale`` (panels,) lets a density span more than the range
     of double precision. Outside the nodes f is ``outside``. ``error`` (panels,), set by ``fit``, is
-    the estimated largest error of the series on each panel, without the scale.
-    """
+    the estimated largest error of the series on each panel, without the scale."""
 
     nodes: Array
     coefficients: Array

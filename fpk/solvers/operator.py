@@ -129,12 +129,10 @@ def solve_by_scikit_fem(
     process: Process, *, tol: float, degree: int = SCIKIT_DEGREE, marked: float = 0.0
 ) -> StationarySolution | PlaneSolution:
     """Return the stationary density to the L1 tolerance ``tol`` by elements of one ``degree``.
-
     Meshes are refined until the answer is certified or matrices would be too large: for one energy
     all elements of the fast solver's first mesh are halved; for two the first mesh is equidistant
     in √H, and ``marked`` is as in ``solve_by_elements``. Raises ``NotCertified`` if no stationary
-    density exists.
-    """
+    density exists."""
     if process.dimension == 2:
         require_confined(process)
         first = flux_free_weight(process)

@@ -32,11 +32,9 @@ from fpk.system.modulation import Modulation, require_constant_noise
 CANCELLED = 1e3
 """Relative error of a transform, in units of EPS, above which it is computed in another way."""
 STEEPEST, NEGLIGIBLE = 1e5, 1e-20
-"""Largest s x_f/c of Chernoff's bound, where 1F1 ~ e^(2 √(s x_f/c)); bound below which P(T <= t) is
-taken as 0."""
+"""Largest s x_f/c of Chernoff's bound, where 1F1 ~ e^(2 √(s x_f/c)), and bound that counts as 0."""
 CLOSE_STARTS = (0.02, 40.0)
-"""Smallest x_0/x_f and largest x_f − x_0 of starts with early failures, for which the series of 1F1
-cancels and ``log_kummer_ratio`` is used."""
+"""Smallest x_0/x_f and largest x_f − x_0 of starts for which ``log_kummer_ratio`` is used."""
 
 MOST_TERMS = 20_000
 """Largest number of terms of a series of 1F1 or of a continued fraction."""
@@ -45,8 +43,7 @@ BESSEL = 50.0
 SERIES_RANGE = 60.0
 """Largest x y at which 40 powers give the Bessel function: 60^41/41!² is 1e-26."""
 LEAST_SIZE = 4.0
-"""Smallest |a| of ``log_kummer_ratio``: for smaller negative a, near the relaxation rates, 1F1 has
-zeros close to the real axis of x."""
+"""Smallest |a| of ``log_kummer_ratio``: near the relaxation rates 1F1 has zeros close to real x."""
 RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14
 """Largest ratio and difference of both ends of a panel of x; Gauss points of a panel."""
 

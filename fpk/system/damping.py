@@ -14,8 +14,8 @@ from fpk.numeric.errors import require
 Powers = tuple[tuple[int, int], ...]
 
 MOST_POWERS = 8
-"""Highest degree of a term, an energy counting twice: averages of higher ones lose digits, and
-explicit steps their stability."""
+"""Highest degree of a term, an energy counting twice: explicit steps lose their stability
+beyond."""
 
 
 @dataclass(frozen=True)

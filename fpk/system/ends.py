@@ -37,13 +37,11 @@ class BoundaryClass:
 
 
 def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryClass]:
-    """Return the Feller classes of H_i = 0 and H_i = ∞ of the energy i = ``axis``, from 0.
-
-    At H = 0 with b ~ β H the scale density is ~ H^(−κ) and the speed density ~ H^(κ−1), κ = 2
-    s(0)/β. At infinity the scale function diverges if the drift points inwards, and the process
-    returns in finite time if ∫dH/|s| converges. Other energies are put at 0, 1 or 10 times their
-    scales, together or one by one, and the least favourable case decides.
-    """
+    """Return the Feller classes of H_i = 0 and H_i = ∞ of the energy i = ``axis``, from 0. At H = 0
+    with b ~ β H the scale density is ~ H^(−κ) and the speed density ~ H^(κ−1), κ = 2 s(0)/β. At
+    infinity the scale function diverges if the drift points inwards, and the process returns in
+    finite time if ∫dH/|s| converges. Other energies are put at 0, 1 or 10 times their scales,
+    together or one by one, and the least favourable case decides."""
     # The smallest exponent of the drift above 1, of damping by q² between stops of the highest
     # exponent e, is 1 + 2/(1 + e): exponents within half of the difference count as 1.
     linear, rest = 1.0 / (1.0 + MAX_EXPONENT), process.dimension - 1

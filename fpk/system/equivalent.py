@@ -18,16 +18,14 @@ from fpk.system.linear import displacements_given
 from fpk.system.system import System
 
 SEARCHED = 2.0 ** np.arange(-2.0, 54.0)
-"""Temperatures at which the balance is sought, in units of ``_temperature_of_sizes``: up to 1e16
-of it, as the energies ``fpk.system.ends.FAR_OUT``."""
+"""Temperatures at which the balance is sought, in units of ``_temperature_of_sizes``."""
 MAX_GRID_POINTS = 2**16
-"""Largest number of points of the tensor grid over the contact masses, 16 to 64 along each of up
-to four: moments to three digits."""
+"""Largest number of points of the tensor grid over up to four contact masses: moments to three
+digits."""
 RESAMPLED_POINTS = 2**11
 """Points drawn with five or more contact masses: moments to 2 % for up to thirty masses."""
 QUADRATURE = 1e-9
-"""A mean power below this share of its cancelling terms counts as zero; where terms of one contact
-mass cancel exactly, quadrature leaves 1e-12."""
+"""A mean power below this share of its cancelling terms counts as zero: quadrature leaves 1e-12."""
 GROWS = "the damping does not balance the noise, so the energy grows for ever"
 """Message if damping and noise balance at no temperature."""
 
@@ -57,12 +55,10 @@ def equivalent_temperature(system: System) -> float:
 
 def power_given(system: System, terms: Sequence[DampingTerm]) -> tuple[Integers, Array]:
     """Return E Σ c_ij v_i v_j of ``terms`` given the c contact displacements, as a polynomial.
-
     Momenta and the other displacements are Gaussian at the temperature θ. The power is the sum of
     parts H^energy · C · θ^j · Π q_c^powers. A row of the first array (parts, 2 + c) is (degree,
     order, powers) with order = Σ powers + 2 j and degree = order − 2 + 2 energy; a row of the
-    second (parts, 2) is C and the sum of the sizes of the terms of C.
-    """
+    second (parts, 2) is C and the sum of the sizes of the terms of C."""
     n, masses = system.n, system.contact_masses
     weights, covariance = displacements_given(system, masses)
     sums: dict[tuple[int, ...], Array] = defaultdict(lambda: np.zeros(2))

@@ -72,12 +72,10 @@ def escape(system: System) -> str | None:
 
 def _escaping_state(system: System, unit: Array, energy: float, span: float) -> Array | None:
     """Return a state (q, v), (2n,), of a motion that escapes from ``energy``; None if all return.
-
     Implicit Euler steps with one correction are short where the linearised motion grows. A motion
     has returned when it has lost half of its energy, and has escaped when it leaves the range of
     double precision or still rises at the end. ``unit`` (2n,) scales (q, v); ``energy/span`` is the
-    lowest energy at which two rates are equal.
-    """
+    lowest energy at which two rates are equal."""
     n, rates, rng = system.n, _motion(system, unit), np.random.default_rng(0)
     # In two thirds of the states about half of the coordinates are small, log-uniformly down to a
     # tenth of their size at ``energy/span``.

@@ -78,13 +78,11 @@ def decay_time(system: System) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LinearCovariance:
-    """Covariance of x = (ω Q, P) of the modes without contacts, and its errors.
-
-    ``shapes`` T and ``omega`` are from ``natural_modes``; ``drift`` is A (2n, 2n) of dx = A x dt +
-    …. ``covariance`` is V diag(``variance``) Vᵀ with ``axes`` V, variances ascending;
-    ``variance_error`` (2n,) are their errors and ``relative_error`` is the largest relative error
-    of the quadratic form. ``residual`` of the Lyapunov equation is relative to its terms.
-    """
+    """Covariance of x = (ω Q, P) of the modes without contacts, and its errors. ``shapes`` T and
+    ``omega`` are from ``natural_modes``; ``drift`` is A (2n, 2n) of dx = A x dt + …. ``covariance``
+    is V diag(``variance``) Vᵀ with ``axes`` V, variances ascending; ``variance_error`` (2n,) are
+    their errors and ``relative_error`` is the largest relative error of the quadratic form.
+    ``residual`` of the Lyapunov equation is relative to its terms."""
 
     shapes: Array
     omega: Array
@@ -99,12 +97,10 @@ class LinearCovariance:
 
 def linear_covariance(system: System) -> LinearCovariance:
     """Return the covariance of the modes of the system without contacts, from A Σ + Σ Aᵀ + b = 0.
-
     In (ω Q, P) every entry of A is a rate of its own mode. The error is the sum of the last of two
     corrections, of the effect of a residual of the size of its round-off, and of the effect of a
     round-off of ω. Raises ``NotApplicable`` if a mode is not damped or damping depends on the
-    state.
-    """
+    state."""
     if system.damping_terms:
         raise NotApplicable("the damping depends on the state, so the system is not linear")
     if decay_time(system) == inf:

@@ -143,12 +143,10 @@ def solve_plane_on_mesh(
     solved: Callable[..., tuple[PiecewiseTensor, float]] = null_function,
 ) -> PlaneSolution:
     """Return the finite element solution p = w u, u of ``degree`` between ``nodes``, w the
-    ``weight``, certified to ``tol``. ``solved`` replaces ``null_function``.
-
-    If ``longer``, the mesh of the enriched solution extends along each axis until the marginal has
-    fallen by another e², unless the mass beyond is round-off: the distance then contains 1 − e⁻² =
-    86 % of the error by ending the mesh. Raises ``NotCertified`` if the solution is not unique.
-    """
+    ``weight``, certified to ``tol``. ``solved`` replaces ``null_function``. If ``longer``, the mesh
+    of the enriched solution extends along each axis until the marginal has fallen by another e²,
+    unless the mass beyond is round-off: the distance then contains 1 − e⁻² = 86 % of the error by
+    ending the mesh. Raises ``NotCertified`` if the solution is not unique."""
 
     def of_mass_one(mesh: Nodes, degree: int, count: int) -> tuple[PiecewiseTensor, float]:
         """u of ``degree`` on ``mesh`` by ``count`` Gauss points, scaled to mass 1; its residual."""

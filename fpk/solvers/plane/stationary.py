@@ -27,8 +27,8 @@ from fpk.system.ends import require_confined
 from fpk.system.process import Process
 
 RUNGS = ((2, 6), (2, 10), *((4, p) for p in range(8, 19)), *((n, 18) for n in range(5, 9)))
-"""Panels along each axis and degree of the attempts. Degrees above 10 lose digits to round-off on
-two long panels; from four panels on a higher degree gains a digit at less cost than more panels."""
+"""Panels along each axis and degree of the attempts. Degrees above 10 lose digits on two long
+panels; from four panels on a higher degree gains a digit at less cost than more panels."""
 DIGITS_PER_RUNG = 0.6
 """Digits of the error gained from one of ``RUNGS`` to the next: measured 0.4 to 0.85."""
 REFIT_ERROR = 1e-4

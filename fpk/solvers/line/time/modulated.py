@@ -67,12 +67,10 @@ def radau_steps(
     absorbing: bool = False,
 ) -> tuple[ChainDensity, Array, Array, Array]:
     """Return the density at ``times`` > 0 that starts with ``load``, (elements, functions).
-
     ``unit`` is the e² of the reference noise of ``e``. Also returned are the times of all stages,
     weights that integrate over time, and the mass, (steps · stages,) each. Steps of Radau IIA grow
     in proportion to time and end at the times and at the kinks of e; all are halved ``level``
-    times. ``absorbing``: p = 0 at the last end, else zero flux.
-    """
+    times. ``absorbing``: p = 0 at the last end, else zero flux."""
     # The points c_i, the last of which is 1, and the coefficients a_ij.
     x = np.append(roots_jacobi(STAGES - 1, 1, 0)[0], 1.0)
     A = legint(np.linalg.inv(legvander(x, STAGES - 1)), lbnd=-1.0)
@@ -118,11 +116,10 @@ def halve_steps(
     wanted: float,
 ) -> tuple[Transition, list[Carried]]:
     """Halve all steps until the numbers of ``carried(elements, level)`` change by <= ``wanted``.
-
     ``size(changes, numbers)`` is the size of their changes. Returned are the density on elements
     adapted from ``pair``, with the observed order of the steps in its settings, and three results
-    of ``carried``: the answer, with steps twice as long, and these on elements of a higher degree.
-    """
+    of ``carried``: the answer, with steps twice as long, and these on elements of a higher
+    degree."""
     carried = lru_cache(maxsize=4)(carried)
     solved = transition.solve_adaptively(
         question, pair, lambda e, **_: carried(e, STEP_HALVINGS[0])[0]
@@ -187,12 +184,10 @@ def transient_with_modulation(
     under: Processes, modulation: Modulation, source: Source, times: Array, at: Array, *, tol: float
 ) -> Transient:
     """Return the densities of ``transition_with_modulation`` at ``times`` and energies ``at``.
-
     ``tol`` is the L1 tolerance. If the modulation ends with 0, the motion dH/dt = F(H) leads from
     H_0 at its end to H at a later time, so that p(H, t) = p(H_0) F(H_0)/F(H). If the estimated
     error exceeds ``LARGEST_ERROR``, stated errors are infinite. Raises ``NotApplicable`` if damping
-    feeds energy in after the end of the noise.
-    """
+    feeds energy in after the end of the noise."""
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
     later = times > end
     stops = np.unique(np.minimum(times, end))

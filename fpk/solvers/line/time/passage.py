@@ -29,8 +29,7 @@ from fpk.system.process import Process
 MAX_POWER_STEPS = 2_000
 """Largest number of power iterations for the failure rate; a hundred masses take a hundred."""
 MODULATED_SHARE = 0.1
-"""Tolerance of mesh and steps under modulated noise, over the tolerance of the answer: variances
-have larger errors than densities."""
+"""Tolerance of mesh and steps under modulated noise, over the tolerance of the answer."""
 
 
 @dataclass(frozen=True, eq=False)

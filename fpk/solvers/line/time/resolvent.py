@@ -98,12 +98,10 @@ def chain_resolvent(
     e: Elements, z: Numbers, load: Array, end: Numbers | None = None, *, density: bool = True
 ) -> tuple[Numbers, float]:
     """Return coefficients f (elements, functions, points) of (z − L) f = ``load``, and a residual.
-
     ``z`` (points,) are Laplace variables, ``load`` is (elements, functions), ``end`` (points,) is f
     at the last end; None: zero flux. If ``density``, f = p/π in the unit 1/e^``log_scale`` of each
     element, the load is in one unit, and the residual is relative, at the nodes. Otherwise f is in
-    one unit, the load in the units of the elements, and the residual 0.
-    """
+    one unit, the load in the units of the elements, and the residual 0."""
     series, shunt, damped, total, ratio, passed = eliminate_chain(e, z)
     coupling = e.mass[:, 2:, :2]
     up, down = (np.ones(e.count - 1), e.steps) if density else (e.steps, np.ones(e.count - 1))

@@ -30,8 +30,8 @@ MAX_LIMIT_RISE = 300.0
 MAX_PLANE_UNKNOWNS = 300_000
 """Largest number of unknowns of a level: its matrices and factors take 3 GB."""
 VECTORS = (4, 30)
-"""Number of Arnoldi vectors: (factor, constant) on the number of eigenvalues sought. With few
-vectors one of several nearly equal rates may be missed."""
+"""Arnoldi vectors: (factor, constant) on the number of eigenvalues sought. Few miss nearly equal
+rates."""
 RATES_HEIGHT = 8.0
 """Rise of −ln w by which meshes are longer than for densities, as eigenfunctions grow with H."""
 
@@ -92,13 +92,11 @@ def plane_first_passage(
     tol: float,
     coefficients_error: float = 0.0,
 ) -> Passage:
-    """Return the first passage of ``limit`` from ``start``, with P(T > t) at ``times`` >= 0.
-
-    Meshes are refined until two levels agree to ``tol``, relative to mean, variance and rate, or
-    more are ``_hopeless``. The part of an initial density beyond the limit has failed at time 0.
+    """Return the first passage of ``limit`` from ``start``, with P(T > t) at ``times`` >= 0. Meshes
+    are refined until two levels agree to ``tol``, relative to mean, variance and rate, or more are
+    ``_hopeless``. The part of an initial density beyond the limit has failed at time 0.
     ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
-    limit whose mean time is beyond double precision, or that takes too many unknowns.
-    """
+    limit whose mean time is beyond double precision, or that takes too many unknowns."""
     height = start.height(stationary)
     far = stationary.far_ends(negligible_rise(tol, height))
     lowest = float(np.min(stationary.weight.exponent(*limit.edge(far))))

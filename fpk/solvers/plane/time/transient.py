@@ -23,11 +23,9 @@ from fpk.solvers.plane.weight import negligible_rise
 BOTH_AXES = (0, 1)
 """Axes of the joint density of both energies; (0,) or (1,): of one energy; (): of the sum."""
 MAX_START_HEIGHT = 12.0
-"""Largest rise of −ln w up to a start, with whose root errors grow; for higher starts a power of w
-is the weight."""
+"""Largest rise of −ln w up to a start; for higher starts a power of w is the weight."""
 GIVEN_UP = (13, 0.5)
-"""Degree of elements from which on an L1 distance above the second number ends the refinement: the
-time is too short to be resolved."""
+"""Degree of elements from which on an L1 distance above the second number ends the refinement."""
 TIME_RATIO = 30.0
 """Largest ratio of times that share one Krylov space, and of the last time to the shift γ of (M −
 γA)⁻¹. Rational functions with one such pole approximate e^(−x) on the half-axis with an error that
@@ -181,12 +179,10 @@ def transient_densities(
     coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
 ) -> tuple[Transient, tuple[Level, Level]]:
     """Return the densities of ``observed`` energies at ascending ``times`` > 0 and points ``at``.
-
     For ``observed`` and ``at`` see ``marginal_at``. Meshes are refined until two levels agree to
     ``tol``, in L1 and in units of the largest density; their distance is the error. A time too
     short for the finest level is not certified. ``coefficients_error(t, *at)`` is the relative
-    error of p by the coefficients. Also returned are the last two levels.
-    """
+    error of p by the coefficients. Also returned are the last two levels."""
     for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
         (op, g), (other_op, other_g) = fine, coarse
         axes, area, ends = marginal_grid(op, observed)
