@@ -183,8 +183,7 @@ def _fit_box(
     axes: Sequence[BinAxis], first: Bins, last: Bins, shares: Array, batches: Array, samples: float
 ) -> Box:
     """Return the fit of the bins from ``first`` to ``last`` of ``axes``, of the highest degree
-    whose likelihood has a maximum. For ``shares``, ``batches`` of these bins and ``samples`` see
-    ``boxes``."""
+    whose likelihood has a maximum. For ``shares`` and ``batches`` of these bins see ``boxes``."""
     many = len(batches)
     if not shares.any():
         return Box(first, last, np.zeros(0), np.zeros((many, 0)), np.zeros((0, 0)))

@@ -113,8 +113,8 @@ class Density(Quantities):
 
     def _probability(self, low: float, high: float) -> Number:
         """Return P(``low`` < X <= ``high``). As the total mass is 1, its error is at most the
-        integrated pointwise error inside, and at most that outside. The rest of the L1 error is
-        added."""
+        integrated pointwise error inside, and at most that outside, plus the rest of the L1
+        error."""
         value, error, rounding = (float(x) for x in self._share(low, high))
         of_all = float(self._panel_shares[1].sum())
         unlocated = max(self.l1_error - of_all, self.certificate.mass_defect or 0.0)

@@ -1,7 +1,6 @@
 """Questions about motion in time: one record for each, from which methods and commands follow.
 
-A ``Question`` has the name of the method's function that answers it, of the method and an
-``Asked``::
+A ``Question`` has the name of the method's function that answers it::
 
     class Linear(Method):
         @answer
@@ -10,11 +9,12 @@ A ``Question`` has the name of the method's function that answers it, of the met
     Linear().spectrum(system, parse_observable("q1", 1), np.linspace(0.0, 2.0, 5), tol=1e-8)
 
 ``tol`` is the largest error: for curves in units of ``scale``, for rates relative to each. Spectra
-are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, C(t) = E q(0) q(t) − (E q)².
-``InvalidInput`` is raised here for a tolerance that is not > 0, an observable that is no
-displacement, or a negative or infinite lag, and by methods for a start at or beyond the limit, or
-times that do not ascend. ``NotApplicable`` is raised by a method that has no answer. This file
-imports no numerical library: the command line imports it for its help.
+are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, ∫ S dω over all real ω is the
+variance; C(t) = E q(0) q(t) − (E q)², t >= 0. ``InvalidInput`` is raised here for a tolerance that
+is not > 0, an observable that is no displacement, or a negative or infinite lag, and by methods for
+a start at or beyond the limit, or times that do not ascend. ``NotApplicable`` is raised by a method
+that has no answer. This file imports no numerical library: the command line imports it for its
+help.
 """
 
 from collections.abc import Callable

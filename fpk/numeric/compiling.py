@@ -88,10 +88,9 @@ def _is_whole(path: Path) -> bool:
 
 
 def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return ``compile_for``, a function of a signature, wrapped to run in a thread of its own:
-    LLVM ignores signals for many seconds. The returned function raises ``KeyboardInterrupt`` if
-    ``abandon`` is called meanwhile, and as long as an abandoned function is still being
-    compiled."""
+    """Return ``compile_for``, a function of a signature, wrapped to run in a thread of its own, as
+    LLVM ignores signals. The returned function raises ``KeyboardInterrupt`` if ``abandon`` is
+    called meanwhile, and as long as an abandoned function is still being compiled."""
 
     def compiled(signature: Any) -> Any:
         if threading.current_thread().name == COMPILER:  # compiling a function that calls this

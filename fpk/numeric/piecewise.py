@@ -28,10 +28,9 @@ def panels_at(nodes: Array, x: Array) -> tuple[Integers, Array, Flags]:
 
 @cache
 def clenshaw_kernel() -> Callable[..., Array]:
-    """Return the compiled function of c, k, t that sums Legendre series by Clenshaw's recurrence.
-    The result is Σ_j c_kj P_j(t), (points, values), for c (panels, degree + 1, values), the panels
-    k and local coordinates t (points,). Ten times as fast as NumPy; numba is imported late, in 0.4
-    s."""
+    """Return the compiled function of c, k, t that sums Legendre series by Clenshaw's recurrence:
+    Σ_j c_kj P_j(t), (points, values), for c (panels, degree + 1, values), panels k and local
+    coordinates t (points,). Ten times as fast as NumPy; to import numba takes 0.4 s."""
     from fpk.numeric.compiling import cached_njit  # noqa: PLC0415
 
     @cached_njit()

@@ -32,8 +32,8 @@ SCIKIT_DEGREE = 6
 
 def flux(u: Any, w: Mapping[str, Array]) -> Any:
     """Return J = T (F ``u`` − ½ b ∇u) of ∂p/∂t = −∇ · J, p = T u; weak form ∫ J · ∇v; (9), (19).
-    ``w`` has T as "states", "F" and "b"; T = 1 and F = s − ½ ∇ · b, or in the flux form F is the
-    dissipation."""
+    ``w`` has T as "states", "F" and "b"; T = 1, F = s − ½ ∇ · b, or F is the dissipation in the
+    flux form."""
     return w["states"] * (w["F"] * u - 0.5 * mul(w["b"], grad(u)))
 
 
@@ -113,8 +113,7 @@ def plane_null_function(
     process: Process, nodes: Nodes, degree: int, points: int, weight: Weight | None = None
 ) -> tuple[PiecewiseTensor, float]:
     """Return the unscaled p of two energies on a tensor mesh, and its relative residual. Elements
-    of ``degree`` between ``nodes`` have ``points`` Gauss points along each axis; no ``weight`` is
-    used."""
+    of ``degree`` between ``nodes`` have ``points`` Gauss points an axis; ``weight`` is not used."""
     basis = element_basis(nodes, degree, points)
     y, _, residual = stationary_vector(process, basis)
     values = np.asarray(basis.interpolate(y))

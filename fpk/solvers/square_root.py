@@ -230,8 +230,7 @@ class SquareRoot:
 
 def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
     """Return ln p and its error, p = e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)), ``n`` >= 1: the
-    density of half a noncentral χ² of 2n degrees and noncentrality 2 ``y`` at ``x``, of any
-    shape."""
+    density of half a noncentral χ² of 2n degrees and noncentrality 2 ``y`` at ``x``."""
     few, root, other = x * y < SERIES_RANGE, np.sqrt(x), sqrt(y)
     # Σ (x y)^k/(k! (n)_k), of positive terms.
     powers, series = x[few] * y, np.ones(np.count_nonzero(few))

@@ -50,9 +50,8 @@ def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
 
 
 def of_law(function: Any, law: int, overlap: float, exponent: float) -> float:
-    """Evaluate ``function``, made by ``compile_laws``, at ``overlap`` and ``exponent``, in compiled
-    code only: Python gets ``NotImplementedError``. ``law`` is the number of the law among its
-    names."""
+    """Evaluate ``function``, made by ``compile_laws``, at ``overlap`` and ``exponent`` in compiled
+    code; Python gets ``NotImplementedError``. ``law`` is the number of the law among its names."""
     raise NotImplementedError
 
 

@@ -87,10 +87,9 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
 
 
 def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
-    """Raise ``NotCertified`` if p H of one energy rises at the highest of ``energy`` (points,),
-    with coefficients ``c`` and ``slope`` d ln p/dH there: if the rate d ln(p H)/d ln H = 1 + H
-    slope is not negative by more than its error. An earlier rise shows in the mass beyond the
-    mesh."""
+    """Raise ``NotCertified`` if p H of one energy rises at the highest of ``energy`` (points,): if
+    the rate d ln(p H)/d ln H = 1 + H ``slope`` of the coefficients ``c`` is not negative by more
+    than its error, slope = d ln p/dH. An earlier rise shows in the mass beyond the mesh."""
     if energy[-1] * slope[-1] < -1.0:
         return
     rate = 1.0 + energy * slope

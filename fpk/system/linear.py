@@ -99,8 +99,7 @@ def linear_covariance(system: System) -> LinearCovariance:
     """Return the covariance of the modes of the system without contacts, from A Σ + Σ Aᵀ + b = 0.
     In (ω Q, P) every entry of A is a rate of its own mode. The error is the sum of the last of two
     corrections, of the effect of a residual of the size of its round-off, and of the effect of a
-    round-off of ω. Raises ``NotApplicable`` if a mode is not damped or damping depends on the
-    state."""
+    round-off of ω. Raises ``NotApplicable`` for an undamped mode or damping terms."""
     if system.damping_terms:
         raise NotApplicable("the damping depends on the state, so the system is not linear")
     if decay_time(system) == inf:

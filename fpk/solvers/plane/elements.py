@@ -66,10 +66,9 @@ def lu_factors(
 
 
 def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
-    """Return the null vector of a matrix whose columns add up to 0, and its relative residual. The
-    equation of one of the ``vertices`` (unknowns) is redundant; its unknown is set to 1. If the
-    first is less than 1e-3 of the largest, the largest is used, as a small pivot costs its
-    digits."""
+    """Return the null vector of a matrix whose columns add up to 0, and its relative residual. One
+    of the equations of ``vertices`` (unknowns) is redundant, and its unknown set to 1: the first,
+    or the largest if the first is less than 1e-3 of it, as a small pivot costs its digits."""
     held, starts, rows = int(vertices[0]), matrix.indptr, matrix.indices
     for _ in range(2):
         entries, own = matrix.data.copy(), slice(starts[held], starts[held + 1])

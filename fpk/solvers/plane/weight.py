@@ -101,9 +101,8 @@ def negligible_rise(tol: float, height: float = 0.0, level: int = 0) -> float:
 
 
 def flux_free_weight(process: Process) -> Weight:
-    """Return w fitted to the slopes of p for zero flux everywhere, ∇ ln p = b⁻¹ (2s − ∇·b). If p or
-    the fit does not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified`` if b is
-    singular."""
+    """Return w fitted to the slopes of p for zero flux, ∇ ln p = b⁻¹ (2s − ∇·b). If p or the fit
+    does not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified`` if b is singular."""
     scales = np.array(process.energy_scales)
     points = np.stack(np.broadcast_arrays(PROBE[:, None], PROBE), axis=-1).reshape(-1, 2)
     c = process.coefficients(points * scales)

@@ -110,8 +110,7 @@ class Elements:
     def coefficient_error(self, upto: float = 0.0) -> float:
         """Return the relative error of densities and rates by the errors of the coefficients. Each
         element is weighted by its share of the mass, and of the distance ∫dH/√b up to the energy
-        ``upto`` or through all but 1e-6 of the mass: short elements near contact have large
-        errors."""
+        ``upto`` or through all but 1e-6 of the mass: short elements have large errors."""
         mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
         bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
         way = np.sqrt(self.relaxation.sum(axis=1))

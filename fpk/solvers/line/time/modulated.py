@@ -115,11 +115,10 @@ def halve_steps(
     size: Callable[[Array, Array], float],
     wanted: float,
 ) -> tuple[Transition, list[Carried]]:
-    """Halve all steps until the numbers of ``carried(elements, level)`` change by <= ``wanted``.
-    ``size(changes, numbers)`` is the size of their changes. Returned are the density on elements
-    adapted from ``pair``, with the observed order of the steps in its settings, and three results
-    of ``carried``: the answer, with steps twice as long, and these on elements of a higher
-    degree."""
+    """Halve all steps until the numbers of ``carried(elements, level)`` change by <= ``wanted``, by
+    ``size(changes, numbers)``. Returned are the density on elements adapted from ``pair``, with the
+    observed order of the steps in its settings, and three results of ``carried``: the answer, with
+    steps twice as long, and these on elements of a higher degree."""
     carried = lru_cache(maxsize=4)(carried)
     solved = transition.solve_adaptively(
         question, pair, lambda e, **_: carried(e, STEP_HALVINGS[0])[0]

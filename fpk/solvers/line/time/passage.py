@@ -95,8 +95,7 @@ class FirstPassage:
     def rate(self) -> tuple[float, float]:
         """Return the failure rate, the smallest eigenvalue λ of −L, and its error. Power iteration
         with the positive operator (−L)⁻¹: the largest and smallest value of f/(−L)⁻¹f bound λ
-        (Barta). The relative error of the Rayleigh quotient is the square of their relative
-        distance."""
+        (Barta). The relative error of the Rayleigh quotient is the square of their distance."""
         found = []
         for e, f in zip(self.pair, self.means, strict=True):
             share = np.exp(e.log_scale - e.log_mass.max())  # may underflow to 0

@@ -185,9 +185,8 @@ def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
 
 
 def eigenvalues_below(e: Elements, rates: Array) -> Integers:
-    """Return the number of eigenvalues of −L, 0 included, below each of ``rates`` (points,): the
-    number of negative pivots of A − λM (Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971)
-    263)."""
+    """Return the number of eigenvalues of −L, 0 included, below each of ``rates`` (points,):
+    negative pivots of A − λM (Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263)."""
     _, shunt, damped, total, _, passed = eliminate_chain(e, -rates)
     inner, ends = (damped < 0.0).sum(axis=(0, 1)), (total[1:] < 0.0).sum(axis=0)
     return np.asarray(inner + ends + (passed[-1] + shunt[-1, 1] < 0.0))

@@ -139,8 +139,7 @@ def pose_question(
     """Return the question and the first pair of elements for it. ``time`` is the first time,
     ``tol`` the L1 tolerance. Meshes end at the absorbing ``limit``, or where the mass beyond is
     ``TAIL_SHARES`` · tol at any time: from H_0 less than the stationary mass beyond, over the
-    stationary mass beyond H_0. Raises ``InvalidInput`` for a start beyond the range of double
-    precision."""
+    stationary mass beyond H_0. Raises ``InvalidInput`` for a start beyond double precision."""
     degree, start, width, fine = chain.degree_for(tol), source.energy, process.energy_scale, []
     if source.process is None:
         # √(b t), or b' t near H = 0, where b ~ H.

@@ -65,8 +65,8 @@ class PlaneLimit:
 
     def nodes(self, stationary: PlaneSolution, rise: float, panels: int) -> Nodes:
         """Return nodes up to the limit, or to −ln w = ``rise`` along an axis without limit:
-        ``panels`` along each axis, more if −ln w of ``stationary`` rises by more than ``FOLDS`` on
-        each."""
+        ``panels`` along each axis, more if −ln w of ``stationary`` rises by more than ``FOLDS`` a
+        panel."""
         if self.total is not None:
             corners = stationary.weight.exponent(*(self.total * np.eye(2)))
             angles = max(panels, int(abs(corners[1] - corners[0]) / FOLDS))
