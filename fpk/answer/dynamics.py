@@ -2,7 +2,7 @@
 densities in time and first passage from a start."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,7 +48,10 @@ class Curve:
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "numerical"
-    __post_init__ = fail_nan
+
+    def __post_init__(self) -> None:
+        """Fail the certificate if a value or an error is NaN."""
+        fail_nan(self)
 
 
 @dataclass(frozen=True)
@@ -164,7 +167,10 @@ class Transient:
     error_kind: ErrorKind
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
-    __post_init__ = fail_nan
+
+    def __post_init__(self) -> None:
+        """Fail the certificate if a value or an error is NaN."""
+        fail_nan(self)
 
 
 @dataclass(frozen=True)
@@ -231,12 +237,8 @@ def certify_passage(
     largest = float(np.max([*sizes, absolute]))
     least = float(np.min(1.0 - failure, initial=1.0))
     measured = Measured(largest, mass_defect, least, residual, None, absolute_error=absolute)
+    survival, certificate = (1.0 - failure, failure_error + EPS), certify(measured, tol=tol)
     names = "starts", "mean", "mean_error", "variance", "variance_error"
-    return Passage(
-        *(*numbers, times, 1.0 - failure, failure_error + EPS, "numerical"),
-        certify(measured, tol=tol),
-        None if starts is None else dict(zip(names, starts, strict=True)),
-        settings or {},
-        failure,
-        failure_error,
-    )
+    curves = None if starts is None else dict(zip(names, starts, strict=True))
+    answer = Passage(*numbers, times, *survival, "numerical", certificate, curves, settings or {})
+    return replace(answer, failure=failure, failure_error=failure_error)

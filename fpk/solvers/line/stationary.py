@@ -212,11 +212,12 @@ def _solve(
     A /= largest
     degrees = degree, degree + elements.ENRICHMENT
     if null_vectors is None:
-        series = [elements.element_null_vectors(A, m) for m in degrees]
+        found = [(elements.element_null_vectors(A, m), 0.0) for m in degrees]
     else:
-        series, own = zip(*(null_vectors(process, nodes, m, points) for m in degrees), strict=True)
-    residual, net_flux, one_way = elements.residuals_of(A, series[0])
-    residual = float(residual.max()) if null_vectors is None else own[0]
+        found = [null_vectors(process, nodes, m, points) for m in degrees]
+    series = [u for u, _ in found]
+    relative, net_flux, one_way = elements.residuals_of(A, series[0])
+    residual = float(relative.max()) if null_vectors is None else found[0][1]
     values, better = (T * (f @ P[: f.shape[1]]) for f in series)
     weights, better_mass = np.broadcast_to(weight, T.shape), better @ enriched_weight
     if len(process.nonsmooth):

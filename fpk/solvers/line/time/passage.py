@@ -6,7 +6,7 @@ the forward equation, whose mass is P(T > t).
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -275,8 +275,8 @@ def passage_with_modulation(
         are halved ``level`` times. The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end
         t_e of the modulation, plus E τ and E(2 t_e τ + τ²) of the remaining time τ over the density
         at t_e."""
-        load, how = source.load(e), {"level": level, "absorbing": True}
-        g, t, weight, mass = modulated.radau_steps(e, load, modulation, unit, stops[1:], **how)
+        load, steps = source.load(e), partial(modulated.radau_steps, level=level, absorbing=True)
+        g, t, weight, mass = steps(e, load, modulation, unit, stops[1:])
         kept = np.append(load[:, :2].sum(), np.einsum("tei,ei->t", g.values, e.load))
         density = weight * mass * (t <= end)
         moments, lost = np.array([density.sum(), 2.0 * density @ t]), np.zeros(2)
