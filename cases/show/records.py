@@ -67,7 +67,7 @@ def answer_record(
         case Passage():
             own = passage_numbers(answer)
             if answer.starts is not None:
-                own["starts"] = vars(answer.starts)
+                own["starts"] = answer.starts
     if not isinstance(answer, Rates):
         own["error_kind"] = answer.error_kind
     units = answer_units(scene.units, given, key) if scene.units else None

@@ -95,22 +95,17 @@ def largest_measured(values: Iterable[float | None]) -> float | None:
     return float(np.max(given)) if given else None
 
 
-class WithoutNaN:
-    """Base of answers with ``values`` and ``errors``: a NaN among them is a failed check."""
-
-    def __post_init__(self: Any) -> None:
-        """Add a failure to the certificate if a value or an error is NaN. Raises nothing."""
-        if missing := int(np.isnan(self.values).sum() + np.isnan(self.errors).sum()):
-            words = f"{missing} of the values and errors are not numbers"
-            object.__setattr__(self, "certificate", self.certificate.with_failures(words))
+def fail_nan(answer: Any) -> None:
+    """Add a failure to the certificate of ``answer`` if a value or an error is NaN."""
+    if missing := int(np.isnan(answer.values).sum() + np.isnan(answer.errors).sum()):
+        words = f"{missing} of the values and errors are not numbers"
+        object.__setattr__(answer, "certificate", answer.certificate.with_failures(words))
 
 
 def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certificate:
     """Return the certificate of an answer, by comparing ``measured`` numbers to their limits.
-
     ``tol`` is the tolerance of the L1 error, infinite if there is none. Mass and residual of a
-    ``sampled`` answer are not checked here: its residual is a |z|. A NaN fails every check.
-    """
+    ``sampled`` answer are not checked here: its residual is a |z|. A NaN fails every check."""
     m, failures = measured, list(measured.failures)
     if m.minimum is not None and not m.minimum >= NEGATIVE - m.absolute_error:
         failures.append(f"the density falls to {m.minimum:.2g} of its maximum")
@@ -122,9 +117,8 @@ def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certifi
     # ∫|p − p_exact| is at least |∫p − ∫p_exact|.
     off = None if sampled else m.mass_defect
     if off is not None and not off <= m.l1_error - NEGATIVE:
-        failures.append(
-            f"the mass is off by {off:.2g}, more than the stated error {m.l1_error:.2g}"
-        )
+        words = f"the mass is off by {off:.2g}, more than the stated error {m.l1_error:.2g}"
+        failures.append(words)
     if not sampled and m.residual is not None and not m.residual < ROUND_OFF:
         failures.append(f"the residual of the equation is {m.residual:.2g}")
     if m.net_flux is not None and not m.net_flux < ROUND_OFF:

@@ -1,7 +1,7 @@
 """Answers about motion in time: curves and relaxation rates of stationary motion, Rice's formula,
 densities in time and first passage from a start."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,8 +10,8 @@ from fpk.answer.certificate import (
     DISTANCE_FACTOR,
     Certificate,
     Measured,
-    WithoutNaN,
     certify,
+    fail_nan,
     largest_measured,
 )
 from fpk.answer.density import AnyDensity, Density
@@ -28,12 +28,12 @@ BEYOND_RANGE = "the mean time to it is beyond the range of double precision; tak
 NO_NOISE_YET = "no noise has acted yet: there is no density"
 """Refusal of a time before which the modulation is 0."""
 LARGEST_ERROR = 0.1
-"""Largest error of a certified probability; relative or L1 error above which a density counts as
-unknown: its stated errors are then infinite."""
+"""Largest error of a certified probability, and relative or L1 error of a density above which
+stated errors are infinite."""
 
 
 @dataclass(frozen=True)
-class Curve(WithoutNaN):
+class Curve:
     """Values (points,) of a function of level, frequency or lag, with one certificate for all.
 
     ``errors`` (points,) are estimates of numerical errors, or standard errors of sampling. ::
@@ -48,6 +48,10 @@ class Curve(WithoutNaN):
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
     error_kind: ErrorKind = "numerical"
+
+    def __post_init__(self) -> None:
+        """Fail the certificate if a value or an error is NaN."""
+        fail_nan(self)
 
 
 @dataclass(frozen=True)
@@ -74,11 +78,8 @@ def certify_rates(
     residual: float | None = None,
     settings: Mapping[str, str | float | int] | None = None,
 ) -> Rates:
-    """Return rates ``values`` (rates,) and absolute ``errors``, with their certificate.
-
-    ``tol`` is the largest relative error; ``residual`` is relative to the terms of the eigenvalue
-    equation, ``settings`` are for readers.
-    """
+    """Return rates ``values`` (rates,) and absolute ``errors``, with their certificate. ``tol`` is
+    the largest relative error; ``residual`` is relative to the terms of the eigenvalue equation."""
     relative = float(np.max(errors / np.abs(values)))
     certificate = certify(Measured(relative, None, None, residual, None), tol=tol)
     return Rates(np.asarray(values, dtype=complex), errors, certificate, settings or {})
@@ -97,12 +98,10 @@ def certify_curve(
     positive: Array | None = None,
 ) -> Curve:
     """Return a curve that follows from the stationary density ``of``, with its certificate.
-
     ``values`` and ``errors`` are (points,); ``tol`` is the largest error in units of ``scale`` > 0.
     The certificate takes over mass, tail and failures of the density, except a missed tolerance,
-    and the larger ``residual``. ``positive``, by default ``values``, must not be negative by more
-    than the largest error. ``settings`` are for readers.
-    """
+    and the larger ``residual``. ``positive``, by default ``values``, must be >= 0 within the
+    largest error."""
     relative, given = float(np.max(errors)) / scale, of.certificate
     least = float(np.min(values if positive is None else positive)) / scale
     residual, words = largest_measured((residual, given.residual)), (*given.besides, *failures)
@@ -112,13 +111,11 @@ def certify_curve(
 
 
 def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array]:
-    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp at q = ``at`` (points,), and their errors.
-
-    f is the density ``joint`` of q and p, m the ``mass``. For samples the error is one standard
-    error. Otherwise it is the sum of the integrated error of f, the distance to coarser rules and
-    the tail beyond the last momentum, where f is continued with the slope of its last panel. It is
-    infinite if f neither falls there nor is 0 within its error.
-    """
+    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp at q = ``at`` (points,), and their errors. f is
+    the density ``joint`` of q and p, m the ``mass``. The error is one standard error of samples, or
+    the sum of the integrated error of f, the distance to coarser rules and the tail beyond the last
+    momentum, where f is continued with the slope of its last panel; it is infinite if f neither
+    falls there nor is 0 within its error."""
     nodes = np.unique(np.maximum(joint.panels[1], 0.0))
     if isinstance(joint, SampledDensity):
         return joint.flux(lambda p: p / mass, nodes, at)
@@ -152,7 +149,7 @@ def require_times(times: Array, *, positive: bool = False) -> Array:
 
 
 @dataclass(frozen=True)
-class Transient(WithoutNaN):
+class Transient:
     """Densities of one observable at given points at several ``times`` after a start.
 
     ``values`` and ``errors`` are (times, points); ``error_kind`` says whether an error is an
@@ -171,16 +168,9 @@ class Transient(WithoutNaN):
     certificate: Certificate
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
 
-
-@dataclass(frozen=True)
-class StartCurve:
-    """Moments of the first-passage time as functions of the start energy, all (starts,)."""
-
-    starts: Array
-    mean: Array
-    mean_error: Array
-    variance: Array
-    variance_error: Array
+    def __post_init__(self) -> None:
+        """Fail the certificate if a value or an error is NaN."""
+        fail_nan(self)
 
 
 @dataclass(frozen=True)
@@ -191,8 +181,9 @@ class Passage:
     the method does not compute it. ``mean`` and ``variance`` are inf if some motions never fail.
     ``survival`` is P(T > t) at ``times``, with ``survival_error``, (times,) each. ``failure`` is
     P(T <= t), with ``failure_error``, if the method computes it more accurately than
-    1 − ``survival``. ``starts``: the moments as functions of the start, if computed.
-    ``error_kind``: estimate of the numerical error, or one standard error of sampling. ::
+    1 − ``survival``. ``starts``: energies of starts and the moments from there by name, (starts,)
+    each, if computed. ``error_kind``: estimate of the numerical error, or one standard error of
+    sampling. ::
 
         limit, times = parse_limit("H=1", 2), np.array([10.0, 100.0])
         first = NonIntegrable().passage(system, limit, REST, times)
@@ -207,7 +198,7 @@ class Passage:
     survival_error: Array
     error_kind: ErrorKind
     certificate: Certificate
-    starts: StartCurve | None = None
+    starts: Mapping[str, Array] | None = None
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
     failure: Array | None = None
     failure_error: Array | None = None
@@ -230,16 +221,14 @@ def certify_passage(
     tol: float,
     mass_defect: float | None = None,
     residual: float | None = None,
-    starts: StartCurve | None = None,
+    starts: Sequence[Array] | None = None,
     settings: Mapping[str, str | float | int] | None = None,
 ) -> Passage:
-    """Return a first passage computed numerically, with its certificate.
-
-    ``numbers`` are mean, variance and failure rate; ``failure`` is P(T <= t) at ``times``, with
-    ``failure_error``. ``tol`` bounds relative errors of the finite numbers and absolute errors of
-    the probabilities; ``mass_defect`` and ``residual`` are defined in ``Measured``; ``settings``
-    are for readers.
-    """
+    """Return a first passage computed numerically, with its certificate. ``numbers`` are mean,
+    variance and failure rate; ``failure`` is P(T <= t) at ``times``, with ``failure_error``.
+    ``tol`` bounds relative errors of the finite numbers and absolute errors of the probabilities.
+    For ``mass_defect`` and ``residual`` see ``Measured``. ``starts`` are the starts, and mean, its
+    error, variance, its error from there."""
     finite = [(x.value, x.error) for x in numbers if x and x.value != np.inf]
     value, error = np.array(finite).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -249,5 +238,7 @@ def certify_passage(
     least = float(np.min(1.0 - failure, initial=1.0))
     measured = Measured(largest, mass_defect, least, residual, None, absolute_error=absolute)
     survival, certificate = (1.0 - failure, failure_error + EPS), certify(measured, tol=tol)
-    answer = Passage(*numbers, times, *survival, "numerical", certificate, starts, settings or {})
+    names = "starts", "mean", "mean_error", "variance", "variance_error"
+    curves = None if starts is None else dict(zip(names, starts, strict=True))
+    answer = Passage(*numbers, times, *survival, "numerical", certificate, curves, settings or {})
     return replace(answer, failure=failure, failure_error=failure_error)

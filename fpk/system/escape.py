@@ -17,8 +17,7 @@ LEVEL = 1e8
 vibration are equal: there rates differ by a factor of 1e4 for each degree between them."""
 DRAWN, FOLLOWED = 4096, 64
 """Random states at the energy of the starts, of which a cone of a thousandth of the shell gets
-some, and the most motions that are integrated; these have 128 displacements in all, or eight
-motions, as each step takes the eigenvalues of a matrix."""
+some, and the most motions that are integrated: 128 displacements in all, or eight motions."""
 STEPS = 3000
 """Largest number of time steps: with a change ``MOVED`` in each, growth by 260 powers of ten or
 95 periods of a vibration."""
@@ -39,13 +38,10 @@ def require_held(system: System) -> None:
 
 
 def escape(system: System) -> str | None:
-    """Return in words which damping term lets the motion escape, and where; None if it returns.
-
-    The motion without noise, ``M dv = −(c v + K q + g(q)) dt``, is integrated from states far out
-    in which damping terms feed energy in. The sign of the power Σ c_ij v_i v_j alone decides
-    nothing: van der Pol's oscillator crosses |q| < 1 at any speed. Noise reaches all these states,
-    so that no density is stationary if one motion escapes.
-    """
+    """Return in words which damping term lets the motion escape, and where; None if it returns. The
+    motion without noise, ``M dv = −(c v + K q + g(q)) dt``, is integrated from states far out in
+    which damping terms feed energy in. The sign of the power Σ c_ij v_i v_j alone decides nothing:
+    van der Pol's oscillator crosses |q| < 1 at any speed. Noise reaches all these states."""
     if not system.damping_terms:
         return None
     # The unit (2n,) of each of (q, v) in which its energy is about x²/2.
@@ -76,12 +72,10 @@ def escape(system: System) -> str | None:
 
 def _escaping_state(system: System, unit: Array, energy: float, span: float) -> Array | None:
     """Return a state (q, v), (2n,), of a motion that escapes from ``energy``; None if all return.
-
-    Implicit Euler steps with one correction damp vibrations that do not grow; steps are short where
-    the linearised motion grows. A motion has returned when it has lost half of its energy, and has
-    escaped when it leaves the range of double precision or still rises at the end. ``unit`` (2n,)
-    scales (q, v); ``energy/span`` is the lowest energy at which two rates are equal.
-    """
+    Implicit Euler steps with one correction are short where the linearised motion grows. A motion
+    has returned when it has lost half of its energy, and has escaped when it leaves the range of
+    double precision or still rises at the end. ``unit`` (2n,) scales (q, v); ``energy/span`` is the
+    lowest energy at which two rates are equal."""
     n, rates, rng = system.n, _motion(system, unit), np.random.default_rng(0)
     # In two thirds of the states about half of the coordinates are small, log-uniformly down to a
     # tenth of their size at ``energy/span``.
@@ -194,10 +188,8 @@ def _escape_reason(system: System, state: Array) -> str:
     if term.i == term.j and term.energy == 0 and len(term.q + term.v) == 1:
         k, constant = int(np.argmax(powers)), max(float(system.damping[term.row, term.row]), 0.0)
         bound = (constant / abs(term.coefficient)) ** (1.0 / powers[k])
-        if powers[k] % 2 == 0:
-            where = f" for |{names[k]}| > {bound:.3g}"
-        else:
-            where = f" for {names[k]} {side[k]} {bound if side[k] == '>' else 0.0 - bound:.3g}"
+        signed = f"{names[k]} {side[k]} {bound if side[k] == '>' else 0.0 - bound:.3g}"
+        where = f" for {signed}" if powers[k] % 2 else f" for |{names[k]}| > {bound:.3g}"
     else:
         odd = np.flatnonzero(np.mod([*powers[: system.n], *term.velocities(system.n)], 2))
         signs = [f"{names[k]} {side[k]} 0" for k in odd]

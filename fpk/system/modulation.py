@@ -1,7 +1,6 @@
 """Noise of intensity e(t)² D that varies with time."""
 
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 from scipy.special import hyp1f1
@@ -12,13 +11,10 @@ from fpk.numeric.errors import NotApplicable, require
 
 @dataclass(frozen=True, eq=False)
 class Modulation:
-    """Factor e(t) on the noise, linear between ``times`` and constant after the last.
-
-    ``times`` ascend from 0; each ``factor`` is 0 or between 1e-150 and 1e150, so that its square
-    does not under- or overflow. Stationary states are for e = 1 at all times.
-
-    Raises ``InvalidInput`` for anything else.
-    """
+    """Factor e(t) on the noise, linear between ``times`` and constant after the last. ``times``
+    ascend from 0; each ``factor`` is 0 or between 1e-150 and 1e150, so that its square does not
+    under- or overflow. Stationary states are for e = 1 at all times. Raises ``InvalidInput`` for
+    anything else."""
 
     times: Array
     factor: Array
@@ -57,12 +53,6 @@ class Modulation:
         """e² after the last time."""
         return float(self.factor[-1]) ** 2
 
-    @property
-    def quiet(self) -> float:
-        """Time of the first noise; inf if e is 0 at all times."""
-        loud = np.flatnonzero(self.factor > 0.0)
-        return float(self.times[max(loud[0] - 1, 0)]) if loud.size else inf
-
     def after(self, time: float) -> "Modulation":
         """Return the modulation e(``time`` + t) for t >= 0."""
         later = self.times[self.times > time]
@@ -84,11 +74,8 @@ class Modulation:
         return np.asarray(np.sum(np.diff(nodes) * _square(e[..., :-1], e[..., 1:]), axis=-1) / step)
 
     def faded(self, begin: float, end: float, rate: Array) -> Array:
-        """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, (…) as ``rate``.
-
-        A negative ``rate`` means growth. The relative error is at most
-        ``LARGEST_LOG`` · EPS: 2e-15 by SciPy's 1F1, the rest by exponents up to 700.
-        """
+        """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, (…) as ``rate``, which
+        may be negative. The relative error is at most ``LARGEST_LOG`` · EPS."""
         inner = self.times[(self.times > begin) & (self.times < end)]
         nodes = np.concatenate([[begin], inner, [end]])
         e, h = self(nodes), np.diff(nodes)

@@ -111,9 +111,9 @@ class System:
         }
         for value in arrays.values():
             value.setflags(write=False)
-        derived = {**arrays, "contacts": tuple(self.contacts), "damping_terms": tuple(terms)}
-        for name, field_value in derived.items():
-            object.__setattr__(self, name, field_value)
+        tuples = {"contacts": tuple(self.contacts), "damping_terms": tuple(terms)}
+        for name, derived in (arrays | tuples).items():
+            object.__setattr__(self, name, derived)
 
     @property
     def n(self) -> int:
@@ -141,11 +141,9 @@ class System:
 
     def __repr__(self) -> str:
         """Return the number of masses, the stops and the number of damping terms in one line."""
-        stops = ", ".join(f"{stop.side} of mass {stop.mass}" for stop in self.stops)
-        return (
-            f"System({self.n} {'mass' if self.n == 1 else 'masses'}; stops: {stops or 'none'}; "
-            f"damping terms: {len(self.damping_terms)})"
-        )
+        stops = ", ".join(f"{stop.side} of mass {stop.mass}" for stop in self.stops) or "none"
+        masses = "1 mass" if self.n == 1 else f"{self.n} masses"
+        return f"System({masses}; stops: {stops}; damping terms: {len(self.damping_terms)})"
 
     def fact(self, compute: Callable[["System"], Fact]) -> Fact:
         """Return ``compute(self)``, stored in the system after the first call. ``compute``, a
@@ -210,13 +208,11 @@ def _refuse_negative(key: str, matrix: Array, words: str) -> None:
 
 @dataclass(frozen=True)
 class Effects:
-    """Effects that act in a system: a hashable key, for which a stepper is compiled.
-
-    ``laws`` are sorted names; ``contact_masses`` count from 0; ``stops`` is the number of one-sided
-    contacts and ``noise_rank`` the number of independent noises that reach a mass.
-    ``state_damping``: the damping depends on the state; ``energy_damping``: it depends on H;
-    ``mirror``: the system is invariant under q → −q.
-    """
+    """Effects that act in a system: a hashable key, for which a stepper is compiled. ``laws`` are
+    sorted names; ``contact_masses`` count from 0; ``stops`` is the number of one-sided contacts and
+    ``noise_rank`` the number of independent noises that reach a mass. ``state_damping``: the
+    damping depends on the state; ``energy_damping``: it depends on H; ``mirror``: the system is
+    invariant under q → −q."""
 
     masses: int
     laws: tuple[str, ...]

@@ -1,8 +1,7 @@
 """Certified finite element solution of the stationary FPK equation of one energy.
 
-Given a tolerance, degree and mesh adapt until the estimated L1 error is below it. No boundary
-condition is imposed at H = 0 (an entrance boundary) nor at the far end: zero flux is natural. The
-equation is solved from its coefficients alone; the known solution by quadrature is not used.
+Given a tolerance, degree and mesh adapt until the estimated L1 error is below it. Zero flux is
+natural at both ends. The known solution by quadrature is not used.
 """
 
 import math
@@ -16,27 +15,16 @@ from scipy.ndimage import maximum_filter1d
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.numeric.piecewise import Piecewise
-from fpk.solvers.line.elements import Elements, NullVectors, element_rule, solve_elements
-from fpk.solvers.line.mesh import (
-    ELEMENT_FALL,
-    GRADED_LAYERS,
-    SMOOTH_FALL,
-    Probe,
-    initial_nodes,
-    probe_process,
-    split_points,
-    with_layers,
-)
-from fpk.system.process import Process
+from fpk.solvers.line import elements, mesh
+from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 LINE_FACTOR = 2.0
-"""Stated L1 error over the distance to the enriched solution. At an algebraic singularity of order
-r of u the enriched solution has the share (p/(p+2))^(2r+2) of the error, at most a half for degree
-p >= 4; integrals above a contact energy have twice as many points in the enriched solution."""
+"""Stated L1 error over the distance to the enriched solution. At a singularity of order r of u the
+enriched solution has the share (p/(p+2))^(2r+2) <= ½ of the error, p >= 4 the degree; integrals
+above a contact energy have twice as many points in it."""
 POINTWISE_FACTOR = 4.0
 """Stated error of p at a point over the distance to the enriched solution nearby. In 8 of 779
-chains of 1 to 100 masses at tolerances from 2e-2 to 2e-10 the true error was two to three times
-this distance, as the density of states rises by decades over an element."""
+chains of 1 to 100 masses the true error was two to three times this distance."""
 
 HALF_WAVE = 4
 """Samples of the distance to the enriched solution in each of its half-waves."""
@@ -44,12 +32,10 @@ HALF_WAVE = 4
 
 @dataclass(frozen=True, eq=False)
 class StationarySolution:
-    """Finite element density p(H) with its error estimate and certificate.
-
-    ``answer`` is u = p/T, ``enriched`` the solution of a higher degree. ``common_error`` is a
-    relative error of p at all energies, by the coefficients and the mass. ``measured`` are the
-    numbers behind ``certificate`` and the certificate of any density derived from the solution.
-    """
+    """Finite element density p(H) with its error estimate and certificate. ``answer`` is u = p/T,
+    ``enriched`` the solution of a higher degree. ``common_error`` is a relative error of p at all
+    energies, by the coefficients and the mass. ``measured`` are the numbers behind ``certificate``
+    and the certificate of any density derived from the solution."""
 
     process: Process
     degree: int
@@ -72,7 +58,7 @@ class StationarySolution:
     @property
     def panels(self) -> Array:
         """Nodes with layers where p is not smooth: Gauss rules between them have round-off only."""
-        return with_layers(self.nodes, self.process.nonsmooth)
+        return mesh.with_layers(self.nodes, self.process.nonsmooth)
 
     @property
     def unknowns(self) -> int:
@@ -122,8 +108,8 @@ class StationarySolution:
         The points are equidistant in the angle θ, H ~ 1 − cos θ, in which the distance to the
         enriched solution has half-waves of equal length; the largest distance of √T u within two
         half-waves is taken. Elimination of m unknowns leaves a round-off of up to m^(3/2) EPS
-        (measured) of the largest p, everywhere in the element. At a node where p is much smaller
-        this changes the scale of all elements on the side with less mass.
+        (measured) of the largest p in the element. At a node where p is much smaller it changes the
+        scale of all elements on the side with less mass.
         """
         count = HALF_WAVE * (self.enriched.coefficients.shape[1] - 1)
         t = -np.cos(np.pi * np.arange(count + 1) / count)
@@ -134,7 +120,7 @@ class StationarySolution:
         scale, other = np.array([self.answer.log_scale, self.enriched.log_scale])[..., None]
         distance = np.abs(u - np.exp(other - scale) * better)
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * 0.5 * (1.0 + t)
-        share = element_rule(self.degree, self.process.degrees_of_freedom).share[0]
+        share = elements.element_rule(self.degree, self.process.degrees_of_freedom)[0][0]
         log_T = self._log_states(np.maximum(x, self.nodes[1] * share))
         # The maximum filter would drop NaN: it is replaced by the largest number.
         distance = np.nan_to_num(distance, nan=1.0 / SMALLEST, posinf=1.0 / SMALLEST)
@@ -154,32 +140,29 @@ class StationarySolution:
 def solve_stationary(
     process: Process, *, tol: float = 1e-10, degree: int | None = None
 ) -> StationarySolution:
-    """Return the stationary density to the L1 tolerance ``tol``.
-
-    ``degree`` of the elements follows from ``tol`` unless given. The certificate says if the
-    tolerance was not reached. Raises ``NotCertified`` if no stationary density exists.
-    """
+    """Return the stationary density to the L1 tolerance ``tol``. ``degree`` of the elements follows
+    from ``tol`` unless given. The certificate says if the tolerance was not reached. Raises
+    ``NotCertified`` if no stationary density exists."""
     # If 2 F/b does not depend on H, u is smooth although T is not.
     smooth = not process.state_damping
     if degree is None:
         digits = round(-math.log10(tol))
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
-    probe = probe_process(process)
-    nats: Array | float = ELEMENT_FALL
+    probe = mesh.probe_process(process)
+    nats: Array | float = mesh.ELEMENT_FALL
     if smooth:
         # The error of an element is weighted by its mass, and rises as nats^(degree + 1). Up to 7
         # nats p at the far end exceeds the error of its element, so that p stays positive.
         fall = probe.log_mass.max() - probe.log_mass
-        nats = SMOOTH_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
-    end, layers = probe.extent(1e-2 * tol), 0 if smooth else GRADED_LAYERS
-    nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
+        nats = mesh.SMOOTH_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
+    end, layers = probe.extent(1e-2 * tol), 0 if smooth else mesh.GRADED_LAYERS
+    nodes = mesh.initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
-        elements = solve_elements(process, nodes, degree)
-        solution, marked = _join_and_judge(process, probe, nodes, elements, degree, tol)
+        solution, marked = _solve(process, probe, nodes, degree, tol)
         # Element matrices of more than a block take seconds.
         if not marked.any() or marked.size * degree**2 > BLOCK_SIZE:
             break
-        cut = split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
+        cut = mesh.split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
         before, nodes = nodes, np.unique(np.append(nodes, cut))
         if nodes.size < before.size + cut.size:
             break
@@ -192,50 +175,103 @@ def solve_on_mesh(
     degree: int,
     *,
     tol: float = np.inf,
-    null_vectors: NullVectors | None = None,
+    null_vectors: elements.NullVectors | None = None,
 ) -> StationarySolution:
     """Return the solution by elements of ``degree`` between ``nodes``, certified to the L1 ``tol``.
-    ``null_vectors`` goes to ``solve_elements``."""
-    elements = solve_elements(process, nodes, degree, null_vectors)
-    return _join_and_judge(process, probe_process(process), nodes, elements, degree, tol)[0]
+    ``null_vectors``, if given, is used in place of elimination in each element."""
+    return _solve(process, mesh.probe_process(process), nodes, degree, tol, null_vectors)[0]
 
 
-def _join_and_judge(
-    process: Process, probe: Probe, nodes: Array, e: Elements, degree: int, tol: float
+def _solve(
+    process: Process,
+    probe: mesh.Probe,
+    nodes: Array,
+    degree: int,
+    tol: float,
+    null_vectors: elements.NullVectors | None = None,
 ) -> tuple[StationarySolution, Flags]:
-    """Return the density of the elements ``e``, scaled to match, and which elements to cut in two.
-
-    They have the ``degree`` and lie between ``nodes``; ``tol`` is the L1 tolerance; ``probe``
-    bounds the tail.
-    """
-    series = e.u, e.enriched
-    signed, log_scale, share = zip(*(_match_at_nodes(u, e.log_factor) for u in series), strict=True)
-    p, better = share[0][:, None] * e.values, share[1][:, None] * e.enriched_values
-    distance = float((e.weights * np.abs(p - better)).sum())
+    """Return the solution as ``solve_on_mesh`` does, and which elements to cut in two. ``probe``
+    bounds the tail."""
+    share, weight, enriched_weight, P, tested, *of_contact = elements.element_rule(
+        degree, process.degrees_of_freedom
+    )
+    contact_share, contact_weight, contact_P = of_contact
+    left, h, points = nodes[:-1], np.diff(nodes), share.size
+    contact, h = np.flatnonzero([H in process.nonsmooth for H in left.tolist()]), h[:, None]
+    x, inner = left[:, None] + h * share, left[contact, None] + h[contact] * contact_share
+    flat = process.coefficients(np.concatenate([x.ravel(), inner.ravel()]))
+    c = Coefficients(*(a[: x.size].reshape(x.shape) for a in flat))
+    # Arrays are (elements, …); T is relative to its largest value in each element.
+    error, log_factor = c.relative_error.max(axis=1), c.log_density_of_states.max(axis=1)
+    T = np.exp(c.log_density_of_states - log_factor[:, None])
+    # J h = factors · (u, du/dt) at the Gauss points, t from 0 to 1 over the element.
+    weighted = weight * T
+    factors = np.hstack([h * c.dissipation * weighted, -0.5 * c.diffusion * weighted])
+    A = (factors @ tested).reshape(left.size, degree + 2, degree + 3)
+    largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), SMALLEST)
+    A /= largest
+    degrees = degree, degree + elements.ENRICHMENT
+    if null_vectors is None:
+        found = [(elements.element_null_vectors(A, m), 0.0) for m in degrees]
+    else:
+        found = [null_vectors(process, nodes, m, points) for m in degrees]
+    series = [u for u, _ in found]
+    relative, net_flux, one_way = elements.residuals_of(A, series[0])
+    residual = float(relative.max()) if null_vectors is None else found[0][1]
+    values, better = (T * (f @ P[: f.shape[1]]) for f in series)
+    weights, better_mass = np.broadcast_to(weight, T.shape), better @ enriched_weight
+    if len(process.nonsmooth):
+        of_T, of_error = (a[x.size :].reshape(inner.shape) for a in flat[-2:])
+        error[contact] = np.maximum(error[contact], of_error.max(axis=1, initial=0.0))
+        inner_T = np.exp(of_T - log_factor[contact, None])
+        own_values, finer = (inner_T * (f[contact] @ contact_P[: f.shape[1]]) for f in series)
+        # Elements without contact have fewer points: the last is repeated with weight 0.
+        count = degree + elements.CONTACT_POINTS
+        places = np.minimum(np.arange(count), points - 1)
+        x, values, better = (f[:, places] for f in (x, values, better))
+        weights = np.where(np.arange(count) < points, weights[:, places], 0.0)
+        x[contact], weights[contact] = inner[:, :count], contact_weight[:count]
+        values[contact], better[contact] = own_values[:, :count], finer[:, :count]
+        better_mass[contact] = finer[:, count:] @ contact_weight[count:]
+    mass = (weights * values).sum(axis=1)
+    # The first equation, of the test function 1, is the mean of J. h² may underflow.
+    scale = np.abs(largest[:, 0, 0] / h[:, 0] / mass / h[:, 0])
+    # Each element is scaled to mass 1, and then to match its neighbours.
+    masses, weights = (h * mass[:, None], h * better_mass[:, None]), h * weights
+    values, better = values / masses[0], better / masses[1]
+    signed, log_scale, shares = zip(
+        *(_match_at_nodes(u / m, log_factor) for u, m in zip(series, masses, strict=True)),
+        strict=True,
+    )
+    p, finer_p = shares[0][:, None] * values, shares[1][:, None] * better
+    distance = float((weights * np.abs(p - finer_p)).sum())
     # The mass of the enriched solution has a different quadrature error, so that both solutions
     # differ by a factor. Their distance may then vanish where p is wrong: the factor is an error.
-    enriched_mass = float((e.weights * better).sum())
-    size = np.abs(share[0])
-    least, most, residual = float(p.min()), float(p.max()), float(e.residual.max())
-    net_flux = float((size * e.net_flux).max() / (size * e.one_way).max())
-    tail = probe.tail_bound(float(e.x[-1, -1]), abs(float(p[-1, -1])))
+    enriched_mass = float((weights * finer_p).sum())
+    size, least, most = np.abs(shares[0]), float(p.min()), float(p.max())
+    tail = probe.tail_bound(float(x[-1, -1]), abs(float(p[-1, -1])))
     # Relative errors of s and b are relative errors of d ln p/dH. Over the bulk of the mass ln p
     # falls by about 1, so that they are errors of ln p, too; each element is weighted by its mass.
-    coefficient_error = 2.0 * float(size @ e.coefficient_error)
+    coefficient_error, slope_error = 2.0 * float(size @ error), np.zeros(left.size)
+    if null_vectors is not None:
+        # A global solver leaves a net flux by round-off, which tilts u by 2 J/A_01.
+        slope_error = 2.0 * net_flux / np.maximum(np.abs(A[:, 0, 1]), SMALLEST)
+    if process.state_damping:
+        slope_error += (h * weight * log_density_slope_error(c)).sum(axis=1)
     # An error of ln p over one element moves mass from one side to the other, at most twice the
     # mass of the smaller side, the element included in both.
     below = np.cumsum(size)
     sides = np.minimum(below, np.maximum(1.0 - below, 0.0) + size)
     estimate = LINE_FACTOR * distance + 2.0 * tail + coefficient_error
-    estimate += 2.0 * float(e.slope_error @ sides)
+    estimate += 2.0 * float(slope_error @ sides)
     estimate += 2.0 * EPS * (size.size + degree**2)  # round-off of sums over elements and functions
     measured = Measured(
         l1_error=estimate,
-        mass_defect=abs(float((e.weights * p).sum()) - 1.0),
+        mass_defect=abs(float((weights * p).sum()) - 1.0),
         minimum=least / most,
         residual=residual,
         tail_mass=tail,
-        net_flux=net_flux,
+        net_flux=float((size * scale * net_flux).max() / (size * scale * one_way).max()),
     )
     if not residual < 0.1 * ROUND_OFF:  # elimination in an element leaves a few hundred EPS
         measured = measured.with_failures(f"the algebraic residual is {residual:.2g}")
@@ -245,7 +281,7 @@ def _join_and_judge(
         degree=degree,
         answer=Piecewise(nodes, signed[0], log_scale[0]),
         enriched=Piecewise(nodes, signed[1], log_scale[1] - log_enriched_mass),
-        common_error=coefficient_error + 2 * abs(enriched_mass - 1.0) + float(e.slope_error.sum()),
+        common_error=coefficient_error + 2 * abs(enriched_mass - 1.0) + float(slope_error.sum()),
         measured=measured,
         certificate=certify(measured, tol=tol),
     )
@@ -255,17 +291,15 @@ def _join_and_judge(
     # The error that an element causes: by its shape, and by its scale relative to its neighbours,
     # which changes the mass on the smaller side.
     step = np.minimum(below, 1.0 - below)[:-1] * np.abs(np.diff(log_scale[0] - log_scale[1]))
-    own = size * np.sum(e.weights * np.abs(e.values - e.enriched_values), axis=1)
-    own += np.append(step, 0.0) + np.append(0.0, step)
-    return solution, (p.min(axis=1) < NEGATIVE * most) | (own > 0.1 * tol / own.size)
+    caused = size * np.sum(weights * np.abs(values - better), axis=1)
+    caused += np.append(step, 0.0) + np.append(0.0, step)
+    return solution, (p.min(axis=1) < NEGATIVE * most) | (caused > 0.1 * tol / caused.size)
 
 
 def _match_at_nodes(u: Array, log_factor: Array) -> tuple[Array, Array, Array]:
-    """Scale elements so that they match at the nodes and their total mass is 1.
-
-    ``u`` (elements, terms) are Legendre series; ∫T u is e^``log_factor`` for each. Returned are u
-    with signs, positive in the element with most mass, ln of the scales, and the signed masses.
-    """
+    """Return ``u`` (elements, terms) with signs, ln of the scales of the elements, and signed
+    masses. They match at the nodes, their total mass is 1, and u is positive in the element with
+    most mass. ∫T u is e^``log_factor`` for each Legendre series in ``u``."""
     # P_j is (−1)^j at the left end and 1 at the right one.
     ends = np.stack([u @ (-1.0) ** np.arange(u.shape[1]), u.sum(axis=1)])
     start, end = np.log(np.maximum(np.abs(ends), SMALLEST))

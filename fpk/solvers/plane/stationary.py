@@ -1,10 +1,9 @@
 """Certified solution of the stationary FPK equation of two energies, Eq. (19).
 
-p = w u with a weight w near p and u of high degree on a few panels, on a ladder of finer and finer
-meshes. In the norm of the weak form, weighted by w ≈ p, an error ε of u is an error ε √p of p, so
-that p stays positive far below the tolerance. If this does not reach the tolerance, more elements
-with w = 1 are used. Under detailed balance, without probability flux, the weight is the density:
-p = w/∫w.
+p = w u with a weight w near p and u of high degree on a few panels, on finer and finer meshes. In
+the norm of the weak form, weighted by w ≈ p, an error ε of u is an error ε √p of p, so that p stays
+positive far below the tolerance. If this does not reach the tolerance, more elements with w = 1 are
+used. Under detailed balance the weight is the density: p = w/∫w.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,31 +19,16 @@ from fpk.numeric.errors import InvalidInput, NotCertified
 from fpk.numeric.piecewise import PiecewiseTensor
 from fpk.numeric.quadrature import gauss_grid, integral
 from fpk.solvers.line.elements import ENRICHMENT
+from fpk.solvers.plane import weight as weights
 from fpk.solvers.plane.elements import null_function
-from fpk.solvers.plane.solution import (
-    PlaneSolution,
-    root_spaced_nodes,
-    solve_plane_on_mesh,
-    tails,
-)
-from fpk.solvers.plane.weight import (
-    MAX_WEIGHT_DEGREE,
-    NEGLIGIBLE_FALL,
-    RISE,
-    RISE_PER_DEGREE,
-    Weight,
-    fit_weight,
-    flux_free_weight,
-    inverse_diffusion,
-    last_index,
-    negligible_rise,
-)
+from fpk.solvers.plane.solution import PlaneSolution, root_spaced_nodes, solve_plane_on_mesh, tails
+from fpk.solvers.plane.weight import Weight
 from fpk.system.ends import require_confined
 from fpk.system.process import Process
 
 RUNGS = ((2, 6), (2, 10), *((4, p) for p in range(8, 19)), *((n, 18) for n in range(5, 9)))
-"""Panels along each axis and degree of the attempts. Degrees above 10 lose digits to round-off on
-two long panels; from four panels on a higher degree gains a digit at less cost than more panels."""
+"""Panels along each axis and degree of the attempts. Degrees above 10 lose digits on two long
+panels; from four panels on a higher degree gains a digit at less cost than more panels."""
 DIGITS_PER_RUNG = 0.6
 """Digits of the error gained from one of ``RUNGS`` to the next: measured 0.4 to 0.85."""
 REFIT_ERROR = 1e-4
@@ -52,16 +36,14 @@ REFIT_ERROR = 1e-4
 
 
 def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
-    """Return the stationary density of two energies to the L1 tolerance ``tol``.
-
-    Zero flux is natural far out and at H_i = 0, where the normal diffusion vanishes. If no attempt
-    is certified, the attempt with the smallest error estimate is returned. Raises ``NotCertified``
-    if the density does not fall off, ``InvalidInput`` unless the process has two energies.
-    """
+    """Return the stationary density of two energies to the L1 tolerance ``tol``; if no attempt is
+    certified, the attempt with the smallest error estimate. Zero flux is natural at all ends.
+    Raises ``NotCertified`` if the density does not fall off, ``InvalidInput`` unless the process
+    has two energies."""
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
     require_confined(process)
-    weight = flux_free_weight(process)
+    weight = weights.flux_free_weight(process)
 
     def attempts() -> Iterator[PlaneSolution]:
         """Solutions in the order of their cost, each computed when the last was not certified."""
@@ -85,16 +67,13 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
 
 
 def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSolution | None:
-    """Return p = w/∫w if the flux of the ``weight`` w vanishes within the L1 tolerance ``tol``.
-
-    The error of ln p is bounded by the integral along each axis of the difference between ∇ ln w
-    and b⁻¹ (2s − ∇·b), without the factor p: behind a barrier a small slope error moves mass from
-    one side to the other. Returns None if this bound exceeds half of the tolerance, or if w varies
-    too fast for 24 panels along each axis.
-    """
+    """Return p = w/∫w if the flux of the ``weight`` w vanishes within the L1 tolerance ``tol``. The
+    error of ln p is bounded by the integral along each axis of the difference between ∇ ln w and
+    b⁻¹ (2s − ∇·b), without the factor p, as behind a barrier a small slope error moves mass. None
+    if this bound exceeds half of ``tol``, or w varies too fast for 24 panels along each axis."""
     weight = replace(weight, floor=0.0)
     try:
-        ends = weight.ends(max(NEGLIGIBLE_FALL, negligible_rise(tol)))
+        ends = weight.ends(max(weights.NEGLIGIBLE_FALL, weights.negligible_rise(tol)))
     except NotCertified:
         return None
     for panels in (2, 4, 8, 16, 24):
@@ -115,8 +94,8 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
     slope = np.stack(weight.slopes(*H), axis=-1).reshape(-1, 2)
     flow = 2.0 * c.drift - c.divergence
     flux = np.einsum("nij,nj->ni", c.diffusion, slope) + flow
-    missed = np.abs(inverse_diffusion(flux, c.diffusion)).reshape(at.shape)
-    missed[w < np.exp(-NEGLIGIBLE_FALL) * w.max()] = 0.0
+    missed = np.abs(weights.inverse_diffusion(flux, c.diffusion)).reshape(at.shape)
+    missed[w < np.exp(-weights.NEGLIGIBLE_FALL) * w.max()] = 0.0
     # Twice, as p is normalised: a factor on p in one place changes p everywhere else.
     along = zip((missed[..., 0].max(axis=1), missed[..., 1].max(axis=0)), grids, strict=True)
     wrong = 2.0 * float(sum(most @ v for most, (_, v) in along))
@@ -140,7 +119,7 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
     """Yield solutions with more unknowns and better weights, as long as these lower the error.
     ``weight`` is the first weight, ``tol`` the L1 tolerance."""
     rung, least, stalled, best = 0, np.inf, 0, weight
-    rise = negligible_rise(tol)
+    rise = weights.negligible_rise(tol)
     farthest = max(rise, 25.0)  # the first weight may be far from p
     while rung < len(RUNGS) and stalled < 2:
         panels, degree = RUNGS[rung]
@@ -154,7 +133,7 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
         gained = error < 0.3 * least
         # A mass beyond the mesh below a millionth of the error is not known accurately.
         if (solution.measured.tail_mass or 0.0) > 0.1 * max(tol, 1e-6 * error) or not gained:
-            rise = farthest + RISE
+            rise = farthest + weights.RISE
         farthest = rise
         if gained:
             best, better, least = weight, weight_of(solution), error
@@ -167,11 +146,9 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
 
 
 def next_rung(rung: int, missing: float, *, most: int) -> int:
-    """Return the index in ``RUNGS`` after ``rung`` for an error ``missing`` times the tolerance.
-
-    It follows from the missing digits, is at most ``most`` higher, and skips no rung beyond the
-    highest degree on four panels.
-    """
+    """Return the index in ``RUNGS`` after ``rung`` for an error ``missing`` times the tolerance. It
+    follows from the missing digits, is at most ``most`` higher, and skips no rung beyond the
+    highest degree on four panels."""
     digits = float(np.log10(max(missing, 1.0))) if np.isfinite(missing) else np.inf
     gain = ceil(min(digits / DIGITS_PER_RUNG, most))
     # The second rung is four degrees above the first.
@@ -179,16 +156,14 @@ def next_rung(rung: int, missing: float, *, most: int) -> int:
 
 
 def weight_of(solution: PlaneSolution) -> Weight | None:
-    """Return a weight fitted to −ln p of ``solution``, or None if no fit is much better.
-
-    The fit uses points at which the relative error of p is below ``LARGEST_ERROR``: with the error
-    ε √p of p these have p > (ε/LARGEST_ERROR)² of its maximum.
-    """
+    """Return a weight fitted to −ln p of ``solution``, or None if no fit is much better. Points are
+    used at which the relative error of p is below ``LARGEST_ERROR``: with the error ε √p of p these
+    have p > (ε/LARGEST_ERROR)² of its maximum."""
     rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / LARGEST_ERROR))
-    if not rise > 2.0 * RISE_PER_DEGREE:
+    if not rise > 2.0 * weights.RISE_PER_DEGREE:
         return None
     # Four times as many points along each axis as the fit of the highest degree needs.
-    ends, points = [nodes[-1] for nodes in solution.nodes], 4 * (MAX_WEIGHT_DEGREE + 2)
+    ends, points = [nodes[-1] for nodes in solution.nodes], 4 * (weights.MAX_WEIGHT_DEGREE + 2)
     # First on the whole mesh, to find the box in which p is known; then on this box.
     for _ in range(2):
         x, y = (np.linspace(0.0, end, points) for end in ends)
@@ -198,9 +173,9 @@ def weight_of(solution: PlaneSolution) -> Weight | None:
         known &= better > np.exp(-rise) * better.max()
         if not known.any():
             return None
-        ends = [H[min(last_index(known, k) + 1, points - 1)] for k, H in enumerate((x, y))]
+        ends = [H[min(weights.last_index(known, k) + 1, points - 1)] for k, H in enumerate((x, y))]
     log_p = np.log(np.where(known, better, 1.0))
-    return fit_weight((x, y), log_p, known, rise, present=solution.weight)
+    return weights.fit_weight((x, y), log_p, known, rise, present=solution.weight)
 
 
 def solve_by_elements(
@@ -214,11 +189,11 @@ def solve_by_elements(
 ) -> PlaneSolution:
     """Return the solution with w = 1 to the L1 tolerance ``tol`` on adaptively refined meshes.
 
-    ``degree`` follows from ``tol`` unless given. The first mesh has four intervals along each axis,
-    up to the ends of the ``weight``. Intervals whose highest modes exceed ``marked`` times the
-    largest are halved, and one interval is added at an edge with mass beyond, until the answer is
-    certified or the next mesh has too many matrix entries. ``solved`` replaces ``null_function``.
-    Raises ``NotCertified`` if the first mesh has too many entries, or the weight does not fall off.
+    The first mesh has four intervals along each axis, up to the ends of the ``weight``. Intervals
+    whose highest modes exceed ``marked`` times the largest are halved, and one is added at an edge
+    with mass beyond. ``degree`` follows from ``tol`` unless given; ``solved`` replaces
+    ``null_function``. Raises ``NotCertified`` if the first mesh has too many entries, or the weight
+    does not fall off.
     """
     if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
         degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))

@@ -164,11 +164,11 @@ def test_contacts_by_the_formula_of_the_mean_and_the_forward_equation(name):
 def test_starts_at_once_and_stationary_starts():
     curve = fem_passage(process(2), 5.0, Source(0.0), NONE, tol=1e-10).starts
     for k in (0, 30, 99):
-        one = fem_passage(process(2), 5.0, Source(curve.starts[k]), NONE, tol=1e-10)
-        assert one.mean.value == pytest.approx(curve.mean[k], rel=1e-12)
-        assert one.variance.value == pytest.approx(curve.variance[k], rel=1e-12)
-    assert curve.mean[-1] <= curve.mean_error[-1] < 1e-12
-    assert curve.variance[-1] <= curve.variance_error[-1] < 1e-10
+        one = fem_passage(process(2), 5.0, Source(curve["starts"][k]), NONE, tol=1e-10)
+        assert one.mean.value == pytest.approx(curve["mean"][k], rel=1e-12)
+        assert one.variance.value == pytest.approx(curve["variance"][k], rel=1e-12)
+    assert curve["mean"][-1] <= curve["mean_error"][-1] < 1e-12
+    assert curve["variance"][-1] <= curve["variance_error"][-1] < 1e-10
 
 
 @pytest.mark.parametrize("noise", [1e-9, 1e-2, 1.0, 1e6])

@@ -1,19 +1,17 @@
 """Finite elements of one energy in time, coupled at their ends only.
 
-With the stationary density π and m = ½ b π the generator is L f = (m f')'/π, and its weak form
-−∫ m f' v' is symmetric. Each element has two kinds of functions (Craig and Bampton, AIAA J. 6
-(1968) 1313): h_0 and h_1 = 1 − h_0, equal to 1 at its left and right end, and v_j, zero at both
-ends, orthogonal to h_0 and h_1 in m and to each other in m and in π. The elements then form a chain
-of conductances 1/∫dx/m, and every sum along it has positive terms only: a probability of 1e-200 has
-relative accuracy. Elements come in pairs, for the answer and for the enriched solution, of a higher
-degree, whose distance estimates the error.
+With the stationary density π and m = ½ b π the generator is L f = (m f')'/π, with the symmetric
+weak form −∫ m f' v'. Each element has functions h_0 and h_1 = 1 − h_0, equal to 1 at its left and
+right end, and v_j, zero at both ends, orthogonal to h_0 and h_1 in m and to each other in m and π
+(Craig and Bampton, AIAA J. 6 (1968) 1313). The elements form a chain of conductances 1/∫dx/m, and
+every sum along it has positive terms only: a probability of 1e-200 has relative accuracy.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.polynomial.legendre import legint, legvander
@@ -110,12 +108,9 @@ class Elements:
         return float(np.ptp(self.log_scale))
 
     def coefficient_error(self, upto: float = 0.0) -> float:
-        """Return the relative error of densities and rates by the errors of the coefficients.
-
-        Each element is weighted by its share of the mass, and of the distance ∫dH/√b up to the
-        energy ``upto`` or through all but 1e-6 of the mass: short elements near a contact energy
-        have large errors.
-        """
+        """Return the relative error of densities and rates by the errors of the coefficients. Each
+        element is weighted by its share of the mass, and of the distance ∫dH/√b up to the energy
+        ``upto`` or through all but 1e-6 of the mass: short elements have large errors."""
         mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
         bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
         way = np.sqrt(self.relaxation.sum(axis=1))
@@ -136,12 +131,12 @@ class Elements:
         """Return the function of coefficients ``f`` (…, elements, functions) at ``x``, (…, points).
         Then the sum of the sizes of its terms, with ``size`` in place of |``f``| if given."""
         k, values = self.functions(x)
-        p, sizes = (
-            np.array([np.einsum("xi,xi->x", each[k], v) for each in a.reshape(-1, *f.shape[-2:])])
-            for a, v in ((f, values), (np.abs(f) if size is None else size, np.abs(values)))
-        )
-        shape = *f.shape[:-2], x.size
-        return p.reshape(shape), sizes.reshape(shape)
+
+        def summed(a: Array, v: Array) -> Array:
+            every = [np.einsum("xi,xi->x", each[k], v) for each in a.reshape(-1, *f.shape[-2:])]
+            return np.array(every).reshape(*f.shape[:-2], x.size)
+
+        return summed(f, values), summed(np.abs(f) if size is None else size, np.abs(values))
 
     def log_density(self, x: Array, *, of_states: bool = False) -> Array:
         """Return ln π, or ln π/T if ``of_states``, at ``x`` > 0, in the unit of ``log_scale``."""
@@ -159,12 +154,9 @@ Pair = tuple[Elements, Elements]
 
 
 class ChainDensity(NamedTuple):
-    """Coefficients of p/π, or of a backward solution, on ``elements`` at several times.
-
-    ``values`` (times, elements, functions) are in the units 1/e^``log_scale`` of the elements for a
-    density p, else in one unit; ``size`` are the sums of the sizes of their terms. ``residual`` is
-    the largest relative residual.
-    """
+    """Coefficients (times, elements, functions) of p/π, or of a backward solution, on ``elements``.
+    ``values`` are in the units 1/e^``log_scale`` of the elements for a density p, else in one unit;
+    ``size`` are sums of the sizes of their terms; ``residual`` is the largest relative residual."""
 
     elements: Elements
     values: Array
@@ -187,8 +179,8 @@ def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
     Returned are points t and weights; Legendre polynomials of s at the points (points, terms); the
     matrix (terms, points) from values to the Legendre series of their integral from 0 to t; the
     ``shape_functions`` and their slopes (points, degree + 1). The points are Gauss points of s,
-    with s = ∛t at contact, as π is smooth in ∛(H − H_c), and s = t elsewhere. For π ~ t^k,
-    k = ``steepness`` > 7, they are Gauss-Jacobi points.
+    with s = ∛t at contact and s = t elsewhere; for π ~ t^k, k = ``steepness`` > 7, Gauss-Jacobi
+    points.
     """
     count = 3 * degree + 8 if contact else degree + 6
     steep = steepness > 7 and not contact
@@ -213,16 +205,10 @@ def chain_elements(
     element at H = 0 may have a lower degree, which is one higher if ``enriched``."""
     kind = np.isin(left, process.nonsmooth) + 2 * (left == 0.0)
     alike = [np.flatnonzero(kind == k) for k in np.unique(kind)]
-    parts = [
-        _elements_of_kind(process, left[k], right[k], degree, enriched=enriched) for k in alike
-    ]
-    order = np.argsort(np.concatenate(alike))
-    arrays: dict[str, Any] = {
-        x.name: np.concatenate([getattr(part, x.name) for part in parts])[order]
-        for x in fields(Elements)
-        if x.name != "process"
-    }
-    return replace(parts[0], **arrays)
+    own = [_elements_of_kind(process, left[k], right[k], degree, enriched=enriched) for k in alike]
+    order, (_, *names) = np.argsort(np.concatenate(alike)), (x.name for x in fields(Elements))
+    columns = (np.concatenate([getattr(part, name) for part in own])[order] for name in names)
+    return Elements(process, *columns)
 
 
 def _elements_of_kind(
@@ -294,15 +280,11 @@ def degree_for(tol: float) -> int:
 
 
 def element_pair(process: Process, nodes: Array, degree: int, *, beyond: ArrayLike = ()) -> Pair:
-    """Return elements of ``degree`` between ``nodes``, and the elements of the enriched solution.
-
-    The enriched solution has ``degree`` + ``ENRICHMENT`` and the further nodes ``beyond`` the last.
-    """
-    every = np.append(nodes, beyond)
-    return (
-        chain_elements(process, nodes[:-1], nodes[1:], degree),
-        chain_elements(process, every[:-1], every[1:], degree + ENRICHMENT, enriched=True),
-    )
+    """Return elements of ``degree`` between ``nodes``, and the elements of the enriched solution,
+    of ``degree`` + ``ENRICHMENT`` and with the further nodes ``beyond`` the last."""
+    every, finer = np.append(nodes, beyond), degree + ENRICHMENT
+    answer = chain_elements(process, nodes[:-1], nodes[1:], degree)
+    return answer, chain_elements(process, every[:-1], every[1:], finer, enriched=True)
 
 
 def solve_with_refinement(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:

@@ -8,7 +8,7 @@ to damping, so that M ∂g/∂t = (−e² K + (1 − e²) C) g.
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.polynomial.legendre import legint, legvander
@@ -22,16 +22,10 @@ from fpk.answer.dynamics import LARGEST_ERROR, NO_NOISE_YET, Transient
 from fpk.answer.names import number_text
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.solvers.line.time import transition
 from fpk.solvers.line.time.elements import ChainDensity, Elements, Pair, Settings
 from fpk.solvers.line.time.resolvent import matrices
-from fpk.solvers.line.time.transition import (
-    Question,
-    Source,
-    Transition,
-    estimate_error,
-    pose_question,
-    solve_adaptively,
-)
+from fpk.solvers.line.time.transition import Question, Source, Transition
 from fpk.system.modulation import Modulation
 from fpk.system.process import Process
 
@@ -54,12 +48,12 @@ def quiet_until(modulation: Modulation, source: Source) -> float:
     ``InvalidInput`` if the source is an energy > 0, which decays before the first noise."""
     if source.process is not None:
         return 0.0
-    if modulation.quiet > 0.0 and source.energy > 0.0:
-        remedy = f"decays without noise until t = {modulation.quiet:g}; begin there"
-        raise InvalidInput(
-            "start", f"H={number_text(source.energy)}", f"{remedy}, at rest or from noise=F"
-        )
-    return modulation.quiet
+    loud = np.flatnonzero(modulation.factor > 0.0)
+    quiet = float(modulation.times[max(loud[0] - 1, 0)]) if loud.size else math.inf
+    if quiet > 0.0 and source.energy > 0.0:
+        remedy = f"decays without noise until t = {quiet:g}; begin there, at rest or from noise=F"
+        raise InvalidInput("start", f"H={number_text(source.energy)}", remedy)
+    return quiet
 
 
 def radau_steps(
@@ -73,12 +67,10 @@ def radau_steps(
     absorbing: bool = False,
 ) -> tuple[ChainDensity, Array, Array, Array]:
     """Return the density at ``times`` > 0 that starts with ``load``, (elements, functions).
-
     ``unit`` is the e² of the reference noise of ``e``. Also returned are the times of all stages,
-    weights that integrate over time, and the mass, (steps · stages,) each. The steps of Radau IIA
-    grow in proportion to time and end at the times and at the kinks of e; ``level`` is the number
-    of times that all steps are halved. ``absorbing``: p = 0 at the last end, else zero flux.
-    """
+    weights that integrate over time, and the mass, (steps · stages,) each. Steps of Radau IIA grow
+    in proportion to time and end at the times and at the kinks of e; all are halved ``level``
+    times. ``absorbing``: p = 0 at the last end, else zero flux."""
     # The points c_i, the last of which is 1, and the coefficients a_ij.
     x = np.append(roots_jacobi(STAGES - 1, 1, 0)[0], 1.0)
     A = legint(np.linalg.inv(legvander(x, STAGES - 1)), lbnd=-1.0)
@@ -89,9 +81,8 @@ def radau_steps(
     stops = np.unique(np.append(times, modulation.times[modulation.times < times[-1]]))
     stops = stops[stops > 0.0]
     first = FIRST_STEP * stops[0]
-    grown = first * STEP_RATIO ** np.arange(
-        0.0, np.ceil(np.log(stops[-1] / first) / np.log(STEP_RATIO))
-    )
+    count = np.ceil(np.log(stops[-1] / first) / np.log(STEP_RATIO))
+    grown = first * STEP_RATIO ** np.arange(0.0, count)
     ends = [0.0]
     for stop in stops.tolist():
         inner = grown[(grown > ends[-1] * (1.0 + FIRST_STEP)) & (grown < stop * (1.0 - FIRST_STEP))]
@@ -112,12 +103,9 @@ def radau_steps(
     at_stages, lengths = np.array(reached), np.diff(ends)[:, None]
     last = at_stages[np.searchsorted(ends[1:], times), -1]
     values = root * (spread @ last.T).T.reshape(-1, *e.load.shape)
-    return (
-        ChainDensity(e, values, np.abs(values), float(np.max(residuals))),
-        (ends[1:, None] - lengths * (1.0 - c)).ravel(),
-        (lengths * A[-1]).ravel(),
-        (at_stages @ shares).ravel(),
-    )
+    density = ChainDensity(e, values, np.abs(values), float(np.max(residuals)))
+    at, weights = ends[1:, None] - lengths * (1.0 - c), lengths * A[-1]
+    return density, at.ravel(), weights.ravel(), (at_stages @ shares).ravel()
 
 
 def halve_steps(
@@ -127,15 +115,14 @@ def halve_steps(
     size: Callable[[Array, Array], float],
     wanted: float,
 ) -> tuple[Transition, list[Carried]]:
-    """Halve all steps until the numbers of ``carried(elements, level)`` change by <= ``wanted``.
-
-    ``size(changes, numbers)`` is the size of their changes. Returned are the density on adapted
-    elements, started from ``pair``, with the observed order of the steps among its settings, and
-    three results of ``carried``: the answer, with steps twice as long, and with steps twice as long
-    on the elements of a higher degree.
-    """
+    """Halve all steps until the numbers of ``carried(elements, level)`` change by <= ``wanted``, by
+    ``size(changes, numbers)``. Returned are the density on elements adapted from ``pair``, with the
+    observed order of the steps in its settings, and three results of ``carried``: the answer, with
+    steps twice as long, and these on elements of a higher degree."""
     carried = lru_cache(maxsize=4)(carried)
-    solved = solve_adaptively(question, pair, lambda e, **_: carried(e, STEP_HALVINGS[0])[0])
+    solved = transition.solve_adaptively(
+        question, pair, lambda e, **_: carried(e, STEP_HALVINGS[0])[0]
+    )
     e, sizes = solved.elements, []
     for level in range(STEP_HALVINGS[0] + 1, STEP_HALVINGS[1] + 1):
         numbers = carried(e, level)[1]
@@ -158,20 +145,16 @@ def transition_with_modulation(
     under: Processes, modulation: Modulation, source: Source, times: Array, *, tol: float
 ) -> Transition:
     """Return the density at ``times`` > 0 of an energy that starts from ``source``.
-
     ``under(factor)`` is the process under that multiple of the noise; ``tol`` is the L1 tolerance.
-    The error is the distance to elements of a higher degree and to steps twice as long. While there
-    is no noise the equation is the first-order equation of the decay. Raises ``InvalidInput`` for
-    times at which no noise has acted yet, and as ``quiet_until`` and ``pose_question`` do.
-    """
+    The error is the distance to elements of a higher degree and to steps twice as long. Raises
+    ``InvalidInput`` for times before any noise, and as ``quiet_until`` and ``pose_question`` do."""
     quiet = quiet_until(modulation, source)
     if times[0] <= quiet:
         raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
     modulation, times = modulation.after(quiet), times - quiet
     unit = modulation.largest or 1.0
-    question, pair = pose_question(
-        under(unit), source, float(modulation.energy(times[0])) / unit, tol
-    )
+    first = float(modulation.energy(times[0])) / unit
+    question, pair = transition.pose_question(under(unit), source, first, tol)
 
     def carried(e: Elements, level: int) -> Carried:
         g = radau_steps(e, source.load(e), modulation, unit, times, level=level)[0]
@@ -188,7 +171,7 @@ def transition_with_modulation(
         return np.asarray(np.abs(p - in_longer) + np.abs(in_longer - in_both))
 
     distance = apart(e.x.ravel()).reshape(-1, *e.x.shape)
-    answer, _, _ = estimate_error(question, own, enriched, distance=distance)
+    answer, _, _ = transition.estimate_error(question, own, enriched, distance=distance)
     # Without noise distances are largest at the ends of elements, which are no quadrature points.
     at_ends = apart(e.right)
     beside = np.maximum(at_ends, np.append(0.0 * at_ends[:, :1], at_ends[:, :-1], axis=1))
@@ -200,12 +183,10 @@ def transient_with_modulation(
     under: Processes, modulation: Modulation, source: Source, times: Array, at: Array, *, tol: float
 ) -> Transient:
     """Return the densities of ``transition_with_modulation`` at ``times`` and energies ``at``.
-
     ``tol`` is the L1 tolerance. If the modulation ends with 0, the motion dH/dt = F(H) leads from
     H_0 at its end to H at a later time, so that p(H, t) = p(H_0) F(H_0)/F(H). If the estimated
     error exceeds ``LARGEST_ERROR``, stated errors are infinite. Raises ``NotApplicable`` if damping
-    feeds energy in after the end of the noise.
-    """
+    feeds energy in after the end of the noise."""
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
     later = times > end
     stops = np.unique(np.minimum(times, end))
@@ -226,17 +207,15 @@ def transient_with_modulation(
     for k in np.flatnonzero(later):
         time, z = float(times[k] - end), np.log(H)
         # The answer, and a solution of lower accuracy whose distance is its error.
-        ends = [
-            solve_ivp(rate, (0.0, time), z, method="DOP853", rtol=rtol, atol=rtol).y[:, -1]
-            for rtol in (1e-12, 1e-10)
-        ]
-        began = np.exp(ends[0])
-        jacobian = began * rate(0.0, ends[0]) / (H * rate(0.0, z))
+        solved_to = partial(solve_ivp, rate, (0.0, time), z, method="DOP853")
+        end_z, rough = (solved_to(rtol=eps, atol=eps).y[:, -1] for eps in (1e-12, 1e-10))
+        began = np.exp(end_z)
+        jacobian = began * rate(0.0, end_z) / (H * rate(0.0, z))
         inside = np.minimum(began, last)
         # An error of F by ε shifts ln H_0 by ε F/H t.
         relative = float(e.relative_error.max())
         fastest = float(np.max(rate(0.0, np.log(inner))))
-        moved = float(np.max(np.abs(ends[0] - ends[1]), initial=0.0)) + relative * fastest * time
+        moved = float(np.max(np.abs(end_z - rough), initial=0.0)) + relative * fastest * time
         p, error = (a[-1] for a in solved.density(began))
         shifted = solved.density(np.minimum(inside * np.exp(moved), last))[0][-1]
         changed = np.abs(shifted - p) * (began <= last) + (moved + 2.0 * relative) * np.abs(p)

@@ -6,32 +6,21 @@ the forward equation, whose mass is P(T > t).
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from fpk.answer.certificate import DISTANCE_FACTOR
-from fpk.answer.dynamics import BEYOND_RANGE, START_POINTS, Passage, StartCurve, certify_passage
+from fpk.answer.dynamics import BEYOND_RANGE, START_POINTS, Passage, certify_passage
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, LARGEST_LOG, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.line.mesh import MAX_ELEMENT_DEGREE, layer_at, probe_process, time_nodes
-from fpk.solvers.line.time.elements import (
-    Elements,
-    Pair,
-    degree_for,
-    element_pair,
-    solve_with_refinement,
-)
-from fpk.solvers.line.time.modulated import (
-    Carried,
-    Processes,
-    halve_steps,
-    quiet_until,
-    radau_steps,
-)
+from fpk.solvers.line.time import elements as chain
+from fpk.solvers.line.time import modulated
+from fpk.solvers.line.time.elements import Elements, Pair
 from fpk.solvers.line.time.resolvent import chain_potential, inverse_laplace
 from fpk.solvers.line.time.transition import Source, pose_question
 from fpk.system.modulation import Modulation
@@ -40,16 +29,13 @@ from fpk.system.process import Process
 MAX_POWER_STEPS = 2_000
 """Largest number of power iterations for the failure rate; a hundred masses take a hundred."""
 MODULATED_SHARE = 0.1
-"""Tolerance of mesh and steps under modulated noise, over the tolerance of the answer: variances
-have larger errors than densities."""
+"""Tolerance of mesh and steps under modulated noise, over the tolerance of the answer."""
 
 
 @dataclass(frozen=True, eq=False)
 class FirstPassage:
-    """First passage of an energy through ``limit``, solved on a pair of chains that end there.
-
-    Times are given for starts x below the limit. ``longest`` is the unit of moments.
-    """
+    """First passage of an energy through ``limit`` from starts x below it, on a pair of chains that
+    end there. ``longest`` is the unit of moments."""
 
     limit: float
     pair: Pair
@@ -72,11 +58,8 @@ class FirstPassage:
 
     @cached_property
     def _coefficients(self) -> Array:
-        """Error of T at the left ends of the elements by the errors of the coefficients.
-
-        T = ∫dx/m ∫π: the error of 1/m in an element is weighted by the fall of T over it, the error
-        of π by its mass.
-        """
+        """Error of T at the left ends of the elements by the coefficients. T = ∫dx/m ∫π: the error
+        of 1/m in an element is weighted by the fall of T over it, the error of π by its mass."""
         e, T = self.pair[0], self.means[0]
         mass = np.exp(e.log_mass - e.log_mass.max())
         below = np.cumsum(e.relative_error * mass) / np.maximum(np.cumsum(mass), SMALLEST)
@@ -110,12 +93,9 @@ class FirstPassage:
         return T, error, V, V_error + self.round_off * 2.0 * (V + of_U + T * of_T)
 
     def rate(self) -> tuple[float, float]:
-        """Return the failure rate, the smallest eigenvalue λ of −L, and its error.
-
-        Power iteration with (−L)⁻¹, a positive operator: the largest and smallest value of
-        f/(−L)⁻¹f bound λ (Barta), however small λ is. The relative error of the Rayleigh quotient
-        is the square of the relative distance of these bounds: round-off if that is 1e-9.
-        """
+        """Return the failure rate, the smallest eigenvalue λ of −L, and its error. Power iteration
+        with the positive operator (−L)⁻¹: the largest and smallest value of f/(−L)⁻¹f bound λ
+        (Barta). The relative error of the Rayleigh quotient is the square of their distance."""
         found = []
         for e, f in zip(self.pair, self.means, strict=True):
             share = np.exp(e.log_scale - e.log_mass.max())  # may underflow to 0
@@ -131,9 +111,8 @@ class FirstPassage:
                 f = g
             found.append((quotient, quotient * bracket**2))
         (value, left), (better, other) = found
-        return value, DISTANCE_FACTOR * abs(
-            value - better
-        ) + left + other + 2.0 * self.relative * value
+        distance = DISTANCE_FACTOR * abs(value - better)
+        return value, distance + left + other + 2.0 * self.relative * value
 
     def failures(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t) at ``times`` from starts ``x`` by both chains, and the size of terms.
@@ -163,13 +142,11 @@ def _by_coefficients(relative: float, failure: Array) -> Array:
 def chain_first_passage(
     process: Process, limit: float, times: Array, tol: float = 1e-10, source: Source | None = None
 ) -> FirstPassage:
-    """Return the first passage of ``limit`` > 0, with errors below ``tol`` if possible.
-
-    Errors are relative for moments and rate, absolute for the probability of failure at ascending
-    ``times``. A ``source`` that is a density gets nodes that resolve it. Raises ``InvalidInput``
-    for a limit whose mean time is beyond double precision.
-    """
-    degree, wanted = degree_for(tol), 0.25 * tol
+    """Return the first passage of ``limit`` > 0, with errors below ``tol`` if possible: relative
+    for moments and rate, absolute for the probability of failure at ascending ``times``. A
+    ``source`` that is a density gets nodes that resolve it. Raises ``InvalidInput`` for a limit
+    whose mean time is beyond double precision."""
+    degree, wanted = chain.degree_for(tol), 0.25 * tol
     beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probe_process(process)
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
     # The mean time is about e^fall relaxation times; this bounds the mesh before it is computed.
@@ -198,17 +175,15 @@ def chain_first_passage(
             marked |= (distance > wanted).reshape(a.count, -1).any(axis=1)
         return answer, marked
 
-    return solve_with_refinement(element_pair(process, nodes, degree), solved)
+    return chain.solve_with_refinement(chain.element_pair(process, nodes, degree), solved)
 
 
 def fem_passage(
     process: Process, limit: float, source: Source, times: Array, *, tol: float
 ) -> Passage:
-    """Return the first passage of the energy through ``limit`` from ``source`` below it.
-
-    For ``times`` and ``tol`` see ``chain_first_passage``. The part of an initial density beyond the
-    limit has failed at time 0. Raises ``InvalidInput`` if the mean time is beyond double precision.
-    """
+    """Return the first passage of ``limit`` from ``source`` below it; for ``times`` and ``tol`` see
+    ``chain_first_passage``, which may raise. The part of an initial density beyond the limit has
+    failed at time 0."""
     solved = chain_first_passage(process, limit, times=times, tol=tol, source=source)
     e, unit = solved.pair[0], solved.longest
     # Means over the source by the points of both chains.
@@ -226,10 +201,9 @@ def fem_passage(
     # Law of total variance: E Var(T|x) + Var E(T|x), the latter as E m(m − 2 mean) + mean².
     own, own_error = over(V, V_error)
     spread, spread_error = over(T * (T - 2.0 * share), 2.0 * np.abs(T - share) * T_error)
+    total, total_error = own + (spread + share**2), own_error + spread_error
     with np.errstate(over="ignore"):
-        variance, variance_error = (
-            float(a * unit * unit) for a in (own + (spread + share**2), own_error + spread_error)
-        )
+        variance = Number(float(total * unit * unit), float(total_error * unit * unit))
         curves = T * unit, T_error * unit, V * unit * unit, V_error * unit * unit
     mean = Number(share * unit, share_error * unit)
     # Forward and backward equation are compared at ``times``, or at the mean time without any.
@@ -246,20 +220,20 @@ def fem_passage(
     if source.process is not None:
         settings["beyond the limit at the start"] = beyond
     return certify_passage(
-        (mean, Number(variance, variance_error), Number(*solved.rate())),
+        (mean, variance, Number(*solved.rate())),
         times,
         failure[: times.size],
         failure_error[: times.size],
         tol=tol,
         mass_defect=float(np.abs(kept + failure - 1.0).max()),
         residual=g.residual,
-        starts=StartCurve(starts, *(a[both:] for a in curves)),
+        starts=[starts, *(a[both:] for a in curves)],
         settings=settings,
     )
 
 
 def passage_with_modulation(
-    under: Processes,
+    under: modulated.Processes,
     modulation: Modulation,
     source: Source,
     limit: float,
@@ -271,13 +245,15 @@ def passage_with_modulation(
 
     ``under(factor)`` is the process under that multiple of the noise. P(T > t) at ``times`` is the
     mass of the forward solution with p = 0 at the limit. The failure rate is that under the noise
-    after the end of the modulation. If this noise is 0, systems that survive until then never fail:
-    moments are infinite, and there is no failure rate. For ``tol`` see ``chain_first_passage``;
-    errors are by elements of a higher degree and by steps twice as long. Raises ``NotApplicable``
-    if damping feeds energy in at the limit while there is no noise, and as ``chain_first_passage``
-    does.
+    after the end of the modulation; if this noise is 0, moments are infinite, and there is no rate.
+    For ``tol`` see ``chain_first_passage``. Raises ``NotApplicable`` if damping feeds energy in at
+    the limit while there is no noise, and as ``chain_first_passage`` does.
     """
-    unit, last, quiet = modulation.largest, modulation.last, quiet_until(modulation, source)
+    unit, last, quiet = (
+        modulation.largest,
+        modulation.last,
+        modulated.quiet_until(modulation, source),
+    )
     if unit == 0.0:
         raise NotApplicable("there is no noise at any time: nothing passes a limit")
     if modulation.times.size == 1:
@@ -285,30 +261,22 @@ def passage_with_modulation(
     process = under(unit)
     at_limit = process.coefficients(np.array([limit]))
     if float(modulation.factor.min()) == 0.0 and at_limit.dissipation[0] > 0.0:
-        raise NotApplicable(
-            "damping feeds energy in at the limit: while there is no noise, no mesh sees it"
-        )
+        words = "damping feeds energy in at the limit: while there is no noise, no mesh sees it"
+        raise NotApplicable(words)
     modulation, asked = modulation.after(quiet), np.maximum(times - quiet, 0.0)
     end = float(modulation.times[-1])
     asked = asked if last else np.minimum(asked, end)
     stops = np.unique([0.0, *asked, end])
-    later = (
-        chain_first_passage(under(last), limit, times=stops[:0], tol=0.01 * tol) if last else None
-    )
+    later = chain_first_passage(under(last), limit, stops[:0], 0.01 * tol) if last else None
     first = float(modulation.energy(stops[1])) / unit
 
-    def carried(e: Elements, level: int) -> Carried:
-        """p at the stops > 0; P(T > t) at all stops, E T and E T²; errors by ``later``.
-
-        The steps are halved ``level`` times.
-
-        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end t_e of the modulation, plus
-        E τ and E(2 t_e τ + τ²) of the remaining time τ over the density at t_e.
-        """
-        load = source.load(e)
-        g, t, weight, mass = radau_steps(
-            e, load, modulation, unit, stops[1:], level=level, absorbing=True
-        )
+    def carried(e: Elements, level: int) -> modulated.Carried:
+        """p at the stops > 0; P(T > t) at all stops, E T and E T²; errors by ``later``. The steps
+        are halved ``level`` times. The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end
+        t_e of the modulation, plus E τ and E(2 t_e τ + τ²) of the remaining time τ over the density
+        at t_e."""
+        load, steps = source.load(e), partial(modulated.radau_steps, level=level, absorbing=True)
+        g, t, weight, mass = steps(e, load, modulation, unit, stops[1:])
         kept = np.append(load[:, :2].sum(), np.einsum("tei,ei->t", g.values, e.load))
         density = weight * mass * (t <= end)
         moments, lost = np.array([density.sum(), 2.0 * density @ t]), np.zeros(2)
@@ -324,7 +292,7 @@ def passage_with_modulation(
             lost += [one[1], 2.0 * end * one[1] + two[1]]
         return g, np.append(kept, moments), lost
 
-    solved, found = halve_steps(
+    solved, found = modulated.halve_steps(
         *pose_question(process, source, first, MODULATED_SHARE * tol, limit=limit),
         carried,
         lambda moved, numbers: float(np.max(moved / np.maximum(numbers, 1.0))),
@@ -337,19 +305,15 @@ def passage_with_modulation(
     relative = 2.0 * e.coefficient_error(source.energy)
     relative += ROUNDINGS * EPS * (e.count + e.log_range)
     failure_error = error[:-2] + _by_coefficients(relative, failure) + ROUNDINGS * EPS
-    never = Number(np.inf, np.inf)
-    moments: tuple[Number, Number, Number | None] = (never, never, None)
+    mean = variance = Number(np.inf, np.inf)
     if later is not None:
-        mean, square = numbers[-2:].tolist()
+        first, square = numbers[-2:].tolist()
         lost = error[-2:] + found[0][2] + 2.0 * relative * numbers[-2:]
-        mean_error, square_error = lost.tolist()
-        moments = (
-            Number(mean + quiet, mean_error),
-            Number(square - mean**2, square_error + 2.0 * mean * mean_error),
-            Number(*later.rate()),
-        )
+        first_error, square_error = lost.tolist()
+        mean = Number(first + quiet, first_error)
+        variance = Number(square - first**2, square_error + 2.0 * first * first_error)
     return certify_passage(
-        moments,
+        (mean, variance, Number(*later.rate()) if later else None),
         times,
         failure[at],
         failure_error[at],

@@ -1,8 +1,8 @@
 """The chain of elements of one energy for complex Laplace variables, and relaxation rates.
 
-At the nodes an equation (zM + A) f = load describes a chain of conductances in series with
-admittances to ground. In elimination from one end all terms of each sum have one sign (z > 0), or
-lie in one sector of the complex plane: nothing cancels, however many decades the density spans.
+At the nodes (zM + A) f = load describes a chain of conductances with admittances to ground. In
+elimination from one end all terms of each sum have one sign (z > 0), or lie in one sector of the
+complex plane: nothing cancels, however many decades the density spans.
 """
 
 from dataclasses import replace
@@ -19,22 +19,15 @@ from fpk.answer.dynamics import Rates, certify_rates
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Complexes, Integers
 from fpk.numeric.errors import NotCertified
 from fpk.solvers.line.mesh import probe_process, split_points, time_nodes
-from fpk.solvers.line.time.elements import (
-    MOST_ELEMENTS,
-    TAIL_SHARES,
-    ChainDensity,
-    Elements,
-    degree_for,
-    element_pair,
-)
+from fpk.solvers.line.time import elements as chain
+from fpk.solvers.line.time.elements import ChainDensity, Elements
 from fpk.system.process import Process
 
 CONTOUR_TIMES = 10.0
 """Largest ratio of times that share one contour: it has 75 points, a contour of one time 46."""
 PHI = 0.5
 """Angle of the hyperbola. Larger angles (1.17) converge faster but stay close to the negative axis,
-where the transform of a density delayed by t_0 grows as e^(−z t_0): with many masses started at
-rest the integral then cancels to less than a millionth of its terms."""
+where the transform of a density delayed by t_0 grows as e^(−z t_0) and the integral cancels."""
 CONTOUR_VERTEX = 6.0
 """μ t of the contour at its last time t: it crosses the real axis at z t = 3.1, and round-off is
 multiplied by e^3.1."""
@@ -51,11 +44,11 @@ Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 def contours(times: Array, *, more: int = 0) -> list[tuple[Integers, Complexes, Complexes]]:
     """Return contours of the inverse Laplace transform for ``times`` > 0 in any order.
 
-    A contour has the indices of its times, the points z, and the factors e^(z t) w (times, points)
-    of f(t) = Im Σ e^(z t) w F(z): the trapezoidal rule of step h on the half Im z > 0 of the
-    hyperbola z(θ) = μ (1 + sin(iθ − φ)). Its error is e^(μt − 2πφ/h), and it ends where e^(z t) is
-    round-off at the first time, but for ``more`` points of a smaller step. J. A. C. Weideman and
-    L. N. Trefethen, Math. Comp. 76 (2007) 1341.
+    Each has the indices of its times, the points z, and the factors e^(z t) w (times, points) of
+    f(t) = Im Σ e^(z t) w F(z): the trapezoidal rule of step h on the half Im z > 0 of the hyperbola
+    z(θ) = μ (1 + sin(iθ − φ)). Its error is e^(μt − 2πφ/h), and it ends where e^(z t) is round-off
+    at the first time, but for ``more`` points of a smaller step. J. A. C. Weideman and L. N.
+    Trefethen, Math. Comp. 76 (2007) 1341.
     """
     order, found, digits = np.argsort(times, kind="stable"), [], -log(EPS)
     while order.size:
@@ -80,9 +73,9 @@ def eliminate_chain(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
 
     Arrays (elements, …, points), with all elements below eliminated: ``series`` is the conductance
     from end to end, ``shunt`` the admittances to ground at both ends, ``damped`` is 1 + zν of the
-    functions v_j, ν = ``relaxation``, ``total`` the sum of admittances at the left end, ``ratio``
-    is series/total, and ``passed`` the admittance below, seen through the element from its right
-    end. The first element has no conductance.
+    v_j, ν = ``relaxation``, ``total`` the sum of admittances at the left end, ``ratio`` is
+    series/total, ``passed`` the admittance below, seen from the right end. The first element has no
+    conductance.
     """
     coupling, own = e.mass[:, 2:, :2], e.load[:, 2:]
     damped = 1.0 + e.relaxation[:, :, None] * z
@@ -105,12 +98,10 @@ def chain_resolvent(
     e: Elements, z: Numbers, load: Array, end: Numbers | None = None, *, density: bool = True
 ) -> tuple[Numbers, float]:
     """Return coefficients f (elements, functions, points) of (z − L) f = ``load``, and a residual.
-
-    ``z`` (points,) are Laplace variables, ``load`` is (elements, functions). ``end`` (points,) is f
-    at the right end of the last element; None: zero flux there. If ``density``, f = p/π in the unit
-    1/e^``log_scale`` of each element, the load is in one unit, and the residual is relative, at the
-    nodes. Otherwise f is in one unit, the load in the units of the elements, and the residual 0.
-    """
+    ``z`` (points,) are Laplace variables, ``load`` is (elements, functions), ``end`` (points,) is f
+    at the last end; None: zero flux. If ``density``, f = p/π in the unit 1/e^``log_scale`` of each
+    element, the load is in one unit, and the residual is relative, at the nodes. Otherwise f is in
+    one unit, the load in the units of the elements, and the residual 0."""
     series, shunt, damped, total, ratio, passed = eliminate_chain(e, z)
     coupling = e.mass[:, 2:, :2]
     up, down = (np.ones(e.count - 1), e.steps) if density else (e.steps, np.ones(e.count - 1))
@@ -144,11 +135,9 @@ def inverse_laplace(
     e: Elements, load: Array, times: Array, *, held: float | None = None, more: int = 0,
     density: bool = True,
 ) -> ChainDensity:  # fmt: skip
-    """Return the solution at ``times`` > 0 of ∂f/∂t = L f that starts with ``load``.
-
-    For ``load`` and ``density`` see ``chain_resolvent``; contours have ``more`` points. At the last
-    end f is ``held`` at a value, or the flux is zero if None.
-    """
+    """Return the solution at ``times`` > 0 of ∂f/∂t = L f that starts with ``load``; for
+    ``density`` see ``chain_resolvent``. Contours have ``more`` points. At the last end f is
+    ``held``, or the flux is zero."""
     values, size = np.zeros((2, times.size, e.count, e.degree + 1))
     residuals = [0.0]
     for places, z, factors in contours(times, more=more):
@@ -172,12 +161,10 @@ def chain_potential(e: Elements, load: Array) -> Array:
 
 
 def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
-    """Return the sparse mass, stiffness and drift matrices M, K, C, and the map to elements.
-
-    The unknowns are the free functions, scaled so that M has a unit diagonal. At the last end the
-    flux is zero, or the function if ``absorbing``. The map (functions of all elements, unknowns)
-    contains e^(½ ``log_scale``) times the scale of each unknown.
-    """
+    """Return the sparse mass, stiffness and drift matrices M, K, C, and the map to elements. The
+    unknowns are the free functions, scaled so that M has a unit diagonal; at the last end the flux,
+    or the function if ``absorbing``, is 0. The map (functions of all elements, unknowns) contains
+    e^(½ ``log_scale``) times the scale of each unknown."""
     size = e.degree + 1
     K_local = np.tile(np.eye(size), (e.count, 1, 1))
     K_local[:, :2, :2] = e.conductance[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -198,11 +185,8 @@ def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
 
 
 def eigenvalues_below(e: Elements, rates: Array) -> Integers:
-    """Return the number of eigenvalues of −L, 0 included, below each of ``rates`` (points,).
-
-    It is the number of negative pivots of A − λM: W. H. Wittrick and F. W. Williams, Q. J. Mech.
-    Appl. Math. 24 (1971) 263.
-    """
+    """Return the number of eigenvalues of −L, 0 included, below each of ``rates`` (points,):
+    negative pivots of A − λM (Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263)."""
     _, shunt, damped, total, _, passed = eliminate_chain(e, -rates)
     inner, ends = (damped < 0.0).sum(axis=(0, 1)), (total[1:] < 0.0).sum(axis=0)
     return np.asarray(inner + ends + (passed[-1] + shunt[-1, 1] < 0.0))
@@ -210,11 +194,9 @@ def eigenvalues_below(e: Elements, rates: Array) -> Integers:
 
 def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
     """Return the ``count`` smallest nonzero eigenvalues of −L, which are real, to relative ``tol``.
-
-    The mesh ends where π φ² of an eigenfunction φ ~ H^``count`` has the mass ``TAIL_SHARES`` · tol
-    beyond. Raises ``NotCertified`` if π φ² does not fall, or no eigenvalues are found.
-    """
-    degree, scale = degree_for(tol), process.energy_scale
+    The mesh ends where π φ² of φ ~ H^``count`` has the mass ``TAIL_SHARES`` · tol beyond. Raises
+    ``NotCertified`` if π φ² does not fall, or no eigenvalues are found."""
+    degree, scale = chain.degree_for(tol), process.energy_scale
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
     temperature = scale / process.degrees_of_freedom
     # φ rises above the temperature. π φ² of a Laguerre polynomial of norm 1, φ ~ H^count, is at
@@ -223,7 +205,7 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
     rise = np.where(probe.energy > temperature, 2.0 * count / probe.energy, 0.0)
     grown = replace(probe, slope=probe.slope + rise)
     try:
-        ends = np.array([grown.extent(tail * tol * 0.25**count) for tail in TAIL_SHARES])
+        ends = np.array([grown.extent(tail * tol * 0.25**count) for tail in chain.TAIL_SHARES])
     except NotCertified:
         words = "the density does not fall faster than the eigenfunctions rise"
         raise NotCertified(words) from None
@@ -237,7 +219,7 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
         for _ in range(turn // 2):
             at = split_points(nodes[:-1], nodes[1:], process.nonsmooth)
             nodes = np.sort(np.append(nodes, at))
-        pair, found = element_pair(process, nodes, degree, beyond=[last]), []
+        pair, found = chain.element_pair(process, nodes, degree, beyond=[last]), []
         for e in pair:
             M, K, *_ = matrices(e)
             first, shift = np.linspace(1.0, 2.0, M.shape[0]), -SHIFT * order
@@ -252,7 +234,7 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
         errors = DISTANCE_FACTOR * np.abs(rates - better) + common * rates
         # Round-off of the largest eigenvalue of the inverse, as an error of each λ.
         errors += ROUNDINGS * EPS * (rates + SHIFT * order) ** 2 / (SHIFT * order)
-        if (errors <= tol * rates).all() or 2 * answer.count > MOST_ELEMENTS:
+        if (errors <= tol * rates).all() or 2 * answer.count > chain.MOST_ELEMENTS:
             break
     # The constant is an eigenfunction of 0 on any elements, as no probability is lost. The count
     # shows that no rate was missed.

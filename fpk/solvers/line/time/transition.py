@@ -11,26 +11,10 @@ from fpk.answer.certificate import DISTANCE_FACTOR, Certificate, Measured, certi
 from fpk.answer.names import number_text
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array, Flags
 from fpk.numeric.errors import InvalidInput
+from fpk.solvers.line import mesh
 from fpk.solvers.line.elements import ENRICHMENT
-from fpk.solvers.line.mesh import (
-    LAYER,
-    LENGTH_RATIO,
-    MAX_ELEMENT_DEGREE,
-    layer_at,
-    probe_process,
-    time_nodes,
-)
-from fpk.solvers.line.time.elements import (
-    TAIL_SHARES,
-    ChainDensity,
-    Elements,
-    Pair,
-    Settings,
-    chain_elements,
-    degree_for,
-    element_pair,
-    solve_with_refinement,
-)
+from fpk.solvers.line.time import elements as chain
+from fpk.solvers.line.time.elements import ChainDensity, Elements, Pair, Settings
 from fpk.solvers.line.time.resolvent import inverse_laplace
 from fpk.system.process import Process
 
@@ -49,9 +33,7 @@ class Source:
     @cached_property
     def extent(self) -> float:
         """Energy above which the mass of the source is below round-off."""
-        return (
-            self.energy if self.process is None else float(probe_process(self.process).extent(EPS))
-        )
+        return float(mesh.probe_process(self.process).extent(EPS)) if self.process else self.energy
 
     def nodes(self, end: float, degree: int) -> Array:
         """Return nodes up to ``end`` that resolve a source density; empty for one energy. Above its
@@ -59,15 +41,17 @@ class Source:
         if self.process is None:
             return np.zeros(0)
         last = min(end, self.extent)
-        steps = np.arange(1.0, np.log(end / last) / np.log(LENGTH_RATIO))
-        return np.append(time_nodes(self.process, last, degree), last * LENGTH_RATIO**steps)
+        steps = np.arange(1.0, np.log(end / last) / np.log(mesh.LENGTH_RATIO))
+        return np.append(
+            mesh.time_nodes(self.process, last, degree), last * mesh.LENGTH_RATIO**steps
+        )
 
     def samples(self, e: Elements) -> tuple[Array, Array]:
         """Return energies in the elements ``e``, and their weights in a mean over the source."""
         if self.process is None:
             return np.array([self.energy]), np.ones(1)
-        nodes = time_nodes(self.process, self.extent, MAX_ELEMENT_DEGREE)
-        own = chain_elements(self.process, nodes[:-1], nodes[1:], MAX_ELEMENT_DEGREE)
+        nodes = mesh.time_nodes(self.process, self.extent, mesh.MAX_ELEMENT_DEGREE)
+        own = chain.chain_elements(self.process, nodes[:-1], nodes[1:], mesh.MAX_ELEMENT_DEGREE)
         within = e.x < self.extent
         x = e.x[within]
         log_p = own.log_density(x) - np.logaddexp.reduce(own.log_mass)
@@ -91,11 +75,9 @@ class Question:
     tol: float
 
     def common_error(self, e: Elements, p: Array, size: Array, x: Array) -> Array:
-        """Return the errors of ``p`` (times, points) at ``x`` that no mesh shows.
-
-        They are errors by the coefficients, amplified where p is small, as at short times
-        ln p ~ −(distance)²/(2 b t); and round-off of energies and of terms of ``size`` in p.
-        """
+        """Return the errors of ``p`` (times, points) at ``x`` that no mesh shows: by the
+        coefficients, amplified where p is small, as at short times ln p ~ −(distance)²/(2 b t); and
+        round-off of energies and of terms of ``size`` in p."""
         rounding = ROUNDINGS * EPS * (1.0 + x / self.width + e.log_range)
         top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
         steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
@@ -107,10 +89,8 @@ class Question:
 @dataclass(frozen=True, eq=False)
 class Transition:
     """Density of an energy at several times after a start, with its error and certificate.
-
     ``distance`` (times, elements, points) is the distance of p to more accurate solutions, ``top``
-    (times,) the largest p.
-    """
+    (times,) the largest p."""
 
     question: Question
     solution: ChainDensity
@@ -156,48 +136,41 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
 def pose_question(
     process: Process, source: Source, time: float, tol: float, *, limit: float | None = None
 ) -> tuple[Question, Pair]:
-    """Return the question and the first pair of elements for it.
-
-    ``time`` is the first time, ``tol`` the L1 tolerance. Meshes end at the absorbing ``limit``, or
-    where the mass beyond is ``TAIL_SHARES`` · tol at any time: from a start at H_0 it is less than
-    the stationary mass beyond, over the stationary mass beyond H_0. Raises ``InvalidInput`` for a
-    start beyond the range of double precision.
-    """
-    degree, start, width, fine = degree_for(tol), source.energy, process.energy_scale, []
+    """Return the question and the first pair of elements for it. ``time`` is the first time,
+    ``tol`` the L1 tolerance. Meshes end at the absorbing ``limit``, or where the mass beyond is
+    ``TAIL_SHARES`` · tol at any time: from H_0 less than the stationary mass beyond, over the
+    stationary mass beyond H_0. Raises ``InvalidInput`` for a start beyond double precision."""
+    degree, start, width, fine = chain.degree_for(tol), source.energy, process.energy_scale, []
     if source.process is None:
         # √(b t), or b' t near H = 0, where b ~ H.
         c = process.coefficients(np.array([max(start, 1e-9 * width)]))
         spread = math.sqrt(float(c.diffusion[0]) * time) if start > 0.0 else 0.0
         width = max(spread, 0.5 * float(c.divergence[0]) * time)
-        fine.append((start, LAYER * width))
+        fine.append((start, mesh.LAYER * width))
     if limit is not None:
-        fine.append(layer_at(process, limit, time))
-        nodes = time_nodes(process, limit, degree, fine=fine, more=source.nodes(limit, degree))
-        return Question(source, width, tol), element_pair(process, nodes, degree)
-    probe, share = probe_process(process), 0.0
-    top, least = (
-        int(probe.log_mass.argmax()),
-        MIN_LOG_SHARE * (1.0 if source.process is None else 4.0),
-    )
+        fine.append(mesh.layer_at(process, limit, time))
+        nodes = mesh.time_nodes(process, limit, degree, fine=fine, more=source.nodes(limit, degree))
+        return Question(source, width, tol), chain.element_pair(process, nodes, degree)
+    probe, share = mesh.probe_process(process), 0.0
+    top = int(probe.log_mass.argmax())
     if source.extent > probe.energy[top]:
         above = np.interp(np.log(source.extent), np.log(probe.energy), probe.log_mass)
         share = float(above - probe.log_mass[top])
-    if share < least:
+    if share < MIN_LOG_SHARE * (1.0 if source.process is None else 4.0):
         remedy = "the stationary probability beyond it is out of the range of double precision"
         raise InvalidInput("start", f"H={number_text(start or source.extent)}", remedy)
-    ends = []
-    for tail in TAIL_SHARES:
-        if source.process is None:
-            ends.append(max(probe.extent(math.exp(math.log(tail * tol) + share)), 1.05 * start))
-        else:
-            ends.append(
-                max(each.extent(tail * tol) for each in (probe, probe_process(source.process)))
-            )
-    # The mesh of the enriched solution is longer by 2 % at least.
-    end, last = ends[0], max(ends[1], 1.02 * ends[0])
-    nodes = time_nodes(process, end, degree, fine=fine, more=source.nodes(end, degree))
+    tails = [tail * tol for tail in chain.TAIL_SHARES]
+    if source.process is None:
+        end, last = (max(probe.extent(x * math.exp(share)), 1.05 * start) for x in tails)
+    else:
+        both = probe, mesh.probe_process(source.process)
+        end, last = (max(each.extent(x) for each in both) for x in tails)
+    last = max(last, 1.02 * end)  # the mesh of the enriched solution is longer by 2 % at least
+    nodes = mesh.time_nodes(process, end, degree, fine=fine, more=source.nodes(end, degree))
     beyond = np.linspace(end, last, 1 + math.ceil((last - end) / float(nodes[-1] - nodes[-2])))
-    return Question(source, width, tol), element_pair(process, nodes, degree, beyond=beyond[1:])
+    return Question(source, width, tol), chain.element_pair(
+        process, nodes, degree, beyond=beyond[1:]
+    )
 
 
 def solve_adaptively(
@@ -216,18 +189,15 @@ def solve_adaptively(
         before = own.sum()
         return answer, marked & (not small)
 
-    return solve_with_refinement(pair, solved)
+    return chain.solve_with_refinement(pair, solved)
 
 
 def estimate_error(
     question: Question, own: ChainDensity, finer: ChainDensity, *, distance: Array | None = None
 ) -> tuple[Transition, Array, Array]:
-    """Return the transition of the solution ``own`` with its error, and the errors by elements.
-
-    The error is based on ``distance`` (times, elements, points), by default to the enriched
-    solution ``finer``. The last two arrays (elements,) are the shares of each element in the
-    distance and in ``Question.common_error``.
-    """
+    """Return the transition of the solution ``own`` with its error, and the shares (elements,) of
+    each element in the distance and in ``Question.common_error``. The error is based on
+    ``distance`` (times, elements, points), by default to the enriched solution ``finer``."""
     answer, enriched = own.elements, finer.elements
     x, w = answer.x, answer.weight
     (p, size), (better, other) = (f.density(x.ravel()) for f in (own, finer))
@@ -238,15 +208,13 @@ def estimate_error(
     far, far_w = enriched.x[answer.count :], enriched.weight[answer.count :]
     beyond = np.abs(finer.density(np.append(far.ravel(), last))[0])
     tail = (beyond[:, :-1] @ far_w.ravel()).max()
-    tail += probe_process(answer.process).tail_bound(last, float(beyond[:, -1].max()))
+    tail += mesh.probe_process(answer.process).tail_bound(last, float(beyond[:, -1].max()))
     common = question.common_error(answer, p, size + other, x.ravel())
     pointwise = DISTANCE_FACTOR * distance.reshape(p.shape) + common
     common = common.reshape(shape) * w
-    top = p.max(axis=1)
+    top, errors = p.max(axis=1), ((DISTANCE_FACTOR * distance * w) + common).sum(axis=(1, 2))
     measured = Measured(
-        l1_error=float(
-            ((DISTANCE_FACTOR * distance * w) + common).sum(axis=(1, 2)).max() + 2.0 * tail
-        ),
+        l1_error=float(errors.max() + 2.0 * tail),
         mass_defect=float(np.abs(p @ w.ravel() - 1.0).max()),
         minimum=float((p.min(axis=1) / top).min()),
         residual=own.residual,

@@ -14,15 +14,8 @@ from scipy.sparse import csc_array, eye_array
 
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.quadrature import gauss_grid
-from fpk.solvers.plane.elements import (
-    Nodes,
-    assemble,
-    axis_numbers,
-    element_matrices,
-    flux_coefficients,
-    local_numbers,
-    shape_functions,
-)
+from fpk.solvers.plane import elements as tensor
+from fpk.solvers.plane.elements import Nodes
 from fpk.solvers.plane.solution import PlaneSolution, gauss_points
 from fpk.solvers.plane.weight import RISE, UNIT_WEIGHT, Weight, negligible_rise
 from fpk.system.process import Process
@@ -65,16 +58,10 @@ class PlaneOperator:
         H = H1 + H2
         return H, np.divide(H1, H, out=np.full(H.shape, 0.5), where=H > 0.0)
 
-    def jacobian(self, first: Array, second: Array) -> Array:
-        """Return |∂H/∂y| at y = (``first``, ``second``)."""
-        return first + 0.0 * second if self.collapsed else np.ones_like(first + second)
-
     def pulled_back(self, first: Array, second: Array, of_energies: Array) -> Array:
-        """Return the coefficients of the weak form in y = (``first``, ``second``), (6, ...).
-
-        They are |∂H/∂y| times w, G w a and G w b Gᵀ, with G = ∂y/∂H and ``of_energies`` (6, ...)
-        as from ``flux_coefficients``.
-        """
+        """Return the coefficients of the weak form in y = (``first``, ``second``), (6, ...):
+        |∂H/∂y| times w, G w a and G w b Gᵀ, G = ∂y/∂H, from ``of_energies`` (6, ...) of
+        ``flux_coefficients``."""
         if not self.collapsed:
             return of_energies
         w, a1, a2, b11, b12, b22 = of_energies
@@ -109,12 +96,10 @@ class PlaneOperator:
 
     @cached_property
     def functions(self) -> tuple[csc_array, csc_array, int]:
-        """Coefficients (shape functions, unknowns) of trial and test functions, and an unknown.
-
-        The unknown has the sum of all free vertex functions as its trial function. All vertex
-        functions add up to 1, and A tested with 1 is 0: its test function is this sum minus 1, the
-        negative sum of the functions that an absorbing edge sets to 0.
-        """
+        """Coefficients (shape functions, unknowns) of trial and test functions, and the unknown
+        whose trial function is the sum of all free vertex functions. As all add up to 1, and A
+        tested with 1 is 0, its test function is this sum minus 1, minus the functions that an
+        absorbing edge sets to 0."""
         vertices, at_ends = self._vertices, np.zeros(self.sizes, dtype=bool)
         at_ends[self.counts[0]] |= self.absorbing[0]
         at_ends[:, self.counts[1]] |= self.absorbing[1]
@@ -137,13 +122,13 @@ class PlaneOperator:
     def matrices(self) -> tuple[csc_array, csc_array, Array]:
         """Sparse A and M of the unknowns, and ∫ w φ of their functions φ."""
         (x, y), ((_, v), (_, u)) = gauss_grid(self.nodes, points=self.points)
-        at, numbers = self.energies(x, y), local_numbers(self.nodes, self.degree)
-        parts = flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
+        at, numbers = self.energies(x, y), tensor.local_numbers(self.nodes, self.degree)
+        parts = tensor.flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
         parts = self.pulled_back(x, y, parts)
-        A, M = (
-            assemble(element_matrices(of, self.nodes, self.degree), numbers)
-            for of in (parts[1:], parts[:1])
+        by_element = (
+            tensor.element_matrices(f, self.nodes, self.degree) for f in (parts[1:], parts[:1])
         )
+        A, M = (tensor.assemble(of, numbers) for of in by_element)
         S, N, k = self.functions
         A = N.T @ A @ N
         if any(self.absorbing):
@@ -168,10 +153,10 @@ class PlaneOperator:
         t = (y - nodes[panel]) / (nodes[panel + 1] - nodes[panel])
         values = np.zeros((y.size, self.sizes[axis]))
         inside = ((y >= nodes[0]) & (y <= nodes[-1]))[:, None]
-        phi = shape_functions(k, np.clip(t, 0.0, 1.0))[int(slope)].T * inside
+        phi = tensor.shape_functions(k, np.clip(t, 0.0, 1.0))[int(slope)].T * inside
         if slope:
             phi = phi / np.diff(nodes)[panel][:, None]
-        np.put_along_axis(values, axis_numbers(nodes.size - 1, k)[panel], phi, axis=1)
+        np.put_along_axis(values, tensor.axis_numbers(nodes.size - 1, k)[panel], phi, axis=1)
         return values
 
     def spread(self, g: Array) -> Array:
@@ -209,8 +194,9 @@ class PlaneStart:
             y, p = op.coordinates(*self.energies[:, None]), np.ones((1, 1))
         else:
             at, ((_, v), (_, w)) = gauss_grid(op.nodes, points=op.points)
-            y, p = (at[0].ravel(), at[1].ravel()), v[:, None] * w * op.jacobian(*at)
-            p *= self.density.density(*op.energies(*at))
+            # |∂H/∂y| = H in collapsed coordinates.
+            area = v[:, None] * w * (at[0] if op.collapsed else 1.0)
+            y, p = (at[0].ravel(), at[1].ravel()), area * self.density.density(*op.energies(*at))
         return np.asarray((op.along(0, y[0]).T @ p @ op.along(1, y[1])).ravel() @ op.functions[0])
 
 
@@ -224,13 +210,11 @@ def operators(
     absorbing: tuple[bool, bool] = (False, False),
     collapsed: bool = False,
 ) -> Iterator[PlaneOperator]:
-    """Yield operators on finer and finer meshes ``nodes(rise, panels)``, which end at −ln w = rise.
-
-    The rise follows from ``tol`` and ``height`` by ``negligible_rise``. The weight is the one of
-    ``stationary`` to the power ``share`` <= 1, and constant where −ln w exceeds the rise by
-    ``RISE``, as elements over which it rises by 40 have singular matrices. For ``absorbing`` and
-    ``collapsed`` see ``PlaneOperator``.
-    """
+    """Yield operators on finer and finer meshes ``nodes(rise, panels)``, which end at −ln w = rise,
+    by ``negligible_rise`` of ``tol`` and ``height``. The weight is the one of ``stationary`` to the
+    power ``share`` <= 1, and constant where −ln w exceeds the rise by ``RISE``, as elements over
+    which it rises by 40 have singular matrices. For the last two arguments see
+    ``PlaneOperator``."""
     weight, balanced = stationary.weight, not stationary.degree and share == 1.0
     weight = replace(weight, coefficients=share * weight.coefficients)
     for level, (panels, degree) in enumerate(PLANE_LEVELS):

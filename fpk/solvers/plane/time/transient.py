@@ -23,15 +23,13 @@ from fpk.solvers.plane.weight import negligible_rise
 BOTH_AXES = (0, 1)
 """Axes of the joint density of both energies; (0,) or (1,): of one energy; (): of the sum."""
 MAX_START_HEIGHT = 12.0
-"""Largest rise of −ln w up to a start, with whose root errors grow; for higher starts a power of w
-is the weight."""
+"""Largest rise of −ln w up to a start; for higher starts a power of w is the weight."""
 GIVEN_UP = (13, 0.5)
-"""Degree of elements from which on an L1 distance above the second number ends the refinement: the
-time is too short to be resolved."""
+"""Degree of elements from which on an L1 distance above the second number ends the refinement."""
 TIME_RATIO = 30.0
-"""Largest ratio of times that share one Krylov space, and ratio of the largest time to the shift γ
-of (M − γA)⁻¹. Rational functions with one such pole approximate e^(−x) on the half-axis, on any
-mesh, with an error that falls by √2 − 1 for each degree (Andersson 1981)."""
+"""Largest ratio of times that share one Krylov space, and of the last time to the shift γ of (M −
+γA)⁻¹. Rational functions with one such pole approximate e^(−x) on the half-axis with an error that
+falls by √2 − 1 for each degree (Andersson 1981)."""
 
 KRYLOV_SHARE = 1e-2
 """Tolerance of e^(tA), over the tolerance of the answer."""
@@ -42,12 +40,9 @@ MAX_KRYLOV = 160
 
 
 class KrylovSolution(NamedTuple):
-    """g at several times (times, unknowns), with its errors.
-
-    ``change`` (times, unknowns) is the change by the last ``KRYLOV_BLOCK`` dimensions, ``rounding``
-    (times,) the round-off relative to the norm ∫ w g², ``residual`` the largest relative residual
-    of the linear systems.
-    """
+    """g at several times (times, unknowns). ``change`` is the change by the last ``KRYLOV_BLOCK``
+    dimensions, ``rounding`` (times,) the round-off relative to the norm ∫ w g², ``residual`` the
+    largest relative residual of the linear systems."""
 
     values: Array
     change: Array
@@ -65,10 +60,8 @@ def krylov_exponential(
     A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float
 ) -> KrylovSolution:
     """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of its norm ∫ w g².
-
-    ``dual`` (unknowns,) is E φ of the initial density. The eigenvalues of (M − γA)⁻¹ M give the
-    rates with the error round-off/γ, which is small for the slow rates of large times.
-    """
+    ``dual`` (unknowns,) is E φ of the initial density. Eigenvalues of (M − γA)⁻¹ M give the rates
+    with the error round-off/γ, which is small for the slow rates of large times."""
     start = lu_factors(M).solve(dual)
     residuals, parts, first = [relative_residual(M, abs(M), start, dual)], [], 0
     while first < times.size:
@@ -84,12 +77,8 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
     gamma = float(times[-1]) / TIME_RATIO
     matrix = (M - gamma * A).tocsc()
     factors, sizes = lu_factors(matrix), abs(matrix)
-    V, MV = np.empty((MAX_KRYLOV, start.size)), np.empty((MAX_KRYLOV, start.size))
-    H, residuals, norm = (
-        np.zeros((MAX_KRYLOV, MAX_KRYLOV)),
-        [0.0],
-        float(np.sqrt(start @ (M @ start))),
-    )
+    V, MV = np.empty((2, MAX_KRYLOV, start.size))
+    H, residuals, norm = np.zeros((MAX_KRYLOV, MAX_KRYLOV)), [0.0], np.sqrt(start @ (M @ start))
     V[0], MV[0] = start / norm, (M @ start) / norm
     for k in range(1, MAX_KRYLOV):
         v = factors.solve(MV[k - 1])
@@ -102,17 +91,14 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
             v = v - along @ V[:k]
         Mv = M @ v
         H[k, k - 1] = size = float(np.sqrt(v @ Mv))
-        fewer = (
-            k if size <= 1e-12 * before else k - KRYLOV_BLOCK
-        )  # round-off: the space is complete
+        # If ``size`` is round-off, the space is complete.
+        fewer = k if size <= 1e-12 * before else k - KRYLOV_BLOCK
         if fewer == k or (k + 1 >= 3 * KRYLOV_BLOCK and (k + 1) % KRYLOV_BLOCK == 0):
             more, rounding, norms = _small_exponential(H[:k, :k], times, gamma)
             change = more.copy()
             change[:, :fewer] -= _small_exponential(H[:fewer, :fewer], times, gamma)[0]
-            if (
-                float(np.max(np.linalg.norm(change, axis=1) / norms)) <= tol
-                or k + KRYLOV_BLOCK >= MAX_KRYLOV
-            ):
+            largest = float(np.max(np.linalg.norm(change, axis=1) / norms))
+            if largest <= tol or k + KRYLOV_BLOCK >= MAX_KRYLOV:
                 break
         V[k], MV[k] = v / size, Mv / size
     values, lost = norm * more @ V[:k], norm * change @ V[:k]
@@ -143,10 +129,8 @@ def marginal_at(
     op: PlaneOperator, observed: tuple[int, ...], g: Array, at: Sequence[Array]
 ) -> Array:
     """Return densities (times, ...) of unknowns ``g`` (times, unknowns) at energies ``at``.
-
     ``observed`` are the axes of the density: both, one, or none for the sum of the energies. ``at``
-    has one array (points,) for each axis, or for both also the axes (m, 1) and (1, n) of a grid.
-    """
+    has one array (points,) for each axis, or for both also the axes (m, 1) and (1, n) of a grid."""
     if len(observed) == 1:
         y, v = (a.ravel() for a in panel_rule(op.nodes[1 - observed[0]], op.points))
         if observed == (0,):
@@ -180,11 +164,8 @@ def marginal_grid(
         x, w = panel_rule(root_spaced_nodes((sum(ends), 1.0), 12)[0], 8)
         return (x.ravel(),), w.ravel(), [sum(ends)]
     axes, grids = gauss_grid([op.nodes[k] for k in observed], points=op.degree + 2)
-    return (
-        axes,
-        reduce(np.multiply.outer, [w for _, w in grids]).ravel(),
-        [ends[k] for k in observed],
-    )
+    area = reduce(np.multiply.outer, [w for _, w in grids]).ravel()
+    return axes, area, [ends[k] for k in observed]
 
 
 def transient_densities(
@@ -198,20 +179,17 @@ def transient_densities(
     coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
 ) -> tuple[Transient, tuple[Level, Level]]:
     """Return the densities of ``observed`` energies at ascending ``times`` > 0 and points ``at``.
-
     For ``observed`` and ``at`` see ``marginal_at``. Meshes are refined until two levels agree to
     ``tol``, in L1 and in units of the largest density; their distance is the error. A time too
     short for the finest level is not certified. ``coefficients_error(t, *at)`` is the relative
-    error of p by the coefficients. Also returned are the last two levels.
-    """
+    error of p by the coefficients. Also returned are the last two levels."""
     for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
         (op, g), (other_op, other_g) = fine, coarse
         axes, area, ends = marginal_grid(op, observed)
         points = [x.ravel() for x in np.broadcast_arrays(*axes)]
         solutions = (op, g.values), (other_op, other_g.values), (op, g.change)
-        p, other, change = (
-            marginal_at(op, observed, g, axes).reshape(times.size, -1) for op, g in solutions
-        )
+        every = (marginal_at(op, observed, g, axes) for op, g in solutions)
+        p, other, change = (values.reshape(times.size, -1) for values in every)
         lost = np.abs(p - other) + np.abs(change)
         largest, distance = np.max(np.abs(p), axis=1), lost @ area
         mass = g.values @ op.matrices[2]
@@ -223,9 +201,8 @@ def transient_densities(
         within = tuple(np.clip(x, 0.0, end) for x, end in zip(at, ends, strict=True))
         outside = np.any([x != y for x, y in zip(at, within, strict=True)], axis=0)
         beyond = np.abs(marginal_at(op, observed, g.values, within)) * outside
-        errors = (
-            np.abs(values - coarser) + np.abs(change) + beyond + DISTANCE_SHARE * highest[:, None]
-        )
+        errors = np.abs(values - coarser) + np.abs(change) + beyond
+        errors += DISTANCE_SHARE * highest[:, None]
         errors = np.maximum(errors, (rounding * largest)[:, None])
         errors += np.abs(values) * np.array([coefficients_error(t, *at) for t in times])
         model = (np.abs(p) * np.array([coefficients_error(t, *points) for t in times])) @ area
