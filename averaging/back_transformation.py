@@ -1,6 +1,6 @@
 """Densities of q and p, and the flux of q through a level, from u(H), Eqs. (23), (30)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import ceil, pi
 
@@ -100,25 +100,23 @@ def marginal_of(
     system, T = source.system, source.temperature
     q = [c.row for c in observable if c.kind == "q"]
     hidden = [i for i in system.contact_masses if i not in q]
-    order, log_factor, laws = reduction(system, observable, hidden, source.unit)
+    order, log_factor, laws, observed = reduction(system, observable, hidden, source.unit)
     if flux_of is not None:  # (p/m) dp = dx, x = p²/2m
         order, log_factor = order + 0.5, log_factor - 0.5 * np.log(2.0 * pi * flux_of)
     coarse, fine = HIDDEN_RULES[min(len(hidden), len(HIDDEN_RULES) - 1)]
-    laws_hidden, weyl = laws[len(q) :], source.weyl(order)
-    widths = np.prod([np.sqrt(2.0 * pi * T / law.precision) for law in laws_hidden])
+    weyl = source.weyl(order)
+    widths = np.prod([np.sqrt(2.0 * pi * T / law.precision) for law in laws])
 
     def marginal(*x: Array, part: Part = "value", points: int = fine) -> Array:
         arrays = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in x))
-        Q, energy = energy_of_observed(system, observable, laws, [a.ravel() for a in arrays])
+        Q, energy = observed([a.ravel() for a in arrays])
         if source.gibbs:
             factor, error = gibbs_integral(system, q, Q, temperature=T, points=points)
             own = error * weyl(energy) if part == "table" else factor * weyl(energy, part)
             result = widths * own
         else:
             f, end = partial(weyl, part=part), source.end
-            result = hidden_integral(
-                f, energy, Q, laws_hidden, temperature=T, end=end, points=points
-            )
+            result = hidden_integral(f, energy, Q, laws, temperature=T, end=end, points=points)
             if part == "table":
                 # The grids omit E + V above ``top``. Contact only adds to V, so the omitted
                 # integral is at most Ψ(top) times the Gaussian width of each mass.
@@ -133,15 +131,20 @@ def marginal_of(
     return marginal, lambda *x: marginal(*x, part="error") + added(marginal(*x), *x), added
 
 
+Observed = Callable[[Sequence[Array]], tuple[Array, Array]]
+"""Maps the observed q and p, (N,) each, to the displacements (displacements, N) and their energy
+(N,), with the masses that are not observed at their conditional minimum, at rest."""
+
+
 def reduction(
     system: System, observable: Observable, hidden: list[int], unit: float
-) -> tuple[float, float, tuple[Conditional, ...]]:
-    """Return the order ν of the Weyl integral of u that the marginal density is, its factor, laws.
+) -> tuple[float, float, tuple[Conditional, ...], Observed]:
+    """Return the order ν of the Weyl integral of u that the marginal density is, factor, laws, map.
 
     2ν quadratic coordinates are integrated out exactly, which gives the factor (2π)^ν/(√det T_lin),
     returned as its logarithm; det is of their quadratic form, T_lin the density of states without
-    contact at the energy ``unit``. The conditional laws are of the observed displacements in the
-    order of ``observable``, then of the contact masses ``hidden`` (0-based).
+    contact at the energy ``unit``. The conditional laws are of the contact masses ``hidden``
+    (0-based); the last result is the map from the coordinates of ``observable`` to their energy.
     """
     q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
     laws = conditionals(system, [*q, *hidden])
@@ -151,24 +154,18 @@ def reduction(
         + np.sum(np.log([law.precision for law in laws]))
         - np.sum(np.log(system.stiffness))
     )
-    return order, float(log_factor - log_linear_states(system, unit)), laws
+    log_factor = float(log_factor - log_linear_states(system, unit))
 
+    def observed(at: Sequence[Array]) -> tuple[Array, Array]:
+        momenta = [(c.row, x) for c, x in zip(observable, at, strict=True) if c.kind == "p"]
+        displacements = [x for c, x in zip(observable, at, strict=True) if c.kind == "q"]
+        Q = np.array(displacements).reshape(len(q), at[0].size)
+        energy = sum((x**2 / (2.0 * system.mass[i]) for i, x in momenta), np.zeros(at[0].size))
+        for k, law in enumerate(laws[: len(q)]):
+            energy = energy + law.energy(Q[k], law.weights @ Q[:k])
+        return Q, energy
 
-def energy_of_observed(
-    system: System, observable: Observable, laws: tuple[Conditional, ...], at: list[Array]
-) -> tuple[Array, Array]:
-    """Return the observed displacements (displacements, N) and the energy (N,) of all observed.
-
-    ``at`` are the arrays (N,) of q and p in the order of ``observable``; masses that are not
-    observed are at their conditional minimum, at rest. ``laws`` begin with the observed masses'.
-    """
-    momenta = [(c.row, x) for c, x in zip(observable, at, strict=True) if c.kind == "p"]
-    displacements = [x for c, x in zip(observable, at, strict=True) if c.kind == "q"]
-    Q = np.array(displacements).reshape(len(displacements), at[0].size)
-    energy = sum((x**2 / (2.0 * system.mass[i]) for i, x in momenta), np.zeros(at[0].size))
-    for k, law in enumerate(laws[: len(Q)]):
-        energy = energy + law.energy(Q[k], law.weights @ Q[:k])
-    return Q, energy
+    return order, log_factor, laws[len(q) :], observed
 
 
 def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:

@@ -58,14 +58,13 @@ class Conditional:
 
 def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
     """Return the law of q of ``mass`` given the displacements of the masses ``given`` (0-based)."""
-    flexibility, weights = 1.0 / system.stiffness, np.zeros(len(given))
+    flexibility = np.append(1.0 / system.stiffness, np.inf)
     below = max((k for k in given if k < mass), default=-1)
-    above = min((k for k in given if k > mass), default=None)
+    above = min((k for k in given if k > mass), default=system.n)
     left = 1.0 / float(flexibility[below + 1 : mass + 1].sum())
-    right = 0.0 if above is None else 1.0 / float(flexibility[mass + 1 : above + 1].sum())
-    for neighbour, stiffness in ((below, left), (above, right)):
-        if neighbour is not None and neighbour in given:
-            weights[list(given).index(neighbour)] = stiffness / (left + right)
+    right = 1.0 / float(flexibility[mass + 1 : above + 1].sum())
+    shares = {below: left / (left + right), above: right / (left + right)}
+    weights = np.array([shares.get(k, 0.0) for k in given])
     return Conditional(system, mass, left + right, weights)
 
 
@@ -234,10 +233,8 @@ def contact_levels(temperature: float, end: float) -> list[float]:
 
     ``CONTACT_LEVELS`` times ``temperature``, then each twice its predecessor.
     """
-    doublings = ceil(log2(max(end / temperature, DEPTH)))
-    return [
-        temperature * level for level in (*CONTACT_LEVELS, *2.0 ** np.arange(1.0, doublings + 1.0))
-    ]
+    doubled = 2.0 ** np.arange(1.0, ceil(log2(max(end / temperature, DEPTH))) + 1.0)
+    return [temperature * level for level in (*CONTACT_LEVELS, *doubled)]
 
 
 def beyond_stop(stop: Contact, levels: Sequence[float]) -> Array:

@@ -13,7 +13,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from averaging.back_transformation import energy_of_observed, reduction
+from averaging.back_transformation import reduction
 from averaging.conditional import HIDDEN_RULES, Conditional
 from averaging.modal.analysis import ModalAnalysis
 from averaging.weyl import weyl_integral
@@ -144,16 +144,13 @@ class WeylInTime:
         last = 0.5 * float(self.nodes[-2] + self.nodes[-1])
         E = np.minimum(energy, last).ravel()
         k = np.searchsorted(self.nodes, E, side="right") - 1
-        total = self.table_error[k]
         if self.order == 0.0:
-            total = total + self._error_of_u[k]
+            of_u = self._error_of_u[k]
         else:
             with np.errstate(invalid="ignore"):
                 powers = np.maximum(self.nodes - E[:, None], 0.0) ** self.order
-            total = total + np.diff(powers, axis=1) @ self._error_of_u / math.gamma(
-                self.order + 1.0
-            )
-        return np.asarray(total.reshape(*np.shape(energy), -1))
+            of_u = np.diff(powers, axis=1) @ self._error_of_u / math.gamma(self.order + 1.0)
+        return np.asarray((self.table_error[k] + of_u).reshape(*np.shape(energy), -1))
 
     def _answer(self, x: Array) -> tuple[Array, Array]:
         """Return u at ``x`` (points,) and the sum of its terms' absolute values, (points, times).
@@ -164,18 +161,19 @@ class WeylInTime:
         inside = x <= self.solved.elements.right[-1]
         return (u * inside).T, (size * inside).T
 
-    def _table(self, f: Callable[[Array], Array], points: int) -> Piecewise:
-        left, right = self.nodes[:-1], self.nodes[1:]
-        return Piecewise(self.nodes, legendre_coefficients(f, left, right, points - 1))
-
     @cached_property
     def tables(self) -> tuple[Piecewise, Piecewise, Piecewise]:
         """Tables of u, of Ψ by fewer points for comparison, and of Ψ, the answer."""
-        u = self._table(lambda x: self._answer(x)[0], ENERGY_RULES[1])
+
+        def table(f: Callable[[Array], Array], points: int) -> Piecewise:
+            ends = self.nodes[:-1], self.nodes[1:]
+            return Piecewise(self.nodes, legendre_coefficients(f, *ends, points - 1))
+
+        u = table(lambda x: self._answer(x)[0], ENERGY_RULES[1])
         if self.order == 0.0:
-            return u, self._table(u, ENERGY_RULES[0]), u
+            return u, table(u, ENERGY_RULES[0]), u
         integral = partial(weyl_integral, self.order, self.nodes, u)
-        coarse, fine = (self._table(partial(integral, points=k), k) for k in ENERGY_RULES)
+        coarse, fine = (table(partial(integral, points=k), k) for k in ENERGY_RULES)
         return u, coarse, fine
 
     @cached_property
@@ -223,11 +221,11 @@ def state_transient(solved: Transition, asked: Asked) -> Transient:
         )
     # The energy at which the process takes T relative to that without contact.
     unit = solved.elements.process.energy_scale
-    order, log_factor, laws = reduction(system, observable, hidden, unit)
+    order, log_factor, laws, observed = reduction(system, observable, hidden, unit)
     psi = WeylInTime(solved, order)
-    Q, energy = energy_of_observed(system, observable, laws, list(at))
+    Q, energy = observed(at)
     if hidden:
-        values, errors, rule_error = _over_hidden(psi, laws[-1], energy, Q)
+        values, errors, rule_error = _over_hidden(psi, laws[0], energy, Q)
     else:
         values, errors, rule_error = psi(energy), psi.error(energy), np.zeros(1)
     factor = float(np.exp(log_factor))

@@ -1,7 +1,6 @@
 """Method ``phase-space``: the stationary FPK equation of the full system (6), deterministic."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf
@@ -10,8 +9,8 @@ from typing import Self
 import numpy as np
 
 from averaging.gaussian import Linear
+from averaging.phase_space import dynamics
 from averaging.phase_space.densities import expansion_density, expansion_settings, identities
-from averaging.phase_space.dynamics import questions
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import lowest, next_degrees
 from averaging.phase_space.equation.elimination import solution_cost
@@ -23,6 +22,7 @@ from averaging.phase_space.refinement import (
     Ladder,
     Options,
     better,
+    breakdowns,
     ladder_of,
     solution_ladder,
 )
@@ -126,17 +126,17 @@ class PhaseSpace(Theory):
             energy = any(c.kind == "H" for c in observable)
             return f"{name}: {words}; ask for q, p or pairs of them" if energy else None
 
+        @breakdowns()
         def solve(
             observables: Sequence[Observable], progress: Progress, beside: Sequence[Observable] = ()
         ) -> Result:
             # For each observable the solution with the smallest error.
             best: dict[Observable, Ladder] = {}
-            with _breakdowns():
-                for ladder in solution_ladder(frame, observables, self._options(progress)):
-                    best = {o: better(best.get(o, ladder), ladder, o) for o in observables}
-                    worst = max(own.errors[o] for o, own in best.items())
-                    if worst <= self.tol:
-                        break
+            for ladder in solution_ladder(frame, observables, self._options(progress)):
+                best = {o: better(best.get(o, ladder), ladder, o) for o in observables}
+                worst = max(own.errors[o] for o, own in best.items())
+                if worst <= self.tol:
+                    break
             if self.accepted and worst > self.accepted:
                 raise NotCertified(f"an L1 error of {worst:.1g} was reached: {ladder.limit}")
             tol, limit = self.accepted or self.tol, ladder.limit
@@ -156,7 +156,7 @@ class PhaseSpace(Theory):
     @answer
     def crossings(self, asked: Asked) -> Curve:
         """Return the upcrossings per unit time of levels by q, from the joint density of (q, p)."""
-        levels = partial(questions.about_levels, row=asked.row, at=asked.at)
+        levels = partial(dynamics.about_levels, row=asked.row, at=asked.at)
         return self._curve(asked, "crossings", CROSSINGS_TOL, apart=levels)
 
     @answer
@@ -175,17 +175,10 @@ class PhaseSpace(Theory):
         require_held(asked.system)
         frame, wanted = self._frame(asked.system), asked.tol or RELAXATION_TOL
         options, momentum = self._options(asked.progress), (Coordinate("p", frame.contact),)
-        measure = partial(questions.relaxation, count=asked.count, work=options.work)
-        with _breakdowns():
-            ladder, answer = questions.adapt(
-                frame,
-                [momentum],
-                measure,
-                options,
-                questions.nearest,
-                tol=wanted,
-                what="relaxation",
-            )
+        measure = partial(dynamics.relaxation, count=asked.count, work=options.work)
+        ladder, answer = dynamics.adapt(
+            frame, [momentum], measure, options, dynamics.nearest, tol=wanted, what="relaxation"
+        )
         values = np.asarray(answer.values, dtype=complex)
         stationary = expansion_density(ladder, momentum, wanted).certificate
         measured = Measured(
@@ -205,7 +198,7 @@ class PhaseSpace(Theory):
         name: str,
         default: float,
         *,
-        apart: questions.Apart = questions.largest,
+        apart: dynamics.Apart = dynamics.largest,
         numbers: type = complex,
     ) -> Curve:
         """Return the curve ``name`` of ``questions``, judged against a relative tolerance.
@@ -214,14 +207,13 @@ class PhaseSpace(Theory):
         two answers, ``numbers`` is the type of the numbers of the elimination.
         """
         tol, row, frame = asked.tol or default, asked.row, self._frame(asked.system)
-        measure = partial(getattr(questions, name), row=row, at=asked.at, tol=tol)
+        measure = partial(getattr(dynamics, name), row=row, at=asked.at, tol=tol)
         # With a momentum, since the tolerance then holds for the whole stationary state.
         q, p = (Coordinate("q", row),), (Coordinate("p", row),)
         options = self._options(asked.progress)
-        with _breakdowns():
-            ladder, answer = questions.adapt(
-                frame, [q, p], measure, options, apart, tol=tol, what=name, numbers=numbers
-            )
+        ladder, answer = dynamics.adapt(
+            frame, [q, p], measure, options, apart, tol=tol, what=name, numbers=numbers
+        )
         values, scale = np.asarray(answer.values, dtype=float), float(answer.scale)
         return certify_curve(
             values,
@@ -242,12 +234,9 @@ class PhaseSpace(Theory):
         return phase_space_passage(asked)
 
     def _options(self, progress: Progress = silent) -> Options:
-        # For dense blocks of order N work is N³ and memory N².
-        work = (
-            SOLUTION_WORK * (self.memory / SOLUTION_MEMORY) ** 1.5
-            if self.work is None
-            else self.work
-        )
+        work = self.work
+        if work is None:  # for dense blocks of order N work is N³ and memory N²
+            work = SOLUTION_WORK * (self.memory / SOLUTION_MEMORY) ** 1.5
         return Options(self.memory, work, self.threads, self.reference, progress)
 
     def _frame(self, system: System) -> Frame:
@@ -262,14 +251,6 @@ class PhaseSpace(Theory):
             if words := self._options().refusal(*solution_cost(basis(frame, about, second))):
                 raise NotApplicable(f"the damping terms are of too high a degree: {words}")
         return frame
-
-
-@contextmanager
-def _breakdowns() -> Iterator[None]:
-    try:
-        yield
-    except np.linalg.LinAlgError as error:
-        raise NotCertified(f"the expansion breaks down: {error}") from None
 
 
 PhaseSpace.register(quick=False)

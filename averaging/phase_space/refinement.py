@@ -1,6 +1,7 @@
 """Refinement: degrees rise, and the reference adapts, until the estimated L1 error is small."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import fitting_degrees, lowest, next_degrees
-from averaging.phase_space.equation.elimination import Expansion, expand, solution_cost
+from averaging.phase_space.equation.elimination import Expansion, Step, expand, solution_cost
 from averaging.phase_space.equation.frame import (
     Frame,
     Reference,
@@ -20,6 +21,7 @@ from averaging.phase_space.marginals import marginal, moments
 from fpk.answer.method import Progress, silent
 from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import ROUND_OFF
+from fpk.numeric.errors import NotCertified
 from fpk.numeric.machine import usable_cores
 from fpk.numeric.quadrature import gauss_grid, integral
 
@@ -81,7 +83,7 @@ class Options:
             words = f"{work:.1g} operations, at most {self.work:.1g}"
         return words and f"a finer solution needs {words}"
 
-    def step(self, what: str, degree: int) -> Callable[[float], None]:
+    def step(self, what: str, degree: int) -> Step:
         """Return the function that reports the completed share of ``what`` at a ``degree``."""
         return lambda share: self.progress(int(100 * share), 100, f"{what}, degree {degree}")
 
@@ -103,6 +105,15 @@ class Ladder:
     believed: dict[Observable, float]
     limit: str
     solutions: int
+
+
+@contextmanager
+def breakdowns() -> Iterator[None]:
+    """Raise ``NotCertified`` in the place of ``LinAlgError``."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise NotCertified(f"the expansion breaks down: {error}") from None
 
 
 def credible_ratio(frame: Frame) -> float:
@@ -156,15 +167,11 @@ def solution_ladder(
 
     Raises ``LinAlgError`` if the equations of the first two solutions are not solved.
     """
-    about, memory, degrees = (
-        options.reference or gaussian_start(frame),
-        1e9 * options.memory,
-        lowest(frame),
-    )
+    memory, degrees = 1e9 * options.memory, lowest(frame)
+    coarser: Expansion | None = None
+    ladder: Ladder | None = None
     with threadpool_limits(limits=options.threads or usable_cores(), user_api="blas"):
-        about = fit_reference(frame, about)
-        coarser: Expansion | None = None
-        ladder: Ladder | None = None
+        about = fit_reference(frame, options.reference or gaussian_start(frame))
         while True:
             step = options.step("phase space", degrees.total)
             finest = expand(frame, about, degrees, memory=memory, step=step)

@@ -95,15 +95,13 @@ def shell_columns(system: System, energy: Array) -> Array:
     columns[:, 0, 3:] = parts.free
     first = shell.contact_energies[0] if shell.contact_energies else np.inf
     slack = 4.0 * EPS if system.n == 1 else 0.0  # round-off of H and of V at a stop
-    touching = (energy > first * (1.0 - slack)).nonzero()[0]
-    if touching.size:
-        above = energy[touching]
-        if len(system.contact_masses) == 1:
-            columns[touching] = _along_rays(system, above)
-        elif by_lines(system):
-            columns[touching] = system.fact(PartitionLines)(above, shell_columns)
-        else:
-            columns[touching] = system.fact(_table_columns)(above)
+    above = energy > first * (1.0 - slack)
+    if np.any(above) and len(system.contact_masses) == 1:
+        columns[above] = _along_rays(system, energy[above])
+    elif np.any(above) and by_lines(system):
+        columns[above] = system.fact(PartitionLines)(energy[above], shell_columns)
+    elif np.any(above):
+        columns[above] = system.fact(_table_columns)(energy[above])
     columns[:, 1, 3:] += MOMENT_ROUND_OFF * parts.scale
     return columns
 
@@ -177,8 +175,6 @@ def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
             # Positive sums, so that a relative error is meaningful.
             out = np.concatenate([out[..., :3], power + 2.0 * most, most], axis=-1)
         out *= weights[:, None]
-        if which.size == i.size:  # one ray per energy
-            return out
         return np.add.reduceat(out, np.searchsorted(which, np.arange(i.size)), axis=1)
 
     def error_of(coarse: Array, fine: Array) -> Array:
@@ -217,8 +213,7 @@ def _angles_of_cuts(shell: EnergyShell, energy: Array) -> Array:
         dx, dy = np.array([-rows[stop, 1], rows[stop, 0]]) / np.linalg.norm(rows[stop], axis=1)
         end = np.array([[1.0], [-1.0]]) * (1.000000001 * np.sqrt(2.0 * H) + np.hypot(x0, y0))
 
-        def excess(t: Array, *line: Array) -> Array:
-            x0, y0, dx, dy, H = line
+        def excess(t: Array, x0: Array, y0: Array, dx: Array, dy: Array, H: Array) -> Array:
             return shell.potential(np.stack([x0 + t * dx, y0 + t * dy], axis=-1)) - H
 
         from scipy.optimize import elementwise  # noqa: PLC0415  (it takes 0.2 s)
@@ -271,7 +266,6 @@ def _table_columns(system: System) -> Callable[[Array], Array]:
     above = ends[-1] * 2.0 ** np.arange(60.0)
     edges = np.unique(np.concatenate([breaks, towards.ravel(), rising, above]))
     panels: dict[int, Piecewise] = {}
-    single: dict[float, Array] = {}  # later calls often repeat energies: 20 ms instead of 140
 
     def fitted(ends: Array) -> Piecewise:
         """Return the fit between two ``ends``; its errors are a constant bound on each panel."""
@@ -301,10 +295,8 @@ def _table_columns(system: System) -> Callable[[Array], Array]:
         for k in panels.keys() & set(used.tolist()):
             result[index == k] = panels[k](energy[index == k])
         others = ~np.isin(index, list(panels))
-        asked = energy[others].tolist()
-        if new := [H for H in asked if H not in single]:
-            single.update(zip(new, _along_rays(system, np.array(new)) / unit, strict=True))
-        result[others] = np.reshape([single[H] for H in asked], (-1, 2, unit.size))
+        if np.any(others):
+            result[others] = _along_rays(system, energy[others]) / unit
         return np.asarray(result * unit)
 
     return columns

@@ -103,11 +103,6 @@ def parts_of(system: System) -> Parts:
     the other displacements, are uniform on the sphere ½|x|² = H − V_red: a moment of degree 2j is
     (H − V_red)^j Γ(N/2)/Γ(N/2 + j) times the moment of standard normal numbers.
     """
-    if not system.damping_terms:
-        no, none, square = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0))
-        powers, along = np.zeros((0, len(system.contact_masses)), dtype=np.int64), no.reshape(0, 2)
-        of_groups = none, none, no, square, none, none, no, square, none, none
-        return Parts(powers, *of_groups, along, no, none)
     keys, values = power_given(system, system.damping_terms)
     groups, group = np.unique(keys[:, :2], axis=0, return_inverse=True)
     of_group = np.eye(len(groups))[group.ravel()]
@@ -299,11 +294,10 @@ class PartitionLines:
                     f"mass {mass + 1} is tied too stiffly to another contact mass: the passes along"
                     f" the chain would take {count} points of it, {MOST_POINTS} at the most"
                 )
+            stops = [stop for stop in self.system.stops if stop.index == mass]
             for of_mass, points in zip(grids, CHAIN_RULES, strict=True):
                 q, weights = panel_rule(nodes, points)
-                for stop in self.system.stops:
-                    if stop.index != mass:
-                        continue
+                for stop in stops:
                     overlap = stop.sign * nodes - stop.clearance
                     middle, root = overlap[1:] + overlap[:-1], np.sqrt(np.maximum(overlap, 0.0))
                     near = (middle > 0.0) & (middle < 2.0 * stop.overlap_at(1.0 / real))

@@ -84,10 +84,9 @@ class EnergyShell:
         reach = directions @ self.stops.reach.T
         touch = np.full(reach.shape, np.inf)
         np.divide(self.stops.touch, reach, out=touch, where=reach > 0.0)
-        order, ray = touch.argsort(axis=1, kind="stable"), np.arange(len(touch))[:, None]
-        *_, stiffness, exponent, law = self.stops
-        reach, touch = reach[ray, order], touch[ray, order]
-        return Stops(reach, touch, stiffness[order], exponent[order], law[order])
+        order = touch.argsort(axis=1, kind="stable")
+        own = (np.take_along_axis(x, order, 1) for x in (reach, touch))
+        return Stops(*own, *(x[order] for x in self.stops[2:]))
 
     @cached_property
     def sides(self) -> Stops:

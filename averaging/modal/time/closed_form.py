@@ -58,19 +58,15 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     """Return the densities ``asked`` for, Eq. (35); the start is an ``EnergyStart``."""
     observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
     modulation = asked.system.modulation
+    every = [(_mode(modes, m, modulation), H) for m, H in enumerate(start.energies.tolist())]
     if {c.kind for c in observable} <= {"q", "p"}:
         # Covariances of the contributions of the modes to (q, p) = S (ω Q, P).
         S = modes.state_shapes[state_rows(observable, modes.n)].reshape(len(observable), 2, modes.n)
         shares = np.einsum("ixm,jxm->mij", S, S)
-        orbits = zip(start.energies.tolist(), shares, strict=True)
-        return orbit_transient(
-            [(_mode(modes, m, modulation), *of) for m, of in enumerate(orbits)], asked
-        )
+        return orbit_transient([(*own, C) for own, C in zip(every, shares, strict=True)], asked)
     require_times(times, positive=start.noise is None)
     rows = modes_of_observable(observable)
-    parts = [
-        (_mode(modes, m, modulation), float(start.energies[m])) for m in rows or range(modes.n)
-    ]
+    parts = [every[m] for m in rows or range(modes.n)]
     if not rows and (total := _equal_modes(modes, modulation)):
         parts = [(total, float(start.energies.sum()))]
     if len(parts) > max(len(rows), 2):
@@ -98,22 +94,21 @@ def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
     """Return the first passage of one modal energy, of the first of several, or of their sum."""
     start, times, tol = asked.start, require_times(asked.times), asked.tol
     limits, energies = modal_limits(asked.limit, start), start.known()
+    parts = [(_mode(modes, m), a, float(energies[m])) for m, a in limits.items()]
     if not limits:
         if (total := _equal_modes(modes)) is None:
             raise NotApplicable(
                 "of modes of unequal decay or temperature H has no closed form in time; use fem"
             )
-        return total.passage(asked.limit.value, float(energies.sum()), times, tol=tol)
-    parts = [(_mode(modes, m), a, float(energies[m])) for m, a in limits.items()]
+        parts = [(total, asked.limit.value, float(energies.sum()))]
     if len(parts) == 1:
         ((mode, a, H),) = parts
         return mode.passage(a, H, times, tol=tol)
     rates = [mode.rate(a) for mode, a, _ in parts]
     rate = Number(sum(r.value for r in rates), sum(r.error for r in rates))
     survival, lost = _survival(parts, times, tol)
-    return certify_passage(
-        (*_first_of(parts, rate.value, tol), rate), times, 1.0 - survival, lost, tol=tol
-    )
+    mean, variance = _first_of(parts, rate.value, tol)
+    return certify_passage((mean, variance, rate), times, 1.0 - survival, lost, tol=tol)
 
 
 def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:

@@ -1,6 +1,9 @@
-"""Functions of the displacement y of the contact mass: polynomials on panels between its stops."""
+"""Functions of the displacement y of the contact mass: polynomials on panels between its stops.
 
-from collections.abc import Callable, Sequence
+They are made by Arnoldi's method, which serves resolvents and first passage, too.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import pairwise
@@ -11,7 +14,6 @@ from scipy.optimize import brentq
 
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.krylov import krylov
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.quadrature import gauss_legendre
 
@@ -23,6 +25,56 @@ force."""
 SAME_STOP = 1e-3
 """Distance of two stops over the width of the support below which there is no panel between them,
 which changes densities by 3e-8."""
+VECTORS, EVERY = 160, 10
+"""Largest dimension of a space that solves equations, beyond which another elimination is faster;
+and the number of vectors after which convergence is tested again."""
+RESIDUAL = 1e-13
+"""Relative residual of equations, and relative part of a vector outside a space, taken for
+round-off."""
+
+
+def krylov(
+    apply: Callable[[Array], Array],
+    first: Array,
+    most: int,
+    *,
+    metric: Callable[[Array], Array] | None = None,
+) -> Iterator[tuple[Array, Array, bool]]:
+    """Yield orthonormal V (m, size) and H (rows, m) of Arnoldi's method, up to m = ``most``.
+
+    V spans the columns of ``first`` (size, b), then of B ``first``, B² ``first``, …, b more in each
+    step; ``apply`` multiplies columns by B. H[:m] represents B in V, the rows after them lead out
+    of V; the last item says that there are none: V is invariant, and the iteration ends. Vectors
+    are orthogonalised twice, in the inner product x·M y, ``metric`` multiplying by M; None: M = 1.
+    """
+    b, rows, m = first.shape[1], 0, 0
+    V = np.zeros((most + b, len(first)), dtype=first.dtype)
+    MV = V if metric is None else np.zeros_like(V)
+    H = np.zeros((most + b, most), dtype=first.dtype)
+
+    def extend(new: Array) -> Array:
+        """Add ``new`` to the space unless it lies in it; return its coefficients."""
+        nonlocal rows
+        along = np.zeros(rows + 1, dtype=first.dtype)
+        for _ in range(2):
+            part = MV[:rows].conj() @ new
+            new = new - part @ V[:rows]
+            along[:rows] += part
+        image = new if metric is None else metric(new)
+        length = float(np.sqrt(np.vdot(new, image).real))
+        if length > RESIDUAL * float(np.linalg.norm(along)):
+            along[rows], V[rows], MV[rows] = length, new / length, image / length
+            rows += 1
+        return along[:rows]
+
+    for new in first.T:
+        extend(new)
+    while m < min(rows, most):
+        for new in apply(V[m : min(rows, most)].T).T:
+            along = extend(new)
+            H[: along.size, m] = along
+            m += 1
+        yield V[:m], H[:rows, :m], m == rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,23 +202,18 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
         *_, (_, H, _) = krylov(partial(np.multiply, t[:, None]), root[:, None], panel.degree)
         # The first vector is √w P_0.
         panels[k] = replace(panel, first=1.0 / float(np.linalg.norm(root)), recurrence=H)
-    starts, last = np.cumsum([0, *(p.degree for p in panels)]), len(panels) - 1
-
-    def row(*parts: tuple[int, Array]) -> Array:
-        """Return a row on the polynomials of all panels; ``parts`` are (panel, entries)."""
-        out = np.zeros(starts[-1])
-        for k, entries in parts:
-            out[starts[k] : starts[k + 1]] += entries
-        return out
-
+    # Columns of the identity on the polynomials of all panels, by panel.
+    size = sum(p.degree for p in panels)
+    units = np.split(np.eye(size), np.cumsum([p.degree for p in panels])[:-1])
     # Conditions for continuous functions with zero slope in t at stops. Where two panels meet there
     # is the stop of at least one of them, at which its t is 0.
-    slopes = [(k, p.polynomials(np.zeros(1))[1][0]) for k, p in enumerate(panels) if p.direction]
-    rows = [row(slope) for slope in slopes]
-    for k, pair in enumerate(pairwise(panels)):
+    rows = [
+        p.polynomials(np.zeros(1))[1] @ e for p, e in zip(panels, units, strict=True) if p.direction
+    ]
+    for pair, (left, right) in zip(pairwise(panels), pairwise(units), strict=True):
         y = np.array([pair[0].high])
-        a, b = (p.polynomials(_coordinate(frame, reference, p, y)[0])[0][0] for p in pair)
-        rows.append(row((k, a), (k + 1, -b)))
+        a, b = (p.polynomials(_coordinate(frame, reference, p, y)[0])[0] for p in pair)
+        rows.append(a @ left - b @ right)
     mirrored = frame.symmetric and not reference.weight[0]
     parity: list[list[Array]] = [[], []]
     if mirrored:
@@ -174,9 +221,8 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
         # beyond stops t is the same on both sides.
         for only, sign in zip(parity, (1.0, -1.0), strict=True):
             for k, p in enumerate(panels[: (len(panels) + 1) // 2]):
-                for j, unit in enumerate(np.eye(p.degree)):
-                    image = sign * (1.0 if p.direction else (-1.0) ** j)
-                    only.append(row((k, unit), (last - k, -image * unit)))
+                image = sign * (1.0 if p.direction else (-1.0) ** np.arange(p.degree))
+                only.append(units[k] - np.reshape(image, (-1, 1)) * units[-1 - k])
     sets = [*rows, *parity[odd]], parity[not odd]
     (continuous, broken), counts = zip(
         *(_function_sets(panels, degrees, own, fewer=k) for k, own in enumerate(sets)),
@@ -198,7 +244,8 @@ def _function_sets(
     t is lower by one between stops, by two beyond a stop.
     """
     degree = np.concatenate([np.arange(p.degree) for p in panels])
-    every = np.array([row for row in rows if row.any()]).reshape(-1, degree.size)
+    every = np.concatenate([np.zeros((0, degree.size)), *rows])
+    every = every[every.any(axis=1)]
     columns, counts = np.zeros((degree.size, 0)), [0] * degrees.least
     for count in range(degrees.least, degrees.outer + 1):
         numbers = [

@@ -160,21 +160,17 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
         A @ (combination(down, f) + combination(up, g))
         for A, f, g in zip(up, drift, pair, strict=True)
     ]
+    couplings = [(down[0], adjoint), *zip(up, forces, strict=True)]
     parts: list[tuple[Matrix, Between]] = [
         (combination(constant, np.ones(len(up))), ((None, None), (None, None))),
-        (down[0], ((None, adjoint[0]), (adjoint[1], None))),
-    ]
-    parts += [
-        (A, ((None, H[0]), (H[1], None))) for A, H in zip(up, forces, strict=True) if np.any(H[0])
+        *((A, ((None, H[0]), (H[1], None))) for A, H in couplings if np.any(H[0])),
     ]
     count, start, ends = places(functions, space)
-    entries = [
-        e for A, matrices in parts for e in _product_entries(A, matrices, space, count, start)
-    ]
+    entries = [e for part in parts for e in _product_entries(*part, space, count, start)]
     if frame.system.damping_terms:
         wider, terms = damping_terms(functions, C)
         at = places(functions, wider)[:2]
-        entries += [e for A, F in terms for e in _product_entries(A, F, wider, *at)]
+        entries += [e for term in terms for e in _product_entries(*term, wider, *at)]
     table = np.zeros((degrees.total + 2, space.others.max() + 1), dtype=np.int64)
     table[space.level[count > 0], space.others[count > 0]] = count[count > 0]
     for n, m in np.argwhere(table[1:]) + np.array([1, 0]):
@@ -227,10 +223,8 @@ def _entries(to: Integers, of: Integers, factor: Array, F: Array) -> Entries:
 
 def damping_degree(frame: Frame) -> int:
     """Return r, the highest degree in z of a damping term without its factor v_j, or 0."""
-    contact = frame.contact + 1
-    return max(
-        (t.degree - dict(t.q).get(contact, 0) for t in frame.system.damping_terms), default=0
-    )
+    terms, contact = frame.system.damping_terms, frame.contact + 1
+    return max((t.degree - dict(t.q).get(contact, 0) for t in terms), default=0)
 
 
 def levels_per_stage(frame: Frame) -> int:
@@ -295,9 +289,8 @@ def damping_terms(
     functions: Basis, C: Array
 ) -> tuple[Space, list[tuple[Matrix, list[list[Array | None]]]]]:
     """Return the terms A ⊗ F of −Σ_ij ``C``⁻¹_ji a_j⁺ f_i, and the space that the A act on."""
-    frame, degrees = functions.frame, functions.degrees
-    beyond, d = damping_degree(frame) + 1, 2 * frame.n - 1
-    space = space_to(degrees.total + beyond, degrees.others + beyond, d)
+    degrees, beyond = functions.degrees, damping_degree(functions.frame) + 1
+    space = space_to(degrees.total + beyond, degrees.others + beyond, len(C))
     inverse: Array = np.asarray(np.linalg.inv(C), dtype=float)
     operator: Polynomial = {}
     for i, force in enumerate(state_polynomials(functions, C, space)[2]):

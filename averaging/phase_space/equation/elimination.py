@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from averaging.phase_space.equation.basis import Basis, basis
+from averaging.phase_space.equation.basis import RESIDUAL, Basis, basis
 from averaging.phase_space.equation.chain import Chain, chain_of, places
 from averaging.phase_space.equation.degrees import Degrees, Space, space_to
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.krylov import RESIDUAL
 from fpk.numeric.arrays import ROUND_OFF, Array, Integers
 
 ELIMINATED_IN: type = np.float32
@@ -38,6 +37,8 @@ of the change by ten levels more for ratios below 0.2, 0.25 below 0.5, and 4.6 a
 
 Solve = Callable[[Array], Array]
 """Maps the right side to the solution of A u = right, vectors of all unknowns."""
+Step = Callable[[float], None]
+"""Called with the completed share of an elimination."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +100,7 @@ def expand(
     degrees: Degrees,
     *,
     memory: float = np.inf,
-    step: Callable[[float], None] = lambda share: None,
+    step: Step = lambda share: None,
 ) -> Expansion:
     """Return the stationary expansion about ``reference`` at ``degrees``.
 
@@ -161,7 +162,7 @@ def eliminate(
     shift: complex = 0.0,
     kind: type = np.float64,
     paired: bool = True,
-    step: Callable[[float], None] = lambda share: None,
+    step: Step = lambda share: None,
 ) -> tuple[Solve, float]:
     """Eliminate the stages of (A − ``shift``) u = right from the highest down.
 

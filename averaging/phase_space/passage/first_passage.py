@@ -54,16 +54,14 @@ def phase_space_passage(asked: Asked) -> Passage:
     if start.kind == "noise" and start.values["noise"] > 0.0:
         raise NotApplicable("a stationary start is not solved for in phase space; use montecarlo")
     most, of_energy = limit.value, limit.kind != "q"
-    on_orbit = start.kind in ("energy", "modal") and not start.rest
+    on_orbit, q = start.kind in ("energy", "modal") and not start.rest, np.zeros(1)
     if on_orbit:
         (energy,) = start.values.values()
-        beyond = of_energy and not energy < (1.0 - ROUND_OFF) * most
     else:
         q, p = start.state(1)
         state = q, p / o.mass, np.ones(1)
         energy = float(o.energy(*state[:2])[0])
-        beyond = not (energy < (1.0 - ROUND_OFF) * most if of_energy else abs(float(q[0])) < most)
-    if beyond:
+    if not (energy < (1.0 - ROUND_OFF) * most if of_energy else abs(float(q[0])) < most):
         raise InvalidInput("start", str(start), "is at or beyond the limit")
     tol = tolerance(asked.tol, TOL if of_energy else GLANCING_TOL)
     top = most if of_energy else float(o.potential(np.array([-most, most])).min())
@@ -166,9 +164,8 @@ def _compare_levels(coarse: Level, fine: Level, times: Array, tol: float) -> Pas
     values[1] -= values[0] ** 2
     scale[1] += values[0] ** 2
     off[1] = abs(values[1] - (before[1] - before[0] ** 2))
-    errors = (
-        DISTANCE_FACTOR * np.maximum(off, CHANCE_SHARE * share * np.abs(values)) + rounding * scale
-    )
+    errors = DISTANCE_FACTOR * np.maximum(off, CHANCE_SHARE * share * np.abs(values))
+    errors += rounding * scale
     apart = np.abs(failure - failure_before)
     lost = DISTANCE_FACTOR * np.maximum(apart, CHANCE_SHARE * np.max(apart, initial=0.0))
     lost += krylov + krylov_before + ROUNDINGS * EPS * (times > 0.0)
