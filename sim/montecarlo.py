@@ -102,8 +102,10 @@ class MonteCarlo(Settings, Method):
         return sample_correlation(self, asked)
 
     def refined(self) -> "MonteCarlo":
-        """Return the method with four times the sample, which halves the sampling error. The step
-        is multiplied by 2**(−1/4), so that the bias of the default scheme halves, too."""
+        """Return the method with four times the sample, which halves the sampling error.
+
+        The step is multiplied by 2**(−1/4), so that the bias of the default scheme halves, too.
+        """
         return replace(
             self,
             time=self.time and 4.0 * self.time,

@@ -2,10 +2,11 @@
 
 On a box the density of one or two coordinates is ``p = r exp(Σ_j θ_j P_j)``, P_j products of
 Legendre polynomials of the bin number and r a known reference. θ maximises the likelihood of the
-*contents* of the bins, so that their width does not bias p. Boxes end at the known kinks of p. A
-box whose highest coefficients are not consistent with 0 is halved, and each box that fits once
-more, so that a misfit that the test does not see is small beside the sampling error. Errors follow
-from independent batches. Kooperberg and Stone, Comput. Stat. Data Anal. 12, 1991, 327.
+*contents* of the bins, integrals of p, so that the width of the bins does not bias p. Boxes end at
+the known kinks of p. A box whose highest coefficients are not consistent with 0 is halved, and each
+box that fits is halved once more, so that a misfit that the test does not see is small beside the
+sampling error. Errors follow from independent batches. Kooperberg and Stone, Comput. Stat. Data
+Anal. 12, 1991, 327 (logspline density estimation).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -44,7 +45,8 @@ STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
 error)² at which the iteration ends."""
 
 PRIOR_WIDTH = 10.0
-"""Standard deviation of the Gaussian prior of each coefficient: effective only without samples."""
+"""Standard deviation of the Gaussian prior of each coefficient: larger than changes of ln p/r in a
+box, and effective only where there are no samples."""
 DOUBT, ALARM = 0.01, 1e-6
 """False-alarm rates of the tests of a fit: to halve its box, and to report it as wrong."""
 STEEPEST = 2.0
@@ -58,9 +60,11 @@ def no_reference(x: Array, bins: Integers) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class BinAxis:
-    """Bins of one coordinate between ascending ``edges``, with the reference density r. p is not
-    smooth at the edges ``kinks``. Between kinks bins are equally wide, but above an edge in
-    ``widening`` the k-th edge lies at k⁴ times the width of the first bin."""
+    """Bins of one coordinate between ascending ``edges``, with the reference density r.
+
+    ``kinks`` are the edges at which p is not smooth. Between kinks bins are equally wide, but above
+    an edge in ``widening`` the k-th edge lies at k⁴ times the width of the first bin.
+    """
 
     edges: Array
     kinks: Sequence[float] = ()
@@ -100,10 +104,12 @@ class BinAxis:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Fit of ln p on the bins ``first`` <= bin < ``last`` of each axis. ``theta`` (coefficients,)
-    is empty if p is 0 there; ``deviations`` (batches, coefficients) are the θ of single batches
-    less ``theta``; ``covariance`` is for independent samples. ``chance`` is the p-value of the
-    misfit, 0 if ln p changes by more than ``STEEPEST`` from bin to bin."""
+    """Fit of ln p on the bins ``first`` <= bin < ``last`` of each axis.
+
+    ``theta`` (coefficients,) is empty if p is 0 there; ``deviations`` (batches, coefficients) are
+    the θ of single batches less ``theta``; ``covariance`` is for independent samples. ``chance`` is
+    the p-value of the observed misfit, 0 if ln p changes by more than ``STEEPEST`` from bin to bin.
+    """
 
     first: Bins
     last: Bins
@@ -140,9 +146,12 @@ def polynomial_degrees(axes: int, count: int) -> Integers:
 def boxes(
     axes: Sequence[BinAxis], shares: Array, batch_shares: Array, samples: float, *, halve: bool
 ) -> Iterator[Box]:
-    """Yield fits whose boxes cover all bins of ``axes``, halved only if ``halve``; no box contains
-    a kink. ``shares`` (*bins) are the shares of all samples in each bin, ``batch_shares`` (batches,
-    *bins) those of single batches; ``samples`` is the number of independent samples."""
+    """Yield fits whose boxes cover all bins of ``axes``; no box contains a kink.
+
+    ``shares`` (*bins) are the shares of all samples in each bin, ``batch_shares`` (batches, *bins)
+    the shares of single batches; ``samples`` is the number of independent samples. Boxes are only
+    halved if ``halve``.
+    """
 
     def parts(first: Bins, last: Bins, *, halved: bool) -> Iterator[Box]:
         own = tuple(map(slice, first, last))
@@ -161,9 +170,11 @@ def boxes(
 
 
 def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
-    """Halves (first, last) of ``box``, cut across the axis that fits worst, near its middle; none
-    if a half would have too few samples or bins. ``shares`` (*bins) are the contents of the box,
-    ``samples`` the independent samples of all bins."""
+    """Halves (first, last) of ``box``, cut across the axis that fits worst, near its middle.
+
+    ``shares`` (*bins) are the contents of the box and ``samples`` the independent samples of all
+    bins. Empty if a half would have too few samples or bins for all coefficients.
+    """
     axes, bins = range(shares.ndim), MAX_FIT_DEGREE + 4  # more than coefficients: a misfit shows
     needed = PER_COEFFICIENT * comb(MAX_FIT_DEGREE + shares.ndim, shares.ndim) / samples
     for axis in sorted(axes, key=lambda k: _chance_of_highest(box, alone=k)):
@@ -182,8 +193,11 @@ def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
 def _fit_box(
     axes: Sequence[BinAxis], first: Bins, last: Bins, shares: Array, batches: Array, samples: float
 ) -> Box:
-    """Return the fit of the bins from ``first`` to ``last`` of ``axes``, of the highest degree
-    whose likelihood has a maximum. For ``shares`` and ``batches`` of these bins see ``boxes``."""
+    """Return the fit of one box of ``axes``, of the highest degree whose likelihood has a maximum.
+
+    ``shares`` and ``batches`` (see ``boxes``) are those bins from ``first`` to ``last``;
+    ``samples`` are the independent samples of all bins.
+    """
     many = len(batches)
     if not shares.any():
         return Box(first, last, np.zeros(0), np.zeros((many, 0)), np.zeros((0, 0)))
@@ -217,8 +231,10 @@ def _fit_box(
 
 
 class Model:
-    """Contents of the bins of a box as a function of θ; ``design`` (bins, coefficients) are the
-    means of the P_j over each bin."""
+    """Contents of the bins of a box as a function of θ.
+
+    ``design`` (bins, coefficients) are the means of the P_j over each bin.
+    """
 
     def __init__(self, axes: Sequence[BinAxis], first: Bins, last: Bins, degree: int):
         """Evaluate the P_j up to ``degree`` at the Gauss points of bins ``first`` to ``last``."""
@@ -253,9 +269,11 @@ class Model:
 
     def solved(self, shares: Array, samples: float) -> tuple[Array, Array, bool]:
         """Return θ of the largest likelihood, the information, and whether the maximum was reached.
+
         ``shares`` (bins,) are the contents, ``samples`` the independent samples of all bins.
         Newton's method with halved steps starts from a least-squares fit to ln(count + ½), or from
-        a constant if that is likelier. Coefficients without samples are 0 ± ``PRIOR_WIDTH``."""
+        a constant if that is likelier. Coefficients without samples are 0 ± ``PRIOR_WIDTH``.
+        """
         constant = np.zeros(self.design.shape[1])
         held, volume = samples * shares + 0.5, self.contents(constant)
         weighted, log_p = self.design.T * held, np.log(held / (samples * volume))
@@ -308,8 +326,11 @@ def _chance_of_highest(box: Box, alone: int | None = None) -> float:
 
 
 def _chance_of_misfit(residuals: Array, held: Array) -> float:
-    """P-value of the largest mean of ``residuals`` (batches, *bins) in blocks of 1, 2, 4, … bins,
-    without blocks of few of the independent samples ``held`` (*bins)."""
+    """P-value of the largest mean of ``residuals`` (batches, *bins) in blocks of 1, 2, 4, … bins.
+
+    ``held`` (*bins) are the numbers of independent samples in the bins; blocks with few are left
+    out.
+    """
     least, count, batches, size = 1.0, 0, len(residuals), 1
     while 4 * size <= max(held.shape):
         blocks, own = residuals, held

@@ -17,7 +17,7 @@ DISTANCE_FACTOR = 3.0
 """Stated error over the distance to a comparison solution: elements of a higher degree, or coarser
 quadrature. Integrals across kinks (1 − H)^1.5 and (1 − H)^2.5 anywhere in panels were within it in
 97 % of cases. In 3,000 random processes of two energies the true error was 2.1 times the distance
-once, and at most 1.4 times otherwise (test_fpk_plane.py)."""
+once, and at most 1.4 times otherwise (test_fpk_plane_random.py)."""
 MISSED = "the estimated error"
 """First words of the failure whose estimated error exceeds the tolerance."""
 
@@ -104,8 +104,10 @@ def fail_nan(answer: Any) -> None:
 
 def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certificate:
     """Return the certificate of an answer, by comparing ``measured`` numbers to their limits.
+
     ``tol`` is the tolerance of the L1 error, infinite if there is none. Mass and residual of a
-    ``sampled`` answer are not checked here: its residual is a |z|. A NaN fails every check."""
+    ``sampled`` answer are not checked here: its residual is a |z|. A NaN fails every check.
+    """
     m, failures = measured, list(measured.failures)
     if m.minimum is not None and not m.minimum >= NEGATIVE - m.absolute_error:
         failures.append(f"the density falls to {m.minimum:.2g} of its maximum")

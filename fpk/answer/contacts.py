@@ -18,8 +18,10 @@ CLEARANCE_RULE = 2.0
 
 @dataclass(frozen=True)
 class StopClearance:
-    """Clearance of a stop, ``rms`` displacement of its mass without contact, and their ``ratio``;
-    both are None if the motion without contact is not stationary."""
+    """Clearance of a stop, ``rms`` displacement of its mass without contact, and their ``ratio``.
+
+    ``rms`` and ``ratio`` are None if the motion without contact is not stationary.
+    """
 
     mass: int
     side: str

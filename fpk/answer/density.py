@@ -112,9 +112,11 @@ class Density(Quantities):
         return Number(value, error + rounding + abs(value - coarse) + tail)
 
     def _probability(self, low: float, high: float) -> Number:
-        """Return P(``low`` < X <= ``high``). As the total mass is 1, its error is at most the
-        integrated pointwise error inside, and at most that outside, plus the rest of the L1
-        error."""
+        """Return P(``low`` < X <= ``high``).
+
+        As the total mass is 1, its error is at most the integrated pointwise error inside, and at
+        most that outside the interval. The rest of the L1 error, at least |1 − mass|, is added.
+        """
         value, error, rounding = (float(x) for x in self._share(low, high))
         of_all = float(self._panel_shares[1].sum())
         unlocated = max(self.l1_error - of_all, self.certificate.mass_defect or 0.0)
@@ -125,7 +127,7 @@ class Density(Quantities):
         return Number(value, located + unlocated + beyond_ends + rounding)
 
     def share(self, low: float, high: float) -> float:
-        """Return P(``low`` < X <= ``high``) without its error, in less than half of the time."""
+        """Return P(``low`` < X <= ``high``) without its error, in half of the time."""
         return float(self._share(low, high, rows=1)[0])
 
     def _share(self, low: float, high: float, *, rows: int = 3) -> Array:
@@ -176,11 +178,14 @@ def certify_density(
     added_error: Callable[..., Array] | None = None,
     frame: tuple[Array, tuple[Array, ...]] | None = None,
 ) -> Density:
-    """Return a density given by functions, with its certificate. ``panels``, ``pdf`` and
-    ``pointwise`` become fields of ``Density``. ``measured`` comes from the solver, but mass and
-    minimum are measured here; ``tol`` is the L1 tolerance. ``added_error(p, *points)`` is an error
-    of p that ``measured.l1_error`` does not contain. With ``frame``, a matrix F and panels of y,
-    integrals are taken over x = F y, for a ridge that no panels of x resolve."""
+    """Return a density given by functions, with its certificate.
+
+    ``panels``, ``pdf`` and ``pointwise`` become fields of ``Density``. ``measured`` comes from the
+    solver, but mass and minimum are measured here; ``tol`` is the L1 tolerance.
+    ``added_error(p, *points)`` is a pointwise error of p that ``measured.l1_error`` does not
+    contain. With ``frame``, a matrix F and panels of y, integrals are taken over x = F y, for a
+    ridge of correlated coordinates that no affordable panels of x resolve.
+    """
     jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
     mesh, grids = gauss_grid(axes)
     if frame is not None:
@@ -219,10 +224,12 @@ def l1_distance(a: AnyDensity, b: AnyDensity) -> float:
 
 
 def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
-    """Return ∫|p_a − p_b| and the quadrature error of the integral, not that of the densities. A
-    function is compared with a histogram by its averages over the bins, without quadrature error.
-    Panels end where functions of one coordinate cross; for two the error covers such kinks. Raises
-    ``ValueError`` for different observables, or histograms on different bins."""
+    """Return ∫|p_a − p_b| and the quadrature error of the integral, not that of the densities.
+
+    A function is compared with a histogram by its averages over the bins: a sum without quadrature
+    error. Panels end where functions of one coordinate cross; for two coordinates the error covers
+    such kinks. Raises ``ValueError`` for different observables, or histograms on different bins.
+    """
     if a.observable != b.observable:
         raise ValueError(f"densities of {a.name} and of {b.name} cannot be compared")
     if isinstance(a, SampledDensity) or isinstance(b, SampledDensity):

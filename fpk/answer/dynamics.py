@@ -28,8 +28,8 @@ BEYOND_RANGE = "the mean time to it is beyond the range of double precision; tak
 NO_NOISE_YET = "no noise has acted yet: there is no density"
 """Refusal of a time before which the modulation is 0."""
 LARGEST_ERROR = 0.1
-"""Largest error of a certified probability, and relative or L1 error of a density above which
-stated errors are infinite."""
+"""Largest error of a certified probability; relative or L1 error above which a density counts as
+unknown: its stated errors are then infinite."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,11 @@ def certify_rates(
     residual: float | None = None,
     settings: Mapping[str, str | float | int] | None = None,
 ) -> Rates:
-    """Return rates ``values`` (rates,) and absolute ``errors``, with their certificate. ``tol`` is
-    the largest relative error; ``residual`` is relative to the terms of the eigenvalue equation."""
+    """Return rates ``values`` (rates,) and absolute ``errors``, with their certificate.
+
+    ``tol`` is the largest relative error; ``residual`` is relative to the terms of the eigenvalue
+    equation, ``settings`` are for readers.
+    """
     relative = float(np.max(errors / np.abs(values)))
     certificate = certify(Measured(relative, None, None, residual, None), tol=tol)
     return Rates(np.asarray(values, dtype=complex), errors, certificate, settings or {})
@@ -98,10 +101,12 @@ def certify_curve(
     positive: Array | None = None,
 ) -> Curve:
     """Return a curve that follows from the stationary density ``of``, with its certificate.
+
     ``values`` and ``errors`` are (points,); ``tol`` is the largest error in units of ``scale`` > 0.
     The certificate takes over mass, tail and failures of the density, except a missed tolerance,
-    and the larger ``residual``. ``positive``, by default ``values``, must be >= 0 within the
-    largest error."""
+    and the larger ``residual``. ``positive``, by default ``values``, must not be negative by more
+    than the largest error. ``settings`` are for readers.
+    """
     relative, given = float(np.max(errors)) / scale, of.certificate
     least = float(np.min(values if positive is None else positive)) / scale
     residual, words = largest_measured((residual, given.residual)), (*given.besides, *failures)
@@ -111,11 +116,13 @@ def certify_curve(
 
 
 def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array]:
-    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp at q = ``at`` (points,), and their errors. f is
-    the density ``joint`` of q and p, m the ``mass``. The error is one standard error of samples, or
-    the sum of the integrated error of f, the distance to coarser rules and the tail beyond the last
-    momentum, where f is continued with the slope of its last panel; it is infinite if f neither
-    falls there nor is 0 within its error."""
+    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp at q = ``at`` (points,), and their errors.
+
+    f is the density ``joint`` of q and p, m the ``mass``. For samples the error is one standard
+    error. Otherwise it is the sum of the integrated error of f, the distance to coarser rules and
+    the tail beyond the last momentum, where f is continued with the slope of its last panel. It is
+    infinite if f neither falls there nor is 0 within its error.
+    """
     nodes = np.unique(np.maximum(joint.panels[1], 0.0))
     if isinstance(joint, SampledDensity):
         return joint.flux(lambda p: p / mass, nodes, at)
@@ -181,9 +188,8 @@ class Passage:
     the method does not compute it. ``mean`` and ``variance`` are inf if some motions never fail.
     ``survival`` is P(T > t) at ``times``, with ``survival_error``, (times,) each. ``failure`` is
     P(T <= t), with ``failure_error``, if the method computes it more accurately than
-    1 − ``survival``. ``starts``: energies of starts and the moments from there by name, (starts,)
-    each, if computed. ``error_kind``: estimate of the numerical error, or one standard error of
-    sampling. ::
+    1 − ``survival``. ``starts``: the moments as functions of the start, if computed.
+    ``error_kind``: estimate of the numerical error, or one standard error of sampling. ::
 
         limit, times = parse_limit("H=1", 2), np.array([10.0, 100.0])
         first = NonIntegrable().passage(system, limit, REST, times)
@@ -224,11 +230,13 @@ def certify_passage(
     starts: Sequence[Array] | None = None,
     settings: Mapping[str, str | float | int] | None = None,
 ) -> Passage:
-    """Return a first passage computed numerically, with its certificate. ``numbers`` are mean,
-    variance and failure rate; ``failure`` is P(T <= t) at ``times``, with ``failure_error``.
-    ``tol`` bounds relative errors of the finite numbers and absolute errors of the probabilities.
-    For ``mass_defect`` and ``residual`` see ``Measured``. ``starts`` are the starts, and mean, its
-    error, variance, its error from there."""
+    """Return a first passage computed numerically, with its certificate.
+
+    ``numbers`` are mean, variance and failure rate; ``failure`` is P(T <= t) at ``times``, with
+    ``failure_error``. ``tol`` bounds relative errors of the finite numbers and absolute errors of
+    the probabilities; ``mass_defect`` and ``residual`` are defined in ``Measured``; ``settings``
+    are for readers.
+    """
     finite = [(x.value, x.error) for x in numbers if x and x.value != np.inf]
     value, error = np.array(finite).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):

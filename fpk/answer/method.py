@@ -37,9 +37,11 @@ class Identity:
 @dataclass(frozen=True)
 class Result:
     """Answer of one method: a density for each observable asked for, and how it was obtained.
+
     ``seconds`` is wall time; ``settings`` are for readers only; ``neglected`` names effects that
     the method leaves out; ``partial``: the work was interrupted; ``report`` is the report of a
-    simulation; ``beside`` are densities of further observables."""
+    simulation; ``beside`` are densities of further observables.
+    """
 
     method: "Method"
     densities: tuple[AnyDensity, ...]
@@ -60,10 +62,12 @@ class Result:
 
 @dataclass(frozen=True)
 class Plan:
-    """A method prepared for one system. ``refusal(observable)`` returns the reason why the method
-    does not give an observable, or None; ``solve(observables, progress)`` returns the result.
-    ``beside``: ``solve`` accepts further observables as ``beside``, whose densities take little
-    more work."""
+    """A method prepared for one system.
+
+    ``refusal(observable)`` returns the reason why the method does not give an observable, or None;
+    ``solve(observables, progress)`` returns the result. ``beside``: ``solve`` accepts further
+    observables as ``beside``, whose densities take little more work.
+    """
 
     refusal: Callable[[Observable], str | None]
     solve: Callable[..., Result]
@@ -72,7 +76,9 @@ class Plan:
 
 class Method(ABC):
     """A route with its discretisation: a frozen dataclass, registered with ``register_route``.
-    Callers get its plan from ``planned``, not ``prepare``."""
+
+    Callers get its plan from ``planned``, not ``prepare``.
+    """
 
     @property
     @abstractmethod

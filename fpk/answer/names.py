@@ -22,7 +22,9 @@ LEAST_LIMIT = 1e-100
 @dataclass(frozen=True)
 class Coordinate:
     """One observed quantity: displacement, momentum, total energy (no index) or modal energy.
-    ``index`` counts from 0; in the name for users it counts from 1."""
+
+    ``index`` counts from 0; in the name for users it counts from 1.
+    """
 
     kind: Literal["q", "p", "H"]
     index: int | None = None
@@ -99,9 +101,11 @@ def number_text(value: float) -> str:
 def parse_numbers(
     key: str, text: str, kinds: Iterable[tuple[str, Sequence[str], int]], remedy: str
 ) -> tuple[str, dict[str, float]]:
-    """Return the kind and the named numbers of ``text``, such as ``a=1,b=2``, each given once. Of
-    ``kinds``, tuples (kind, allowed names, smallest number of names), the first that fits is
-    returned. Raises ``InvalidInput(key, text, remedy)`` if none fits or a number is not finite."""
+    """Return the kind and the named numbers of ``text``, such as ``a=1,b=2``, each given once.
+
+    ``kinds`` are tuples (kind, allowed names, smallest number of names); the first that fits is
+    returned. Raises ``InvalidInput(key, text, remedy)`` if none fits or a number is not finite.
+    """
     values: dict[str, float] = {}
     for part in text.split(","):
         name, _, number = (word.strip() for word in part.partition("="))
@@ -131,9 +135,11 @@ class Named:
 
 
 class Limit(Named):
-    """Limits of safe operation: the system fails when a quantity first exceeds its value. ``kind``
-    is "H" (the total energy; in modal averaging the sum of modal energies), "modal" (modal energies
-    H1.., whichever exceeds its limit first) or "q" (|q_i| of one displacement)."""
+    """Limits of safe operation: the system fails when a quantity first exceeds its value.
+
+    ``kind`` is "H" (the total energy; in modal averaging the sum of modal energies), "modal"
+    (modal energies H1.., whichever exceeds its limit first) or "q" (|q_i| of one displacement).
+    """
 
     @property
     def value(self) -> float:
@@ -167,9 +173,12 @@ def parse_limit(text: str, n: int) -> Limit:
 
 
 class Start(Named):
-    """Initial state at time 0. ``values`` by ``kind``: "state" has displacements q1.. and momenta
-    p1.. (0 unless given, none: rest), "energy" has H, "modal" all modal energies H1.., and "noise"
-    the factor ``noise`` on D whose stationary state is the initial state."""
+    """Initial state of a motion at time 0.
+
+    ``values`` by ``kind``: "state" has displacements q1.. and momenta p1.. (0 unless given, none:
+    rest), "energy" has H, "modal" has all modal energies H1.., and "noise" has the factor ``noise``
+    on D whose stationary state is the initial state.
+    """
 
     @property
     def rest(self) -> bool:

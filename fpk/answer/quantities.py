@@ -22,7 +22,8 @@ ErrorKind = Literal["numerical", "sampling"]
 SUBDIVISION = 1e-5
 """Largest interpolation error of the quadratic cells of a field, over the largest density."""
 FIELD_CUT = 1e-6
-"""The first density exceeds this share of its maximum only inside the box of a field."""
+"""The box of a field contains all points at which the first density exceeds this share of its
+maximum."""
 MOST_CELLS = 60_000
 """Number of cells at which the refinement of a field ends; its error is stated in any case."""
 
@@ -42,10 +43,12 @@ class Number:
 
 
 class Quantities(ABC):
-    """Quantities of a coordinate X, or of a pair (X, Y), that follow from its density. ``panels``
-    are the ascending nodes of every axis; the first and last bound the support. ``covariance`` and
-    ``correlation`` raise ``InvalidInput`` for one coordinate; all others but ``expectation``,
-    ``moment`` and ``plot`` raise it for a pair."""
+    """Quantities of a coordinate X, or of a pair (X, Y), that follow from its density.
+
+    ``panels`` are the ascending nodes of every axis; the first and last bound the support.
+    ``covariance`` and ``correlation`` raise ``InvalidInput`` for one coordinate; all others but
+    ``expectation``, ``moment`` and ``plot`` raise it for a pair.
+    """
 
     observable: Observable
     panels: tuple[Array, ...]
@@ -221,9 +224,11 @@ def with_points(nodes: Array, points: Array) -> Array:
 def largest_in_tails(
     function: Function, panels: Sequence[Array], kinks: Sequence[float] = ()
 ) -> float:
-    """Return the largest |f| on the corners of a box twice as wide as support and ``kinks``: a
-    bound in the tails, where densities fall exponentially. ``panels`` are the ascending nodes of
-    each axis."""
+    """Return the largest |f| on the corners of a box twice as wide as support and ``kinks``.
+
+    It bounds f in the tails, where densities fall at least exponentially. ``panels`` are the
+    ascending nodes of each axis.
+    """
     reach = 2.0 * float(np.max(np.abs(kinks), initial=0.0))
     ends = (2.0 * x[[0, -1]] for x in panels)
     corners = np.meshgrid(*([min(a, -reach), max(b, reach)] for a, b in ends))
@@ -236,8 +241,8 @@ def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
     The mesh covers the smallest box with all points at which the first density is at least
     ``FIELD_CUT`` of its maximum, and is refined where this density bends. ``point_data`` has
     ``density``, the first, and ``log10 density``, NaN if it is not positive; for every route its
-    density, its stated error, and the first density minus its own. The interpolation error is the
-    largest difference found between cells, in units of the density.
+    density, its stated error, and the difference of the first density and its own. The
+    interpolation error is the largest difference found between cells, in units of the density.
     """
     import meshio  # noqa: PLC0415  (0.1 s)
 

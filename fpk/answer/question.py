@@ -1,20 +1,22 @@
 """Questions about motion in time: one record for each, from which methods and commands follow.
 
-A ``Question`` has the name of the method's function that answers it::
+A ``Question`` has the name of the method's function that answers it. A class defines this function,
+of the method and an ``Asked``, in its body or afterwards::
 
     class Linear(Method):
         @answer
         def spectrum(self, asked: Asked) -> Curve: ...
 
+    Linear.spectrum = answer(spectrum)
     Linear().spectrum(system, parse_observable("q1", 1), np.linspace(0.0, 2.0, 5), tol=1e-8)
 
-``tol`` is the largest error: for curves in units of ``scale``, for rates relative to each. Spectra
-are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, ∫ S dω over all real ω is the
-variance; C(t) = E q(0) q(t) − (E q)², t >= 0. ``InvalidInput`` is raised here for a tolerance that
-is not > 0, an observable that is no displacement, or a negative or infinite lag, and by methods for
-a start at or beyond the limit, or times that do not ascend. ``NotApplicable`` is raised by a method
-that has no answer. This file imports no numerical library: the command line imports it for its
-help.
+``tol`` is the largest allowed error: for curves in units of ``scale``, for rates relative to each.
+Spectra are two-sided, in angular frequency: S(ω) = (1/2π) ∫ C(t) e^(−iωt) dt, ∫ S dω over all real
+ω is the variance; C(t) = E q(0) q(t) − (E q)², t >= 0. ``InvalidInput`` is raised here for a
+tolerance that is not > 0, an observable that is no displacement, or a negative or infinite lag, and
+by methods for a start at or beyond the limit, or times that do not ascend from 0 or later.
+``NotApplicable`` is raised by a method that has no answer for the system, observable, limit or
+start. This file imports no numerical library: the command line imports it for its help.
 """
 
 from collections.abc import Callable
@@ -44,10 +46,12 @@ def silent(done: int, total: int, what: str) -> None:
 @dataclass(frozen=True, eq=False)
 class Asked:
     """Arguments of one question as a method receives them; ``Question.takes`` names the fields set.
+
     ``at`` are levels, angular frequencies or lags (points,), or for densities the points, one array
     (points,) for each coordinate. ``start`` is a ``fpk.answer.names.Start``, ``limit`` a
     ``fpk.answer.names.Limit``; ``times`` (times,) count from the start; ``count`` is the number of
-    relaxation rates."""
+    relaxation rates.
+    """
 
     system: "System"
     tol: Any
@@ -113,8 +117,11 @@ def register_question(question: Question) -> Question:
 
 
 def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
-    """Return ``function(method, asked)`` as a method that takes the arguments of the question with
-    the name of ``function``. Tolerance, observable and points are checked before the call."""
+    """Return ``function(method, asked)`` as a method that takes the arguments of the question.
+
+    The question has the name of ``function``. Tolerance, observable and points are checked before
+    the call, as the head of this file says.
+    """
     question, given = QUESTIONS[function.__name__], Parameter.POSITIONAL_OR_KEYWORD
     parameters = [Parameter(name, given) for name in ("self", "system", *question.takes)]
     for name, value in (("tol", None), ("progress", silent)):

@@ -138,9 +138,11 @@ class SampledDensity(Quantities):
 
     @cached_property
     def visit(self) -> float:
-        """Share of all samples that one excursion contributes; 0 if ``samples`` is unknown. Their
-        number, at least 1, is the variance over the mean of the counts of batches, in cells that
-        some but not all batches visited."""
+        """Share of all samples that one excursion contributes; 0 if ``samples`` is unknown.
+
+        Their number, at least 1, is the variance over the mean of the counts of batches, in cells
+        that some but not all batches visited.
+        """
         if not self.samples > 0.0:
             return 0.0
         few = self.joined(min(self.values.shape) // 100)  # cells of a hundredth of the axis
@@ -190,10 +192,10 @@ class SampledDensity(Quantities):
         """Return the density and one standard error at ``points``, one array per axis.
 
         The error follows from the spread of the batches. Where fewer visits than batches are
-        expected, it is at least the error of Poisson counts; one visit is added, as none may be
-        observed. At a kink the side with the smaller error is used. Outside the bins the density is
-        0, with the error at the nearest point inside. Raises ``InvalidInput`` for another number of
-        arrays than axes.
+        expected, it is at least the error of Poisson counts. One visit is added, as none of a few
+        expected visits may be observed. At a kink the side with the smaller error is used. Outside
+        the bins the density is 0, with the error at the nearest point inside. Raises
+        ``InvalidInput`` for another number of arrays than axes.
         """
         require_one_array_an_axis(self.observable, points)
         batches = len(self.batch_values)
@@ -298,10 +300,12 @@ class SampledDensity(Quantities):
         return np.where(away, 0.0, value), error
 
     def _evaluated(self, points: Array, bins: Integers) -> tuple[Array, Array, Array, Array]:
-        """p at ``points`` by the fits of ``bins``, both (axes, points); the deviations of ln p of
-        the batches (points, batches); the variance of ln p by Poisson's law (points,); and the
-        lengths of cells (axes, points): the bins of a box over the number of its coefficients along
-        each axis."""
+        """p at ``points`` by the fits of ``bins``, both (axes, points), and three measures.
+
+        They are the deviations of ln p of the batches (points, batches), the variance of ln p by
+        Poisson's law (points,), and the lengths of cells (axes, points) around the points: the
+        bins of a box over the number of its coefficients, along each axis.
+        """
         (axes, every), count, many = self.fits, points.shape[1], len(self.batch_values)
         value, deviations, variance = np.zeros(count), np.zeros((count, many)), np.zeros(count)
         cells = np.empty(points.shape)

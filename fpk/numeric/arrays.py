@@ -11,8 +11,8 @@ Flags = NDArray[np.bool_]
 EPS = float(np.finfo(float).eps)
 """Distance from 1 to the next double, 2.2e-16: twice the largest relative error of one rounding."""
 ROUND_OFF = 1e-12
-"""Relative round-off of input written with twelve digits: a sum whose terms cancel, a decay rate or
-an eigenvalue counts as zero below this share of its largest term."""
+"""Relative round-off of input written with twelve digits: a sum of terms that cancel, a decay rate
+or an eigenvalue counts as zero below this share of its largest term."""
 SMALLEST = float(np.finfo(float).tiny)
 """Smallest normal double, 2.2e-308: smaller numbers lose relative accuracy."""
 LARGEST_LOG = 700.0

@@ -1,5 +1,7 @@
 """Options and disk cache of code compiled by numba; Ctrl-C interrupts the wait for the compiler.
-The cache stores checksums of its files and of the sources from which they were compiled."""
+
+The cache stores checksums of its files and of the sources from which they were compiled.
+"""
 
 import threading
 import warnings
@@ -35,9 +37,11 @@ abandoned: set[Future[Any]] = set()
 
 
 class CheckedFiles(IndexDataCacheFile):
-    """Index and data files of one function's disk cache, each with its SHA-256 at the end. numba
-    unpickles and executes the content of these files, so a file whose checksum does not match is
-    not read. Data are stored with their key: two processes may use one file name for two keys."""
+    """Index and data files of one function's disk cache, each with its SHA-256 at the end.
+
+    numba unpickles and executes the content of these files, so a file whose checksum does not match
+    is not read. Data are stored with their key: two processes may use one file name for two keys.
+    """
 
     def load(self, key: Any) -> Any:
         """Return the data stored under ``key``; None if there are none or they are damaged."""
@@ -88,9 +92,12 @@ def _is_whole(path: Path) -> bool:
 
 
 def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return ``compile_for``, a function of a signature, wrapped to run in a thread of its own, as
-    LLVM ignores signals. The returned function raises ``KeyboardInterrupt`` if ``abandon`` is
-    called meanwhile, and as long as an abandoned function is still being compiled."""
+    """Return ``compile_for``, a function of a signature, wrapped to run in a thread of its own.
+
+    LLVM ignores signals for many seconds, while a thread that waits for another receives them. The
+    returned function raises ``KeyboardInterrupt`` if ``abandon`` is called meanwhile, and as long
+    as an abandoned function is still being compiled: numba compiles one function at a time.
+    """
 
     def compiled(signature: Any) -> Any:
         if threading.current_thread().name == COMPILER:  # compiling a function that calls this
@@ -164,5 +171,6 @@ def njit_inline(function: Function) -> Function:
 
 
 def checksum(files: Sequence[Path]) -> int:
-    """Return the CRC-32 of the source ``files``, which changes when any of them is edited."""
+    """Return the CRC-32 of the source ``files``; a compiled function that closes over it and
+    returns it is recompiled when any of them is edited: numba watches its own file only."""
     return crc32(b"".join(file.read_bytes() for file in files))

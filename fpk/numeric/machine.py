@@ -47,9 +47,11 @@ def pause_working_time() -> Iterator[None]:
 @contextmanager
 def lock_file(path: Path, *, needed: bool = True) -> Iterator[None]:
     """Hold an exclusive lock on the file ``path`` in a context; create the file if it is missing.
+
     The operating system releases the lock when the process ends, killed or not. The empty file
     stays, as another process could lock a file that is being removed. Raises ``Unavailable`` if
-    another process or thread holds the lock, or if it is ``needed`` and there is none."""
+    another process or thread holds the lock, or if it is ``needed`` and the file system has none.
+    """
     words = f"{path}: cannot be locked"
     try:
         file = path.open("ab")

@@ -1,5 +1,9 @@
-"""Piecewise Legendre series on an interval and on a rectangle, functions known to round-off that
-can be evaluated and integrated (Driscoll, Hale and Trefethen, Chebfun Guide, 2014)."""
+"""Piecewise polynomials on an interval and on a rectangle.
+
+The idea is chebfun's: a function known to round-off is an object that can be evaluated and
+integrated (T. A. Driscoll, N. Hale and L. N. Trefethen, Chebfun Guide, 2014). The series are of
+Legendre polynomials, as the same Gauss points serve for interpolation and integration.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -28,9 +32,12 @@ def panels_at(nodes: Array, x: Array) -> tuple[Integers, Array, Flags]:
 
 @cache
 def clenshaw_kernel() -> Callable[..., Array]:
-    """Return the compiled function of c, k, t that sums Legendre series by Clenshaw's recurrence:
-    Σ_j c_kj P_j(t), (points, values), for c (panels, degree + 1, values), panels k and local
-    coordinates t (points,). Ten times as fast as NumPy; to import numba takes 0.4 s."""
+    """Return the compiled function of c, k, t that sums Legendre series by Clenshaw's recurrence.
+
+    c (panels, degree + 1, values) are coefficients, k (points,) the panels and t (points,) the
+    local coordinates; the result is Σ_j c_kj P_j(t), (points, values). Ten times as fast as NumPy;
+    numba is imported at the first call, as that takes 0.4 s.
+    """
     from fpk.numeric.compiling import cached_njit  # noqa: PLC0415
 
     @cached_njit()
@@ -51,10 +58,12 @@ def clenshaw_kernel() -> Callable[..., Array]:
 @dataclass(frozen=True, eq=False)
 class Piecewise:
     """``f(x) = exp(log_scale_k) Σ_j coefficients_kj P_j(t)``, t from −1 to 1 over panel k.
+
     ``nodes`` (panels + 1,) ascend; ``coefficients`` (panels, degree + 1, ...) have the shape of a
     value behind the first two axes; ``log_scale`` (panels,) lets a density span more than the range
     of double precision. Outside the nodes f is ``outside``. ``error`` (panels,), set by ``fit``, is
-    the estimated largest error of the series on each panel, without the scale."""
+    the estimated largest error of the series on each panel, without the scale.
+    """
 
     nodes: Array
     coefficients: Array
@@ -97,10 +106,10 @@ def fit(
     """Return the interpolant of ``f`` by polynomials of ``degree`` on panels between ``nodes``.
 
     ``f`` maps points (points,) to values (points, ...) and is called once for all new panels. A
-    panel whose error exceeds ``tol`` is split at ``cut(left, right)``, by default its middle, at
-    most ``rounds`` times; ``Piecewise.error`` states the error reached. It is ``estimate(lengths,
-    coefficients)``, by default ``degree`` times the sum of the last two coefficients, of the
-    largest component of a value.
+    panel whose error exceeds ``tol`` is split at ``cut(left, right)``, by default at its middle,
+    at most ``rounds`` times (2^−60 of a length is below round-off); ``Piecewise.error`` states the
+    error reached. The error is ``estimate(lengths, coefficients)``, by default ``degree`` times the
+    sum of the last two coefficients, of the largest component of a value.
     """
     middle = cut or (lambda left, right: 0.5 * (left + right))
 
@@ -149,9 +158,11 @@ def projection(degree: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PiecewiseTensor:
-    """``f(x, y) = Σ_ij coefficients_klij P_i(s) P_j(t)`` on the rectangle of panels k and l, 0
-    outside. ``nodes`` ascend along each axis; ``coefficients`` (panels, panels, degree + 1, degree
-    + 1)."""
+    """``f(x, y) = Σ_ij coefficients_klij P_i(s) P_j(t)`` on the rectangle of panels k and l.
+
+    ``nodes`` ascend along each axis; ``coefficients`` (panels, panels, degree + 1, degree + 1).
+    Outside the nodes f is 0.
+    """
 
     nodes: tuple[Array, Array]
     coefficients: Array

@@ -1,5 +1,9 @@
-"""Fingerprints of settings, by which stored results are recognised: every field of a record is
-compared, except those named in ``less``, as "MonteCarlo.threads", which cannot change a result."""
+"""Fingerprints of settings, by which stored results are recognised.
+
+A fingerprint contains every field of a record, so that a new field is compared, too. Fields that
+cannot change a result are excluded by name, ``less``, as "MonteCarlo.threads"; each such list gives
+the reasons beside the names.
+"""
 
 import json
 from collections.abc import Container, Mapping, Set
@@ -24,11 +28,13 @@ def fingerprint(value: Any, less: Container[str] = ()) -> str:
 
 
 def canonical(value: Any, less: Container[str] = ()) -> Any:
-    """Return ``value`` as JSON data with every digit and field that a result may depend on. A
-    dataclass contributes its init fields, except the names "Class.field" in ``less``, at any depth.
-    A function contributes its code, defaults, closure, and the numbers, strings and arrays among
-    its globals, but only the names of the functions it calls. Equal values may give different data:
-    1 is not 1.0. Raises ``InvalidInput`` for an object of any other kind."""
+    """Return ``value`` as JSON data with every digit and field that a result may depend on.
+
+    A dataclass contributes its init fields, except the names "Class.field" in ``less``, at any
+    depth. A function contributes its code, defaults, closure, and the numbers, strings and arrays
+    among its globals, but only the names of the functions it calls. Equal values may give different
+    data: 1 is not 1.0. Raises ``InvalidInput`` for an object of any other kind.
+    """
     return json.loads(json.dumps(value, default=partial(_json_value, less)))
 
 

@@ -1,7 +1,8 @@
 """The FPK equation of one or two energies in scikit-fem, with the weak form as it is on paper.
 
-The fast solvers of ``fpk.solvers.line`` and ``fpk.solvers.plane`` assemble the same equation one
-element and one direction at a time; their error estimates and certificates serve here, too.
+``solve_by_scikit_fem`` gives the stationary density on uniformly refined meshes. The fast solvers
+of ``fpk.solvers.line`` and ``fpk.solvers.plane`` assemble the same equation one element and one
+direction at a time; their error estimates and certificates serve here, too.
 """
 
 from collections.abc import Mapping
@@ -32,8 +33,10 @@ SCIKIT_DEGREE = 6
 
 def flux(u: Any, w: Mapping[str, Array]) -> Any:
     """Return J = T (F ``u`` − ½ b ∇u) of ∂p/∂t = −∇ · J, p = T u; weak form ∫ J · ∇v; (9), (19).
-    ``w`` has T as "states", "F" and "b"; T = 1, F = s − ½ ∇ · b, or F is the dissipation in the
-    flux form."""
+
+    ``w`` has the fields "states" T, "F" and "b". In the drift-diffusion form T = 1 and
+    F = s − ½ ∇ · b, in the flux form F is the dissipation.
+    """
     return w["states"] * (w["F"] * u - 0.5 * mul(w["b"], grad(u)))
 
 
@@ -76,9 +79,11 @@ def coefficients(
 def stationary_vector(
     process: Process, basis: Basis, *, flux_form: bool = False
 ) -> tuple[Array, Array, float]:
-    """Return y and ln s of the solution u = y/s of ∫ J(u) · ∇v = 0, and its relative residual. s
-    (unknowns,) is the largest T in the elements of each unknown. Zero flux is natural at all ends.
-    Raises ``NotCertified`` if the solution is not unique."""
+    """Return y and ln s of the solution u = y/s of ∫ J(u) · ∇v = 0, and its relative residual.
+
+    s (unknowns,) is the largest T in the elements of each unknown, so that y is of the size of p.
+    Zero flux is natural at all ends. Raises ``NotCertified`` if the solution is not unique.
+    """
     w, unit = coefficients(process, basis, flux_form=flux_form)
     fields, dx = [u for (u,) in basis.basis], basis.dx
     slope = np.stack([np.broadcast_to(u.grad, (len(w["F"]), *dx.shape)) for u in fields]) * dx
@@ -112,8 +117,11 @@ def null_vectors(process: Process, nodes: Array, degree: int, points: int) -> tu
 def plane_null_function(
     process: Process, nodes: Nodes, degree: int, points: int, weight: Weight | None = None
 ) -> tuple[PiecewiseTensor, float]:
-    """Return the unscaled p of two energies on a tensor mesh, and its relative residual. Elements
-    of ``degree`` between ``nodes`` have ``points`` Gauss points an axis; ``weight`` is not used."""
+    """Return the unscaled p of two energies on a tensor mesh, and its relative residual.
+
+    Elements of ``degree`` between ``nodes`` have ``points`` Gauss points along each axis; the
+    ``weight`` is not used.
+    """
     basis = element_basis(nodes, degree, points)
     y, _, residual = stationary_vector(process, basis)
     values = np.asarray(basis.interpolate(y))
@@ -128,10 +136,13 @@ def solve_by_scikit_fem(
     process: Process, *, tol: float, degree: int = SCIKIT_DEGREE, marked: float = 0.0
 ) -> StationarySolution | PlaneSolution:
     """Return the stationary density to the L1 tolerance ``tol`` by elements of one ``degree``.
-    Meshes are refined until the answer is certified or matrices would be too large: for one energy
-    all elements of the fast solver's first mesh are halved; for two the first mesh is equidistant
-    in √H, and ``marked`` is as in ``solve_by_elements``. Raises ``NotCertified`` if no stationary
-    density exists."""
+
+    Meshes are refined until the answer is certified or matrices would be too large. For one energy
+    the first mesh is the one of the fast solver, and all its elements are halved. For two energies
+    the first mesh is equidistant in √H; for ``marked`` see ``solve_by_elements``.
+
+    Raises ``NotCertified`` if no stationary density exists.
+    """
     if process.dimension == 2:
         require_confined(process)
         first = flux_free_weight(process)

@@ -32,9 +32,11 @@ from fpk.system.modulation import Modulation, require_constant_noise
 CANCELLED = 1e3
 """Relative error of a transform, in units of EPS, above which it is computed in another way."""
 STEEPEST, NEGLIGIBLE = 1e5, 1e-20
-"""Largest s x_f/c of Chernoff's bound, where 1F1 ~ e^(2 √(s x_f/c)), and bound that counts as 0."""
+"""Largest s x_f/c of Chernoff's bound, where 1F1 ~ e^(2 √(s x_f/c)); bound below which P(T <= t) is
+taken as 0."""
 CLOSE_STARTS = (0.02, 40.0)
-"""Smallest x_0/x_f and largest x_f − x_0 of starts for which ``log_kummer_ratio`` is used."""
+"""Smallest x_0/x_f and largest x_f − x_0 of starts with early failures, for which the series of 1F1
+cancels and ``log_kummer_ratio`` is used."""
 
 MOST_TERMS = 20_000
 """Largest number of terms of a series of 1F1 or of a continued fraction."""
@@ -43,7 +45,8 @@ BESSEL = 50.0
 SERIES_RANGE = 60.0
 """Largest x y at which 40 powers give the Bessel function: 60^41/41!² is 1e-26."""
 LEAST_SIZE = 4.0
-"""Smallest |a| of ``log_kummer_ratio``: near the relaxation rates 1F1 has zeros close to real x."""
+"""Smallest |a| of ``log_kummer_ratio``: for smaller negative a, near the relaxation rates, 1F1 has
+zeros close to the real axis of x."""
 RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14
 """Largest ratio and difference of both ends of a panel of x; Gauss points of a panel."""
 
@@ -51,8 +54,10 @@ RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14
 @dataclass(frozen=True)
 class SquareRoot:
     """Square-root process of shape ``n``, damping ``c`` (1/time), noise ``d``: temperature θ = d/c.
+
     ``relative_error`` is the error of c and of d, which all stated errors include. ``modulation``
-    e(t) multiplies d by e²; densities keep their form, with θ_t = ∫d e(s)² e^(−c(t−s)) ds."""
+    e(t) multiplies d by e²; densities keep their form, with θ_t = ∫d e(s)² e^(−c(t−s)) ds.
+    """
 
     n: int
     c: float
@@ -69,9 +74,11 @@ class SquareRoot:
     def transient(
         self, start: float, noise: float | None, times: Array, at: Array, *, tol: float
     ) -> Transient:
-        """Return the densities at ``times`` and energies ``at``, certified to the L1 ``tol``: from
-        the energy ``start`` (``noise`` None) θ_t/2 times a noncentral χ² of 2n degrees, from the
-        stationary state under ``noise`` times d a gamma density."""
+        """Return the densities at ``times`` and energies ``at``, certified to the L1 ``tol``.
+
+        From the energy ``start`` (``noise`` None) H is θ_t/2 times a noncentral χ² of 2n degrees.
+        From the stationary state under ``noise`` times d it has a gamma density.
+        """
         each = times.tolist()
         values, errors = np.array([self.density(start, noise, t, at) for t in each]).swapaxes(0, 1)
         error, mass, least = np.max([self.judged(start, noise, t) for t in each], axis=0).tolist()
@@ -101,9 +108,11 @@ class SquareRoot:
         return float(w @ error), abs(float(w @ p) - 1.0), -float(p.min() / p.max())
 
     def scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
-        """Return θ_t and the remaining initial energy ``start`` e^(−c ``t``). From a stationary
-        state under ``noise`` times d the latter is 0 and θ_t contains the initial temperature.
-        Raises ``InvalidInput`` if no noise has acted before ``t``."""
+        """Return θ_t and the remaining initial energy ``start`` e^(−c ``t``).
+
+        From a stationary state under ``noise`` times d the latter is 0 and θ_t contains the initial
+        temperature. Raises ``InvalidInput`` if no noise has acted before ``t``.
+        """
         left, theta = exp(-self.c * t), self.d / self.c
         grown = -theta * expm1(-self.c * t)
         if self.modulation is not None:
@@ -115,9 +124,11 @@ class SquareRoot:
         return grown, start * left
 
     def passage(self, limit: float, start: float, times: Array, *, tol: float) -> Passage:
-        """Return the first passage of ``limit`` from a ``start`` below it, P(T <= t) at ``times``:
-        moments are derivatives at 0 of E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d.
-        For ``tol`` see ``certify_passage``. Raises as ``rate`` and ``failure`` do."""
+        """Return the first passage of ``limit`` from a ``start`` below it, P(T <= t) at ``times``.
+
+        E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d; moments are its derivatives at 0.
+        For ``tol`` see ``certify_passage``. Raises as ``rate`` and ``failure`` do.
+        """
         require_constant_noise(self.modulation)
         rate, xf = self.rate(limit), limit * self.c / self.d
         starts = np.linspace(0.0, limit, START_POINTS)
@@ -173,10 +184,12 @@ class SquareRoot:
     def failure(
         self, limit: float, start: float, times: Array, *, tol: float
     ) -> tuple[Array, Array]:
-        """Return P(T <= t) at ``times`` by the inverse Laplace transform, and its absolute error,
-        from the energy ``start`` through ``limit``. At short times, at which the transform cancels,
-        0 is returned with Chernoff's bound e^(st) E e^(−sT) as its error. Raises ``NotApplicable``
-        if an error exceeds ``tol``."""
+        """Return P(T <= t) at ``times`` by the inverse Laplace transform, and its absolute error.
+
+        ``limit`` and ``start`` are energies. At short times, at which the transform cancels, 0 is
+        returned with Chernoff's bound e^(st) E e^(−sT) as its error. Raises ``NotApplicable`` if an
+        error exceeds ``tol``.
+        """
         x0, xf = start * self.c / self.d, limit * self.c / self.d
         p, error = np.zeros((2, times.size))
         if not np.any(times > 0.0):
@@ -229,8 +242,11 @@ class SquareRoot:
 
 
 def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
-    """Return ln p and its error, p = e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)), ``n`` >= 1: the
-    density of half a noncentral χ² of 2n degrees and noncentrality 2 ``y`` at ``x``."""
+    """Return ln p and its error, p = e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)), ``n`` >= 1.
+
+    p is the density of half a noncentral χ² of 2n degrees and noncentrality 2 ``y`` at ``x``, of
+    any shape.
+    """
     few, root, other = x * y < SERIES_RANGE, np.sqrt(x), sqrt(y)
     # Σ (x y)^k/(k! (n)_k), of positive terms.
     powers, series = x[few] * y, np.ones(np.count_nonzero(few))
@@ -271,10 +287,12 @@ def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
 
 
 def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Complexes, Array]:
-    """Return ln 1F1(a; ``n``; ``low``)/1F1(a; n; ``high``), 0 < low < high, at ``a`` (points,), and
-    its error: −∫ 1F1'/1F1 dx by Gauss's continued fraction, DLMF (13.5.1), in which nothing cancels
-    for a away from the negative axis. The error is inf for |a| < ``LEAST_SIZE`` and if more than
-    ``MOST_TERMS`` terms are needed."""
+    """Return ln 1F1(a; ``n``; ``low``)/1F1(a; n; ``high``) at ``a`` (points,), and its error.
+
+    0 < low < high. It is −∫ 1F1'/1F1 dx by Gauss's continued fraction, DLMF (13.5.1), in which
+    nothing cancels for a away from the negative axis. The error is inf for |a| < ``LEAST_SIZE``
+    and if more than ``MOST_TERMS`` terms are needed.
+    """
     nodes = [low]
     while nodes[-1] < high:  # zeros of 1F1 have angles above a radian, or imaginary parts of π
         nodes.append(min(high, RATIO_PANELS[0] * nodes[-1], nodes[-1] + RATIO_PANELS[1]))

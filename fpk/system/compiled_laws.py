@@ -17,9 +17,12 @@ from fpk.system.contact_law import LAWS
 
 @dataclass(eq=False, repr=False)
 class CompiledLaws(types.Type):
-    """Numba type for one ``part`` ("force", "energy" or "slope") of the laws ``names``, evaluated
-    by ``of_law``. The value is its own type and plain data, so that a kernel that closes over it is
-    found again in the disk cache. ``stamps`` distinguish different laws of one name."""
+    """Numba type for one ``part`` ("force", "energy" or "slope") of the laws ``names``.
+
+    Compiled code evaluates it by ``of_law``. The value is its own type and plain data, so that a
+    kernel that closes over it is found again in the disk cache. ``stamps``, fingerprints of the
+    laws, distinguish different laws of one name.
+    """
 
     names: tuple[str, ...]
     part: str
@@ -41,8 +44,11 @@ def compile_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
 
 
 def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
-    """Return the source files, below ``root``, on which code compiled with the laws ``names``
-    depends. A law typed into an interactive session has no file, and its code no disk cache."""
+    """Return the source files, below ``root``, on which code compiled with the laws depends.
+
+    ``names`` are the laws. A law typed into an interactive session has no file, and code compiled
+    with it has no disk cache.
+    """
     laws = (Path(getfile(LAWS[name].force)) for name in names)
     own = (root / f.relative_to(ROOT) if f.is_relative_to(ROOT) else f for f in laws)
     compiled = (root / "fpk/numeric/compiling.py", root / "fpk/system/compiled_laws.py")
@@ -50,8 +56,11 @@ def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
 
 
 def of_law(function: Any, law: int, overlap: float, exponent: float) -> float:
-    """Evaluate ``function``, made by ``compile_laws``, at ``overlap`` and ``exponent`` in compiled
-    code; Python gets ``NotImplementedError``. ``law`` is the number of the law among its names."""
+    """Evaluate ``function``, made by ``compile_laws``, at ``overlap`` and ``exponent``.
+
+    ``law`` is the number of the law among its names. Raises ``NotImplementedError`` in Python: only
+    compiled code has an implementation.
+    """
     raise NotImplementedError
 
 

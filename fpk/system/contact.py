@@ -13,8 +13,8 @@ from fpk.numeric.recognition import REGISTRY
 from fpk.system.contact_law import LAWS
 
 MAX_EXPONENT = 100.0
-"""Largest exponent of a contact law: at an overlap of 1e3 units the force is 1e300 times its value
-at 1."""
+"""Largest exponent of a contact law: the force at an overlap of 1e3 (1e-3) units is then 1e300
+(1e-300) times its value at one unit, near the limits of double precision."""
 
 Side = Literal["left", "right", "both"]
 

@@ -14,8 +14,8 @@ from fpk.numeric.errors import require
 Powers = tuple[tuple[int, int], ...]
 
 MOST_POWERS = 8
-"""Highest degree of a term, an energy counting twice: explicit steps lose their stability
-beyond."""
+"""Highest degree of a term, an energy counting twice: averages of higher ones lose digits, and
+explicit steps their stability."""
 
 
 @dataclass(frozen=True)
@@ -102,10 +102,13 @@ class DampingTerm:
 
 
 def gaussian_moment(covariance: Array, powers: tuple[int, ...]) -> Any:
-    """Return E Π x_a^powers[a] of x ~ N(0, ``covariance``), shape (n, n), by Isserlis' theorem. A
-    ``covariance`` (n, n, m) is a sum of m parts: the result (m, m, ..) is then to be summed over
+    """Return E Π x_a^powers[a] of x ~ N(0, ``covariance``), shape (n, n), by Isserlis' theorem.
+
+    Integration by parts, ``E x_a f = Σ_b cov_ab E ∂f/∂x_b``, leads to monomials two degrees lower.
+    A ``covariance`` (n, n, m) is a sum of m parts: the result (m, m, ..) is then to be summed over
     all axes, one for each pair of factors, the first for the pair of the x_a with the smallest a.
-    For odd degrees the result is 0.0."""
+    For odd degrees the result is 0.0.
+    """
 
     @cache
     def moment(at: tuple[int, ...]) -> Any:

@@ -10,12 +10,13 @@ from fpk.system.contact import MAX_EXPONENT
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 NEAR, FAR, BESIDE = 1e-6, 1e4, 1.05
-"""Energies, in units of ``Process.energy_scales``, of the limits H → 0 and H → ∞; FAR and BESIDE ·
-FAR give the order of the drift, so close that shell integrals mostly serve both."""
+"""Energies, in units of ``Process.energy_scales``, at which the limits H → 0 and H → ∞ are
+evaluated. The order of the drift follows from FAR and BESIDE · FAR, so close that shell integrals
+with many contact masses mostly serve both."""
 
 FAR_OUT = np.logspace(4.0, 16.0, 13)
 """Energies, in units of the scale, at which the drift must point inwards. A damping term that
-exceeds another only beyond 1e16 is less than its round-off (2e-16) at the scale."""
+exceeds another of lower degree only beyond 1e16 is less than its round-off (2e-16) at the scale."""
 MAX_ENERGY = 1e154
 """Largest energy whose square does not overflow."""
 OUT_OF_RANGE = "the coefficients leave the range of double precision: choose other units"
@@ -23,7 +24,7 @@ OUT_OF_RANGE = "the coefficients leave the range of double precision: choose oth
 LOG_RATIOS = np.log(10.0) * np.concatenate(
     [np.arange(-48.0, -3.0, 0.5), np.linspace(-3.0, 3.0, 49), np.arange(3.5, 48.5, 0.5)]
 )
-"""ln(H1/H2) at which two energies far out are tested, in units of their scales: an energy damped by
+"""ln(H1/H2) at which two energies far out are tested, in units of their scales. An energy damped by
 another at 1e16 of its scale is kept by noise near 1e-16 of its own, a ratio of 1e32."""
 
 
@@ -37,11 +38,14 @@ class BoundaryClass:
 
 
 def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryClass]:
-    """Return the Feller classes of H_i = 0 and H_i = ∞ of the energy i = ``axis``, from 0. At H = 0
-    with b ~ β H the scale density is ~ H^(−κ) and the speed density ~ H^(κ−1), κ = 2 s(0)/β. At
-    infinity the scale function diverges if the drift points inwards, and the process returns in
-    finite time if ∫dH/|s| converges. Other energies are put at 0, 1 or 10 times their scales,
-    together or one by one, and the least favourable case decides."""
+    """Return the Feller classes of H_i = 0 and H_i = ∞ of the energy i = ``axis``, from 0.
+
+    No class takes a boundary condition. At H = 0 with b ~ β H the scale density is ~ H^(−κ) and the
+    speed density ~ H^(κ−1), κ = 2 s(0)/β. At infinity the scale function diverges if the drift
+    points inwards, and the process returns in finite time if ∫dH/|s| converges. With several
+    energies, the others are put at 0, 1 or 10 times their scales, together or one by one, and the
+    least favourable case decides.
+    """
     # The smallest exponent of the drift above 1, of damping by q² between stops of the highest
     # exponent e, is 1 + 2/(1 + e): exponents within half of the difference count as 1.
     linear, rest = 1.0 / (1.0 + MAX_EXPONENT), process.dimension - 1
@@ -87,9 +91,12 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
 
 
 def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
-    """Raise ``NotCertified`` if p H of one energy rises at the highest of ``energy`` (points,): if
-    the rate d ln(p H)/d ln H = 1 + H ``slope`` of the coefficients ``c`` is not negative by more
-    than its error, slope = d ln p/dH. An earlier rise shows in the mass beyond the mesh."""
+    """Raise ``NotCertified`` if p H of one energy rises at the highest ``energy``.
+
+    ``energy`` (points,) ascend, with coefficients ``c`` and ``slope`` d ln p/dH there. p has a
+    finite integral if the rate d ln(p H)/d ln H = 1 + H slope is negative at the end by more than
+    its error. A rise before the end would show in the mass beyond the mesh.
+    """
     if energy[-1] * slope[-1] < -1.0:
         return
     rate = 1.0 + energy * slope
@@ -103,10 +110,13 @@ def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
 
 
 def require_confined(process: Process) -> None:
-    """Raise ``NotCertified`` if two energies grow to infinity together. Far out dH_i = s_i dt, and
-    H_1/H_2 approaches a value at which s_1/H_1 − s_2/H_2 changes from positive to negative as the
-    ratio grows. Both then grow at the relative rate s/H of the larger: if it is positive at the
-    highest of ``FAR_OUT``, no stationary density exists."""
+    """Raise ``NotCertified`` if two energies grow to infinity together.
+
+    Far out dH_i = s_i dt. The ratio H_1/H_2 quickly approaches an attracting value, at which
+    s_1/H_1 − s_2/H_2 changes from positive to negative as the ratio grows. Both energies then grow
+    at the relative rate s/H of the larger: if that is positive at the highest of ``FAR_OUT``, no
+    stationary density exists.
+    """
     scales = np.array(process.energy_scales)
     shares = np.exp(np.stack([np.minimum(LOG_RATIOS, 0.0), -np.maximum(LOG_RATIOS, 0.0)], axis=1))
     H = FAR_OUT[-1] * scales * shares

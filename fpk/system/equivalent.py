@@ -1,5 +1,7 @@
-"""Mean power of damping terms given the contact displacements, and its balance with the noise:
-energy scales for meshes, ranges and time steps. No answer depends on its error."""
+"""Mean power of damping terms given the contact displacements, and its balance with the noise.
+
+The balance gives energy scales for meshes, ranges and time steps; no answer depends on its error.
+"""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -18,23 +20,27 @@ from fpk.system.linear import displacements_given
 from fpk.system.system import System
 
 SEARCHED = 2.0 ** np.arange(-2.0, 54.0)
-"""Temperatures at which the balance is sought, in units of ``_temperature_of_sizes``."""
+"""Temperatures at which the balance is sought, in units of ``_temperature_of_sizes``: up to 1e16
+of it, as the energies ``fpk.system.ends.FAR_OUT``."""
 MAX_GRID_POINTS = 2**16
-"""Largest number of points of the tensor grid over up to four contact masses: moments to three
-digits."""
+"""Largest number of points of the tensor grid over the contact masses, 16 to 64 along each of up
+to four: moments to three digits."""
 RESAMPLED_POINTS = 2**11
 """Points drawn with five or more contact masses: moments to 2 % for up to thirty masses."""
 QUADRATURE = 1e-9
-"""A mean power below this share of its cancelling terms counts as zero: quadrature leaves 1e-12."""
+"""A mean power below this share of its cancelling terms counts as zero; where terms of one contact
+mass cancel exactly, quadrature leaves 1e-12."""
 GROWS = "the damping does not balance the noise, so the energy grows for ever"
 """Message if damping and noise balance at no temperature."""
 
 
 class Balance(NamedTuple):
-    """Highest temperature and energy at which damping dissipates the power of the noise. The mean
-    dissipated power P in the Gibbs state exp(−H/``temperature``) has the ``slope`` dP/dθ there; the
-    microcanonical mean balances at ``energy``. Each is 0 if there is no balance. With stops the
-    relative error is a few per cent."""
+    """Highest temperature and energy at which damping dissipates the power of the noise.
+
+    The mean dissipated power P in the Gibbs state exp(−H/``temperature``) has the ``slope`` dP/dθ
+    there; the microcanonical mean balances at ``energy``. Each is 0 if there is no balance. With
+    stops the relative error is a few per cent.
+    """
 
     temperature: float
     slope: float
@@ -42,9 +48,13 @@ class Balance(NamedTuple):
 
 
 def equivalent_temperature(system: System) -> float:
-    """Return the θ at which E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i in the Gibbs state exp(−H/θ), the
-    largest of several roots. With constant damping it is Σ D_ii/m_i / Σ c_ii/m_i. Raises
-    ``NotApplicable`` if no noise reaches a mass, or the damping never balances it."""
+    """Return the θ at which E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i in the Gibbs state exp(−H/θ).
+
+    It is the largest of several roots, beyond which the damping dominates. With constant damping it
+    is Σ D_ii/m_i / Σ c_ii/m_i.
+
+    Raises ``NotApplicable`` if no noise reaches a mass, or the damping never balances it.
+    """
     if not np.any(np.diag(system.noise_matrix) > 0.0):
         raise NotApplicable("no noise reaches a mass, so the energy has no stationary density")
     temperature = system.fact(damping_balance).temperature
@@ -55,10 +65,12 @@ def equivalent_temperature(system: System) -> float:
 
 def power_given(system: System, terms: Sequence[DampingTerm]) -> tuple[Integers, Array]:
     """Return E Σ c_ij v_i v_j of ``terms`` given the c contact displacements, as a polynomial.
+
     Momenta and the other displacements are Gaussian at the temperature θ. The power is the sum of
     parts H^energy · C · θ^j · Π q_c^powers. A row of the first array (parts, 2 + c) is (degree,
     order, powers) with order = Σ powers + 2 j and degree = order − 2 + 2 energy; a row of the
-    second (parts, 2) is C and the sum of the sizes of the terms of C."""
+    second (parts, 2) is C and the sum of the sizes of the terms of C.
+    """
     n, masses = system.n, system.contact_masses
     weights, covariance = displacements_given(system, masses)
     sums: dict[tuple[int, ...], Array] = defaultdict(lambda: np.zeros(2))
@@ -187,10 +199,13 @@ def _temperature_of_sizes(system: System, constant: float, noise: float) -> floa
 
 
 def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
-    """Displacements (masses, points) of the contact masses and weights (points,) of a Gibbs mean at
-    the temperature ``theta``. Along the chain each contact mass is Gaussian about the previous,
-    with the variance θ times the flexibility in between, and cut off at its stops. With five or
-    more contact masses ``RESAMPLED_POINTS`` are drawn by their weights after each mass."""
+    """Displacements (masses, points) of the contact masses and weights (points,) of a Gibbs mean.
+
+    ``theta`` is the temperature. Along the chain each contact mass is Gaussian about the previous,
+    with the variance θ times the flexibility in between, and is cut off at its stops. With
+    five or more contact masses ``RESAMPLED_POINTS`` are drawn by their weights after each mass, as
+    otherwise few points carry all of the weight.
+    """
     masses, reach = system.contact_masses, sqrt(2.0 * DEPTH)
     on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= MAX_GRID_POINTS]
     x, w = gauss_legendre([*on_grid, 16][0])

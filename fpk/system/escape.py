@@ -17,7 +17,8 @@ LEVEL = 1e8
 vibration are equal: there rates differ by a factor of 1e4 for each degree between them."""
 DRAWN, FOLLOWED = 4096, 64
 """Random states at the energy of the starts, of which a cone of a thousandth of the shell gets
-some, and the most motions that are integrated: 128 displacements in all, or eight motions."""
+some, and the most motions that are integrated; these have 128 displacements in all, or eight
+motions, as each step takes the eigenvalues of a matrix."""
 STEPS = 3000
 """Largest number of time steps: with a change ``MOVED`` in each, growth by 260 powers of ten or
 95 periods of a vibration."""
@@ -38,10 +39,13 @@ def require_held(system: System) -> None:
 
 
 def escape(system: System) -> str | None:
-    """Return in words which damping term lets the motion escape, and where; None if it returns. The
-    motion without noise, ``M dv = −(c v + K q + g(q)) dt``, is integrated from states far out in
-    which damping terms feed energy in. The sign of the power Σ c_ij v_i v_j alone decides nothing:
-    van der Pol's oscillator crosses |q| < 1 at any speed. Noise reaches all these states."""
+    """Return in words which damping term lets the motion escape, and where; None if it returns.
+
+    The motion without noise, ``M dv = −(c v + K q + g(q)) dt``, is integrated from states far out
+    in which damping terms feed energy in. The sign of the power Σ c_ij v_i v_j alone decides
+    nothing: van der Pol's oscillator crosses |q| < 1 at any speed. Noise reaches all these states,
+    so that no density is stationary if one motion escapes.
+    """
     if not system.damping_terms:
         return None
     # The unit (2n,) of each of (q, v) in which its energy is about x²/2.
@@ -72,10 +76,12 @@ def escape(system: System) -> str | None:
 
 def _escaping_state(system: System, unit: Array, energy: float, span: float) -> Array | None:
     """Return a state (q, v), (2n,), of a motion that escapes from ``energy``; None if all return.
-    Implicit Euler steps with one correction are short where the linearised motion grows. A motion
-    has returned when it has lost half of its energy, and has escaped when it leaves the range of
-    double precision or still rises at the end. ``unit`` (2n,) scales (q, v); ``energy/span`` is the
-    lowest energy at which two rates are equal."""
+
+    Implicit Euler steps with one correction damp vibrations that do not grow; steps are short where
+    the linearised motion grows. A motion has returned when it has lost half of its energy, and has
+    escaped when it leaves the range of double precision or still rises at the end. ``unit`` (2n,)
+    scales (q, v); ``energy/span`` is the lowest energy at which two rates are equal.
+    """
     n, rates, rng = system.n, _motion(system, unit), np.random.default_rng(0)
     # In two thirds of the states about half of the coordinates are small, log-uniformly down to a
     # tenth of their size at ``energy/span``.

@@ -26,10 +26,14 @@ def diffusion_matrix(system: System) -> Array:
 
 
 def natural_modes(system: System) -> tuple[Array, Array]:
-    """Return the shapes T (n, n), one mode a column, and ω (n,) of K T = M T ω², ω ascending. Tᵀ M
-    T = 1, with arbitrary signs; ω is in radians per time. A mode has the energy ``H_m = ½ (P_m² +
-    ω_m² Q_m²)`` with ``Q = Tᵀ M q``, ``q = T Q``, ``P = Tᵀ p``. ω are the singular values of G
-    M^(−1/2), K = Gᵀ G: small ω keep digits that eigenvalues of K would lose."""
+    """Return the shapes T (n, n), one mode a column, and ω (n,) of K T = M T ω², ω ascending.
+
+    Shapes are normalised to Tᵀ M T = 1, with arbitrary signs, and ω is in radians per time. A mode
+    has the energy ``H_m = ½ (P_m² + ω_m² Q_m²)`` with ``Q = Tᵀ M q``, ``q = T Q``, ``P = Tᵀ p``.
+
+    With K = Gᵀ G, row i of G being √k_i (q_i − q_{i−1}), ω are the singular values of G M^(−1/2).
+    Small ω keep digits that eigenvalues of K would lose to the round-off of the largest.
+    """
     roots, springs = np.sqrt(system.mass), np.sqrt(system.stiffness)
     G = np.diag(springs) - np.diag(springs[1:], -1)
     _, omega, transposed = np.linalg.svd(G / roots)
@@ -39,11 +43,11 @@ def natural_modes(system: System) -> tuple[Array, Array]:
 def displacements_given(system: System, masses: Sequence[int]) -> tuple[Array, Array]:
     """Return w (n, c) and Σ (n, n) of q = w q_c + ξ, ξ ~ N(0, θ Σ), q_c the given displacements.
 
-    It is the Gibbs state without contacts, given the displacements of ``masses``, c ascending
-    numbers from 0. Between two of them the chain is a Brownian bridge: the covariance of two masses
-    is a b/s, with the flexibilities a from the lower given mass to the nearer of the two, b from
-    the farther to the upper given mass, and s between both. Beyond the last it is a. Nothing
-    cancels.
+    It is the Gibbs state of temperature θ without contacts, conditioned on the displacements of
+    ``masses``, c ascending numbers from 0. Between two of them the chain is a Brownian bridge: the
+    covariance of two masses is a b/s, with the flexibilities a from the lower given mass to the
+    nearer of the two, b from the farther of the two to the upper given mass, and s between both
+    given masses. Beyond the last given mass it is a. Nothing cancels, for any ratio of springs.
     """
     n, flexibility = system.n, 1.0 / system.stiffness
     weights, covariance = np.zeros((n, len(masses))), np.zeros((n, n))
@@ -78,11 +82,14 @@ def decay_time(system: System) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LinearCovariance:
-    """Covariance of x = (ω Q, P) of the modes without contacts, and its errors. ``shapes`` T and
-    ``omega`` are from ``natural_modes``; ``drift`` is A (2n, 2n) of dx = A x dt + …. ``covariance``
-    is V diag(``variance``) Vᵀ with ``axes`` V, variances ascending; ``variance_error`` (2n,) are
-    their errors and ``relative_error`` is the largest relative error of the quadratic form.
-    ``residual`` of the Lyapunov equation is relative to its terms."""
+    """Covariance of x = (ω Q, P) of the modes without contacts, and its errors.
+
+    ``shapes`` T (n, n) and ``omega`` (n,) are from ``natural_modes``; ``drift`` is A (2n, 2n) of
+    dx = A x dt + …. ``covariance`` (2n, 2n) is V diag(``variance``) Vᵀ with ``axes`` V, variances
+    ascending; ``variance_error`` (2n,) are their errors and ``relative_error`` is the largest
+    relative error of the quadratic form. ``residual`` is the largest of the Lyapunov equation,
+    relative to its terms.
+    """
 
     shapes: Array
     omega: Array
@@ -97,9 +104,13 @@ class LinearCovariance:
 
 def linear_covariance(system: System) -> LinearCovariance:
     """Return the covariance of the modes of the system without contacts, from A Σ + Σ Aᵀ + b = 0.
-    In (ω Q, P) every entry of A is a rate of its own mode. The error is the sum of the last of two
-    corrections, of the effect of a residual of the size of its round-off, and of the effect of a
-    round-off of ω. Raises ``NotApplicable`` for an undamped mode or damping terms."""
+
+    In (ω Q, P) every entry of A is a rate of its own mode, and none is lost beside faster modes.
+    The error estimate is the sum of the last of two corrections, of the effect of a residual of the
+    size of its round-off, and of the effect of a round-off of ω with alternating signs.
+
+    Raises ``NotApplicable`` if a mode is not damped or the damping depends on the state.
+    """
     if system.damping_terms:
         raise NotApplicable("the damping depends on the state, so the system is not linear")
     if decay_time(system) == inf:

@@ -208,11 +208,13 @@ def _refuse_negative(key: str, matrix: Array, words: str) -> None:
 
 @dataclass(frozen=True)
 class Effects:
-    """Effects that act in a system: a hashable key, for which a stepper is compiled. ``laws`` are
-    sorted names; ``contact_masses`` count from 0; ``stops`` is the number of one-sided contacts and
-    ``noise_rank`` the number of independent noises that reach a mass. ``state_damping``: the
-    damping depends on the state; ``energy_damping``: it depends on H; ``mirror``: the system is
-    invariant under q → −q."""
+    """Effects that act in a system: a hashable key, for which a stepper is compiled.
+
+    ``laws`` are sorted names; ``contact_masses`` count from 0; ``stops`` is the number of one-sided
+    contacts and ``noise_rank`` the number of independent noises that reach a mass.
+    ``state_damping``: the damping depends on the state; ``energy_damping``: it depends on H;
+    ``mirror``: the system is invariant under q → −q.
+    """
 
     masses: int
     laws: tuple[str, ...]

@@ -32,10 +32,13 @@ EXTRA_LAGS = 6
 
 
 def sample_correlation(method: Settings, asked: Asked) -> Curve:
-    """Return the autocovariances of q of mass ``asked.row`` at the lags ``asked.at``: means of q(s)
-    q(s + t), s in ``RECORD_TIMES`` relaxation times or the ``time``, at most what memory holds, by
-    a spline of t. The error: blocks, step, spline. Raises ``InvalidInput`` for lags beyond
-    memory."""
+    """Return the autocovariance of q of mass ``asked.row`` at the lags ``asked.at``.
+
+    Products q(s) q(s + t) about the common mean, for samples s in ``RECORD_TIMES`` relaxation times
+    or the ``time``, or fewer if memory does not suffice; a cubic spline between samples of t. The
+    error has three parts: the spread of blocks of trajectories, the difference between the steps dt
+    and dt/2, and the spline. Raises ``InvalidInput`` for lags that are too long for memory.
+    """
     system, at = asked.system, asked.at
     dt, too_long = motion_step(method, system, Reach())
     stepped = needs_steps(system)
@@ -84,9 +87,11 @@ def curve_answer(
     settings: Mapping[str, float],
     positive: Array | None = None,
 ) -> Curve:
-    """Return the mean of ``blocks`` (blocks, points) as a curve in units ``scale`` of the
-    tolerance; the errors ``beside`` its own add in squares. ``positive`` (None: the values) must
-    not be negative."""
+    """Return the mean of ``blocks`` (blocks, points) as a curve.
+
+    Its standard error and the errors ``beside`` are added in squares. ``scale`` is the unit of the
+    tolerance. The answer is certified only if ``positive`` (None: the values) is not negative.
+    """
     values, errors = blocks.mean(axis=0), np.sqrt(sum(e**2 for e in (error_of(blocks), *beside)))
     relative, least = float(np.max(errors)) / scale, values if positive is None else positive
     measured = Measured(relative, None, float(np.min(least)) / scale, None, None)
@@ -102,7 +107,9 @@ def copy_displacements(trace: Array, samples: int, done: int, series: Array, row
 
 def products_at_lags(q: Array, origins: int) -> tuple[Array, ...]:
     """Return means of q(s) q(s + t), of q(s) + q(s + t), (blocks, lags), and of q, (blocks, 1).
-    ``q``: (blocks, samples, LANES); s: the first ``origins`` samples."""
+
+    ``q``: (blocks, samples, LANES); s: the first ``origins`` samples.
+    """
     samples, number = q.shape[1], origins * LANES
     length = scipy.fft.next_fast_len(samples, real=True)
     products = np.empty((len(q), samples - origins + 1))
@@ -117,9 +124,11 @@ def products_at_lags(q: Array, origins: int) -> tuple[Array, ...]:
 def autocovariance(
     rounds: list[tuple[Array, ...]], spacing: float, at: Array, every: int = 1
 ) -> Array:
-    """Return the autocovariances (blocks, lags) at the lags ``at`` about the common mean, of
-    ``rounds`` of ``products_at_lags``: a cubic spline through each ``every``-th sample, with slope
-    0 at t = 0."""
+    """Return the autocovariances (blocks, lags) at the lags ``at`` about the common mean.
+
+    ``rounds``: results of ``products_at_lags``. A cubic spline through each ``every``-th sample,
+    ``spacing`` apart; its slope is 0 at t = 0, as E q v = 0.
+    """
     products, sums, means = (np.concatenate(x) for x in zip(*rounds, strict=True))
     # Unbiased: the variance of the mean, which is correlated with q, is added.
     mean = float(means.mean())
@@ -130,8 +139,10 @@ def autocovariance(
 
 
 def spline_error(rounds: list[tuple[Array, ...]], spacing: float) -> float:
-    """Return the error of the spline through samples ``spacing`` apart, of the ``rounds``. With
-    every other sample the error is 16 times as large: 2/15 of the change is twice the error."""
+    """Return the error of the spline through samples ``spacing`` apart, of the ``rounds``.
+
+    With every other sample the error is 16 times as large: 2/15 of the change is twice the error.
+    """
     samples = spacing * np.arange(rounds[0][0].shape[1] - 2)  # without the end, where no lag is
     fine, coarse = (autocovariance(rounds, spacing, samples, k).mean(axis=0) for k in (1, 2))
     return float(np.max(np.abs(fine - coarse))) * 2.0 / 15.0
@@ -143,12 +154,15 @@ contact. Aliasing adds (1/5)⁴ of the spectrum where it falls as ω^−4."""
 
 
 def sample_spectrum(method: Settings, asked: Asked) -> Curve:
-    """Return the power spectral density of q of mass ``asked.row`` at ``asked.at``, in rad per
-    time, by Welch's method: |Σ w q e^(−iωt)|² of one Hann window w on each trajectory, 2
-    ``RECORD_TIMES`` relaxation times or the ``time`` long, about the common mean. Leakage falls
-    with the square of the length: a third of the difference to half windows is added. The error:
-    blocks, this third, a bound of the aliasing. Raises ``InvalidInput`` for so many or so high
-    frequencies that they take minutes."""
+    """Return the power spectral density of q of mass ``asked.row`` at the frequencies ``asked.at``.
+
+    Frequencies are in rad per unit time. Welch's method: |Σ w q e^(−iωt)|² of one Hann window w on
+    each trajectory, 2 ``RECORD_TIMES`` relaxation times or the ``time`` long, about the common
+    mean. Leakage is a constant over the square of the length: a third of the difference to windows
+    of half the length is added. The error has three parts: the spread of blocks, this third, and a
+    bound of the aliasing. The step is half the step of a density. Raises ``InvalidInput`` for so
+    many or so high frequencies that they would take minutes.
+    """
     system, row, at, most = asked.system, asked.row, asked.at, MOST_SUMS // (MAX_BATCHES * LANES)
     if at.size > most:  # with 8192 windows of 3000 samples they take minutes
         words = f"frequencies, each of which is summed on its own; ask for {most}"
@@ -199,9 +213,12 @@ def sample_spectrum(method: Settings, asked: Asked) -> Curve:
 def add_fourier_sums(
     trace: Array, samples: int, done: int, sums: Array, row: int, omega: Array, length: int
 ) -> None:
-    """Add w q cos and w q sin of q of mass ``row`` to ``sums`` (blocks, 6 · frequencies, LANES); a
-    ``Reader``. ``omega`` (frequencies,) in radians per sample; of each, cos and sin by a Hann
-    window w over ``length`` samples, over its first half, and over its second half."""
+    """Add w q cos and w q sin to ``sums`` (blocks, 6 · frequencies, LANES); a ``Reader``.
+
+    q of mass ``row`` from ``trace``, samples from ``done`` on; ``omega`` (frequencies,) in radians
+    per sample. The rows of a frequency are cos and sin of the Hann window over ``length`` samples,
+    of the window over its first half, and of the window over its second half.
+    """
     t = np.arange(done, min(done + samples, length))
     whole, part = (0.5 - 0.5 * np.cos(2.0 * pi * k * t / length) for k in (1, 2))
     windows = np.stack([whole, part * (2 * t < length), part * (2 * t >= length)])
@@ -211,10 +228,13 @@ def add_fourier_sums(
 
 
 def sample_crossings(method: Settings, asked: Asked) -> Curve:
-    """Return the upcrossings per unit time of the levels ``asked.at`` by q of mass ``asked.row``,
-    extrapolated from dt and dt/2 by the same random numbers, as the share that noise makes within a
-    step is proportional to it. It may be negative within its error: difference and spread of
-    blocks."""
+    """Return the upcrossings per unit time of the levels ``asked.at`` by q of mass ``asked.row``.
+
+    Crossings by the noise within a step are not counted; their share is proportional to the step.
+    The rate is extrapolated from dt and dt/2, by the same random numbers, and may be negative
+    within its error, which contains the whole difference and the spread of blocks. Trajectories are
+    ``time`` or ``RECORD_TIMES`` relaxation times long, and longer until ``tol`` is met.
+    """
     system, row, order = asked.system, asked.row, np.argsort(asked.at)
     dt, too_long = motion_step(method, system, Reach(), error=tolerance(asked.tol, method.tol))
     whole = ceil((method.time or RECORD_TIMES * relaxation_time(system)) / dt)

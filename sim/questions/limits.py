@@ -51,8 +51,10 @@ def modal_rates(system: System, limit: Limit, matrix: Array) -> Array:
 
 
 def largest_energy(system: System, start: Start) -> float:
-    """Return the largest energy of the ``start``; for stationary states ``REACHED`` kT. Raises
-    ``NotApplicable`` for a stationary state without damping."""
+    """Return the largest energy of the ``start``; for stationary states ``REACHED`` kT.
+
+    Raises ``NotApplicable`` for a stationary state without damping.
+    """
     if start.kind == "state":
         return float(system.hamiltonian(*start.state(system.n)))
     if start.kind == "noise" and not start.rest:
@@ -63,10 +65,12 @@ def largest_energy(system: System, start: Start) -> float:
 
 
 def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
-    """Return the estimated time in which noise and the speed of the ``start`` reach the ``limit``:
-    for H (√L − √E)²/N, E the energy of the start, N = Σ N_ii/m_i the power of the noise; for modal
-    energies the same from rest, N the power into the mode. For |q_i| it is computed without stops,
-    up to a factor 2 too small, and inf if longer than the shortest natural period."""
+    """Return the estimated time in which noise and the speed of the ``start`` reach the ``limit``.
+
+    For H it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power of the noise;
+    for modal energies the same from rest, N the power into the mode. For |q_i| it is computed
+    without stops, up to a factor 2 too small, and inf if longer than the shortest natural period.
+    """
     away, energy = np.sqrt(energies_at(system, limit)), largest_energy(system, start)
     if limit.kind != "q":
         power: Array = np.sum(np.diag(system.noise_matrix) / system.mass, keepdims=True)
@@ -149,10 +153,13 @@ def motion_step(
     error: float | None = None,
     too_long: float = TOO_LONG,
 ) -> tuple[float, list[str]]:
-    """Return the longer step of the two simulations of a motion, and words against a ``dt`` beyond
-    ``too_long`` times the step chosen for ``reach`` and ``error``, the wanted relative error of p.
-    Raises ``InvalidInput`` for an unstable step, a checkpoint, and any scheme but exact_flow, which
-    alone can repeat a motion at half the step; ``NotApplicable`` without noise."""
+    """Return the longer step of the two simulations of a motion, and words against it, if any.
+
+    ``reach``: energies and times of the motion; ``error``: wanted relative error of p. A ``dt`` of
+    the user beyond ``too_long`` times the step chosen here is not certified. Raises
+    ``InvalidInput`` for an unstable step, a checkpoint, and any scheme but exact_flow, which alone
+    can repeat a motion at half the step; ``NotApplicable`` without noise.
+    """
     if method.scheme != "exact_flow":
         raise InvalidInput("scheme", method.scheme, "motions in time take exact_flow")
     if method.checkpoint is not None:
@@ -173,14 +180,18 @@ def motion_step(
 
 def first_step(dt: float, times: Array, start: float = inf, factor: float = 1.0) -> float:
     """Return the first step: at most ``dt``, short beside the first of ``times`` and ``start``.
-    ``start`` is ``Reach.start``; both limits are multiplied by ``factor``."""
+
+    ``start`` is ``Reach.start``; both limits are multiplied by ``factor``.
+    """
     asked = float(np.min(times[times > 0.0], initial=inf)) / STEPS_SINCE_START
     return min(dt, factor * min(asked, step_size.STEP_PER_RATE * start))
 
 
 def stages(first: float, dt: float, end: float, *, most: int) -> Iterator[tuple[float, int]]:
-    """Yield steps, doubled from ``first`` to ``dt``, and how often each is made, ``most`` at once,
-    from time 0 to ``end``; a step is at most the time so far / ``STEPS_SINCE_START``."""
+    """Yield a step and how often it is made, at ``most`` so many at once, from time 0 to ``end``.
+
+    Steps double from ``first`` to ``dt``; each is at most the time so far / ``STEPS_SINCE_START``.
+    """
     now, step = 0.0, first
     while now < end * (1.0 - 1e-12):
         until = min(2.0 * STEPS_SINCE_START * step, end) if step < dt else end

@@ -44,9 +44,11 @@ the failure times that it writes: 0 of the finer simulation, 1 of the coarser.""
 
 
 def sample_passage(method: Settings, asked: Asked) -> Passage:
-    """Return the first passage of ``asked.limit`` by simulation at dt/2 and at dt, until all
-    ``paths`` have failed or the ``horizon``; in more rounds until ``asked.tol`` of the mean, or
-    ``seconds``."""
+    """Return the first passage of ``asked.limit`` by simulation at dt/2 and at dt.
+
+    ``paths`` trajectories are simulated until all have failed, or until the ``horizon``; more
+    rounds follow until ``asked.tol``, the relative error of the mean, or ``seconds``.
+    """
     system, limit, start, times = asked.system, asked.limit, asked.start, require_times(asked.times)
     tol, modulation, loud = tolerance(asked.tol, method.tol), system.modulation, loudest(system)
     reach = limits.motion_reach(loud, limit, start, method.time or inf)
@@ -91,8 +93,11 @@ def noise_times(modulation: Modulation | None) -> tuple[float, float]:
 
 
 def horizon(method: Settings, dt: float, last: float, end: float = inf) -> float:
-    """Return the longest time of a path: ``time``, or ``most_steps`` of dt and dt/2, at most to the
-    ``end`` of the noise, at least to ``last``, the last time asked for."""
+    """Return the longest time of a trajectory: ``time`` of the method, or by its ``most_steps``.
+
+    The latter are steps ``dt`` and dt/2, at most to the ``end`` of the noise, and at least to
+    ``last``, the last time asked for.
+    """
     return method.time or max(min(method.most_steps / 3.0 * dt, end), last)
 
 
@@ -107,10 +112,12 @@ def passage_in_rounds(
     failures: Sequence[str] = (),
 ) -> Passage:
     """Return the first passage of trajectories in ``rounds``, the least and the largest number.
+
     ``begun(number)`` returns the runs of a round, flags of trajectories beyond the limit at time 0,
-    and exponential numbers (paths, limits) for the readers. ``steps``: first and longest coarser
-    step, number of steps at once, last time, and last time without a failure. ``memory``: of
-    ``passage_of``."""
+    and exponential random numbers (paths, limits) for the readers. ``steps``: first and longest
+    step of the coarser simulation, number of steps at once, last time, and last time without any
+    failure. ``memory``: see ``passage_of``.
+    """
     (first, dt, chunk, longest, hopeless), rows = steps, list[Array]()
 
     def error_after(number: int) -> float:
@@ -152,10 +159,12 @@ def passage_in_rounds(
 
 
 def estimates(time: Array, until: Array, times: Array, begin: float) -> Array:
-    """Return E T, var T, the failure rate after ``begin``, and P(T > t) at ``times``, of failures
-    at ``time`` (paths,), or censored at ``until`` (paths,), by Kaplan and Meier (J. Amer. Stat.
-    Assoc. 53, 1958, 457); beyond the last time P decays with the rate. Moments are inf if ``begin``
-    is inf."""
+    """Return E T, var T, the failure rate after ``begin``, and P(T > t) at ``times``.
+
+    Paths fail at ``time`` (paths,), or are censored at ``until`` (paths,). P(T > t) by Kaplan and
+    Meier (J. Amer. Stat. Assoc. 53, 1958, 457); beyond the last time it decays with the failure
+    rate, failures over time at risk. Moments are ∫ P dt and ∫ 2 t P dt, inf if ``begin`` is inf.
+    """
     seen = np.minimum(time, until)
     order = np.argsort(seen, kind="stable")
     seen, failed = seen[order], (time <= until)[order]
@@ -176,9 +185,12 @@ def estimates(time: Array, until: Array, times: Array, begin: float) -> Array:
 
 
 def tail_begin(time: Array, until: Array, memory: float) -> float:
-    """Return the earliest time from which the failure rate agrees with the rates from all later
-    times within ``CHANCE`` errors (Lepski's rule), plus ``memory``, with ``LEAST_TAIL_FAILURES`` to
-    come. ``time``, ``until``: see ``estimates``."""
+    """Return the time from which on the failure rate is constant within its sampling error.
+
+    Failures at ``time``, censored at ``until``. It is the earliest time from which the rate agrees
+    with the rates from all later times within ``CHANCE`` errors (Lepski's rule), plus ``memory``;
+    ``LEAST_TAIL_FAILURES`` must come after it.
+    """
     seen = np.minimum(time, until)
     events = np.sort(seen[time <= until])
     if events.size < 2 * LEAST_TAIL_FAILURES + 1:
@@ -201,8 +213,11 @@ def tail_begin(time: Array, until: Array, memory: float) -> float:
 def with_errors(
     sampled: Array, times: Array, begin: float
 ) -> tuple[Array, Array, Array, list[str]]:
-    """Return ``estimates`` at half the step, their errors (jackknife over groups and difference of
-    both steps, in squares), these differences, and failures. ``sampled``: see ``passage_of``."""
+    """Return ``estimates`` at half the step, their errors, their differences to the step, failures.
+
+    See ``passage_of`` for ``sampled``, ``estimates`` for ``times`` and ``begin``. Errors: the
+    jackknife over groups, and the difference between the two steps, added in squares.
+    """
     fine, coarse, until = sampled
     best = estimates(fine, until, times, begin)
     # The jackknife: √((G − 1)/G Σ (left out − mean)²), G = MAX_BATCHES.
@@ -241,10 +256,11 @@ def passage_of(
     """Return first passage from ``sampled`` times (3, paths), certified for ``tol``.
 
     Rows: failure times at half the step and at the step, inf if censored at the time in row three.
-    ``step``: the coarser first step; errors are inf if half of the failures come within a few of
-    them. After ``memory``, or when half have failed, trajectories no longer depend on their start:
-    if the simulation is shorter, moments, rate and later P(T > t) are not known. ``failures``:
-    against it. Raises ``InvalidInput`` if all trajectories start beyond the limit.
+    ``step``: the first step of the coarser simulation; errors are inf if half of the failures come
+    within a few of them. After the time ``memory``, or when half have failed, a trajectory no
+    longer depends on its start: if the simulation is shorter and some trajectories live, moments,
+    rate and later P(T > t) are not known. ``failures``: words against certification. Raises
+    ``InvalidInput`` if all trajectories start beyond the limit.
     """
     times, (settled, _) = asked.times, noise_times(asked.system.modulation)
     (fine, _, until), failed = sampled, sampled[0] <= sampled[2]

@@ -57,7 +57,9 @@ def turning_points(c: Cubic) -> tuple[float, float]:
 @njit_inline
 def distance_to(limit: float, H: float, variance: float, growth: float, at_rest: float) -> float:
     """Return ∫dH/σ from ``H`` to the ``limit``, for σ² that is linear in H; <= 0 beyond the limit.
-    σ² is ``variance`` at H, and its slope is β = ``growth``/σ², or ``at_rest`` if σ = 0."""
+
+    σ² is ``variance`` at H, and its slope is β = ``growth``/σ², or ``at_rest`` if σ = 0.
+    """
     beta = growth / variance if growth > 0.0 else at_rest
     e = variance / beta
     return float(2.0 * (np.sqrt(max(e + limit - H, 0.0)) - np.sqrt(e)) / np.sqrt(beta))
@@ -206,8 +208,11 @@ def pass_energies(
 
 
 def diffusion_of(system: System, limit: Limit) -> Diffusion:
-    """Return the diffusion by the noise N = f D fᵀ of the energies of ``limit``. For H, F = 2 M⁻¹ N
-    M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; for a mode with its own momentum. β = 0: no noise reaches it."""
+    """Return the diffusion of the energies that ``limit`` is on by the noise N = f D fᵀ.
+
+    For H, F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; for a mode of shape T_m the same with its own
+    momentum. β = 0 means that no noise reaches the energy: the distance to its limit is then huge.
+    """
     N = system.noise_matrix
     if limit.kind == "H":
         mobility = np.diag(1.0 / system.mass)
@@ -236,15 +241,19 @@ def pass_under(
     trace: Array, samples: int, done: int, *arrays: Array, modulation: Modulation | None,
     dt: float, begin: float, **known: Any,
 ) -> None:  # fmt: skip
-    """Call ``pass_energies`` with the ∫e² dt of the steps in ``trace``; a ``Reader``. ``samples``
-    steps ``dt`` after ``done`` steps from the time ``begin``."""
+    """Call ``pass_energies`` with the ∫e² dt of the steps in ``trace``; a ``Reader``.
+
+    ``samples`` steps ``dt`` after ``done`` steps from the time ``begin``.
+    """
     spread = spread_of(modulation, dt, done, samples, begin)
     pass_energies(trace, samples, done, *arrays, dt=dt, begin=begin, spread=spread, **known)
 
 
 def reader_of(system: System, limit: Limit, dt: float, begin: float = 0.0) -> Reader:
     """Return the reader of first passage of ``limit``, for samples ``dt`` apart from ``begin`` on.
-    Its arrays are ``time`` and ``chance``, see ``pass_energies``."""
+
+    Its arrays are ``time`` and ``chance``, see ``pass_energies``.
+    """
     n, known = system.n, dict[str, Any](dt=dt, begin=begin)
     if limit.kind == "q":
         row = limit.observable(n)[0].row

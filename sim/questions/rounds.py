@@ -37,8 +37,11 @@ between two looks at the wall time, all trajectories together."""
 
 @dataclass(eq=False)
 class Watch:
-    """Ends a simulation when its error is ``tol``, after ``seconds`` of wall time from ``begin``, a
-    value of ``working_time``, or when ``stopped()``: Ctrl-C, and the answer may be partial."""
+    """Ends a simulation when its error is ``tol``, after ``seconds`` of wall time, or by Ctrl-C.
+
+    ``stopped()``: whether Ctrl-C was pressed and the answer may be partial. ``begin``: a value of
+    ``working_time``.
+    """
 
     seconds: float
     stopped: Callable[[], bool]
@@ -52,9 +55,11 @@ class Watch:
     def until(
         self, answer: Callable[[int], float | None], *, least: int = 1, most: float = inf
     ) -> list[str]:
-        """Call ``answer`` with 0, 1, … until its result, an error, is at most ``tol``, ``least`` to
-        ``most`` times, but not after ``ends()`` or None (cut short). Return words if Ctrl-C was
-        pressed."""
+        """Call ``answer`` with 0, 1, … until its result, an error, is at most ``tol``.
+
+        It is called ``least`` to ``most`` times, but not after ``ends()`` or a result None (cut
+        short). Return words if Ctrl-C was pressed.
+        """
         number, more = 0, True
         while more and (error := answer(number)) is not None:
             number += 1
@@ -63,9 +68,11 @@ class Watch:
         return ["partial: interrupted by Ctrl-C"] if self.stopped() else []
 
     def required(self, phase: str) -> Callable[[float], bool]:
-        """Return a check of a ``phase`` that begins now and is required: of the share that is done
-        it returns False; when the time is over it raises ``InvalidInput``, after Ctrl-C
-        ``KeyboardInterrupt``."""
+        """Return a check of a ``phase``, which begins now and without which there is no answer.
+
+        It is called with the share of the phase that is done and returns False. When the time is
+        over it raises ``InvalidInput``, after Ctrl-C ``KeyboardInterrupt``.
+        """
         begin = working_time()
 
         def check(share: float) -> bool:
@@ -96,9 +103,12 @@ def initial_states(
     workers: Any = None,
     watch: Any = None,
 ) -> tuple[Array, Array]:
-    """Return q and p (``paths``, n) at time 0 of round ``number`` of a ``seed``. Stationary states,
-    under the noise that the ``start`` names, are burnt in for ``burn_in`` relaxation times, if the
-    ``watch`` allows (``Watch.required``). Raises ``NotApplicable`` if there are none."""
+    """Return q and p (``paths``, n) at time 0 of round ``number`` of a ``seed``.
+
+    Stationary states, under the noise that the ``start`` names, are burnt in for ``burn_in``
+    relaxation times, if the ``watch`` allows (``Watch.required``). Raises ``NotApplicable`` if
+    there is no stationary state.
+    """
     n, stream = system.n, stream_of(seed, number)
     if start.kind == "energy" and not start.rest:
         return on_shell(system, start.values["H"], paths, stream)
@@ -146,10 +156,13 @@ def motions(
     many: tuple[int, ...] = (2, 1),
     begin: Callable[[], Callable[[float], bool]] = lambda: lambda share: False,
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield at each of ``times`` the states ``seen(ensemble)`` of motions from ``start``: one for
-    each number in ``many``, of so many steps for each step ``dt`` (inf: from time to time), of
-    ``begun(dt=, halved=)``, an ensemble at time 0. The function that ``begin()`` returns is called
-    with the share of the time that is done, and ends the motions if it returns True."""
+    """Yield at each of ``times`` the states ``seen(ensemble)`` of motions from ``start``.
+
+    There is a motion for each number in ``many``, of so many steps for each step ``dt``; if ``dt``
+    is inf, one step leads from time to time. ``begun(dt=, halved=)`` returns an ensemble at time 0.
+    ``begin()`` is called first; the function that it returns is called with the share of the time
+    that is done, and ends the motions if it returns True.
+    """
     now, running, ended = 0.0, list[Any](), begin()
     for time in times.tolist():
         if time > now:
@@ -170,9 +183,12 @@ def motions(
 
 
 def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tuple[Array, Array]:
-    """Return q and p (``paths``, n) drawn from δ(H − ``energy``) by ``stream``: directions in which
-    H = r²/2 without contact, accepted with r^(2n−1)/(∂H/∂r) over its bound R^(2n−2), R = √(2
-    energy). Raises ``NotApplicable`` below ``ACCEPTED``."""
+    """Return q and p (``paths``, n) drawn from the density δ(H − ``energy``) by ``stream``.
+
+    Proposals are directions of the phase space, scaled so that H = r²/2 without contact. They are
+    accepted with the weight r^(2n−1)/(∂H/∂r) at the r where H is the energy, relative to its bound
+    R^(2n−2), R = √(2 energy). Raises ``NotApplicable`` if fewer than ``ACCEPTED`` are accepted.
+    """
     n, many = system.n, max(paths, 4096)
     back = np.linalg.inv(np.linalg.cholesky(system.stiffness_matrix)).T
     root, most = np.sqrt(system.mass), np.sqrt(2.0 * energy)
@@ -209,8 +225,10 @@ def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tu
 def working(
     method: Settings, system: System, tol: float | None, start: Start | None = None
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield workers, a ``Watch`` with ``tol``, and ``initial_states`` of ``start``. None:
-    stationary states."""
+    """Yield workers, a ``Watch`` with ``tol``, and ``initial_states`` of ``start``.
+
+    None: stationary states.
+    """
     start = start or Start("noise", {"noise": 1.0})
     seconds = method.seconds or (method.longest if tol is not None else inf)
     with (
@@ -244,12 +262,12 @@ def in_rounds(
 ) -> tuple[Array, float, int, list[str]]:
     """Simulate in rounds until ``tol``; return estimates (blocks, points), scale, paths, failures.
 
-    A round is a window of ``samples`` samples of new trajectories, which counts if it is whole;
-    with ``least`` a chunk, one of ``least``, of one window of the same trajectories with every step
-    read, which always counts. ``estimate`` gets the readers' arrays (blocks, *numbers) of each
-    simulation, the rms q and v of mass ``asked.row``, and the samples of the round; it returns the
-    estimates of all rounds, and their scale (1 if it is not > 0). Raises ``InvalidInput`` if the
-    first round has no time.
+    A round is a window of ``samples`` samples of new trajectories; if the time ends in it, it does
+    not count, and in the first round ``InvalidInput`` is raised. With ``least`` a round is a chunk,
+    one of ``least``, of one window of the same trajectories with every step read, and always
+    counts. ``estimate`` gets the readers' arrays (blocks, *numbers) of each simulation, the rms q
+    and v of mass ``asked.row``, and the samples of the round; it returns the estimates of all
+    rounds, and their scale (1 is taken if it is not > 0).
     """
     system, row, onward = asked.system, asked.row, least > 0
     paths = -(-method.paths // LANES) * LANES

@@ -27,8 +27,10 @@ from sim.step.step_size import loudest
 
 def sample_transient(method: Settings, asked: Asked) -> Transient:
     """Return the densities of ``asked.observable`` by steps dt and dt/2, same random numbers.
+
     ``asked.tol`` is the expected L1 error at every time; without it and ``seconds`` eight rounds of
-    ``paths`` trajectories are made."""
+    ``paths`` trajectories are made.
+    """
     system, observable, start = asked.system, asked.observable, asked.start
     times, modulation = require_times(asked.times), system.modulation
     tol, loud = tolerance(asked.tol, method.tol), loudest(system)
@@ -135,8 +137,10 @@ def transient_in_rounds(
 def bins_over(
     observable: Observable, columns: Sequence[Array], axis: Callable[..., BinAxis], time: float
 ) -> histogram.Histogram:
-    """Return bins over the ``columns`` (paths,) of ``observable`` at ``time``. Raises
-    ``InvalidInput`` if a coordinate has the same value on all paths."""
+    """Return bins over the ``columns`` (paths,) of ``observable`` at ``time``.
+
+    Raises ``InvalidInput`` if a coordinate has the same value on all paths.
+    """
     reached = np.array([(x.min(), x.max()) for x in columns])
     for c, (low, high) in zip(observable, reached.tolist(), strict=True):
         if not high - low > 1e-9 * max(abs(low), abs(high)):

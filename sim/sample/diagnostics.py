@@ -1,8 +1,9 @@
 """Report of a simulation: moment identities, autocorrelation times, effective samples, drift.
 
-τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity with the variance σ². Its mean
-over a time T of a trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, so that ``τ = T var(path
-means)/(2 σ²)``; N trajectories have ``N σ²/var(path means)`` effective samples.
+τ is the integrated autocorrelation time ∫₀^∞ ρ(t) dt of a quantity with the variance σ². The mean
+of the quantity over a time T of a trajectory has the variance ``2 σ² τ/T · (1 − O(τ/T))``, so that
+τ follows from independent trajectories without an autocovariance: ``τ = T var(path means)/(2 σ²)``.
+N trajectories have ``N T/(2τ)`` effective samples; ``N σ²/var(path means)`` holds below τ, too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,7 +38,9 @@ verification makes thousands of comparisons, and one false alarm ends it with an
 
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
     """Return the products summed of ``n`` masses: of q, p, f = K q + g(q), d_i = Σ_j c̃_ij v_j.
-    ``terms``: whether there are damping terms c̃."""
+
+    ``terms``: whether there are damping terms c̃.
+    """
     masses = range(n)
     products: list[Product] = [("p", i, "p", j) for i in masses for j in range(i, n)]
     products += [("q", i, "p", j) for i in masses for j in masses]
@@ -47,18 +50,23 @@ def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
 
 
 def batch_moments(system: System, batch_means: Array) -> dict[Product, Array]:
-    """Return the mean (batches,) of each product, in either order of its factors. ``batch_means``
-    (batches, products) are in the order of ``moment_products``."""
+    """Return the mean (batches,) of each product, in either order of its factors.
+
+    ``batch_means`` (batches, products) are in the order of ``moment_products``.
+    """
     products = moment_products(system.n, terms=bool(system.damping_terms))
     moments = dict(zip(products, batch_means.T, strict=True))
     return moments | {(b, j, a, i): mean for (a, i, b, j), mean in moments.items()}
 
 
 def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...]:
-    """Return the moment identities, exact in the stationary state of Eq. (6) as the generator
-    applied to H, q_i p_i and p_i² has mean zero: ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E
-    v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``; ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ,
-    damping terms in c inside the means. Errors: spread of ``batch_means`` (batches, products)."""
+    """Return the moment identities, which are exact in the stationary state of Eq. (6).
+
+    The generator applied to H, q_i p_i and p_i² has mean zero:
+    ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
+    ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ. Damping terms are part of c, inside the
+    means. Standard errors come from the spread of ``batch_means`` (batches, products).
+    """
     m, c, masses = system.mass, system.damping, range(system.n)
     mean = batch_moments(system, batch_means)
 
@@ -81,8 +89,10 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
 
 
 def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
-    """Return ∫|p_a − p_b| of two independent samples on the same bins. Its error is the mean value
-    for two samples of one density. Joined bins have less noise."""
+    """Return ∫|p_a − p_b| of two independent samples on the same bins.
+
+    Its error is the mean value for two samples of one density. Joined bins have less noise.
+    """
     bins = 128 if len(a.edges) == 1 else 64
     a, b = (density.joined(min(density.values.shape) // bins) for density in (a, b))
     spread = float(np.sum(np.hypot(a.standard_error, b.standard_error)))
@@ -92,10 +102,13 @@ def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Tests of a sample; ``failures``: in words why it is not certified, else empty. τ is the
-    longest ``autocorrelation_time``, of the ``slowest`` quantity, which has ``effective_samples``
-    with a ``relative_error``; a trajectory is ``times_per_path`` τ long. ``r_hat``: largest split
-    R-hat; ``drift``: largest |z| of ``drifts``, by chance up to ``drift_limit``."""
+    """Tests of a sample; ``failures``: in words why it is not certified, else empty.
+
+    ``autocorrelation_time`` τ is the longest of all quantities, and ``slowest`` the name of this
+    quantity, which has ``effective_samples`` with a ``relative_error``. A trajectory is
+    ``times_per_path`` τ long. ``r_hat`` is the largest split R-hat, ``drift`` the largest |z| of
+    ``drifts``, and ``drift_limit`` its largest value by chance.
+    """
 
     autocorrelation_time: float
     effective_samples: float
@@ -110,7 +123,9 @@ class Diagnosis:
 
 def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> tuple[Array, Array]:
     """Return the effective samples of quantities from path ``means`` (quantities, paths).
-    ``variance`` (quantities,) is σ², known to ``relative_error``; relative errors come second."""
+
+    ``variance`` (quantities,) is σ², known to ``relative_error``; relative errors come second.
+    """
     of_means = means.var(axis=1, ddof=1)
     samples = np.full_like(of_means, inf)
     np.divide(means.shape[1] * variance, of_means, out=samples, where=of_means > 0)
@@ -139,8 +154,11 @@ def variance_error(samples: Array) -> Array:
 
 
 def split_r_hat(draws: Array) -> float:
-    """Return the split R-hat of ``draws`` (chains, draws), NaN below four draws: of halves of n
-    draws ``√((n − 1)/n + B/(n W))``, W within, B between (Gelman et al., BDA3, section 11.4)."""
+    """Return the split R-hat of ``draws`` (chains, draws); NaN for fewer than four draws.
+
+    Each chain is divided into halves of n draws: ``R = √((n − 1)/n + B/(n W))``, W the mean of the
+    variances, B n times the variance of the means (Gelman et al., BDA3, section 11.4).
+    """
     half = draws.shape[1] // 2
     if half < 2:
         return nan
@@ -153,8 +171,10 @@ def split_r_hat(draws: Array) -> float:
 
 
 def drifts(means: Array) -> Array:
-    """Return z (quantities, 2) of first chunk − others and of first half − second half. ``means``
-    (quantities, batches, chunks)."""
+    """Return z (quantities, 2) of first chunk − others and of first half − second half.
+
+    ``means`` (quantities, batches, chunks).
+    """
     half = means.shape[2] // 2
     first, others = means[:, :, 0], means[:, :, 1:].mean(axis=2)
     early, late = means[:, :, :half].mean(axis=2), means[:, :, -half:].mean(axis=2)
@@ -173,7 +193,9 @@ def octiles(below: Integers) -> Integers:
 
 def drift_limit(batches: int, comparisons: int) -> float:
     """Return the |z| that the largest of ``comparisons`` exceeds with probability ``FALSE_ALARMS``.
-    z is Student's t of ``batches`` − 1 degrees of freedom."""
+
+    z is Student's t of ``batches`` − 1 degrees of freedom.
+    """
     return -float(stdtrit(batches - 1, 0.5 * FALSE_ALARMS / max(1, comparisons)))
 
 
@@ -186,9 +208,11 @@ def diagnosis(
     paths: int,
     burn_in: float,
 ) -> Diagnosis:
-    """Return the diagnosis of ``paths`` trajectories of ``time`` each. ``effective``: names,
-    effective samples and relative errors; ``means`` (quantities, batches, chunks) have the
-    ``names``."""
+    """Return the diagnosis of ``paths`` trajectories of ``time`` each after ``burn_in``.
+
+    ``effective``: name, effective samples and their relative error; ``means`` (quantities, batches,
+    chunks) have the ``names``.
+    """
     slowest, samples, relative_error = min(effective, key=lambda e: e[1])
     tau = paths * time / (2.0 * samples) if samples > 0 else inf
     quantities, batches, chunks = means.shape
@@ -223,12 +247,15 @@ class Report:
 
     ``dt`` is the step of the integrator; ``paths`` were sampled for ``time`` after ``burn_in``, in
     ``steps`` of ``long_step``, every ``stride``-th of them observed. ``relaxation_time`` is the
-    longest decay time without contact; ``limited_by`` the setting that cut ``time`` short, else
-    empty. ``diagnosis`` is None if Ctrl-C ended the sampling (words in ``interrupted``), or the
-    limit of time in the first chunk. ``moments`` are means over the sampled states by name, such as
-    ``q2²``, with one standard error. ``step_biases``, by names of densities (L1 distances; their
-    error is the mean value by chance alone) and of moments, are differences to a second simulation
-    at half the step: with weak order w ``1 − 2^−w`` times the bias at dt.
+    longest decay time without contact. ``small_steps``: words on which trajectories make small
+    steps; ``limited_by``: the setting that cut ``time`` short, else empty.
+
+    ``diagnosis`` is None if Ctrl-C ended the sampling (words in ``interrupted``), or the limit of
+    time in the first chunk. ``moments`` are means over the sampled states by name, such as ``q2²``,
+    with one standard error. ``step_pair``: words on the comparison with a second simulation at half
+    the step; ``step_biases`` are the differences by the names of densities, such as ``q2,p2`` (L1
+    distances; their error is the mean value by chance alone), and of moments (with standard
+    errors). With weak order w they are ``1 − 2^−w`` times the bias at dt.
     """
 
     dt: float

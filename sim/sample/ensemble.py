@@ -42,10 +42,13 @@ def advance_batches(
     watch: WatchArrays, offset: np.uint64, word: int, samples: int, phase: int, steps: int,
     stride: int, read: Reader | None,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Advance the batches from block ``first`` on, and return the ``arrays``, changed in place:
-    states, sums, counts and last sample of these blocks, then those of ``read``. ``live``,
-    ``batch`` (blocks,): lanes that count, and batch. ``word``: first random word; ``samples``,
-    ``phase``: made before."""
+    """Advance the batches from block ``first`` on, and return the ``arrays``, changed in place.
+
+    ``arrays``: states, sums, counts and last sample of these blocks, then those that ``read`` is
+    called with. ``live`` (blocks,): trajectories of a block; ``batch`` (blocks,): its batch.
+    ``word``: first random word; ``samples``, ``phase``: samples and steps before these ``steps``,
+    of which every ``stride``-th is observed.
+    """
     states, sums, counts, last, *own = arrays
     blocks, rows, strength = len(states), watch.traced.size, step.strength
     piece = max(1, TRACED // blocks) * stride if rows else steps
@@ -71,15 +74,17 @@ def advance_batches(
 class Ensemble:
     """``paths`` trajectories in blocks of lanes, and batches of blocks.
 
-    Without a ``start`` they begin in ``random.start_states``. A ``start``, observed q and p (paths,
-    n) of whole blocks, is sample 0; each sample of q, p and the ``energies`` can then be read.
-    ``halved``: a step has the random numbers of two steps dt/2. ``modulation`` e multiplies the
-    noise, from the time ``begin`` on: a step has its root mean square. ``word``: first random word
-    of a trajectory.
+    Without a ``start`` they begin in ``random.start_states``. A ``start``, observed states q and p
+    (paths, n) of whole blocks, is the sample number 0, and each sample can be read: q (n), p (n)
+    and the ``energies``. ``halved``: a step uses the random numbers of two steps dt/2 and gives the
+    same motion except for the error of the step. ``modulation`` e multiplies the noise, from the
+    time ``begin`` on: a step has the root mean square of e. ``word``: number of the first random
+    word of each trajectory.
 
-    Bitwise the same for any ``workers`` (None: ``threads`` of this process) and calls of
-    ``advance``: streams belong to trajectories, counts are integers, sums grow in the order of
-    samples. Raises ``NotApplicable`` if no state before the kick is observed as the ``start``.
+    The result is bitwise the same for any ``workers`` (None: ``threads`` of this process) and any
+    division of time into calls of ``advance``: streams belong to trajectories, counts are integers,
+    and sums grow in the order of samples. Raises ``NotApplicable`` if no state before the kick has
+    the ``start`` as its observed state.
     """
 
     system: System
@@ -170,9 +175,12 @@ class Ensemble:
         passed: Array | None = None,
     ) -> None:  # fmt: skip
         """Advance by ``steps``; every ``stride``-th step since ``watch`` is observed, none if 0.
-        With a start ``steps`` is a multiple of ``stride``; ``read`` gets the samples, the last
-        before them, and its ``arrays``. Raises ``NotCertified`` if a trajectory (``passed``
-        (blocks, 1, LANES) being inf) leaves the range that the energy allows."""
+
+        With a start ``steps`` is a multiple of ``stride``, and ``read`` is called with the samples,
+        the sample before them, and its ``arrays``, divided by blocks. Raises ``NotCertified`` if a
+        trajectory leaves the range that the energy allows: the step is unstable. With ``passed``
+        (blocks, 1, LANES) only trajectories count for which it is inf.
+        """
         self._advance(steps, stride, read, arrays)
         if stride:
             self.samples += -(-(self.phase + steps) // stride) - -(-self.phase // stride)
@@ -226,8 +234,10 @@ class Ensemble:
         return replace(self, start=(q, p), dt=dt, word=self.next_word, begin=self.time)
 
     def keep(self, lanes: Integers) -> None:
-        """Continue with the trajectories ``lanes`` alone, numbered along the blocks; sums are 0. A
-        number may occur twice: random numbers belong to the place, so that copies separate."""
+        """Continue with the trajectories ``lanes`` alone, numbered along the blocks; sums are 0.
+
+        A number may occur twice: random numbers belong to the place, so that copies separate.
+        """
         self.states, self.last = (in_blocks(in_rows(a)[lanes]) for a in (self.states, self.last))
         self.paths = len(self.states) * LANES
         self.sums = np.zeros((len(self.states), *self.sums.shape[1:]))
@@ -271,5 +281,7 @@ def ensemble_from(
     system: System, q: Array, p: Array, dt: float, seed: int, **settings: Any
 ) -> Ensemble:
     """Return an ensemble with the start ``q``, ``p`` (paths, n), the step ``dt`` and a ``seed``.
-    The scheme is exact_flow; ``settings`` are further fields of ``Ensemble``."""
+
+    The scheme is exact_flow; ``settings`` are further fields of ``Ensemble``.
+    """
     return Ensemble(system, SCHEMES["exact_flow"], dt, len(q), seed, start=(q, p), **settings)

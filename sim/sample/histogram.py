@@ -54,8 +54,10 @@ class Histogram:
         return int(np.prod(self.shape))
 
     def counted(self, columns: Sequence[Array], groups: int = 1) -> Integers:
-        """Return the counts (``groups``, bins + 1) of samples, outside last, by the ``columns``
-        (samples,) of each coordinate; sample k belongs to group k % groups."""
+        """Return the counts (``groups``, bins + 1) of samples, the last bin for samples outside.
+
+        ``columns``: the values (samples,) of each coordinate; sample k belongs to group k % groups.
+        """
         bins, inside = np.array(0), np.array(True)
         for x, e in zip(columns, self.edges, strict=True):
             inside = inside & (x >= e[0]) & (x < e[-1])
@@ -70,8 +72,11 @@ def bin_axis(
     reference: LogReference = no_reference,
 ) -> BinAxis:  # fmt: skip
     """Return about ``bins`` bins from ``low`` to ``high``, equally many between any two ``kinks``.
-    ``widening``: above a kink bins widen, as p may have a root there, which its fit then has: (H −
-    H_c)^(1/2) at a contact, H^(−1/4) at a stop without clearance, H^(−1/2) after rest."""
+
+    ``widening``: above a kink bins widen with the distance from it, as p may have a root there:
+    (H − H_c)^(1/2) where contact begins, H^(−1/4) for a stop without clearance, H^(−1/2) after a
+    start at rest. The fit of p to the bins then takes the root into account.
+    """
     inside = list[float]()
     for kink in sorted(k for k in kinks if low <= k < high):
         if not inside or kink - inside[-1] > ROUND_OFF * (high - low):
@@ -87,8 +92,11 @@ def bin_axis(
 
 
 def kinks_of(system: System, coordinate: Coordinate) -> list[float]:
-    """Return, ascending, where the density of ``coordinate`` may have a kink: q_i at its stops; H
-    at the least energy to touch each stop, ½ δ²/C_ii and nearer contacts; H_m by mode m alone."""
+    """Return, ascending, the values of ``coordinate`` at which its density may have a kink.
+
+    For q_i: the stops of mass i; for H: the least energy to touch each stop, ½ δ²/C_ii plus the
+    contact energy of nearer stops, C the compliance; for H_m: by mode m alone, ½ (ω_m δ/T_im)².
+    """
     at = [(stop.index, stop.sign * stop.clearance) for stop in system.stops]
     kinks: list[float] = []
     if coordinate.kind == "q":
@@ -106,9 +114,12 @@ def axis_of(
     system: System, coordinate: Coordinate, low: float, high: float, bins: int,
     *, rises: bool = False,
 ) -> BinAxis:  # fmt: skip
-    """Return about ``bins`` bins of ``coordinate`` from ``low`` (energies: 0) to ``high``, with a
-    margin. ``rises``: p may rise towards H = 0. Beyond the outermost stop in the range bins of q
-    end at a contact energy of ``DEEPEST`` kT, or at ``high`` plus the margin if that is more."""
+    """Return about ``bins`` bins of ``coordinate`` from ``low`` to ``high``, with a margin.
+
+    Bins of energies start at 0; ``rises``: the density may rise towards 0. Beyond the outermost
+    stop within the range bins of q end at a contact energy of ``DEEPEST`` kT, or at ``high`` plus
+    the margin if that is more.
+    """
     energy, reach, wide = coordinate.kind == "H", MARGIN * (high - low), 1.0 + 2.0 * MARGIN
     mirror = effects_of(system).mirror and not energy
     kinks = [*([0.0] if energy and rises else []), *kinks_of(system, coordinate)]
@@ -170,7 +181,9 @@ def covering(
     observables: Sequence[Observable], reached: Array, axis: Callable[..., BinAxis]
 ) -> tuple[Histogram, ...]:
     """Return histograms of ``observables`` over the ranges ``reached`` (coordinates, 2).
-    ``axis(coordinate, low, high, bins)`` makes the bins, as ``axis_of`` does for a system."""
+
+    ``axis(coordinate, low, high, bins)`` makes the bins, as ``axis_of`` does for a system.
+    """
     # NaN: −1 to 1.
     ends = iter(np.where(reached[:, :1] <= reached[:, 1:], reached, (-1.0, 1.0)).tolist())
     return tuple(
@@ -179,8 +192,10 @@ def covering(
 
 
 def starts(histograms: Sequence[Histogram]) -> Integers:
-    """Return the index of the first counter of each histogram, and the number of counters. A
-    histogram has one counter more than bins, for samples outside."""
+    """Return the index of the first counter of each histogram, and the number of counters.
+
+    A histogram has one counter more than bins, for samples outside.
+    """
     return np.cumsum([0] + [h.size + 1 for h in histograms], dtype=np.int64)
 
 
@@ -193,7 +208,9 @@ def add_mirror_images(histogram: Histogram, counts: Integers) -> Integers:
 
 def log_reference(system: System, coordinate: Coordinate, x: Array, bins: Integers) -> Array:
     """Return an approximation of ln p(``x``), without its constant, in the bins number ``bins``.
-    −U_i/kT for q_i, Eq. (7); (n − 1) ln H for H; else 0."""
+
+    −U_i/kT for q_i, Eq. (7); (n − 1) ln H for H; else 0.
+    """
     if coordinate.kind == "H" and coordinate.index is None:
         return log_states(system.n, x, bins)
     if coordinate.kind == "q" and coordinate.row in system.contact_masses:
@@ -203,7 +220,9 @@ def log_reference(system: System, coordinate: Coordinate, x: Array, bins: Intege
 
 def log_states(n: int, energy: Array, bins: Integers) -> Array:
     """Return ln H^(n−1) at each ``energy``, the density of states of ``n`` masses near H = 0.
-    ``bins``, the numbers of their bins, are not used."""
+
+    ``bins``, the numbers of their bins, are not used.
+    """
     return np.asarray((n - 1.0) * np.log(np.maximum(energy, SMALLEST)))
 
 
@@ -218,10 +237,12 @@ def density_of_counts(
     failures: Sequence[str] = (),
     everywhere: bool = True,
 ) -> SampledDensity:
-    """Return the certified density of ``counts`` (batches, bins + 1) of ``taken`` samples, with
-    ``mirror`` of their mirror images, too. ``residual``: largest |z| of the moment identities;
-    ``tol``: of the expected L1 error; ``failures``: words against it; ``everywhere``: p unresolved
-    is one."""
+    """Return the density of ``counts`` (batches, bins + 1) of ``taken`` samples, certified.
+
+    With ``mirror`` the mirror image of each sample is counted, too. ``residual`` is the largest |z|
+    of the moment identities, ``tol`` the tolerance of the expected L1 sampling error. ``failures``
+    are words against the sample; with ``everywhere`` bins that do not resolve p are added to them.
+    """
     total = counts.sum(axis=0)
     tail, words = float(total[-1]) / max(1, taken), list(failures)
     if int(total.sum()) != taken:

@@ -1,10 +1,14 @@
 """The setup of a simulation, the arrays that the kernel reads, and the key of the kernel.
 
-In a long step ``H = small · h`` trajectories *near* a stop make ``small`` steps ``h`` with kicks;
-*far* trajectories are mapped over the long step, exactly in law unless they touch a stop, which has
-a probability below 1.4e-11 (docs/theory.md, "The step of the simulation"). A trajectory is far if
-``max(d q(0), d q(H) + a) + b(x) < clearance``, d the side of the stop, q(H) its mean motion without
-noise, a the ``noise_reach``, and b(x) from ``bends``.
+In a long step ``H = small · h``, trajectories that are *near* a stop in their state x at its start
+make ``small`` steps ``h`` with kicks; *far* trajectories are mapped over the long step, which is
+exact in law unless they touch a stop. With q the displacement of the mass and d the side of the
+stop, a trajectory is far if
+
+    max(d q(0), d q(H) + a) + b(x) < clearance ,
+
+q(H) its mean motion without noise, a the ``noise_reach``, and b(x) from ``bends``. It then touches
+the stop with a probability below 1.4e-11: docs/theory.md, "The step of the simulation".
 """
 
 from collections.abc import Sequence
@@ -49,9 +53,12 @@ def noise_reach(system: System, H: float, masses: Integers) -> Array:
 
 
 def bends(system: System, H: float, masses: Integers) -> Array:
-    """Return rows (masses, 2n) whose product with ``|x|`` is b(x), which bounds the distance of the
-    mean motion of ``masses`` in a step ``H`` from its chord by the curvature on a grid and its
-    slope."""
+    """Return rows (masses, 2n) whose product with ``|x|`` is b(x).
+
+    b(x) bounds the distance of the mean motion q(t) of ``masses`` within a step ``H`` from its
+    chord. The curvature is bounded by its largest value on a grid of times, plus half an interval
+    times the largest slope.
+    """
     drift, step = drift_matrix(system), H / 64
     across, values = expm(drift * step), [drift[system.n + masses] / system.mass[masses, None]]
     for _ in range(64):
@@ -61,8 +68,10 @@ def bends(system: System, H: float, masses: Integers) -> Array:
 
 
 def relative_cost(system: System, dt: float, small: int) -> float:
-    """Return the estimated processor time with long steps, relative to uniform steps ``dt``. A long
-    step has ``small`` steps; displacements have the Gibbs density at kT."""
+    """Return the estimated processor time with long steps, relative to uniform steps ``dt``.
+
+    A long step has ``small`` steps; displacements have the Gibbs density at kT.
+    """
     if small == 1:
         return 1.0
     H, kT, far, masses = small * dt, temperature(system), 1.0, system.contact_masses
@@ -83,8 +92,10 @@ def relative_cost(system: System, dt: float, small: int) -> float:
 
 
 def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, float, str]:
-    """Return the scheme, the length of its long steps of small steps ``dt``, and words on it. A
-    long step is no longer than the sampling interval, and only the exact flow can make it."""
+    """Return the scheme, the length of its long steps of small steps ``dt``, and words on it.
+
+    A long step is no longer than the sampling interval, and only the exact flow can make it.
+    """
     if not system.stops:
         return scheme, dt, "no contact: all trajectories make the same steps"
     if system.damping_terms:
@@ -106,10 +117,12 @@ def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, 
 @dataclass(frozen=True, eq=False)
 class Setup:
     """Everything that the numbers of a simulation of Eq. (6) depend on; times in the system's unit.
-    ``dt`` is the long step if ``scheme`` has small steps. A trajectory is sampled for ``time`` or,
-    with finite ``seconds``, for this wall time or until the L1 error of the first observable is
-    below ``tol``. ``histograms`` None: over the range of a pilot. ``failures``: against
-    certification."""
+
+    ``dt`` is the long step if ``scheme`` has small steps. Each trajectory is sampled for ``time``
+    or, if ``seconds`` is finite, for this wall time or until the expected L1 error of the first
+    observable is below ``tol``. ``histograms`` None: bins over the range of a pilot. ``division``
+    and ``limited_by`` are words of the report, ``failures`` reasons not to certify an answer.
+    """
 
     method: Settings
     system: System
@@ -141,8 +154,10 @@ class Setup:
 
 
 def setup_of(method: Settings, system: System, observables: Sequence[Observable]) -> Setup:
-    """Return the setup of ``method`` for ``system`` and ``observables``. Raises ``InvalidInput``
-    for an unstable step, or for steps so short that random numbers run out."""
+    """Return the setup of ``method`` for ``system`` and ``observables``.
+
+    Raises ``InvalidInput`` for an unstable step, or for steps so short that random numbers run out.
+    """
     scheme, failures = SCHEMES[method.scheme], list[str]()
     dt = method.dt or method.step_factor * default_step(method, system, observables)
     limit = stability_limit(system, scheme)
@@ -240,8 +255,10 @@ def observation_arrays(
     products: Sequence[Product],
     traced: Sequence[Coordinate] = (),
 ) -> tuple[KernelKey, WatchArrays]:
-    """Return the key of the kernel, and the numbers that it reads to observe. ``products`` are
-    summed; ``traced`` coordinates are copied to the trace."""
+    """Return the key of the kernel, and the numbers that it reads to observe.
+
+    ``products`` are summed; ``traced`` coordinates are copied to the trace.
+    """
     n, slots, effects = system.n, step.slot_mass, effects_of(system)
     observed = {c for histogram in histograms for c in histogram.observable} | {*traced}
     modes = sorted(c.row for c in observed if c.kind == "H" and c.index is not None)

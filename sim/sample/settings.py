@@ -52,8 +52,11 @@ NOT_IN_STATE = {
 
 
 def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, int]) -> None:
-    """Raise ``InvalidInput`` if a field of ``own`` cannot be used: ``positive`` are finite and > 0;
-    ``ranges``, and ``seed`` and ``threads``, are (name, least, most). None is allowed."""
+    """Raise ``InvalidInput`` if a field of ``own`` cannot be used.
+
+    Fields in ``positive`` must be finite and > 0; ``ranges`` are (name, least, most). The fields
+    ``seed`` and ``threads`` are checked, too. None is allowed.
+    """
     threads = 4 * (os.cpu_count() or 1)
     for key, low, high in (*ranges, ("seed", 0, 2**64 - 1), ("threads", 1, threads)):
         value = getattr(own, key)
@@ -112,9 +115,12 @@ def require_stationary(system: System) -> None:
 
 
 def default_step(method: Settings, system: System, observables: Sequence[Observable] = ()) -> float:
-    """Return the step whose bias in the densities of ``observables`` is below the sampling error
-    that the run will reach: by ``tol``, by the samples in ``seconds`` on ``threads`` (with a
-    checkpoint, which may go on elsewhere, in an hour on one thread), or by the sampled time."""
+    """Return the step whose bias is below the sampling error that the run will reach.
+
+    This error follows from ``tol``, from the samples in ``seconds`` of wall time on ``threads``
+    (with a checkpoint, which may be continued elsewhere, in an hour on one thread), or from the
+    sampled time. ``observables`` are the densities whose bias counts.
+    """
     if method.tol is not None:
         return step_for(system, method.tol, observables=observables)
     dt = chosen_step(system)
@@ -130,8 +136,10 @@ def default_step(method: Settings, system: System, observables: Sequence[Observa
 
 
 def estimate_seconds(method: Settings, system: System) -> float:
-    """Return the wall time of a run in s, to a factor of three, without compilation. Raises
-    ``NotApplicable`` if ``system`` has no stationary density."""
+    """Return the wall time of a run in s, to a factor of three, without compilation.
+
+    Raises ``NotApplicable`` if ``system`` has no stationary density.
+    """
     require_stationary(system)
     dt = default_step(method, system)
     time = method.sampled_time(system, dt) + method.burn_in * relaxation_time(system)

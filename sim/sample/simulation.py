@@ -42,10 +42,13 @@ STEP_BIAS = 1e-3
 
 @dataclass(eq=False)
 class Record:
-    """Cumulative sums of every batch of ``ensemble`` at the ends of chunks of ``chunk_samples``: of
-    the squares of q and v, and, for every observed coordinate, shares of samples below the octiles
-    of the first chunk, bins ``cuts`` of its axis. The variance of the squares, from single samples
-    of all trajectories, is about as precise as var(path means): 2 % for 8192 trajectories."""
+    """Cumulative sums of every batch of ``ensemble`` at the ends of chunks of ``chunk_samples``.
+
+    Quantities are the squares of q and v, and for every observed coordinate the shares of samples
+    below the octiles of the first chunk, bins ``cuts`` of its axis. The variance of the squares is
+    computed from single samples of all trajectories: σ² of 8192 trajectories to 2 %, about as
+    precise as var(path means).
+    """
 
     ensemble: Ensemble
     chunk_samples: int = 0
@@ -155,9 +158,11 @@ def sample_stationary(
     progress: Progress,
     beside: Sequence[Observable] = (),
 ) -> Result:
-    """Return the densities of ``observables``, and of ``beside``, with their report; with
-    ``step_pair`` beside a second run at half the step, unless either was interrupted or completed
-    no chunk."""
+    """Return the densities of ``observables``, and of ``beside``, with their report.
+
+    With ``step_pair`` they are compared with a second run at half the step, unless either run was
+    interrupted or completed no chunk within its time.
+    """
     setup = setup_of(method, system, [*observables, *beside])
     with workers_of(method.cluster, method.threads or usable_cores()) as workers:
         result = simulate(setup, workers=workers, progress=progress)
@@ -244,8 +249,10 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
 
 
 def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Progress) -> None:
-    """Advance until the time or error of ``setup`` is reached, or ``checkpoint`` stops. Whole
-    chunks are added to ``record``."""
+    """Advance until the time or error of ``setup`` is reached, or ``checkpoint`` stops.
+
+    Whole chunks are added to ``record``.
+    """
     ensemble, stride, limited = record.ensemble, setup.stride, setup.seconds < inf
     begin = working_time() - record.elapsed
     checkpoint.deadline = begin + setup.seconds
@@ -284,8 +291,11 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
 
 
 def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
-    """Return the certified densities, the moment identities and the report. ``cut``: words on where
-    the burn-in ended early, else empty; ``partial``: Ctrl-C was pressed. Mirror images count."""
+    """Return the certified densities, the moment identities and the report.
+
+    ``cut``: words on where the burn-in ended early, else empty; ``partial``: Ctrl-C was pressed. If
+    the system has mirror symmetry, mirror images of samples count as samples.
+    """
     ensemble, kT, failures = record.ensemble, temperature(setup.system), list[str]()
     paths, threads, samples = ensemble.paths, ensemble.threads, ensemble.samples
     taken, burnt = samples * setup.stride, ensemble.done - ensemble.phase

@@ -1,8 +1,9 @@
 """Workers, checkpoints on disk, and Ctrl-C.
 
-Workers are threads of this process or of a Dask cluster, imported only for one, as it takes a
-second. There a task gets the arrays of some batches, advances them, and returns them; when a worker
-dies, another gets its tasks: the answer is bitwise that of one machine of the same processor.
+Workers are threads of this process or of a Dask cluster. On a cluster a task gets the arrays of
+some batches, advances them, and returns them; when a worker dies, Dask gives its tasks to another:
+the answer is bitwise that of one machine with the same kind of processor. Dask is imported only for
+a cluster: it takes a second.
 """
 
 import os
@@ -53,8 +54,10 @@ class Workers:
     remote_errors: tuple[type[Exception], ...] = ()  # of a lost cluster, raised as ``NotCertified``
 
     def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
-        """Return the results of ``task`` for each row of ``columns``. The task may change its
-        arguments in place; on a cluster it gets copies."""
+        """Return the results of ``task`` for each row of ``columns``.
+
+        The task may change its arguments in place; on a cluster it gets copies.
+        """
         own = deepcopy if self.remote_errors else tuple  # arguments from Dask are read-only
         rows = list(zip(*columns, strict=True))
         return list(self._unless_lost(self.executor.map(lambda row: task(*own(row)), rows)))
@@ -74,9 +77,11 @@ class Workers:
 
 @contextmanager
 def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
-    """Yield ``threads`` of this process, or, with an ``address``, those of a Dask cluster. Raises
-    ``Unavailable`` without Dask, scheduler, worker, or if workers have other sources of the
-    program."""
+    """Yield ``threads`` of this process, or, with an ``address``, the threads of a Dask cluster.
+
+    Raises ``Unavailable`` if Dask is not installed, the scheduler does not answer or has no worker,
+    or the workers have other sources of this program.
+    """
     if address is None:
         with ThreadPoolExecutor(threads) as executor:
             yield Workers(executor, threads)
@@ -113,10 +118,12 @@ def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
 
 @dataclass(eq=False)
 class Checkpoint:
-    """Advances an ensemble in pieces and saves its state every ``INTERVAL`` seconds, until
-    ``stopped()`` is true or at the ``deadline``, a value of ``working_time``: as .npz file at
-    ``path`` (None: never), with ``identity``, a hash of all that the numbers depend on, and
-    ``notes``."""
+    """Advances an ensemble in pieces and saves its state every ``INTERVAL`` seconds.
+
+    States are saved as a NumPy .npz file at ``path`` (None: never), with ``identity``, a hash of
+    everything that the numbers depend on, and ``notes``, arrays of the caller. The simulation ends
+    when ``stopped()`` is true, or at the ``deadline``, a value of ``working_time``.
+    """
 
     path: Path | None = None
     identity: str = ""
@@ -129,8 +136,10 @@ class Checkpoint:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Lock the state, and remove incomplete files that killed processes have left. Raises
-        ``Unavailable`` if another process uses it."""
+        """Lock the state, and remove incomplete files that killed processes have left.
+
+        Raises ``Unavailable`` if another process uses it.
+        """
         if self.path is None:
             yield
             return
@@ -161,8 +170,10 @@ class Checkpoint:
         self._saved = working_time()
 
     def load(self) -> dict[str, NDArray[Any]]:
-        """Return the saved arrays, none without a file. Raises ``Unavailable`` if the file, whose
-        SHA-256 is at its end, is damaged or belongs to another simulation."""
+        """Return the saved arrays, none without a file.
+
+        Raises ``Unavailable`` if the file is damaged or belongs to another simulation.
+        """
         if self.path is None or not self.path.exists():
             return {}
         try:
@@ -179,8 +190,11 @@ class Checkpoint:
         return arrays
 
     def advance(self, ensemble: Any, steps: int, *, stride: int = 1, saving: bool = True) -> bool:
-        """Advance ``ensemble`` by ``steps``, observed every ``stride``, in pieces; return whether
-        it was stopped before, after one piece or more. The state is saved if ``saving``."""
+        """Advance ``ensemble`` by ``steps``, observed every ``stride``, unless stopped before.
+
+        Return whether it was stopped, which is after one piece or more. The state is saved if
+        ``saving``.
+        """
         ended = False
         while steps > 0 and not ended:
             piece, start = min(steps, self._piece), working_time()
@@ -210,9 +224,11 @@ def checkpoint_of(
 
 @contextmanager
 def interruptible(partial: bool) -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether Ctrl-C was pressed; a second Ctrl-C interrupts. Unless
-    an answer may be ``partial``, and during compilation, the first Ctrl-C interrupts, too. Only the
-    main thread receives signals: in other threads the function returns False."""
+    """Yield a function that returns whether Ctrl-C was pressed; a second Ctrl-C interrupts.
+
+    Unless an answer may be ``partial``, and during compilation, the first Ctrl-C interrupts, too.
+    Only the main thread receives signals: in other threads the function returns False.
+    """
     pressed = threading.Event()
     if not partial or threading.current_thread() is not threading.main_thread():
         yield pressed.is_set

@@ -35,8 +35,11 @@ class TermArrays(NamedTuple):
 
 
 class StepArrays(NamedTuple):
-    """Numbers of one step: of the small steps in a long step, and of the long step itself. A slot
-    is a mass with stops. Without long steps ``after``, ``bend`` and ``reach`` have no rows."""
+    """Numbers of one step: of the small steps in a long step, and of the long step itself.
+
+    A slot is a mass with one stop or more. Without long steps (``sim.sample.plan``) ``after``,
+    ``bend`` and ``reach`` have no rows.
+    """
 
     matrix: Array  # (2n, columns), propagator and noise factor of the linear map, columns padded
     pairs: int  # of normals in a linear map

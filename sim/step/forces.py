@@ -1,11 +1,13 @@
 """Contact forces, damping terms and the observed state, lane by lane.
 
-Every function reads and writes rows of ``width`` lanes of the workspace ``s`` (``WatchArrays``).
+Every function reads and writes rows of ``width`` lanes of the workspace ``s`` (``arrays.Rows``).
 Contact laws are compiled functions, None for a system without stops. A damping term changes one
-momentum, ``p_i' = −κ p_i^N``: by a shift, an exponential, or ``p/(1 + (N−1) κ p^(N−1)
-t)^(1/(N−1))``, NaN after a blow-up, which counts as lost. With H, κ is taken in the middle of the
-step, from a predictor. Scratch rows from ``watch.work`` are the rate of a term, V and H of the
-state, and two more.
+momentum only, ``p_i' = −κ p_i^N``, κ constant unless the term contains H: the solution is a shift,
+an exponential, or ``p/(1 + (N−1) κ p^(N−1) t)^(1/(N−1))``. If the base is not positive the solution
+has blown up: the momentum becomes NaN and the trajectory counts as lost. With H, κ is taken in the
+middle of the step, from a predictor.
+
+The scratch rows from ``at.work`` are the rate of a term, V and H of the state, and two more.
 """
 
 from typing import Any
@@ -74,8 +76,10 @@ def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W)
 def add_contact(
     s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool, width: int = W
 ) -> None:
-    """Add the contact forces at q (rows of ``s`` from ``q0``) to its rows from ``to``. ``law_part``
-    is the laws' force; if not ``forces``, their energy: U is added to the row ``to``."""
+    """Add the contact forces at q (rows of ``s`` from ``q0``) to its rows from ``to``.
+
+    ``law_part`` is the laws' force; if not ``forces``, their energy: U is added to the row ``to``.
+    """
     for stop in range(step.stop_slot.size):
         i = step.slot_mass[step.stop_slot[stop]]
         q, f = row(s, q0 + i, 1, width), row(s, to + i if forces else to, 1, width)
@@ -153,8 +157,10 @@ def term_flows(
     s: Array, work: int, step: StepArrays, backwards: bool, with_energy: bool, width: int = W
 ) -> None:
     """Advance the state in ``s`` (``width`` lanes) by each damping term alone over half a step.
+
     ``backwards``: in reverse order. ``with_energy``, a constant: some term contains H^e; V of the
-    state is then in row ``work`` + 1, and H is taken half-way, from a predictor."""
+    state is then in row ``work`` + 1, and H is taken half-way, from a predictor.
+    """
     terms, rate, h = step.terms, row(s, work, 1, width), step.dt
     for index in range(terms.target.size):
         k = terms.target.size - 1 - index if backwards else index
@@ -231,9 +237,12 @@ def observe(
     s: Array, step: StepArrays, watch: WatchArrays, damping: bool, energy_damping: bool,
     energy: bool, moments: bool, force: Any, potential: Any, width: int = W,
 ) -> None:  # fmt: skip
-    """Write the observed state, its energies and its forces to the rows of ``watch`` in ``s``: q,
-    and p in the middle of the kicks, both corrected by the processor. Inlined before types are
-    inferred: a flag that is a constant False compiles nothing."""
+    """Write the observed state, its energies and its forces to the rows ``watch.at`` of ``s``.
+
+    Observed are q, and p in the middle of the kicks, both corrected by the processor. ``width``
+    lanes a row. Inlined before types are inferred: a flag that is a constant False compiles
+    nothing.
+    """
     n, slots = step.half_inverse_mass.size, step.slot_mass.size
     copy(row(s, watch.q, 2 * n, width), row(s, 0, 2 * n, width), 2 * n * width)
     add_matrix(s, watch.p, 0, watch.half_springs, -1.0, width)
@@ -278,8 +287,10 @@ def observe(
 def find_bins(
     x: Array, number: Array, watch: WatchArrays, m: int, axis: int, index: Integers
 ) -> None:
-    """Write the bin of each lane's ``x`` on ``axis`` of histogram ``m`` to ``index``. It is the
-    number of bins outside and for NaN. ``number`` is a scratch row: bins below x."""
+    """Write the bin of each lane's ``x`` on ``axis`` of histogram ``m`` to ``index``.
+
+    It is the number of bins outside and for NaN. ``number`` is a scratch row: bins below x.
+    """
     first, last = watch.piece[m, axis, 0], watch.piece[m, axis, 1]
     fill(number, 0.0)
     for piece in range(first, last):
@@ -305,7 +316,9 @@ def count_all(
     counts: Integers,
 ) -> None:  # fmt: skip
     """Add 1 to ``counts`` at the bin of each of the first ``live`` lanes of ``s``, per histogram.
-    ``number``, ``index`` and ``second`` are scratch rows."""
+
+    ``number``, ``index`` and ``second`` are scratch rows.
+    """
     for m in range(watch.rows.shape[0]):
         find_bins(row(s, watch.rows[m, 0]), number, watch, m, 0, index)
         if watch.rows[m, 1] >= 0:

@@ -1,10 +1,13 @@
 """The compiled stepper: many steps of many blocks of lanes, with only the effects of the system.
 
-The random linear map ``x <- matrix @ (x, z)``, z two rows of normals a random word, is applied to
-two rows and ``MAP_COLUMNS`` columns at a time. Lanes that may touch a stop within a long step
-(``sim.sample.plan``) make its small steps in groups of ``NARROW`` lanes, and replace what the map
-over the long step made of them. The normals of a small step belong to trajectory and step, not to a
-place in a group: the lower half of a word is the radius, the upper half the angle.
+The random linear map is ``x <- matrix @ (x, z)``, z rows of normals, two rows for each random word.
+It is applied to two rows and ``MAP_COLUMNS`` columns at a time, through scratch rows.
+
+Lanes that may touch a stop within a long step (``sim.sample.plan``) make its small steps in groups
+of ``NARROW`` lanes; all lanes are mapped over the long step, and the results of the small steps
+then replace those of the map. The normals of a small step belong to the trajectory and the step,
+not to the place of a lane in its group: the lower half of a word is the radius, the upper half the
+angle.
 """
 
 from collections.abc import Callable, Sequence
@@ -92,8 +95,11 @@ def map_state(s: Array, z: Singles, matrix: Array, pairs: int, width: int = W) -
 
 @njit_inline
 def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: StepArrays) -> int:
-    """Write the lanes of ``s`` that may touch a stop within the long step to ``index``; return
-    their number. ``near`` (W,) and ``work``, mean displacement and bound b(x), are scratch."""
+    """Write the lanes that may touch a stop within the long step to ``index``; return their number.
+
+    ``s`` holds the states. ``near`` (W,) is scratch, and so is ``work``: two rows, the mean
+    displacement after the step and the bound b(x) of the deviation from the chord.
+    """
     after, bend = row(work, 0), row(work, 1)
     for k in range(W):
         near[k] = 0
@@ -128,10 +134,13 @@ def small_steps(
     halves: random.Halves, first: np.uint64, step: StepArrays, at_contact: int, pairs: int,
     force: Any, slope: Any,
 ) -> None:  # fmt: skip
-    """Copy the states in ``s`` of the ``count`` lanes in ``index`` to ``groups``; advance them. A
-    group has ``size`` numbers, a workspace of ``NARROW`` lanes with g at row ``at_contact``; the
-    first lane fills up the last. ``first``: first word of lane 0, ``pairs``: words of a step.
-    ``begins`` (W,), the distance of each lane's words from it, ``z`` and ``halves`` are scratch."""
+    """Copy the states in ``s`` of the ``count`` lanes in ``index`` to ``groups``; advance them.
+
+    Each group has ``size`` numbers, laid out as a workspace of ``NARROW`` lanes with g at row
+    ``at_contact``; the first lane fills up the last group. ``first`` is the place in the sequence
+    of the first word of lane 0, ``pairs`` the words of a step. ``begins`` (W,), the distance of
+    each lane's words from it, ``z`` and ``halves`` are scratch.
+    """
     n, many = step.matrix.shape[0] // 2, -(-count // NARROW)
     for k in range(many * NARROW):
         begins[k] = (np.uint64(index[k]) << np.uint64(40)) * GOLDEN
@@ -166,12 +175,13 @@ def kernel_for(key: KernelKey) -> Any:
     ) -> None:  # fmt: skip
         """Advance the states ``x`` (blocks, 2n·W) by ``steps`` steps, in place.
 
-        ``x[0]`` is block ``first``, ``counter`` the first word of each trajectory, ``offset`` the
-        offset of the seed. The state is observed at the start of a step if ``(phase + step number)
-        % stride == 0``, never with ``stride`` 0: added to ``sums`` (blocks, moments·W), for the
-        first ``live`` (blocks,) lanes to the row of ``counts`` (batches, bins) of the block's
-        ``batch`` (blocks,), and copied to ``trace`` (blocks, samples·rows·W) from its second sample
-        on.
+        ``x[0]`` is block ``first`` of the ensemble, ``counter`` the first word of each trajectory,
+        ``offset`` the offset of the seed. The state is observed at the start of a step if ``(phase
+        + step number) % stride == 0``; with ``stride`` 0 never. An observation adds to ``sums``
+        (blocks, moments·W) and, for the first ``live`` (blocks,) lanes, to the row of ``counts``
+        (batches, bins) of the block's ``batch`` (blocks,); it is copied to ``trace`` (blocks,
+        samples·rows·W) from its second sample on. Returns the checksum of its sources: when it has
+        changed, numba's disk cache compiles anew.
         """
         n, matrix = step.matrix.shape[0] // 2, step.long_matrix if substeps else step.matrix
         s, number = zero_rows(watch.total), zero_rows(1)

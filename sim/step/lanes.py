@@ -3,7 +3,8 @@
 The workspace of a block is one array whose rows of ``width`` lanes follow each other; ``width`` is
 a constant at each call, by default a whole block of W. Each loop reads one view of neighbouring
 rows and writes another: an index into a view cannot be negative, and two views need one overlap
-check, so that the compiler makes vector instructions of the loop."""
+check, so that the compiler makes vector instructions of the loop.
+"""
 
 from typing import Any
 

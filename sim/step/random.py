@@ -1,10 +1,13 @@
 """Counter-based normal numbers: a function of the seed, the trajectory and the step.
 
 The word number ``t = (trajectory << 40) + step · pairs + pair`` is the SplitMix64 finaliser
-(Steele, Lea, Flood, OOPSLA 2014) of ``t · GOLDEN + finaliser(seed)``. Its 64 bits make one
-Box-Muller pair ``√(−2 log u) (cos θ, sin θ)``; words of a block are read as 32-bit halves in the
-order of memory: half ``k`` is the radius of lane k (``u = (2j + 1) / 2**32``), half ``LANES + k``
-its angle (24 bits). Tests of their distribution: docs/theory.md, "The step of the simulation".
+(Steele, Lea, Flood, OOPSLA 2014) of ``t · GOLDEN + finaliser(seed)``: no two trajectories share a
+word, and any word is computed without the words before it.
+
+The 64 bits of a word make one Box-Muller pair ``√(−2 log u) (cos θ, sin θ)``. The words of a block
+of lanes are read as 32-bit halves, in the order of memory: half ``k`` is the radius of lane k
+(``u = (2j + 1) / 2**32``), half ``LANES + k`` its angle (24 bits). Tests of their distribution are
+in docs/theory.md, "The step of the simulation".
 """
 
 from typing import Any
@@ -40,7 +43,9 @@ _LN4 = f32(2.0 * 0.6931471805599453 / 2**23)
 
 def stream_of(seed: int, number: int, *, of_starts: bool = False) -> np.random.Generator:
     """Return the NumPy stream ``number`` (below 2**63) of a ``seed``, for one round or repetition.
-    ``of_starts``: a second set of streams, for initial states, which no step draws from."""
+
+    ``of_starts``: a second set of streams, for initial states, which no step draws from.
+    """
     number += of_starts << 63
     return np.random.Generator(np.random.Philox(key=np.array([seed, number], dtype=np.uint64)))
 
@@ -62,7 +67,9 @@ def stream_offset(seed: int) -> np.uint64:
 @njit_inline
 def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
     """Write one normal pair for each of ``width`` lanes to ``rows``: r cos θ, then r sin θ.
-    ``halves`` (2 · width,) are the 32-bit halves of the words, as in the text of the module."""
+
+    ``halves`` (2 · width,) are the 32-bit halves of the words, as in the text of the module.
+    """
     root_half, mantissa = u32(0x3F3504F3), u32(0x007FFFFF)  # bits of √½; u is scaled by 2**32
     for k in range(width):
         a = halves[width + k]
@@ -115,8 +122,11 @@ def normals(seed: int, paths: int, counter: int, count: int) -> Array:
 
 
 def start_states(system: System, seed: int, blocks: int) -> Array:
-    """Return the states (``blocks``, 2n, LANES) before the burn-in, by the words of a ``seed``: q =
-    0, momenta of covariance kT M. With damping terms q, too: noise alone mixes phases slowly."""
+    """Return the states (``blocks``, 2n, LANES) before the burn-in, by the words of a ``seed``.
+
+    They are q = 0 and momenta of covariance kT M. With damping terms displacements are drawn, too:
+    on a limit cycle the noise alone mixes phases slowly.
+    """
     n, kT, first = system.n, temperature(system), 2**63 // MAX_TRAJECTORIES  # no step comes so far
     L = covariance_factor(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))
     p = L @ normals(seed, blocks * LANES, first, n)[: L.shape[1]]
@@ -127,8 +137,11 @@ def start_states(system: System, seed: int, blocks: int) -> Array:
 
 
 def start_displacements(system: System, kT: float, z: Array) -> Array:
-    """Return displacements (n, paths) from standard normals ``z`` (n, paths): covariance kT K⁻¹,
-    shortened by bisection in contact until V is the energy that springs alone had."""
+    """Return displacements (n, paths) from standard normals ``z`` (n, paths): covariance kT K⁻¹.
+
+    Displacements in contact are shortened, by bisection, until their potential energy is the energy
+    that the springs alone had before.
+    """
     # An inverse, not ``system.compliance``, whose rounding differs: a seed has the same states.
     q = np.linalg.cholesky(kT * np.linalg.inv(system.stiffness_matrix)) @ z
     level = 0.5 * np.sum(q * (system.stiffness_matrix @ q), axis=0)

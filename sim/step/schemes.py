@@ -1,9 +1,10 @@
 """Integrators of Eq. (6): a kick by the contact force, then a random linear map.
 
 ``exact_flow``: the modified contact kick, then the exact flow of the linear system; of fourth order
-in the step h with contact, exact for any h without: the error of second order that the force of
-Takahashi and Imada (J. Phys. Soc. Japan 53, 1984, 3765), ``g_i (1 − h² g_i'/(12 m_i))``, leaves is
-a change of variables, the processor (docs/theory.md). ``register_scheme`` adds a scheme.
+in the step h with contact, exact for any h without. The force of Takahashi and Imada (J. Phys. Soc.
+Japan 53, 1984, 3765), ``g_i (1 − h² g_i'/(12 m_i))``, leaves an error of second order that a change
+of variables, the processor, removes; its derivation is in docs/theory.md, "The step of the
+simulation". The other schemes are baselines. ``register_scheme`` adds a scheme.
 """
 
 from collections.abc import Callable
@@ -37,9 +38,12 @@ def pad_columns(rows: Array) -> Array:
 
 
 def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
-    """Return ``exp(A dt)`` and ``∫ exp(A s) b exp(Aᵀ s) ds`` over 0..dt, A ``drift``, b
-    ``diffusion`` (2n, 2n), by Van Loan's block exponential (IEEE Trans. Automat. Control 23, 1978,
-    395) for ``|A| h <= ½``, balanced, b about 1; doublings of ``h`` add positive covariances."""
+    """Return ``exp(A dt)`` and ``∫ exp(A s) b exp(Aᵀ s) ds`` over 0..dt.
+
+    A is the ``drift`` and b the ``diffusion`` matrix (2n, 2n). Van Loan's block exponential (IEEE
+    Trans. Automat. Control 23, 1978, 395) for ``|A| h <= ½``, in units in which A is balanced and b
+    is about 1; each doubling of ``h`` adds positive covariances: nothing cancels.
+    """
     with np.errstate(invalid="ignore"):  # scipy casts the scale to a permutation, which is unused
         balanced, (scale, _) = matrix_balance(drift, permute=False, separate=True)
     row = scale[:, None]
@@ -60,8 +64,11 @@ def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, A
 
 
 def covariance_factor(covariance: Array) -> Array:
-    """Return a factor L (m, rank) with L Lᵀ = ``covariance`` (m, m), which may be singular:
-    Cholesky with pivoting, scaled to unit diagonal as units differ, up to a pivot of round-off."""
+    """Return a factor L (m, rank) with L Lᵀ = ``covariance`` (m, m), which may be singular.
+
+    Cholesky with pivoting of the matrix scaled to unit diagonal, so that variances of different
+    units and powers of the step have equal weight; it ends at a pivot of the size of round-off.
+    """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
     rest = covariance * np.outer(inverse, inverse)
@@ -78,8 +85,10 @@ def covariance_factor(covariance: Array) -> Array:
 
 
 def lower_trapezoidal(factor: Array) -> Array:
-    """Return the ``factor`` (m, rank) of the same covariance whose row i ends at column i, by QR of
-    the transpose with scaled rows: the error of each row is its own round-off."""
+    """Return the ``factor`` (m, rank) of the same covariance whose row i ends at column i.
+
+    Householder's QR of the transpose with scaled rows: the error of each row is its own round-off.
+    """
     size = np.linalg.norm(factor, axis=1, keepdims=True)
     unit = np.divide(factor, size, out=np.zeros_like(factor), where=size > 0)
     upper: Array = np.asarray(np.linalg.qr(unit.T, mode="r"))
@@ -121,17 +130,21 @@ def register_scheme(scheme: Scheme) -> None:
 
 
 def euler_step(system: System, dt: float) -> LinearMap:
-    """Return Euler's rule ``x' = (1 + A h) x + σ √h z`` with the step h = ``dt``. Maruyama, Rend.
-    Circ. Mat. Palermo 4, 1955, 48. Each step multiplies the energy of undamped vibration by ``1 +
-    h² ω²``; there is a stationary state only for h below ``2 ζ/ω``."""
+    """Return Euler's rule ``x' = (1 + A h) x + σ √h z`` with the step h = ``dt``.
+
+    Maruyama, Rend. Circ. Mat. Palermo 4, 1955, 48. Each step multiplies the energy of undamped
+    vibration by ``1 + h² ω²``; there is a stationary state only for h below ``2 ζ/ω``.
+    """
     propagator = np.eye(2 * system.n) + dt * drift_matrix(system)
     return LinearMap(propagator, covariance_factor(dt * diffusion_matrix(system)))
 
 
 def drift_damp_drift(system: System, dt: float) -> LinearMap:
-    """Return A O A of BAOAB over ``dt``: half drift, exact damping and noise, half drift. The half
-    kicks B that meet between two steps are joined in the kick (Leimkuhler and Matthews, Appl. Math.
-    Res. Express 2013, 34)."""
+    """Return A O A of BAOAB over ``dt``: half drift, exact damping and noise, half drift.
+
+    The half kicks B that meet between two steps are joined in the kick (Leimkuhler and Matthews,
+    Appl. Math. Res. Express 2013, 34).
+    """
     n = system.n
     velocity = np.diag(1.0 / system.mass)
     damped, covariance = flow_covariance(-system.damping @ velocity, 2.0 * system.noise_matrix, dt)

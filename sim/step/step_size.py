@@ -58,8 +58,10 @@ STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8
 
 
 def temperature(system: System) -> float:
-    """Return kT = Σ(N_ii/m_i) / Σ(c_ii/m_i), N = f D fᵀ; inf without damping. With damping terms it
-    is the ``equivalent_temperature``."""
+    """Return kT = Σ(N_ii/m_i) / Σ(c_ii/m_i), N = f D fᵀ; inf without damping.
+
+    With damping terms it is the ``equivalent_temperature``.
+    """
     if system.damping_terms:
         return equivalent_temperature(system)
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
@@ -70,9 +72,12 @@ def temperature(system: System) -> float:
 def contact_frequency(
     system: System, *, springs: bool = False, energy: float = 0.0, kT: float | None = None
 ) -> float:
-    """Return the largest angular frequency in contact √(g'/m), with ``springs`` √((g' + K_ii)/m_i);
-    0 if no stop is reached. A mass, the others following statically, reaches the largest of
-    ``REACHED`` kT (None: ``temperature``), one kT of contact energy, and ``energy``."""
+    """Return the largest angular frequency in contact √(g'/m); 0 if no stop is reached.
+
+    With ``springs`` it is √((g' + K_ii)/m_i). A mass that moves alone, the others following
+    statically, has the potential ``½ k_eff q² + U(q)``. It is taken to reach the largest of
+    ``REACHED`` kT, of one kT of contact energy, and of ``energy``. ``kT`` None: ``temperature``.
+    """
     square, kT = 0.0, temperature(system) if kT is None else kT
     kT = kT if isfinite(kT) else 0.0  # undamped motion: ``energy`` alone counts
 
@@ -103,10 +108,12 @@ def sampling_interval(system: System) -> float:
 
 
 def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None) -> float:
-    """Return the step of ``exact_flow`` from its bias: at most the sampling interval, short beside
-    ``contact_frequency`` for ``energy`` and ``kT`` and, with damping terms, beside natural periods
-    and the rates Σ (1 + power of v_i) |c̃_ij| v_j/(m_i v_i) at ``REACHED`` kT or
-    ``BEYOND_BALANCE``."""
+    """Return the step of ``exact_flow`` from its bias; for a linear system the sampling interval.
+
+    Stops limit it by ``contact_frequency`` for ``energy`` and ``kT``. Damping terms need it short
+    beside the natural periods and beside their largest rate of a mass, Σ (1 + power of v_i) |c̃_ij|
+    v_j/(m_i v_i), each coordinate and H having the energy ``REACHED`` kT or ``BEYOND_BALANCE``.
+    """
     frequency = contact_frequency(system, springs=True, energy=energy, kT=kT)
     steps, share = [sampling_interval(system)], STEP_PER_FREQUENCY
     if system.damping_terms:
@@ -128,12 +135,13 @@ def step_for(
 ) -> float:
     """Return the step, up to ``chosen_step``, whose relative bias at the stops is ``error``/3.
 
-    ``error``: wanted relative error of p near its maximum; ``kT`` None: ``temperature``. For a
-    force ``B x^e`` the bias of p(q) at a stop is ``BIAS X^e``, ``X = h² e B (v h)^(e−1)/m`` the
-    square of the phase that contact adds in a step at the thermal velocity v; ``JOINT_BIAS X`` in
-    densities of q and p of the mass among ``observables``, where v and −v do not cancel
-    (docs/theory.md, "The step of the simulation"). Where stops are reached less often it may be
-    larger, up to a third of p.
+    ``error`` is the relative error that p shall have near its maximum, ``kT`` None:
+    ``temperature``. Within v h of a stop, v the thermal velocity, the force is not smooth over a
+    step: for a force ``B x^e`` the relative bias of p(q) there is ``BIAS X^e``, ``X = h² e B (v
+    h)^(e−1)/m`` the square of the phase that the contact adds in a step. In a density of q and p,
+    or of q or p and an energy, the biases of v and −v do not cancel: it is ``JOINT_BIAS X``, which
+    counts if ``observables`` contain such a density. At stops that are reached less often a larger
+    error is allowed, up to a third of p itself.
     """
     kT = temperature(system) if kT is None else kT
     steps, joint = [chosen_step(system, kT=kT)], set[int | None]()
@@ -168,9 +176,12 @@ def samples_in(system: System, dt: float, seconds: float) -> float:
 def stability_limit(
     system: System, scheme: Scheme, *, energy: float = 0.0, kT: float | None = None
 ) -> float:
-    """Return the largest stable step 2/ω, ω the ``contact_frequency`` for ``energy`` and ``kT``,
-    with the springs if they kick; if the kick is last, the least −2 Re λ/|λ|², λ the eigenvalues of
-    the drift out of contact, with constant damping that balances the noise for damping terms."""
+    """Return the largest stable step 2/ω, ω the ``contact_frequency`` for ``energy`` and ``kT``.
+
+    Springs that kick are part of ω. For a scheme whose kick is last it is the least −2 Re λ/|λ|², λ
+    the eigenvalues of the drift out of contact, with constant damping that balances the noise in
+    place of damping terms.
+    """
     if scheme.kick_first:
         square = contact_frequency(system, energy=energy, kT=kT) ** 2
         square += scheme.springs_kicked * highest_frequency(system) ** 2
@@ -184,10 +195,13 @@ def stability_limit(
 
 
 def relaxation_time(system: System) -> float:
-    """Return the longest decay time of the motion without contact; inf if a mode never decays. With
-    damping terms of Gaussian modes of temperatures θ_m, ``dθ_m/dt = S_m − P_m(θ)``, S_m the power
-    of the noise, P_m of the damping: from the eigenvalues of ∂P/∂θ in equilibrium and, for equal
-    θ_m, 2n/P'(θ). Passages between coexisting states take longer."""
+    """Return the longest decay time of the motion without contact; inf if a mode never decays.
+
+    With damping terms modes are taken to be Gaussian with temperatures θ_m, ``dθ_m/dt = S_m −
+    P_m(θ)``, S_m the power of the noise and P_m the power lost to damping; the eigenvalues of ∂P/∂θ
+    in equilibrium are decay rates of energies. An equal temperature of all modes gives a second
+    estimate, 2n/P'(θ); the longer time is returned. Passages between coexisting states take longer.
+    """
     if not system.damping_terms:
         return decay_time(system)
     equivalent_temperature(system)  # raises where damping and noise do not balance
@@ -220,9 +234,11 @@ def modal_temperatures(system: System) -> Array:
 
 
 def modal_powers(system: System, temperatures: Array) -> Array:
-    """Return the mean power (n,) that damping takes from each mode, E P_m (Tᵀ c M⁻¹ p)_m, of
-    Gaussian modes of ``temperatures`` (n,); H^e of a term by its mean in Gibbs' density at their
-    mean."""
+    """Return the mean power (n,) that each mode loses to damping, E P_m (Tᵀ c M⁻¹ p)_m.
+
+    Modes are independent Gaussians of ``temperatures`` (n,). H^e of a term is replaced by E H^e of
+    the Gibbs density of the same mean temperature.
+    """
     n, (shapes, omega) = system.n, natural_modes(system)
     displacements = (shapes * (temperatures / omega**2)) @ shapes.T
     velocities = (shapes * temperatures) @ shapes.T
@@ -261,7 +277,9 @@ def loudest(system: System) -> System:
 
 def hottest(system: System) -> float:
     """Return the least T with N <= T c as quadratic forms of v; inf if noise acts on undamped v.
-    With damping terms it is the largest ``modal_temperatures``, or ``temperature`` if larger."""
+
+    With damping terms it is the largest ``modal_temperatures``, or ``temperature`` if larger.
+    """
     if system.damping_terms:
         return float(max(temperature(system), *modal_temperatures(system)))
     rates, v = np.linalg.eigh(0.5 * (system.damping + system.damping.T))
@@ -275,10 +293,12 @@ def hottest(system: System) -> float:
 
 
 def largest_reached(system: System, energy: float, time: float) -> Array:
-    """Return bounds of |q| and |p| (2n,) at the ``time`` after a start with up to ``energy``,
-    exceeded with the probability ``CHANCE``: free motion and motion by the noise, 2n normal
-    coordinates in units of √T, T ``hottest`` or twice the energy that the noise has brought, add
-    up."""
+    """Return bounds of |q| and |p| (2n,) at the ``time`` after a start with up to ``energy``.
+
+    Free motion and motion by the noise add up. The latter has 2n normal coordinates in units of √T:
+    T is ``hottest`` or, if less, twice the energy that the noise has brought by then. Stops only
+    make displacements smaller. A state exceeds the bounds with the probability ``CHANCE``.
+    """
     T = system.fact(hottest)
     if system.damping_terms:
         energy = max(energy, BEYOND_BALANCE * system.fact(damping_balance).energy)

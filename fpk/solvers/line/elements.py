@@ -1,14 +1,18 @@
 """The stationary FPK equation of one energy on one finite element at a time.
 
-The Galerkin equations ``∫ J(u) v' dH = 0`` for all continuous piecewise polynomials v of degree p
-say that the zero flux J is orthogonal, element by element, to all polynomials of degree p − 1. So
+Zero flux makes the one-dimensional stationary problem local. The Galerkin equations
+``∫ J(u) v' dH = 0`` for all continuous piecewise polynomials v of degree p say that the flux J is
+orthogonal, element by element, to all polynomials of degree p − 1, which are the derivatives v'. So
 static condensation is exact: every element has a one-dimensional null space of its own, and the
-solution consists of these null vectors, scaled to match at the vertices.
+global solution consists of these null vectors, scaled to match at the vertices. As nothing else has
+to match, Legendre polynomials serve as basis.
 
 u = p/T is the phase-space density, and J = T (F u − ½ b u') with F the part of the drift due to
-damping; the noise part, ½ (bT)'/T, has cancelled, so that no derivative of b is needed, and u is
-smooth where T is not. Above an energy where contact begins T has half-integer powers, and the
-element that begins there has quadrature points of its own.
+damping; the noise part of the drift, ½ (bT)'/T, has cancelled, so that no derivative of b is
+needed, and u is smooth where T is not. The exact solution has J = 0 at every point, so that the
+Galerkin equations may use any quadrature points. Integrals of p need special points: above an
+energy where contact begins T has half-integer powers, and the element that begins there has points
+of its own.
 """
 
 from collections.abc import Callable
@@ -25,8 +29,9 @@ ENRICHMENT = 2
 """Degree of the enriched solution, whose distance estimates the error, above that of the answer."""
 ELEMENT_POINTS = 4
 """Gauss points of an element above its degree; twice as many if T ~ H^(n−1) is steep, n > 2. Fewer
-there give answer and enriched solution a common error; more elsewhere hide the error by a root of H
-in T: for a stop that touches at rest it was 8 times the stated error."""
+there give answer and enriched solution a common error (n from 7 to 40: up to four times their
+distance). More elsewhere hide the error by a root of H in T from their distance: for a stop that
+touches at rest the error was 8 times the stated error."""
 CONTACT_POINTS = 10
 """Gauss points above the degree, for an element that begins at a contact energy."""
 NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
@@ -35,19 +40,7 @@ NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
 
 @lru_cache
 def element_rule(degree: int, degrees_of_freedom: int = 1) -> tuple[Array, ...]:
-    """Return the quadrature of elements of ``degree`` on [0, 1], for T ~ H^(n−1) at H = 0.
-
-    Returned are the Gauss points and weights; the weights of the enriched solution, an
-    interpolatory rule without the middle point, whose distance from the Gauss rule exceeds the
-    error of the latter; the values P_j (degree + 3, points); and (2 · points, tests · (degree + 3))
-    values and derivatives of P_j times the degree + 2 test functions.
-
-    Last come points, weights and P_j of an element that begins at a contact energy H_c, Gauss
-    points in (H − H_c)^⅓: the rule for the mass of the answer, then a rule of twice as many points
-    for the enriched solution. T is smooth in √(H − H_c), but stiff contact leaves a layer, and with
-    little or no clearance T has other roots and both rules converge algebraically: the finer rule
-    then has less than half of the error, for any power of H − H_c from ½ on.
-    """
+    """Return the points of elements of ``degree`` for T ~ H^(n−1), n = ``degrees_of_freedom``."""
     points = degree + (2 if degrees_of_freedom > 2 else 1) * ELEMENT_POINTS
     count, highest = degree + CONTACT_POINTS, degree + ENRICHMENT
     x, w = gauss_legendre(points)

@@ -1,7 +1,8 @@
 """Probe of a process of one energy, which finds where its density lies, and meshes based on it.
 
-Over an element ln(p/T) falls by a few units (nats); geometric layers lie where smoothness is lost,
-and short elements where a motion starts or ends.
+A process is probed before there is any mesh, from far below to far above its energy scale. Over an
+element of the mesh ln(p/T) then falls by a few units (nats); geometric layers lie where smoothness
+is lost, and short elements where a motion starts or ends.
 """
 
 import math
@@ -21,16 +22,16 @@ PROBE_ENERGIES = np.concatenate(
 )
 """Energies of a probe, in units of ``Process.energy_scale``."""
 SAGITTA = 1.0
-"""Largest (d²ln(p H)/d(ln H)²)·(Δ ln H)² between two points of a probe down to ``PROBE_DEPTH``:
-ln(p H) rises above its chord by at most an eighth of it."""
+"""Largest (d²ln(p H)/d(ln H)²)·(Δ ln H)² between two points of a probe with p H > e^−PROBE_DEPTH of
+its maximum: ln(p H) rises above its chord by at most an eighth of it."""
 PROBE_DEPTH = 100.0
 """Depth in ln(p H) below its maximum down to which a probe resolves p: 4e-44 of the mass."""
 ELEMENT_FALL = 3.0
 """Fall of ln(p/T) over one element: degree 10 approximates exp(−3 t) to 1e-11."""
 SMOOTH_FALL = 4.0
-"""Fall n of ln(p/T) over one element if ln(p/T) is linear in H: degree p has the error
-n^(p+1)/((p+1)! 2^(2p+1)) of the maximum of e^(−n t), 1e-1 to 1e-2 of a tolerance of p − 4
-digits."""
+"""Fall n of ln(p/T) over one element if ln(p/T) is linear in H. A polynomial of degree p has the
+error n^(p+1)/((p+1)! 2^(2p+1)) of the maximum of e^(−x) (Chebyshev), 1e-1 to 1e-2 of a tolerance
+whose number of digits is p − 4."""
 CONTACT_GROWTH = 20.0
 """Largest ratio of both ends of an element that begins at a contact energy."""
 GRADING = 0.15
@@ -148,10 +149,12 @@ def initial_nodes(
     nats: Array | float = ELEMENT_FALL,
     layers: int = GRADED_LAYERS,
 ) -> Array:
-    """Return nodes from 0 to ``end``, with a node at each of the ``nonsmooth`` energies. ``nats``
-    is the fall of ln(p/T) over one element, one number or one for each energy of the ``probe``.
-    Above every nonsmooth energy H_c lie geometric ``layers``; if H_c is tiny compared with its
-    element, elements grow from it by ``CONTACT_GROWTH``, as T changes with H/H_c."""
+    """Return nodes from 0 to ``end``, with a node at each of the ``nonsmooth`` energies.
+
+    ``nats`` is the fall of ln(p/T) over one element, one number or one for each energy of the
+    ``probe``. Above every nonsmooth energy H_c lie geometric ``layers``; if H_c is tiny compared
+    with its element, elements grow from it by ``CONTACT_GROWTH``, as T changes with H/H_c.
+    """
     # Between two ends the nodes divide ∫rate into equal shares, as few as ∫rate allows.
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
     grid = end / 64.0 * np.arange(65.0)
@@ -170,9 +173,11 @@ def initial_nodes(
 
 
 def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRADED_LAYERS) -> Array:
-    """Return ``nodes`` with geometric layers above each node that is a ``nonsmooth`` energy H, from
-    the last node down to ``count`` layers below the node next to H: the ratio of the distances of
-    both ends of any element from H is at least ``GRADING``."""
+    """Return ``nodes`` with geometric layers above each node that is a ``nonsmooth`` energy H.
+
+    The layers go from the last node down to ``count`` layers below the node next to H, so that the
+    ratio of the distances of both ends of any element from H is at least ``GRADING``.
+    """
     for H in nonsmooth:
         if count and nodes[0] <= H < nodes[-1]:
             reach = float(nodes[-1]) - H
@@ -190,9 +195,11 @@ def split_points(left: Array, right: Array, nonsmooth: tuple[float, ...]) -> Arr
 
 
 def first_degree(degree: int, n: int) -> int:
-    """Return the degree of the element at H = 0, where T ~ H^(n−1), at most ``degree``: the
-    orthogonal polynomial of degree k has the value (n+k−1 over k) at 0, at most
-    ``LARGEST_VALUE``."""
+    """Return the degree of the element at H = 0, where T ~ H^(n−1), at most ``degree``.
+
+    The orthogonal polynomial of degree k in the weight H^(n−1) has the value (n+k−1 over k) at 0,
+    which must not exceed ``LARGEST_VALUE``.
+    """
     return max(
         k for k in range(1, degree + 1) if k == 1 or math.comb(k + n - 1, k) <= LARGEST_VALUE
     )
@@ -212,10 +219,12 @@ def time_nodes(
     fine: Sequence[tuple[float, float]] = (),
     more: Array | Sequence[float] = (),
 ) -> Array:
-    """Return nodes from 0 to ``end`` for elements of ``degree`` in time: those for the stationary
-    density; nodes around the energies in ``fine``, pairs (energy, length of the elements beside
-    it), with lengths that grow by ``LENGTH_RATIO``; and ``more``. One of two nodes that nearly
-    coincide is dropped."""
+    """Return nodes from 0 to ``end`` for elements of ``degree`` in time.
+
+    They are the nodes for the stationary density; nodes around the energies in ``fine``, pairs
+    (energy, length of the elements beside it), with lengths that grow by ``LENGTH_RATIO``; and the
+    nodes ``more``. One of two nodes that nearly coincide is dropped.
+    """
     n = process.degrees_of_freedom
     nodes = initial_nodes(probe_process(process), end, process.nonsmooth, nats=SMOOTH_FALL)
     added = [nodes, more, end * np.array([0.25, 0.5, 0.75])]  # four elements at least

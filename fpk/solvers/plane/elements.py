@@ -55,9 +55,11 @@ def assemble(matrices: Array, numbers: Integers) -> csc_array:
 def lu_factors(
     matrix: csc_array, refusal: str = "the equations of a step in time have no unique solution"
 ) -> SuperLU:
-    """Return the LU factors in a symmetric ordering, with pivots on the diagonal: so the accuracy
-    does not depend on the scales of rows and columns, over which w varies by many decades. Raises
-    ``NotCertified(refusal)`` if the matrix is singular."""
+    """Return the LU factors in a symmetric ordering, with pivots on the diagonal.
+
+    Without row exchanges the accuracy does not depend on the scales of rows and columns, over which
+    w varies by many decades. Raises ``NotCertified(refusal)`` if the matrix is singular.
+    """
     symmetric = {"SymmetricMode": True}
     try:
         return splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
@@ -66,9 +68,12 @@ def lu_factors(
 
 
 def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
-    """Return the null vector of a matrix whose columns add up to 0, and its relative residual. One
-    of the equations of ``vertices`` (unknowns) is redundant, and its unknown set to 1: the first,
-    or the largest if the first is less than 1e-3 of it, as a small pivot costs its digits."""
+    """Return the null vector of a matrix whose columns add up to 0, and its relative residual.
+
+    The vertex functions sum to 1, so that the equation of one vertex is redundant; its unknown is
+    set to 1. ``vertices`` are the numbers of all vertex unknowns. The first is tried, and then, if
+    it is less than 1e-3 of the largest, the largest, as a small pivot costs its digits.
+    """
     held, starts, rows = int(vertices[0]), matrix.indptr, matrix.indices
     for _ in range(2):
         entries, own = matrix.data.copy(), slice(starts[held], starts[held + 1])
@@ -91,9 +96,11 @@ def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
 def null_function(
     process: Process, nodes: Nodes, degree: int, points: int, weight: Weight
 ) -> tuple[PiecewiseTensor, float]:
-    """Return u of the unscaled stationary density p = w u, and the relative residual. u has the
-    ``degree`` along each axis between ``nodes``; w is the ``weight``; ``points`` is the number of
-    Gauss points of an element along each axis."""
+    """Return u of the unscaled stationary density p = w u, and the relative residual.
+
+    u has the ``degree`` along each axis between ``nodes``; w is the ``weight``; ``points`` is the
+    number of Gauss points of an element along each axis.
+    """
     (x, y), _ = gauss_grid(nodes, points=points)
     matrices = element_matrices(flux_coefficients(process, x, y, weight)[1:], nodes, degree)
     # The unknowns inside every element are eliminated first.
@@ -115,8 +122,11 @@ def null_function(
 
 
 def shape_functions(degree: int, t: Array) -> tuple[Array, Array]:
-    """Return hierarchical shape functions and slopes (``degree`` + 1, points) at ``t`` in [0, 1]:
-    of both vertices, then (P_j − P_(j−2))/√(4j − 2), P_j Legendre polynomials, as in scikit-fem."""
+    """Return hierarchical shape functions and slopes (``degree`` + 1, points) at ``t`` in [0, 1].
+
+    The first two belong to the left and right vertex. The others vanish at both; they are
+    (P_j − P_(j−2))/√(4j − 2), P_j Legendre polynomials, as in scikit-fem.
+    """
     P = legvander(2.0 * t - 1.0, degree).T
     j = np.arange(2.0, degree + 1.0)[:, None]
     scale, one = 1.0 / np.sqrt(4.0 * j - 2.0), np.ones_like(t)
@@ -137,9 +147,11 @@ def flux_coefficients(
     process: Process, H1: Array, H2: Array, weight: Weight, *, balanced: bool = False
 ) -> Array:
     """Return w, w a_1, w a_2, w b_11, w b_12, w b_22 (6, ...) at ``H1``, ``H2`` that broadcast.
+
     With p = w u the flux is ``J_i = w (a_i u − ½ b_ij ∂_j u)``, a = s − ½ ∇·b + ½ b ∇ ln w.
-    ``balanced``: the ``weight`` without its floor is the density of zero flux, and s − ½ ∇·b = ½ b
-    ∇Φ is not computed from s."""
+    ``balanced``: the ``weight`` without its floor is the density of zero flux, and
+    s − ½ ∇·b = ½ b ∇Φ is not computed from s.
+    """
     shape = np.broadcast_shapes(H1.shape, H2.shape)
     points = np.empty((*shape, 2))
     points[..., 0], points[..., 1] = H1, H2
@@ -161,9 +173,12 @@ def flux_coefficients(
 
 @lru_cache
 def _quadrature_products(degree: int, points: int) -> tuple[Array, Array, Array, Array, Integers]:
-    """Weighted value·value, slope·value, value·slope and slope·slope, test functions first, at
-    Gauss ``points`` of [0, 1], (points, (degree+1)²). The last array are the places of an element
-    matrix in ``local_order`` in the product matrix of pairs (test, trial) along H1 and along H2."""
+    """Weighted products of test and trial functions at Gauss ``points``, (points, (degree+1)²).
+
+    They are value·value, slope·value, value·slope and slope·slope, test first, on the unit
+    interval. The last array are the places of an element matrix in ``local_order`` in the product
+    matrix with pairs (test, trial) along H1 as rows and along H2 as columns.
+    """
     t, w = gauss_legendre(points)
     phi, dphi = shape_functions(degree, 0.5 * (1.0 + t))
     pairs = [(phi, phi), (dphi, phi), (phi, dphi), (dphi, dphi)]
@@ -175,9 +190,11 @@ def _quadrature_products(degree: int, points: int) -> tuple[Array, Array, Array,
 
 
 def element_matrices(coefficients: Array, nodes: Nodes, degree: int) -> Array:
-    """Return element matrices (elements, m, m), test functions first, in ``local_order``. The
-    ``coefficients`` (.., along H1, along H2) at Gauss points are w a and w b (5), for the flux, or
-    w (1), for ∫ w φ_i φ_j; ``nodes`` ascend."""
+    """Return element matrices (elements, m, m), test functions first, in ``local_order``.
+
+    ``coefficients`` (.., along H1, along H2) on the grid of Gauss points are w a and w b (5), for
+    the flux, or w (1), for ∫ w φ_i φ_j. ``nodes`` ascend; ``degree`` is the same along both axes.
+    """
     # Lengths (elements, 1, 1) of the elements.
     h1, h2 = (h.reshape(-1, 1, 1) for h in np.meshgrid(*map(np.diff, nodes), indexing="ij"))
     first, *more = by_element(coefficients, (nodes[0].size - 1, nodes[1].size - 1))

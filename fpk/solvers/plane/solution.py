@@ -20,9 +20,12 @@ from fpk.system.process import Process
 
 @dataclass(frozen=True, eq=False)
 class PlaneSolution:
-    """Density p(H1, H2) = w u with its measured numbers and certificate. ``enriched`` is u of a
-    higher degree. ``beyond`` (2,) is the mass beyond each far edge; it and the error of ∫p add up
-    to ``relative_error``, an error of p everywhere."""
+    """Density p(H1, H2) = w u with its measured numbers and certificate.
+
+    The error estimate compares the piecewise polynomial u with ``enriched``, of a higher degree.
+    ``beyond`` (2,) is the mass beyond each far edge; it and the error of ∫p add up to
+    ``relative_error``, an error of p everywhere.
+    """
 
     process: Process
     u: PiecewiseTensor
@@ -78,9 +81,12 @@ class PlaneSolution:
 
     @cached_property
     def _around(self) -> tuple[Nodes, Array]:
-        """Energies of a grid along each axis, and the error of √w u around each grid point: the
-        largest distance to the enriched solution within two half-waves, as it vanishes on lines
-        where the error does not. The norm of the weak form is ∫(√w u)²."""
+        """Energies of a grid along each axis, and the error of √w u around each grid point.
+
+        The distance to the enriched solution vanishes on lines where the error does not. As for one
+        energy, the largest distance within two half-waves is used. The norm of the weak form is
+        ∫(√w u)².
+        """
         count = HALF_WAVE * (self.enriched.coefficients.shape[-1] - 1)
         share = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / max(count, 1))
         x, y = (np.unique(z[:-1, None] + np.diff(z)[:, None] * share) for z in self.nodes)
@@ -116,9 +122,12 @@ def gauss_points(nodes: Nodes, degree: int, weight: Weight) -> int:
 
 
 def tails(p: Array, grids: list[tuple[Array, Array]], points: int) -> tuple[Array, Array]:
-    """Return the mass beyond each far edge (2,) and the e-folding energies there (2,). ``p`` is
-    given on the ``grids`` of Gauss points and weights. The marginal is continued with half of its
-    logarithmic slope over the last ``points``; the mass is infinite if it does not fall."""
+    """Return the mass beyond each far edge (2,) and the e-folding energies there (2,).
+
+    ``p`` is given on the ``grids`` of Gauss points and weights. From its fall over the last
+    ``points`` of each axis the marginal is continued with half of its logarithmic slope, as the
+    slope may decrease. The mass is infinite if the marginal does not fall.
+    """
     beyond, e_fold = np.zeros(2), np.zeros(2)
     (x, v), (y, w) = grids
     for axis, (energy, marginal) in enumerate(((x, p @ w), (y, v @ p))):
@@ -142,11 +151,14 @@ def solve_plane_on_mesh(
     longer: bool = False,
     solved: Callable[..., tuple[PiecewiseTensor, float]] = null_function,
 ) -> PlaneSolution:
-    """Return the finite element solution p = w u, u of ``degree`` between ``nodes``, w the
-    ``weight``, certified to ``tol``. ``solved`` replaces ``null_function``. If ``longer``, the mesh
-    of the enriched solution extends along each axis until the marginal has fallen by another e²,
-    unless the mass beyond is round-off: the distance then contains 1 − e⁻² = 86 % of the error by
-    ending the mesh. Raises ``NotCertified`` if the solution is not unique."""
+    """Return the finite element solution p = w u, u of ``degree`` between ``nodes``.
+
+    ``tol`` is the tolerance of the certificate; w is the ``weight``. If ``longer``, the mesh of the
+    enriched solution extends along each axis until the marginal has fallen by another e², unless
+    the mass beyond is round-off. The distance then contains 1 − e⁻² = 86 % of the error by ending
+    the mesh, which exceeds the mass beyond if probability circulates. ``solved`` replaces
+    ``null_function``. Raises ``NotCertified`` if the equations have no unique solution.
+    """
 
     def of_mass_one(mesh: Nodes, degree: int, count: int) -> tuple[PiecewiseTensor, float]:
         """u of ``degree`` on ``mesh`` by ``count`` Gauss points, scaled to mass 1; its residual."""

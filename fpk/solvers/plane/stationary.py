@@ -1,9 +1,10 @@
 """Certified solution of the stationary FPK equation of two energies, Eq. (19).
 
-p = w u with a weight w near p and u of high degree on a few panels, on finer and finer meshes. In
-the norm of the weak form, weighted by w ≈ p, an error ε of u is an error ε √p of p, so that p stays
-positive far below the tolerance. If this does not reach the tolerance, more elements with w = 1 are
-used. Under detailed balance the weight is the density: p = w/∫w.
+p = w u with a weight w near p and u of high degree on a few panels, on a ladder of finer and finer
+meshes. In the norm of the weak form, weighted by w ≈ p, an error ε of u is an error ε √p of p, so
+that p stays positive far below the tolerance. If this does not reach the tolerance, more elements
+with w = 1 are used. Under detailed balance, without probability flux, the weight is the density:
+p = w/∫w.
 """
 
 from collections.abc import Callable, Iterator
@@ -27,8 +28,8 @@ from fpk.system.ends import require_confined
 from fpk.system.process import Process
 
 RUNGS = ((2, 6), (2, 10), *((4, p) for p in range(8, 19)), *((n, 18) for n in range(5, 9)))
-"""Panels along each axis and degree of the attempts. Degrees above 10 lose digits on two long
-panels; from four panels on a higher degree gains a digit at less cost than more panels."""
+"""Panels along each axis and degree of the attempts. Degrees above 10 lose digits to round-off on
+two long panels; from four panels on a higher degree gains a digit at less cost than more panels."""
 DIGITS_PER_RUNG = 0.6
 """Digits of the error gained from one of ``RUNGS`` to the next: measured 0.4 to 0.85."""
 REFIT_ERROR = 1e-4
@@ -36,10 +37,12 @@ REFIT_ERROR = 1e-4
 
 
 def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
-    """Return the stationary density of two energies to the L1 tolerance ``tol``; if no attempt is
-    certified, the attempt with the smallest error estimate. Zero flux is natural at all ends.
-    Raises ``NotCertified`` if the density does not fall off, ``InvalidInput`` unless the process
-    has two energies."""
+    """Return the stationary density of two energies to the L1 tolerance ``tol``.
+
+    Zero flux is natural far out and at H_i = 0, where the normal diffusion vanishes. If no attempt
+    is certified, the attempt with the smallest error estimate is returned. Raises ``NotCertified``
+    if the density does not fall off, ``InvalidInput`` unless the process has two energies.
+    """
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
     require_confined(process)
@@ -67,10 +70,13 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
 
 
 def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSolution | None:
-    """Return p = w/∫w if the flux of the ``weight`` w vanishes within the L1 tolerance ``tol``. The
-    error of ln p is bounded by the integral along each axis of the difference between ∇ ln w and
-    b⁻¹ (2s − ∇·b), without the factor p, as behind a barrier a small slope error moves mass. None
-    if this bound exceeds half of ``tol``, or w varies too fast for 24 panels along each axis."""
+    """Return p = w/∫w if the flux of the ``weight`` w vanishes within the L1 tolerance ``tol``.
+
+    The error of ln p is bounded by the integral along each axis of the difference between ∇ ln w
+    and b⁻¹ (2s − ∇·b), without the factor p: behind a barrier a small slope error moves mass from
+    one side to the other. Returns None if this bound exceeds half of the tolerance, or if w varies
+    too fast for 24 panels along each axis.
+    """
     weight = replace(weight, floor=0.0)
     try:
         ends = weight.ends(max(weights.NEGLIGIBLE_FALL, weights.negligible_rise(tol)))
@@ -146,9 +152,11 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
 
 
 def next_rung(rung: int, missing: float, *, most: int) -> int:
-    """Return the index in ``RUNGS`` after ``rung`` for an error ``missing`` times the tolerance. It
-    follows from the missing digits, is at most ``most`` higher, and skips no rung beyond the
-    highest degree on four panels."""
+    """Return the index in ``RUNGS`` after ``rung`` for an error ``missing`` times the tolerance.
+
+    It follows from the missing digits, is at most ``most`` higher, and skips no rung beyond the
+    highest degree on four panels.
+    """
     digits = float(np.log10(max(missing, 1.0))) if np.isfinite(missing) else np.inf
     gain = ceil(min(digits / DIGITS_PER_RUNG, most))
     # The second rung is four degrees above the first.
@@ -156,9 +164,11 @@ def next_rung(rung: int, missing: float, *, most: int) -> int:
 
 
 def weight_of(solution: PlaneSolution) -> Weight | None:
-    """Return a weight fitted to −ln p of ``solution``, or None if no fit is much better. Points are
-    used at which the relative error of p is below ``LARGEST_ERROR``: with the error ε √p of p these
-    have p > (ε/LARGEST_ERROR)² of its maximum."""
+    """Return a weight fitted to −ln p of ``solution``, or None if no fit is much better.
+
+    The fit uses points at which the relative error of p is below ``LARGEST_ERROR``: with the error
+    ε √p of p these have p > (ε/LARGEST_ERROR)² of its maximum.
+    """
     rise = -2.0 * float(np.log(min(solution.l1_error, 1.0) / LARGEST_ERROR))
     if not rise > 2.0 * weights.RISE_PER_DEGREE:
         return None
@@ -189,11 +199,11 @@ def solve_by_elements(
 ) -> PlaneSolution:
     """Return the solution with w = 1 to the L1 tolerance ``tol`` on adaptively refined meshes.
 
-    The first mesh has four intervals along each axis, up to the ends of the ``weight``. Intervals
-    whose highest modes exceed ``marked`` times the largest are halved, and one is added at an edge
-    with mass beyond. ``degree`` follows from ``tol`` unless given; ``solved`` replaces
-    ``null_function``. Raises ``NotCertified`` if the first mesh has too many entries, or the weight
-    does not fall off.
+    ``degree`` follows from ``tol`` unless given. The first mesh has four intervals along each axis,
+    up to the ends of the ``weight``. Intervals whose highest modes exceed ``marked`` times the
+    largest are halved, and one interval is added at an edge with mass beyond, until the answer is
+    certified or the next mesh has too many matrix entries. ``solved`` replaces ``null_function``.
+    Raises ``NotCertified`` if the first mesh has too many entries, or the weight does not fall off.
     """
     if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
         degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))

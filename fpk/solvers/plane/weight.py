@@ -1,8 +1,8 @@
 """The weight w = exp(−Φ) of p = w u, Φ a polynomial of both energies close to −ln p.
 
-p does not depend on the weight; the closer w is to p, the fewer unknowns u has, and the farther out
-p stays positive. The first weight is fitted to slopes of ln p for zero flux, later ones to
-solutions.
+The solution p does not depend on the weight; the closer w is to p, the fewer unknowns u has, and
+the farther out p stays positive. The first weight is fitted to the slopes of ln p for zero flux,
+later weights are fitted to solutions.
 """
 
 from collections.abc import Iterator
@@ -45,8 +45,10 @@ long as u ≥ −1e5."""
 
 @dataclass(frozen=True, eq=False)
 class Weight:
-    """w = exp(−Φ) + ``floor`` with Φ = Σ ``coefficients``[i, j] x^i y^j, x, y = H1, H2/``scales``,
-    at ``H1`` and ``H2`` that broadcast. The smallest Φ on the fitted box is 0."""
+    """w = exp(−Φ) + ``floor`` with Φ = Σ ``coefficients``[i, j] x^i y^j, x, y = H1, H2/``scales``.
+
+    The smallest Φ on the fitted box is 0. ``H1`` and ``H2`` broadcast in all functions.
+    """
 
     coefficients: Array
     scales: tuple[float, ...]
@@ -101,8 +103,11 @@ def negligible_rise(tol: float, height: float = 0.0, level: int = 0) -> float:
 
 
 def flux_free_weight(process: Process) -> Weight:
-    """Return w fitted to the slopes of p for zero flux, ∇ ln p = b⁻¹ (2s − ∇·b). If p or the fit
-    does not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified`` if b is singular."""
+    """Return w fitted to the slopes of p for zero flux everywhere, ∇ ln p = b⁻¹ (2s − ∇·b).
+
+    If p or the fit does not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified`` if b is
+    singular off the axes.
+    """
     scales = np.array(process.energy_scales)
     points = np.stack(np.broadcast_arrays(PROBE[:, None], PROBE), axis=-1).reshape(-1, 2)
     c = process.coefficients(points * scales)
@@ -154,8 +159,11 @@ def fit_weight(
     *,
     present: Weight | None = None,
 ) -> Weight | None:
-    """Return w fitted to ``log_p`` at the ``known`` points of a ``grid``, over which ln p falls by
-    ``rise``; None if no fit has less than ``GAIN`` times the misfit of the ``present`` weight."""
+    """Return w fitted to ``log_p`` at the ``known`` points of a ``grid``, or None.
+
+    ``rise`` is the fall of ln p over the known points. None: no fit has less than ``GAIN`` times
+    the misfit of the ``present`` weight.
+    """
     scales, (i, j) = (float(grid[0][-1]), float(grid[1][-1])), np.nonzero(known)
     x, y = grid[0][i], grid[1][j]
     target = log_p[known].max() - log_p[known]
@@ -190,8 +198,11 @@ def _power_columns(x: Array, powers: Integers, *, slope: bool = False) -> Array:
 
 def fits_by_degree(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array, float]]:
     """Yield least-squares fits of ``right`` (rows,) of rising total degree, with relative misfits.
-    ``columns`` (rows, coefficients) are monomials with the ``powers`` (coefficients, 2), by degree.
-    One QR factorisation serves all fits; they end where columns are linearly dependent."""
+
+    ``columns`` (rows, coefficients) are the values of the monomials with the ``powers``
+    (coefficients, 2), by degree. One QR factorisation serves all fits; they end where columns are
+    linearly dependent.
+    """
     R = np.asarray(np.linalg.qr(np.column_stack([columns, right]), mode="r"))
     total = powers.sum(axis=1)
     dependent = np.abs(np.diag(R)) <= ROUND_OFF * np.linalg.norm(R, axis=0)[: len(R)]
@@ -210,9 +221,11 @@ def _chosen(
     rise: float = np.inf,
     least: float = np.inf,
 ) -> Weight | None:
-    """The fit of highest degree with units ``scales``, or None, among ``fits`` that rise along
-    every ray beyond the box and where Φ > ``rise``, and have less than ``GAIN`` times the misfit of
-    the fit accepted before, at first ``least``."""
+    """The accepted fit of highest degree with units ``scales``, or None.
+
+    One of the ``fits`` must rise along every ray beyond the box and where Φ > ``rise``, and have
+    less than ``GAIN`` times the misfit of the fit accepted before, at first ``least``.
+    """
     best, outside = None, np.maximum(RAYS[:, None], RAYS) > 1.0
     for phi, misfit in fits:
         if misfit < GAIN * least:

@@ -46,7 +46,9 @@ MOST_DRAWS = 3e7
 @dataclass(eq=False)
 class EnergyEnsemble:
     """Paths of X (paths, d) that advance together from the time ``begin``, as an ``Ensemble`` does.
-    Each ``GROUP`` of blocks has a stream of the ``seed``, from number ``number`` · 2**32 on."""
+
+    Each ``GROUP`` of blocks has its own stream of the ``seed``, from number ``number`` · 2**32 on.
+    """
 
     form: SquareRootForm
     X: Array
@@ -112,10 +114,13 @@ def simulate_energies(
     failures: Sequence[str] = (),
     progress: Progress = silent,
 ) -> tuple[SampledDensity, ...]:
-    """Return sampled densities of energies H_i, of pairs of them and of H = Σ H_i, certified: of
-    ``paths``, every ``interval`` of ``steps`` steps, for ``time`` after ``burn_in``, whose last
-    states give the ranges, or for ``seconds``. ``tol``: of the expected L1 error. Raises
-    ``InvalidInput`` if ``paths`` is no multiple of the number of batches."""
+    """Return sampled densities of energies H_i, of pairs of them and of H = Σ H_i, certified.
+
+    ``paths`` are sampled every ``interval``, in ``steps`` steps, for ``time`` after ``burn_in``,
+    whose last states give the ranges of the histograms, or for ``seconds`` of wall time. ``tol``:
+    tolerance of the expected L1 error. Raises ``InvalidInput`` if ``paths`` is no multiple of the
+    number of batches.
+    """
     if paths < 4 * MAX_BATCHES or paths % MAX_BATCHES:
         many = f"use a multiple of {MAX_BATCHES}, {4 * MAX_BATCHES} or more"
         raise InvalidInput("paths", paths, many)
@@ -148,8 +153,10 @@ def simulate_energies(
 def burnt_in(
     form: SquareRootForm, paths: int, stream: Generator, dt: float, steps: int, threads: int
 ) -> Array:
-    """Return the energies (``paths``, d) after ``steps`` of ``dt`` from exponential X. ``stream``
-    draws X and the seed of the steps, made by so many ``threads``."""
+    """Return the energies (``paths``, d) after ``steps`` of ``dt`` from exponential X.
+
+    ``stream`` draws X and the seed of the steps, made by so many ``threads``.
+    """
     start, seed = stream.exponential(form.scales, (paths, form.scales.size)), stream.integers(2**63)
     with workers_of(None, threads) as workers:
         ensemble = EnergyEnsemble(form, start, dt, int(seed), 0, workers)
@@ -162,7 +169,9 @@ def energy_axis(
     *, rises: bool = False,
 ) -> BinAxis:  # fmt: skip
     """Return bins of an energy from 0 to ``high``, as ``sim.sample.histogram.axis_of`` does.
-    ``low``, its least sampled value, is not used."""
+
+    ``low``, its least sampled value, is not used.
+    """
     total = coordinate.index is None
     kinks = [*([0.0] if rises else []), *(form.kinks if total else ())]
     reference = partial(log_states, form.degrees_of_freedom if total else 1)
@@ -223,9 +232,11 @@ def energy_passage(
 
 
 def energy_transient(form: SquareRootForm, starts: Starts, asked: Asked, method: Any) -> Transient:
-    """Return the densities of energies ``asked.observable``, certified. Exact steps lead from time
-    to time; else a step (see ``energy_passage``) and half of it have their own paths. Without
-    ``tol`` two rounds of ``paths`` are made."""
+    """Return the densities of energies ``asked.observable``, certified.
+
+    Exact steps lead from time to time; else a step (see ``energy_passage``) and half of it have
+    their own paths. Without ``tol`` two rounds of ``paths`` are made.
+    """
     dt = method.step * float((form.scales / form.noise).min())
     longest, many = (inf, (1,)) if form.damping is None else (dt, (2, 1))
     seen = lambda ensemble: energy_columns(asked.observable, form.energies(ensemble.X))  # noqa: E731

@@ -22,7 +22,10 @@ FIRST_CELLS = 8
 @dataclass(frozen=True, eq=False)
 class SquareRootForm:
     """``dX_i = (d_i − γ_i(X) X_i) dt + √(β_i X_i) dB_i``, i = 1 … d, noises independent, Eq. (17).
-    p(Σ H_i) is ~ H^(n−1) near 0, n ``degrees_of_freedom``, and may not be smooth at ``kinks``."""
+
+    p(Σ H_i) is proportional to H^(n−1) near H = 0, n ``degrees_of_freedom``; at ``kinks`` it may
+    not be smooth.
+    """
 
     noise: Array  # (d,), d
     slope: Array  # (d,), β
@@ -64,8 +67,10 @@ class SquareRootForm:
         return np.asarray(high)
 
     def diffusion(self, weights: Array) -> Diffusion:
-        """Return the diffusion of the sums ``weights`` (limits, d) · X, as forms of momenta √X. σ²
-        = Σ w² β X; its slope in the direction of the noise is Σ w³ β² X/σ²."""
+        """Return the diffusion of the sums ``weights`` (limits, d) · X, as forms of momenta √X.
+
+        σ² = Σ w² β X; its slope in the direction of the noise is Σ w³ β² X/σ².
+        """
         w, unit, slope = weights[:, :, None], np.eye(self.slope.size), self.slope[:, None]
         beta = np.max(w * slope, axis=(1, 2))
         return Diffusion(w**2 * slope * unit, w**3 * slope**2 * unit, beta)
@@ -73,7 +78,9 @@ class SquareRootForm:
 
 def square_root_form(process: Process) -> SquareRootForm:
     """Return the form whose X are modal energies H_i, b_ii = β_i H_i, s_i = d_i where H_i = 0.
-    Raises ``NotApplicable`` where β_i or d_i depends on the energies, or b_ij ≠ 0."""
+
+    Raises ``NotApplicable`` where β_i or d_i depends on the energies, or b_ij ≠ 0.
+    """
     scales = np.array(process.energy_scales)
     probes = np.random.default_rng(0).exponential(scales, (64, scales.size))
     d, b = process.at(np.zeros((1, scales.size))).drift[0], process.at(probes).diffusion
@@ -108,10 +115,12 @@ def square_root_form(process: Process) -> SquareRootForm:
 
 
 def line_form(process: Process) -> SquareRootForm:
-    """Return the form of X = R², R = ∫ dH/√b from 0, which is a square-root process for any b(H):
-    by Ito ``dX = μ dt + 2 √X dB``, ``μ = 1 + 2 R (s − b'/4)/√b``, μ(0) = d = 2n, n degrees of
-    freedom. For a stop without clearance γ is steep near 0, and steps are not of weak order two.
-    Raises ``NotApplicable`` if the stationary density does not decay."""
+    """Return the form of X = R², R = ∫ dH/√b from 0, which is a square-root process for any b(H).
+
+    By Ito's formula ``dX = μ dt + 2 √X dB``, ``μ = 1 + 2 R (s − b'/4)/√b``, and μ(0) = d = 2n with
+    n degrees of freedom. For a stop without clearance γ is steep near 0, and the steps are not of
+    weak order two. Raises ``NotApplicable`` if the stationary density does not decay.
+    """
     grid = process.energy_scale * np.logspace(-3.0, 3.0, 600)
     slope = log_density_slope(process.coefficients(grid))
     log_p = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(grid))])
@@ -155,12 +164,15 @@ def square_root_step(
     modulation: Modulation | None = None,
     begin: float = 0.0,
 ) -> Array:
-    """Return X (paths, d) > 0 after a step ``dt``, drawn from ``stream``. Strang splitting of weak
-    order two: half a step of ``dX = −(γ(X) − γ₀) X dt`` by an exponential midpoint rule, an exact
-    step of the rest, the other half. The exact step is X(t) = k χ'², k = β (1 − e^{−γ₀t})/(4γ₀),
-    χ'² noncentral chi-square with 4 d/β degrees of freedom and noncentrality X e^{−γ₀t}/k; under
-    noise e from ``begin``, (1 − e^{−γ₀t})/γ₀ is ∫e(s)² e^{−γ₀(t−s)} ds, and γ belongs to the mean
-    of e². Raises ``NotCertified`` if the step is unstable."""
+    """Return X (paths, d) after a step ``dt``, drawn from ``stream``; it stays positive.
+
+    Strang splitting of weak order two: half a step of the nonlinear damping, ``dX = −(γ(X) − γ₀) X
+    dt``, by an exponential midpoint rule, an exact step of the rest, and the other half. The exact
+    step is X(t) = k χ'², k = β (1 − e^{−γ₀t})/(4γ₀), χ'² noncentral chi-square with 4 d/β degrees
+    of freedom and noncentrality X e^{−γ₀t}/k. With modulated noise e, from the time ``begin`` on,
+    (1 − e^{−γ₀t})/γ₀ is replaced by ∫e(s)² e^{−γ₀(t−s)} ds, and γ is taken for the mean of e².
+    Raises ``NotCertified`` if the step is unstable.
+    """
     factor = 1.0 if modulation is None else float(modulation.mean_square(np.array(begin), dt))
     form = form if modulation is None else form.under(factor)
 

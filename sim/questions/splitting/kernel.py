@@ -47,9 +47,12 @@ ROWS, COLUMNS = 128, 256
 def least_action(
     energies: Array, times: Array, *, limit: float, noise: float, decay: float
 ) -> Array:
-    """Return −(least action) of failure of ``dH = (D' − γ H) dt + √(2 D' H) dB``, the exponent of
-    the transition of an amplitude: ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))``, H in
-    ``energies``, τ in ``times``, H_f ``limit``, D' ``noise``, γ ``decay`` of any sign."""
+    """Return −(least action) of failure of ``dH = (D' − γ H) dt + √(2 D' H) dB``.
+
+    ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))``, H in ``energies``, τ in ``times``, H_f
+    ``limit``, D' ``noise``, γ ``decay`` of any sign: the exponent of the Gaussian transition of an
+    oscillator's amplitude.
+    """
     tau = times[:, None]
     grown = tau if decay == 0.0 else -np.expm1(-decay * tau) / decay
     short = np.sqrt(limit) - np.sqrt(energies) * np.exp(-0.5 * decay * tau)
@@ -59,9 +62,12 @@ def least_action(
 def score_tables(
     scores: Sequence[ScoreFunction], energies: Sequence[Callable[[Array], Array]], time: float
 ) -> Array:
-    """Return the level of each score, (coordinates, rows + 1, columns + 1), which never falls with
-    the energy ``energies[i](x)``, x = column/columns, or the remaining time (row/rows)²
-    ``time``."""
+    """Return the level of each coordinate's score, (coordinates, rows + 1, columns + 1).
+
+    x = column/columns is the share of the limit, where the coordinate has the energy
+    ``energies[i](x)``; (row/rows)² is the remaining share of ``time``. The level is 0 at energy 0
+    with the whole time, and nowhere falls with the energy or with the remaining time.
+    """
     left, tables = time * (np.arange(1, ROWS + 1) / ROWS) ** 2, []
     shares = np.maximum(np.arange(COLUMNS), 0.5) / COLUMNS  # ½ in place of 0
     for score, energy in zip(scores, energies, strict=True):
@@ -92,7 +98,9 @@ class Paths(NamedTuple):
 @njit_inline
 def level_of(t: Array, x: float, elapsed: float) -> int:
     """Return the level at the share ``x`` of the limit and the ``elapsed`` share of the time.
-    Bilinear interpolation in the score table ``t``; x >= 1 is failure in any case."""
+
+    Bilinear interpolation in the score table ``t``; x >= 1 is failure in any case.
+    """
     if not x < 1.0:
         return SCORE_LEVELS if x >= 1.0 else 0
     rows, columns = t.shape[0] - 1, t.shape[1] - 1
@@ -109,8 +117,11 @@ def look(
     seen: Array, s: Array, step: StepArrays, watch: WatchArrays, limit: LimitArrays, law: Any,
     of_q: bool,
 ) -> None:  # fmt: skip
-    """Write four numbers of each limit to ``seen`` (c, 4), for the observed state in ``s``:
-    distance; q and v, or σ² of the energy and its growth; and the share x = √(E/E_f)."""
+    """Write four numbers of each limit to ``seen`` (c, 4), for the observed state in ``s``.
+
+    They are: the distance to the limit; q and v of a displacement, or σ² and its growth of an
+    energy; and the share x = √(E/E_f).
+    """
     values, noise, reach, energy, mass = limit
     if of_q:
         root, contact = 0.0, 0.0
@@ -145,9 +156,11 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
         step: StepArrays, watch: WatchArrays, limit: LimitArrays, tables: Array, steps: int,
         paths: Paths,
     ) -> None:  # fmt: skip
-        """Copy ``parents`` to ``dead`` up to where they exceed ``level``, record them in the middle
-        of the damping before the kick, and simulate the rest to ``steps``. ``first``: stream of
-        ``dead[0]``."""
+        """Copy ``parents`` to ``dead`` up to where they exceed ``level``; simulate the rest anew.
+
+        ``first``: number of the stream of ``dead[0]``; ``steps`` of a whole path. States are
+        recorded in the middle of the damping and before the kick. Returns ``kernel_checksum``.
+        """
         n, h, s = step.matrix.shape[0] // 2, step.dt, np.zeros(watch.total)
         values = limit[0]
         c = values.size

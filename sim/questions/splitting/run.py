@@ -1,9 +1,11 @@
 """Adaptive multilevel splitting of paths, in repetitions at two steps.
 
 Cerou and Guyader, Stoch. Anal. Appl. 25, 2007, 417, in the unbiased form of Brehier, Gazeau,
-Goudenege, Lelievre and Rousset, Ann. Appl. Probab. 26, 2016, 3559: each level Z kills the replicas
-whose score has not exceeded it; the estimate is the product of the shares that survive. Copies of
-survivors up to the first time above Z replace them. Its mean is exactly P: docs/theory.md.
+Goudenege, Lelievre and Rousset, Ann. Appl. Probab. 26, 2016, 3559: at each level Z all replicas
+whose score has not exceeded Z are killed, ties included; the estimate is the product of the shares
+that survive. A killed replica is replaced by a copy of a survivor up to the first time when its
+score exceeds Z, and continued with new noise. For a Markov chain in discrete time and any score the
+mean of the estimate is exactly P.
 """
 
 from collections.abc import Mapping
@@ -119,9 +121,12 @@ class RareFailure:
 def split(
     replicas: Any, failure: int, killed: int, stream: np.random.Generator, until: float = inf
 ) -> tuple[float, int, int]:
-    """Return ln of the estimated P(score >= ``failure``), the number of levels, and of replicas
-    that fail before any is killed. A level kills ``killed`` of ``replicas``, which have ``best``
-    and ``renew``, and ties. ln is −inf if it kills all, NaN at the working time ``until``."""
+    """Return ln of the estimated P(score >= ``failure``), the number of levels, and early failures.
+
+    Early failures are replicas that fail before any is killed. ``replicas`` have ``best`` and
+    ``renew`` (``CompiledReplicas``); each level kills ``killed`` of them, and ties. The logarithm
+    is −inf if a level kills all replicas, NaN if the working time ``until`` has passed.
+    """
     log_probability, levels = 0.0, 0
     failed = int(np.sum(replicas.best >= failure))
     while working_time() <= until:
@@ -141,8 +146,11 @@ def split(
 def system_problem(
     system: System, limit: Limit, start: Start, time: float, *, dt: float | None, score: Score
 ) -> SystemProblem:
-    """Return failure of ``limit`` before ``time``, its score and step. Raises as ``rare_failure``,
-    and ``InvalidInput`` for ``dt`` beyond ``limits.TOO_LONG`` times the chosen step."""
+    """Return failure of ``limit`` before ``time`` with its score, and its step, by default chosen.
+
+    Raises as ``rare_failure`` does, and ``InvalidInput`` for ``dt`` beyond ``limits.TOO_LONG``
+    times the chosen step.
+    """
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: whether the limit is passed is no chance")
     # Some states of a random start may lie beyond the limit.
@@ -210,8 +218,11 @@ def rare_failure(
 def repetition(
     problem: SystemProblem, settings: Splitting, left: float, number: int, fine: int
 ) -> tuple[int, int, tuple[float, int, int, int]]:
-    """Make repetition ``number`` at the step dt / 2**``fine``; return both and its result: what
-    ``split`` returns, within ``left`` seconds, and the number of steps."""
+    """Make repetition ``number`` at the step dt / 2**``fine``; return both and its result.
+
+    The result is what ``split`` returns, within ``left`` seconds, and the number of steps.
+    ``problem`` has the fields and methods of ``SystemProblem``.
+    """
     until, stream = working_time() + left, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
     replicas = Replicas(problem, settings.replicas, steps, seed, stream)
@@ -276,11 +287,14 @@ def sample_failure(problem: SystemProblem, settings: Splitting, progress: Progre
 
 
 def mean_and_error(log_values: Array) -> tuple[float, float]:
-    """Return the mean of exp(``log_values``) (repetitions,) and its standard error. Estimates of
-    splitting are nearly log-normal; a small sample lacks the largest values. The error is the
-    larger of the usual and ``mean √((e^{s²}/(1 − e) − 1)/count)``, s² the variance of the
-    logarithms, e the share of zeros; inf beyond ``LARGEST_SPREAD`` of the mean, which may be wrong
-    by orders."""
+    """Return the mean of exp(``log_values``) (repetitions,) and its standard error.
+
+    Estimates of splitting are nearly log-normal. A small sample with a large spread lacks the
+    largest values, and its mean and deviation are too small. The error is therefore the larger of
+    the usual standard error and ``mean √((e^{s²}/(1 − e) − 1)/count)``, s² the variance of the
+    logarithms and e the share of zeros; inf if it exceeds ``LARGEST_SPREAD`` times the mean, which
+    may then be wrong by orders of magnitude.
+    """
     values = np.exp(log_values)
     mean, error = float(values.mean()), float(values.std(ddof=1))
     positive = log_values[np.isfinite(log_values)]
@@ -295,8 +309,11 @@ def mean_and_error(log_values: Array) -> tuple[float, float]:
 
 def failure_estimate(made: Array, dt: float, seconds: float, settings: Splitting) -> RareFailure:
     """Return the probability from repetitions ``made`` (results, 2, count) at 2 ``dt`` and ``dt``.
-    The bias, if it falls as fast as the step, is at most the difference of the means, or its
-    standard error if larger (small by chance). ``seconds``: wall time."""
+
+    If the bias falls at least as fast as the step, it is at most the difference of the two means. A
+    difference below its standard error may be small by chance: then this error is taken for it.
+    ``seconds``: wall time.
+    """
     (coarse, fine), levels, failures, steps = made
     paths, unit = settings.replicas * fine.size, float(np.max(made[0]))
     unit = unit if np.isfinite(unit) else 0.0

@@ -1,10 +1,12 @@
 """Finite elements of one energy in time, coupled at their ends only.
 
-With the stationary density π and m = ½ b π the generator is L f = (m f')'/π, with the symmetric
-weak form −∫ m f' v'. Each element has functions h_0 and h_1 = 1 − h_0, equal to 1 at its left and
-right end, and v_j, zero at both ends, orthogonal to h_0 and h_1 in m and to each other in m and π
-(Craig and Bampton, AIAA J. 6 (1968) 1313). The elements form a chain of conductances 1/∫dx/m, and
-every sum along it has positive terms only: a probability of 1e-200 has relative accuracy.
+With the stationary density π and m = ½ b π the generator is L f = (m f')'/π, and its weak form
+−∫ m f' v' is symmetric. Each element has two kinds of functions (Craig and Bampton, AIAA J. 6
+(1968) 1313): h_0 and h_1 = 1 − h_0, equal to 1 at its left and right end, and v_j, zero at both
+ends, orthogonal to h_0 and h_1 in m and to each other in m and in π. The elements then form a chain
+of conductances 1/∫dx/m, and every sum along it has positive terms only: a probability of 1e-200 has
+relative accuracy. Elements come in pairs, for the answer and for the enriched solution, of a higher
+degree, whose distance estimates the error.
 """
 
 import math
@@ -108,9 +110,12 @@ class Elements:
         return float(np.ptp(self.log_scale))
 
     def coefficient_error(self, upto: float = 0.0) -> float:
-        """Return the relative error of densities and rates by the errors of the coefficients. Each
-        element is weighted by its share of the mass, and of the distance ∫dH/√b up to the energy
-        ``upto`` or through all but 1e-6 of the mass: short elements have large errors."""
+        """Return the relative error of densities and rates by the errors of the coefficients.
+
+        Each element is weighted by its share of the mass, and of the distance ∫dH/√b up to the
+        energy ``upto`` or through all but 1e-6 of the mass: short elements near a contact energy
+        have large errors.
+        """
         mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
         bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
         way = np.sqrt(self.relaxation.sum(axis=1))
@@ -154,9 +159,12 @@ Pair = tuple[Elements, Elements]
 
 
 class ChainDensity(NamedTuple):
-    """Coefficients (times, elements, functions) of p/π, or of a backward solution, on ``elements``.
-    ``values`` are in the units 1/e^``log_scale`` of the elements for a density p, else in one unit;
-    ``size`` are sums of the sizes of their terms; ``residual`` is the largest relative residual."""
+    """Coefficients of p/π, or of a backward solution, on ``elements`` at several times.
+
+    ``values`` (times, elements, functions) are in the units 1/e^``log_scale`` of the elements for a
+    density p, else in one unit; ``size`` are the sums of the sizes of their terms. ``residual`` is
+    the largest relative residual.
+    """
 
     elements: Elements
     values: Array
@@ -179,8 +187,8 @@ def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
     Returned are points t and weights; Legendre polynomials of s at the points (points, terms); the
     matrix (terms, points) from values to the Legendre series of their integral from 0 to t; the
     ``shape_functions`` and their slopes (points, degree + 1). The points are Gauss points of s,
-    with s = ∛t at contact and s = t elsewhere; for π ~ t^k, k = ``steepness`` > 7, Gauss-Jacobi
-    points.
+    with s = ∛t at contact, as π is smooth in ∛(H − H_c), and s = t elsewhere. For π ~ t^k,
+    k = ``steepness`` > 7, they are Gauss-Jacobi points.
     """
     count = 3 * degree + 8 if contact else degree + 6
     steep = steepness > 7 and not contact
@@ -280,8 +288,10 @@ def degree_for(tol: float) -> int:
 
 
 def element_pair(process: Process, nodes: Array, degree: int, *, beyond: ArrayLike = ()) -> Pair:
-    """Return elements of ``degree`` between ``nodes``, and the elements of the enriched solution,
-    of ``degree`` + ``ENRICHMENT`` and with the further nodes ``beyond`` the last."""
+    """Return elements of ``degree`` between ``nodes``, and the elements of the enriched solution.
+
+    The enriched solution has ``degree`` + ``ENRICHMENT`` and the further nodes ``beyond`` the last.
+    """
     every, finer = np.append(nodes, beyond), degree + ENRICHMENT
     answer = chain_elements(process, nodes[:-1], nodes[1:], degree)
     return answer, chain_elements(process, every[:-1], every[1:], finer, enriched=True)

@@ -67,10 +67,12 @@ def radau_steps(
     absorbing: bool = False,
 ) -> tuple[ChainDensity, Array, Array, Array]:
     """Return the density at ``times`` > 0 that starts with ``load``, (elements, functions).
+
     ``unit`` is the e² of the reference noise of ``e``. Also returned are the times of all stages,
-    weights that integrate over time, and the mass, (steps · stages,) each. Steps of Radau IIA grow
-    in proportion to time and end at the times and at the kinks of e; all are halved ``level``
-    times. ``absorbing``: p = 0 at the last end, else zero flux."""
+    weights that integrate over time, and the mass, (steps · stages,) each. The steps of Radau IIA
+    grow in proportion to time and end at the times and at the kinks of e; ``level`` is the number
+    of times that all steps are halved. ``absorbing``: p = 0 at the last end, else zero flux.
+    """
     # The points c_i, the last of which is 1, and the coefficients a_ij.
     x = np.append(roots_jacobi(STAGES - 1, 1, 0)[0], 1.0)
     A = legint(np.linalg.inv(legvander(x, STAGES - 1)), lbnd=-1.0)
@@ -115,10 +117,13 @@ def halve_steps(
     size: Callable[[Array, Array], float],
     wanted: float,
 ) -> tuple[Transition, list[Carried]]:
-    """Halve all steps until the numbers of ``carried(elements, level)`` change by <= ``wanted``, by
-    ``size(changes, numbers)``. Returned are the density on elements adapted from ``pair``, with the
-    observed order of the steps in its settings, and three results of ``carried``: the answer, with
-    steps twice as long, and these on elements of a higher degree."""
+    """Halve all steps until the numbers of ``carried(elements, level)`` change by <= ``wanted``.
+
+    ``size(changes, numbers)`` is the size of their changes. Returned are the density on adapted
+    elements, started from ``pair``, with the observed order of the steps among its settings, and
+    three results of ``carried``: the answer, with steps twice as long, and with steps twice as long
+    on the elements of a higher degree.
+    """
     carried = lru_cache(maxsize=4)(carried)
     solved = transition.solve_adaptively(
         question, pair, lambda e, **_: carried(e, STEP_HALVINGS[0])[0]
@@ -145,9 +150,12 @@ def transition_with_modulation(
     under: Processes, modulation: Modulation, source: Source, times: Array, *, tol: float
 ) -> Transition:
     """Return the density at ``times`` > 0 of an energy that starts from ``source``.
+
     ``under(factor)`` is the process under that multiple of the noise; ``tol`` is the L1 tolerance.
-    The error is the distance to elements of a higher degree and to steps twice as long. Raises
-    ``InvalidInput`` for times before any noise, and as ``quiet_until`` and ``pose_question`` do."""
+    The error is the distance to elements of a higher degree and to steps twice as long. While there
+    is no noise the equation is the first-order equation of the decay. Raises ``InvalidInput`` for
+    times at which no noise has acted yet, and as ``quiet_until`` and ``pose_question`` do.
+    """
     quiet = quiet_until(modulation, source)
     if times[0] <= quiet:
         raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
@@ -183,10 +191,12 @@ def transient_with_modulation(
     under: Processes, modulation: Modulation, source: Source, times: Array, at: Array, *, tol: float
 ) -> Transient:
     """Return the densities of ``transition_with_modulation`` at ``times`` and energies ``at``.
+
     ``tol`` is the L1 tolerance. If the modulation ends with 0, the motion dH/dt = F(H) leads from
     H_0 at its end to H at a later time, so that p(H, t) = p(H_0) F(H_0)/F(H). If the estimated
     error exceeds ``LARGEST_ERROR``, stated errors are infinite. Raises ``NotApplicable`` if damping
-    feeds energy in after the end of the noise."""
+    feeds energy in after the end of the noise.
+    """
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
     later = times > end
     stops = np.unique(np.minimum(times, end))

@@ -29,13 +29,16 @@ from fpk.system.process import Process
 MAX_POWER_STEPS = 2_000
 """Largest number of power iterations for the failure rate; a hundred masses take a hundred."""
 MODULATED_SHARE = 0.1
-"""Tolerance of mesh and steps under modulated noise, over the tolerance of the answer."""
+"""Tolerance of mesh and steps under modulated noise, over the tolerance of the answer: variances
+have larger errors than densities."""
 
 
 @dataclass(frozen=True, eq=False)
 class FirstPassage:
-    """First passage of an energy through ``limit`` from starts x below it, on a pair of chains that
-    end there. ``longest`` is the unit of moments."""
+    """First passage of an energy through ``limit``, solved on a pair of chains that end there.
+
+    Times are given for starts x below the limit. ``longest`` is the unit of moments.
+    """
 
     limit: float
     pair: Pair
@@ -58,8 +61,11 @@ class FirstPassage:
 
     @cached_property
     def _coefficients(self) -> Array:
-        """Error of T at the left ends of the elements by the coefficients. T = ∫dx/m ∫π: the error
-        of 1/m in an element is weighted by the fall of T over it, the error of π by its mass."""
+        """Error of T at the left ends of the elements by the errors of the coefficients.
+
+        T = ∫dx/m ∫π: the error of 1/m in an element is weighted by the fall of T over it, the error
+        of π by its mass.
+        """
         e, T = self.pair[0], self.means[0]
         mass = np.exp(e.log_mass - e.log_mass.max())
         below = np.cumsum(e.relative_error * mass) / np.maximum(np.cumsum(mass), SMALLEST)
@@ -93,9 +99,12 @@ class FirstPassage:
         return T, error, V, V_error + self.round_off * 2.0 * (V + of_U + T * of_T)
 
     def rate(self) -> tuple[float, float]:
-        """Return the failure rate, the smallest eigenvalue λ of −L, and its error. Power iteration
-        with the positive operator (−L)⁻¹: the largest and smallest value of f/(−L)⁻¹f bound λ
-        (Barta). The relative error of the Rayleigh quotient is the square of their distance."""
+        """Return the failure rate, the smallest eigenvalue λ of −L, and its error.
+
+        Power iteration with (−L)⁻¹, a positive operator: the largest and smallest value of
+        f/(−L)⁻¹f bound λ (Barta), however small λ is. The relative error of the Rayleigh quotient
+        is the square of the relative distance of these bounds: round-off if that is 1e-9.
+        """
         found = []
         for e, f in zip(self.pair, self.means, strict=True):
             share = np.exp(e.log_scale - e.log_mass.max())  # may underflow to 0
@@ -142,10 +151,12 @@ def _by_coefficients(relative: float, failure: Array) -> Array:
 def chain_first_passage(
     process: Process, limit: float, times: Array, tol: float = 1e-10, source: Source | None = None
 ) -> FirstPassage:
-    """Return the first passage of ``limit`` > 0, with errors below ``tol`` if possible: relative
-    for moments and rate, absolute for the probability of failure at ascending ``times``. A
-    ``source`` that is a density gets nodes that resolve it. Raises ``InvalidInput`` for a limit
-    whose mean time is beyond double precision."""
+    """Return the first passage of ``limit`` > 0, with errors below ``tol`` if possible.
+
+    Errors are relative for moments and rate, absolute for the probability of failure at ascending
+    ``times``. A ``source`` that is a density gets nodes that resolve it. Raises ``InvalidInput``
+    for a limit whose mean time is beyond double precision.
+    """
     degree, wanted = chain.degree_for(tol), 0.25 * tol
     beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probe_process(process)
     log_mass = np.interp(math.log(limit), np.log(probe.energy), probe.log_mass)
@@ -181,9 +192,11 @@ def chain_first_passage(
 def fem_passage(
     process: Process, limit: float, source: Source, times: Array, *, tol: float
 ) -> Passage:
-    """Return the first passage of ``limit`` from ``source`` below it; for ``times`` and ``tol`` see
-    ``chain_first_passage``, which may raise. The part of an initial density beyond the limit has
-    failed at time 0."""
+    """Return the first passage of the energy through ``limit`` from ``source`` below it.
+
+    For ``times`` and ``tol`` see ``chain_first_passage``. The part of an initial density beyond the
+    limit has failed at time 0. Raises ``InvalidInput`` if the mean time is beyond double precision.
+    """
     solved = chain_first_passage(process, limit, times=times, tol=tol, source=source)
     e, unit = solved.pair[0], solved.longest
     # Means over the source by the points of both chains.
@@ -245,9 +258,11 @@ def passage_with_modulation(
 
     ``under(factor)`` is the process under that multiple of the noise. P(T > t) at ``times`` is the
     mass of the forward solution with p = 0 at the limit. The failure rate is that under the noise
-    after the end of the modulation; if this noise is 0, moments are infinite, and there is no rate.
-    For ``tol`` see ``chain_first_passage``. Raises ``NotApplicable`` if damping feeds energy in at
-    the limit while there is no noise, and as ``chain_first_passage`` does.
+    after the end of the modulation. If this noise is 0, systems that survive until then never fail:
+    moments are infinite, and there is no failure rate. For ``tol`` see ``chain_first_passage``;
+    errors are by elements of a higher degree and by steps twice as long. Raises ``NotApplicable``
+    if damping feeds energy in at the limit while there is no noise, and as ``chain_first_passage``
+    does.
     """
     unit, last, quiet = (
         modulation.largest,
@@ -271,10 +286,13 @@ def passage_with_modulation(
     first = float(modulation.energy(stops[1])) / unit
 
     def carried(e: Elements, level: int) -> modulated.Carried:
-        """p at the stops > 0; P(T > t) at all stops, E T and E T²; errors by ``later``. The steps
-        are halved ``level`` times. The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end
-        t_e of the modulation, plus E τ and E(2 t_e τ + τ²) of the remaining time τ over the density
-        at t_e."""
+        """p at the stops > 0; P(T > t) at all stops, E T and E T²; errors by ``later``.
+
+        The steps are halved ``level`` times.
+
+        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end t_e of the modulation, plus
+        E τ and E(2 t_e τ + τ²) of the remaining time τ over the density at t_e.
+        """
         load, steps = source.load(e), partial(modulated.radau_steps, level=level, absorbing=True)
         g, t, weight, mass = steps(e, load, modulation, unit, stops[1:])
         kept = np.append(load[:, :2].sum(), np.einsum("tei,ei->t", g.values, e.load))

@@ -1,8 +1,8 @@
 """The chain of elements of one energy for complex Laplace variables, and relaxation rates.
 
-At the nodes (zM + A) f = load describes a chain of conductances with admittances to ground. In
-elimination from one end all terms of each sum have one sign (z > 0), or lie in one sector of the
-complex plane: nothing cancels, however many decades the density spans.
+At the nodes an equation (zM + A) f = load describes a chain of conductances in series with
+admittances to ground. In elimination from one end all terms of each sum have one sign (z > 0), or
+lie in one sector of the complex plane: nothing cancels, however many decades the density spans.
 """
 
 from dataclasses import replace
@@ -27,7 +27,8 @@ CONTOUR_TIMES = 10.0
 """Largest ratio of times that share one contour: it has 75 points, a contour of one time 46."""
 PHI = 0.5
 """Angle of the hyperbola. Larger angles (1.17) converge faster but stay close to the negative axis,
-where the transform of a density delayed by t_0 grows as e^(−z t_0) and the integral cancels."""
+where the transform of a density delayed by t_0 grows as e^(−z t_0): with many masses started at
+rest the integral then cancels to less than a millionth of its terms."""
 CONTOUR_VERTEX = 6.0
 """μ t of the contour at its last time t: it crosses the real axis at z t = 3.1, and round-off is
 multiplied by e^3.1."""
@@ -44,11 +45,11 @@ Numbers = np.ndarray[tuple[Any, ...], np.dtype[Any]]
 def contours(times: Array, *, more: int = 0) -> list[tuple[Integers, Complexes, Complexes]]:
     """Return contours of the inverse Laplace transform for ``times`` > 0 in any order.
 
-    Each has the indices of its times, the points z, and the factors e^(z t) w (times, points) of
-    f(t) = Im Σ e^(z t) w F(z): the trapezoidal rule of step h on the half Im z > 0 of the hyperbola
-    z(θ) = μ (1 + sin(iθ − φ)). Its error is e^(μt − 2πφ/h), and it ends where e^(z t) is round-off
-    at the first time, but for ``more`` points of a smaller step. J. A. C. Weideman and L. N.
-    Trefethen, Math. Comp. 76 (2007) 1341.
+    A contour has the indices of its times, the points z, and the factors e^(z t) w (times, points)
+    of f(t) = Im Σ e^(z t) w F(z): the trapezoidal rule of step h on the half Im z > 0 of the
+    hyperbola z(θ) = μ (1 + sin(iθ − φ)). Its error is e^(μt − 2πφ/h), and it ends where e^(z t) is
+    round-off at the first time, but for ``more`` points of a smaller step. J. A. C. Weideman and
+    L. N. Trefethen, Math. Comp. 76 (2007) 1341.
     """
     order, found, digits = np.argsort(times, kind="stable"), [], -log(EPS)
     while order.size:
@@ -73,9 +74,9 @@ def eliminate_chain(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
 
     Arrays (elements, …, points), with all elements below eliminated: ``series`` is the conductance
     from end to end, ``shunt`` the admittances to ground at both ends, ``damped`` is 1 + zν of the
-    v_j, ν = ``relaxation``, ``total`` the sum of admittances at the left end, ``ratio`` is
-    series/total, ``passed`` the admittance below, seen from the right end. The first element has no
-    conductance.
+    functions v_j, ν = ``relaxation``, ``total`` the sum of admittances at the left end, ``ratio``
+    is series/total, and ``passed`` the admittance below, seen through the element from its right
+    end. The first element has no conductance.
     """
     coupling, own = e.mass[:, 2:, :2], e.load[:, 2:]
     damped = 1.0 + e.relaxation[:, :, None] * z
@@ -98,10 +99,12 @@ def chain_resolvent(
     e: Elements, z: Numbers, load: Array, end: Numbers | None = None, *, density: bool = True
 ) -> tuple[Numbers, float]:
     """Return coefficients f (elements, functions, points) of (z − L) f = ``load``, and a residual.
-    ``z`` (points,) are Laplace variables, ``load`` is (elements, functions), ``end`` (points,) is f
-    at the last end; None: zero flux. If ``density``, f = p/π in the unit 1/e^``log_scale`` of each
-    element, the load is in one unit, and the residual is relative, at the nodes. Otherwise f is in
-    one unit, the load in the units of the elements, and the residual 0."""
+
+    ``z`` (points,) are Laplace variables, ``load`` is (elements, functions). ``end`` (points,) is f
+    at the right end of the last element; None: zero flux there. If ``density``, f = p/π in the unit
+    1/e^``log_scale`` of each element, the load is in one unit, and the residual is relative, at the
+    nodes. Otherwise f is in one unit, the load in the units of the elements, and the residual 0.
+    """
     series, shunt, damped, total, ratio, passed = eliminate_chain(e, z)
     coupling = e.mass[:, 2:, :2]
     up, down = (np.ones(e.count - 1), e.steps) if density else (e.steps, np.ones(e.count - 1))
@@ -135,9 +138,11 @@ def inverse_laplace(
     e: Elements, load: Array, times: Array, *, held: float | None = None, more: int = 0,
     density: bool = True,
 ) -> ChainDensity:  # fmt: skip
-    """Return the solution at ``times`` > 0 of ∂f/∂t = L f that starts with ``load``; for
-    ``density`` see ``chain_resolvent``. Contours have ``more`` points. At the last end f is
-    ``held``, or the flux is zero."""
+    """Return the solution at ``times`` > 0 of ∂f/∂t = L f that starts with ``load``.
+
+    For ``load`` and ``density`` see ``chain_resolvent``; contours have ``more`` points. At the last
+    end f is ``held`` at a value, or the flux is zero if None.
+    """
     values, size = np.zeros((2, times.size, e.count, e.degree + 1))
     residuals = [0.0]
     for places, z, factors in contours(times, more=more):
@@ -161,10 +166,12 @@ def chain_potential(e: Elements, load: Array) -> Array:
 
 
 def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
-    """Return the sparse mass, stiffness and drift matrices M, K, C, and the map to elements. The
-    unknowns are the free functions, scaled so that M has a unit diagonal; at the last end the flux,
-    or the function if ``absorbing``, is 0. The map (functions of all elements, unknowns) contains
-    e^(½ ``log_scale``) times the scale of each unknown."""
+    """Return the sparse mass, stiffness and drift matrices M, K, C, and the map to elements.
+
+    The unknowns are the free functions, scaled so that M has a unit diagonal. At the last end the
+    flux is zero, or the function if ``absorbing``. The map (functions of all elements, unknowns)
+    contains e^(½ ``log_scale``) times the scale of each unknown.
+    """
     size = e.degree + 1
     K_local = np.tile(np.eye(size), (e.count, 1, 1))
     K_local[:, :2, :2] = e.conductance[:, None, None] * np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -185,8 +192,11 @@ def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
 
 
 def eigenvalues_below(e: Elements, rates: Array) -> Integers:
-    """Return the number of eigenvalues of −L, 0 included, below each of ``rates`` (points,):
-    negative pivots of A − λM (Wittrick and Williams, Q. J. Mech. Appl. Math. 24 (1971) 263)."""
+    """Return the number of eigenvalues of −L, 0 included, below each of ``rates`` (points,).
+
+    It is the number of negative pivots of A − λM: W. H. Wittrick and F. W. Williams, Q. J. Mech.
+    Appl. Math. 24 (1971) 263.
+    """
     _, shunt, damped, total, _, passed = eliminate_chain(e, -rates)
     inner, ends = (damped < 0.0).sum(axis=(0, 1)), (total[1:] < 0.0).sum(axis=0)
     return np.asarray(inner + ends + (passed[-1] + shunt[-1, 1] < 0.0))
@@ -194,8 +204,10 @@ def eigenvalues_below(e: Elements, rates: Array) -> Integers:
 
 def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
     """Return the ``count`` smallest nonzero eigenvalues of −L, which are real, to relative ``tol``.
-    The mesh ends where π φ² of φ ~ H^``count`` has the mass ``TAIL_SHARES`` · tol beyond. Raises
-    ``NotCertified`` if π φ² does not fall, or no eigenvalues are found."""
+
+    The mesh ends where π φ² of an eigenfunction φ ~ H^``count`` has the mass ``TAIL_SHARES`` · tol
+    beyond. Raises ``NotCertified`` if π φ² does not fall, or no eigenvalues are found.
+    """
     degree, scale = chain.degree_for(tol), process.energy_scale
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2
     temperature = scale / process.degrees_of_freedom

@@ -75,9 +75,11 @@ class Question:
     tol: float
 
     def common_error(self, e: Elements, p: Array, size: Array, x: Array) -> Array:
-        """Return the errors of ``p`` (times, points) at ``x`` that no mesh shows: by the
-        coefficients, amplified where p is small, as at short times ln p ~ −(distance)²/(2 b t); and
-        round-off of energies and of terms of ``size`` in p."""
+        """Return the errors of ``p`` (times, points) at ``x`` that no mesh shows.
+
+        They are errors by the coefficients, amplified where p is small, as at short times
+        ln p ~ −(distance)²/(2 b t); and round-off of energies and of terms of ``size`` in p.
+        """
         rounding = ROUNDINGS * EPS * (1.0 + x / self.width + e.log_range)
         top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
         steep = 2.0 + np.log(top) - np.log(np.clip(np.abs(p), SMALLEST, top))
@@ -89,8 +91,10 @@ class Question:
 @dataclass(frozen=True, eq=False)
 class Transition:
     """Density of an energy at several times after a start, with its error and certificate.
+
     ``distance`` (times, elements, points) is the distance of p to more accurate solutions, ``top``
-    (times,) the largest p."""
+    (times,) the largest p.
+    """
 
     question: Question
     solution: ChainDensity
@@ -136,10 +140,13 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
 def pose_question(
     process: Process, source: Source, time: float, tol: float, *, limit: float | None = None
 ) -> tuple[Question, Pair]:
-    """Return the question and the first pair of elements for it. ``time`` is the first time,
-    ``tol`` the L1 tolerance. Meshes end at the absorbing ``limit``, or where the mass beyond is
-    ``TAIL_SHARES`` · tol at any time: from H_0 less than the stationary mass beyond, over the
-    stationary mass beyond H_0. Raises ``InvalidInput`` for a start beyond double precision."""
+    """Return the question and the first pair of elements for it.
+
+    ``time`` is the first time, ``tol`` the L1 tolerance. Meshes end at the absorbing ``limit``, or
+    where the mass beyond is ``TAIL_SHARES`` · tol at any time: from a start at H_0 it is less than
+    the stationary mass beyond, over the stationary mass beyond H_0. Raises ``InvalidInput`` for a
+    start beyond the range of double precision.
+    """
     degree, start, width, fine = chain.degree_for(tol), source.energy, process.energy_scale, []
     if source.process is None:
         # √(b t), or b' t near H = 0, where b ~ H.
@@ -195,9 +202,12 @@ def solve_adaptively(
 def estimate_error(
     question: Question, own: ChainDensity, finer: ChainDensity, *, distance: Array | None = None
 ) -> tuple[Transition, Array, Array]:
-    """Return the transition of the solution ``own`` with its error, and the shares (elements,) of
-    each element in the distance and in ``Question.common_error``. The error is based on
-    ``distance`` (times, elements, points), by default to the enriched solution ``finer``."""
+    """Return the transition of the solution ``own`` with its error, and the errors by elements.
+
+    The error is based on ``distance`` (times, elements, points), by default to the enriched
+    solution ``finer``. The last two arrays (elements,) are the shares of each element in the
+    distance and in ``Question.common_error``.
+    """
     answer, enriched = own.elements, finer.elements
     x, w = answer.x, answer.weight
     (p, size), (better, other) = (f.density(x.ravel()) for f in (own, finer))

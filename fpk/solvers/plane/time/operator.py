@@ -59,9 +59,11 @@ class PlaneOperator:
         return H, np.divide(H1, H, out=np.full(H.shape, 0.5), where=H > 0.0)
 
     def pulled_back(self, first: Array, second: Array, of_energies: Array) -> Array:
-        """Return the coefficients of the weak form in y = (``first``, ``second``), (6, ...):
-        |∂H/∂y| times w, G w a and G w b Gᵀ, G = ∂y/∂H, from ``of_energies`` (6, ...) of
-        ``flux_coefficients``."""
+        """Return the coefficients of the weak form in y = (``first``, ``second``), (6, ...).
+
+        They are |∂H/∂y| times w, G w a and G w b Gᵀ, with G = ∂y/∂H and ``of_energies`` (6, ...)
+        as from ``flux_coefficients``.
+        """
         if not self.collapsed:
             return of_energies
         w, a1, a2, b11, b12, b22 = of_energies
@@ -96,10 +98,12 @@ class PlaneOperator:
 
     @cached_property
     def functions(self) -> tuple[csc_array, csc_array, int]:
-        """Coefficients (shape functions, unknowns) of trial and test functions, and the unknown
-        whose trial function is the sum of all free vertex functions. As all add up to 1, and A
-        tested with 1 is 0, its test function is this sum minus 1, minus the functions that an
-        absorbing edge sets to 0."""
+        """Coefficients (shape functions, unknowns) of trial and test functions, and an unknown.
+
+        The unknown has the sum of all free vertex functions as its trial function. All vertex
+        functions add up to 1, and A tested with 1 is 0: its test function is this sum minus 1, the
+        negative sum of the functions that an absorbing edge sets to 0.
+        """
         vertices, at_ends = self._vertices, np.zeros(self.sizes, dtype=bool)
         at_ends[self.counts[0]] |= self.absorbing[0]
         at_ends[:, self.counts[1]] |= self.absorbing[1]
@@ -210,11 +214,13 @@ def operators(
     absorbing: tuple[bool, bool] = (False, False),
     collapsed: bool = False,
 ) -> Iterator[PlaneOperator]:
-    """Yield operators on finer and finer meshes ``nodes(rise, panels)``, which end at −ln w = rise,
-    by ``negligible_rise`` of ``tol`` and ``height``. The weight is the one of ``stationary`` to the
-    power ``share`` <= 1, and constant where −ln w exceeds the rise by ``RISE``, as elements over
-    which it rises by 40 have singular matrices. For the last two arguments see
-    ``PlaneOperator``."""
+    """Yield operators on finer and finer meshes ``nodes(rise, panels)``, which end at −ln w = rise.
+
+    The rise follows from ``tol`` and ``height`` by ``negligible_rise``. The weight is the one of
+    ``stationary`` to the power ``share`` <= 1, and constant where −ln w exceeds the rise by
+    ``RISE``, as elements over which it rises by 40 have singular matrices. For ``absorbing`` and
+    ``collapsed`` see ``PlaneOperator``.
+    """
     weight, balanced = stationary.weight, not stationary.degree and share == 1.0
     weight = replace(weight, coefficients=share * weight.coefficients)
     for level, (panels, degree) in enumerate(PLANE_LEVELS):

@@ -30,8 +30,8 @@ MAX_LIMIT_RISE = 300.0
 MAX_PLANE_UNKNOWNS = 300_000
 """Largest number of unknowns of a level: its matrices and factors take 3 GB."""
 VECTORS = (4, 30)
-"""Arnoldi vectors: (factor, constant) on the number of eigenvalues sought. Few miss nearly equal
-rates."""
+"""Number of Arnoldi vectors: (factor, constant) on the number of eigenvalues sought. With few
+vectors one of several nearly equal rates may be missed."""
 RATES_HEIGHT = 8.0
 """Rise of −ln w by which meshes are longer than for densities, as eigenfunctions grow with H."""
 
@@ -64,9 +64,11 @@ class PlaneLimit:
         return np.concatenate(lines[:, 0]), np.concatenate(lines[:, 1])
 
     def nodes(self, stationary: PlaneSolution, rise: float, panels: int) -> Nodes:
-        """Return nodes up to the limit, or to −ln w = ``rise`` along an axis without limit:
-        ``panels`` along each axis, more if −ln w of ``stationary`` rises by more than ``FOLDS`` a
-        panel."""
+        """Return nodes up to the limit, or to −ln w = ``rise`` along an axis without limit.
+
+        There are ``panels`` along each axis, more if −ln w of ``stationary`` rises by more than
+        ``FOLDS`` on each.
+        """
         if self.total is not None:
             corners = stationary.weight.exponent(*(self.total * np.eye(2)))
             angles = max(panels, int(abs(corners[1] - corners[0]) / FOLDS))
@@ -92,11 +94,13 @@ def plane_first_passage(
     tol: float,
     coefficients_error: float = 0.0,
 ) -> Passage:
-    """Return the first passage of ``limit`` from ``start``, with P(T > t) at ``times`` >= 0. Meshes
-    are refined until two levels agree to ``tol``, relative to mean, variance and rate, or more are
-    ``_hopeless``. The part of an initial density beyond the limit has failed at time 0.
+    """Return the first passage of ``limit`` from ``start``, with P(T > t) at ``times`` >= 0.
+
+    Meshes are refined until two levels agree to ``tol``, relative to mean, variance and rate, or
+    more are ``_hopeless``. The part of an initial density beyond the limit has failed at time 0.
     ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
-    limit whose mean time is beyond double precision, or that takes too many unknowns."""
+    limit whose mean time is beyond double precision, or that takes too many unknowns.
+    """
     height = start.height(stationary)
     far = stationary.far_ends(negligible_rise(tol, height))
     lowest = float(np.min(stationary.weight.exponent(*limit.edge(far))))
@@ -146,9 +150,11 @@ def plane_first_passage(
 
 
 def _hopeless(distances: list[float], left: int, tol: float) -> bool:
-    """Whether ``left`` further levels gain nothing, or cannot reach ``tol``. A level is assumed to
-    gain at most the square of the factor that the last gained in ``distances``, between levels. The
-    finest levels take a minute."""
+    """Whether ``left`` further levels gain nothing, or cannot reach ``tol``.
+
+    ``distances`` are between successive levels so far. A level is assumed to gain at most the
+    square of the factor that the last level gained. The finest levels take a minute.
+    """
     if distances[-1] <= tol or len(distances) < 2 or not left:
         return distances[-1] <= 0.1 * tol
     gain = distances[-1] / distances[-2]
@@ -204,9 +210,11 @@ def relaxation_rates(
     stationary: PlaneSolution, count: int, *, tol: float, relative: float = 0.0
 ) -> Rates:
     """Return the ``count`` nonzero eigenvalues of −L with the smallest real parts, Im λ >= 0.
+
     Meshes are refined until two levels agree to ``tol``, relative to each rate; ``relative`` is the
     relative error of the coefficients. Raises ``NotCertified`` if fewer than two levels have more
-    unknowns than Arnoldi vectors."""
+    unknowns than Arnoldi vectors.
+    """
     # A rate of the order of the slowest: the smaller b/H² of the energies at their scales.
     scales = np.array(stationary.process.energy_scales)
     b = stationary.process.coefficients(scales[None, :]).diffusion[0]

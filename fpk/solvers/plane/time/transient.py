@@ -23,13 +23,15 @@ from fpk.solvers.plane.weight import negligible_rise
 BOTH_AXES = (0, 1)
 """Axes of the joint density of both energies; (0,) or (1,): of one energy; (): of the sum."""
 MAX_START_HEIGHT = 12.0
-"""Largest rise of −ln w up to a start; for higher starts a power of w is the weight."""
+"""Largest rise of −ln w up to a start, with whose root errors grow; for higher starts a power of w
+is the weight."""
 GIVEN_UP = (13, 0.5)
-"""Degree of elements from which on an L1 distance above the second number ends the refinement."""
+"""Degree of elements from which on an L1 distance above the second number ends the refinement: the
+time is too short to be resolved."""
 TIME_RATIO = 30.0
-"""Largest ratio of times that share one Krylov space, and of the last time to the shift γ of (M −
-γA)⁻¹. Rational functions with one such pole approximate e^(−x) on the half-axis with an error that
-falls by √2 − 1 for each degree (Andersson 1981)."""
+"""Largest ratio of times that share one Krylov space, and ratio of the largest time to the shift γ
+of (M − γA)⁻¹. Rational functions with one such pole approximate e^(−x) on the half-axis, on any
+mesh, with an error that falls by √2 − 1 for each degree (Andersson 1981)."""
 
 KRYLOV_SHARE = 1e-2
 """Tolerance of e^(tA), over the tolerance of the answer."""
@@ -40,9 +42,12 @@ MAX_KRYLOV = 160
 
 
 class KrylovSolution(NamedTuple):
-    """g at several times (times, unknowns). ``change`` is the change by the last ``KRYLOV_BLOCK``
-    dimensions, ``rounding`` (times,) the round-off relative to the norm ∫ w g², ``residual`` the
-    largest relative residual of the linear systems."""
+    """g at several times (times, unknowns), with its errors.
+
+    ``change`` (times, unknowns) is the change by the last ``KRYLOV_BLOCK`` dimensions, ``rounding``
+    (times,) the round-off relative to the norm ∫ w g², ``residual`` the largest relative residual
+    of the linear systems.
+    """
 
     values: Array
     change: Array
@@ -60,8 +65,10 @@ def krylov_exponential(
     A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float
 ) -> KrylovSolution:
     """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of its norm ∫ w g².
-    ``dual`` (unknowns,) is E φ of the initial density. Eigenvalues of (M − γA)⁻¹ M give the rates
-    with the error round-off/γ, which is small for the slow rates of large times."""
+
+    ``dual`` (unknowns,) is E φ of the initial density. The eigenvalues of (M − γA)⁻¹ M give the
+    rates with the error round-off/γ, which is small for the slow rates of large times.
+    """
     start = lu_factors(M).solve(dual)
     residuals, parts, first = [relative_residual(M, abs(M), start, dual)], [], 0
     while first < times.size:
@@ -129,8 +136,10 @@ def marginal_at(
     op: PlaneOperator, observed: tuple[int, ...], g: Array, at: Sequence[Array]
 ) -> Array:
     """Return densities (times, ...) of unknowns ``g`` (times, unknowns) at energies ``at``.
+
     ``observed`` are the axes of the density: both, one, or none for the sum of the energies. ``at``
-    has one array (points,) for each axis, or for both also the axes (m, 1) and (1, n) of a grid."""
+    has one array (points,) for each axis, or for both also the axes (m, 1) and (1, n) of a grid.
+    """
     if len(observed) == 1:
         y, v = (a.ravel() for a in panel_rule(op.nodes[1 - observed[0]], op.points))
         if observed == (0,):
@@ -179,10 +188,12 @@ def transient_densities(
     coefficients_error: Callable[..., Array] = lambda t, *at: np.zeros(at[0].shape),
 ) -> tuple[Transient, tuple[Level, Level]]:
     """Return the densities of ``observed`` energies at ascending ``times`` > 0 and points ``at``.
+
     For ``observed`` and ``at`` see ``marginal_at``. Meshes are refined until two levels agree to
     ``tol``, in L1 and in units of the largest density; their distance is the error. A time too
     short for the finest level is not certified. ``coefficients_error(t, *at)`` is the relative
-    error of p by the coefficients. Also returned are the last two levels."""
+    error of p by the coefficients. Also returned are the last two levels.
+    """
     for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
         (op, g), (other_op, other_g) = fine, coarse
         axes, area, ends = marginal_grid(op, observed)
