@@ -102,13 +102,6 @@ def test_relaxation_rates_are_sums_of_multiples_of_the_decays():
     assert_near(fem, exact)
 
 
-@pytest.mark.parametrize("name", ["H1", "H", "q1", "q1,p2"])
-def test_no_times_are_an_answer_without_rows(name):
-    at = [np.array([0.1, 0.2])] * (1 + name.count(","))
-    answer = transient(CLOSED, FIG8, name, "rest", [], *at)
-    assert answer.values.shape == answer.errors.shape == (0, 2)
-
-
 TRANSIENTS = [
     (CLOSED, FIG8, "q1,H1", "rest", [1.0], NotApplicable, "energies"),
     (FEM, FIG8, "H1", "H=0.3", [1.0], NotApplicable, "every modal"),

@@ -63,8 +63,7 @@ MANY = {
         contacts=stop(1, "right", 3.0, 0.0, law="bilinear"),
     ),
     "one mass": common(stop(1, "left", 10.0, 0.3), mass=(1.0,)),
-    "Fig. 6": SYSTEM,
-    "Fig. 6, a tenth of the damping": lighter(10.0, 0.5, 10),
+    "a tenth of the damping": lighter(10.0, 0.5, 10),
     "random, unlike temperatures": drawn(np.random.default_rng(20261126), coldest=0.1),
 }  # fmt: skip
 
