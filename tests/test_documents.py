@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace, theory
-from averaging.phase_space import dynamics, refinement
 from averaging.phase_space import method as phase_space
+from averaging.phase_space import refinement
+from averaging.phase_space.dynamics import resolvent
 from averaging.phase_space.passage import first_passage
 from averaging.time import MODAL_TOL
 from cases.api import PresentedAnswers
@@ -179,7 +180,7 @@ CONSTANTS = {
         f"a damping ratio below {refinement.LIGHT_DAMPING} it is not",
         f"less than {refinement.LIGHT_RATIO} of the one before",
         f"{refinement.LEAST_RATIO} of the largest",
-        f"from {dynamics.BLOCK} random vectors",
+        f"from {resolvent.BLOCK} random vectors",
         f"Velocities are followed {math.sqrt(-2.0 * math.log(EPS)):.1f} kicks of noise",
         f"{first_passage.DISTANCE_FACTOR:g} times the distance of the last two,"
         f" or {first_passage.DISTANCE_FACTOR * first_passage.CHANCE_SHARE:g} times the largest"
@@ -261,9 +262,10 @@ def test_messages_and_help_state_the_limits_of_the_code():
     assert f"within {WORDS[orders.ABOVE_FLOOR]} times the floor" in converge.ORDER_WORDS
     assert "the median of {} to {} runs".format(*levels.REPEATS) in cost.MEANING
     assert densities.LOG_TAIL == 1e-6  # "to a millionth of the top"
-    assert f"within {doubt.ACCEPTABLE_L1} in L1" in str(schema.EXPECT["acceptable"]["metadata"])
-    system = {key: [1.0] for key in schema.SYSTEM["fields"]} | {"noise_gain": [[1.0]]}
-    keys = schema.UNITS["fields"]
+    tables = {key: field["schema"] for key, field in schema.SCENE["fields"].items()}
+    assert f"within {doubt.ACCEPTABLE_L1} in L1" in str(tables["expect"]["fields"]["acceptable"])
+    system = {key: [1.0] for key in tables["system"]["fields"]} | {"noise_gain": [[1.0]]}
+    keys = tables["units"]["schema"]["fields"]
     with pytest.raises(InvalidInput) as refusal:
         schema.validate_scene({"system": system, "units": dict.fromkeys(keys, "1")})
     least, most = re.search(r"\{(\d+),(\d+)\}", schema.UNIT["pattern"]).groups()
