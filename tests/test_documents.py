@@ -261,9 +261,10 @@ def test_messages_and_help_state_the_limits_of_the_code():
     assert f"within {WORDS[orders.ABOVE_FLOOR]} times the floor" in converge.ORDER_WORDS
     assert "the median of {} to {} runs".format(*levels.REPEATS) in cost.MEANING
     assert densities.LOG_TAIL == 1e-6  # "to a millionth of the top"
-    assert f"within {doubt.ACCEPTABLE_L1} in L1" in str(schema.EXPECT["acceptable"]["metadata"])
-    system = {key: [1.0] for key in schema.SYSTEM["fields"]} | {"noise_gain": [[1.0]]}
-    keys = schema.UNITS["fields"]
+    tables = {key: field["schema"] for key, field in schema.SCENE["fields"].items()}
+    assert f"within {doubt.ACCEPTABLE_L1} in L1" in str(tables["expect"]["fields"]["acceptable"])
+    system = {key: [1.0] for key in tables["system"]["fields"]} | {"noise_gain": [[1.0]]}
+    keys = tables["units"]["schema"]["fields"]
     with pytest.raises(InvalidInput) as refusal:
         schema.validate_scene({"system": system, "units": dict.fromkeys(keys, "1")})
     least, most = re.search(r"\{(\d+),(\d+)\}", schema.UNIT["pattern"]).groups()

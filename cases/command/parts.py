@@ -23,7 +23,6 @@ from fpk.numeric.errors import InvalidInput
 if TYPE_CHECKING:
     from cases.compare.stationary import Outcome
     from cases.scene.scene import Scene
-    from fpk.answer.names import Observable
 
 
 class NonEmptyPath(click.Path):
@@ -91,13 +90,10 @@ def command_line() -> str:
         value = context.params.get(parameter.name or "")
         if isinstance(parameter, click.Argument):
             words.append(str(value))
-        elif value is False and not parameter.secondary_opts:
-            continue
         elif value not in (None, (), parameter.get_default(context)):
-            given = list(value) if isinstance(value, tuple) else [value]
-            for each in given:
-                name = (parameter.secondary_opts if each is False else parameter.opts)[0]
-                words += [name] if isinstance(each, bool) else [name, str(each)]
+            for each in value if isinstance(value, tuple) else [value]:
+                names = parameter.secondary_opts if each is False else parameter.opts
+                words += names[:1] if isinstance(each, bool) else [names[0], str(each)]
     return shlex.join(words)
 
 
@@ -121,12 +117,11 @@ def load_checked(scene: str, *, tol: float | None = None, out: Path | None = Non
     return loaded
 
 
-def observable_of(name: str, scene: "Scene") -> "Observable":
+def observable_of(name: str, scene: "Scene") -> Any:
     """Return the observable ``name`` of ``--of``; raise ``BadInput`` if it is not in the scene."""
     from fpk.answer.names import parse_observable
 
-    observable: Observable = read("of", name, lambda: parse_observable(name, scene.system.n))
-    return observable
+    return read("of", name, lambda: parse_observable(name, scene.system.n))
 
 
 def read(option: str, text: str, parse: Callable[[], Any]) -> Any:
@@ -153,14 +148,13 @@ def only_observables(scene: "Scene", names: Sequence[str], *, whole: bool) -> "S
 
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
     """Lock the folder ``settings["checkpoint"]``, if not None, until the command ends."""
-    if settings["checkpoint"] is None:
-        return
-    from cases.show.claim import claim_folder
-    from sim.sample.settings import NOT_IN_STATE
+    if settings["checkpoint"] is not None:
+        from cases.show.claim import claim_folder
+        from sim.sample.settings import NOT_IN_STATE
 
-    own = {key: v for key, v in settings.items() if f"MonteCarlo.{key}" not in NOT_IN_STATE}
-    context = claim_folder(settings["checkpoint"], {"scene": scene.text, "settings": own})
-    click.get_current_context().with_resource(context)
+        own = {key: v for key, v in settings.items() if f"MonteCarlo.{key}" not in NOT_IN_STATE}
+        context = claim_folder(settings["checkpoint"], {"scene": scene.text, "settings": own})
+        click.get_current_context().with_resource(context)
 
 
 def end(

@@ -3,7 +3,7 @@
 These are ``fpk converge``, ``cost``, ``regime``, ``sweep``, ``verify`` and ``export``.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import wraps
@@ -21,7 +21,6 @@ from fpk.numeric.errors import NotApplicable
 
 if TYPE_CHECKING:
     from cases.scene.scene import Scene
-    from fpk.answer.method import Method
 
 USUAL, COARSE, COARSE_PATHS = 38.0, 5.0, 4096
 """Relaxation times sampled on a path: a quarter of what ``fpk run`` takes. Bands are from the
@@ -73,8 +72,7 @@ def study(work: Callable[..., Any]) -> click.Command:
 
 def command_of(name: str) -> click.Command | None:
     """Return the command of a registered study, None where there is none."""
-    own = STUDIES.get(name)
-    if own is None:
+    if (own := STUDIES.get(name)) is None:
         return None
 
     def work(scene: "Scene", **settings: Any) -> Any:
@@ -213,9 +211,11 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
     shipped = [name for name, path in shipped_scenes().items() if path.parent.name != "hard"]
     loaded = [load_scene(name) for name in dict.fromkeys(scenes or shipped)]
     from cases.compare.claims import Verdict
-    from cases.compare.routes import all_methods, all_routes
+    from cases.compare.routes import all_methods, all_routes, with_settings
     from cases.show.digest import digest_of, verify_row
     from cases.show.text import render
+    from sim.montecarlo import MonteCarlo
+    from sim.sample.settings import estimate_seconds
 
     if coarse:
         settings |= {"paths": COARSE_PATHS}
@@ -223,38 +223,25 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
     if unknown := set(solver) - {route.solver for route in all_routes()}:
         raise BadInput(f"--solver {unknown.pop()}: is not a solver of any method")
     methods = all_methods(named=solver, relaxations=relaxations, work=FULL_WORK, **settings)
+    limited = [with_settings(method, {"seconds": VERIFY_SECONDS}) for method in methods]
     width = max(len(scene.name) for scene in loaded)
     rows = []
     for scene in loaded:
-        rows.append(verify_row(digest_of(parts.outcome_of(scene, _within_longest(methods, scene)))))
+        expected = 0.0
+        for method, curve in product(methods, scene.curves):
+            with suppress(NotApplicable):  # such a simulation takes no time
+                if isinstance(method, MonteCarlo):
+                    expected += estimate_seconds(method, curve.system)
+        within = methods if expected <= VERIFY_SECONDS else limited
+        rows.append(verify_row(digest_of(parts.outcome_of(scene, within))))
         if not click.get_current_context().meta["json"]:
             click.echo(render("verify_line.txt", {"row": rows[-1], "width": width}))
     verdicts = [claim["verdict"] for row in rows for claim in row["claims"]]
-    parts.end(
-        {
-            "scenes": rows,
-            "holds": all(row["holds"] for row in rows),
-            "claims": {word: verdicts.count(word) for word in get_args(Verdict)},
-            "seconds": sum(row["seconds"] for row in rows),
-        },
-        lambda: render("verify.txt", {"rows": rows}),
-        problems=[f"{row['scene']}: {problem}" for row in rows for problem in row["problems"]],
-    )
-
-
-def _within_longest(methods: Sequence["Method"], scene: "Scene") -> list["Method"]:
-    """Return ``methods``, simulations limited to ``VERIFY_SECONDS`` if they would exceed it."""
-    from sim.montecarlo import MonteCarlo
-    from sim.sample.settings import estimate_seconds
-
-    expected, simulations = 0.0, [m for m in methods if isinstance(m, MonteCarlo)]
-    for method, curve in product(simulations, scene.curves):
-        with suppress(NotApplicable):  # such a simulation takes no time
-            expected += estimate_seconds(method, curve.system)
-    if expected <= VERIFY_SECONDS:
-        return list(methods)
-    limit: dict[str, Any] = {"seconds": VERIFY_SECONDS}
-    return [replace(m, **limit) if hasattr(m, "seconds") else m for m in methods]  # type: ignore[type-var]
+    record: dict[str, Any] = {"scenes": rows, "holds": all(row["holds"] for row in rows)}
+    record["claims"] = {word: verdicts.count(word) for word in get_args(Verdict)}
+    record["seconds"] = sum(row["seconds"] for row in rows)
+    problems = [f"{row['scene']}: {problem}" for row in rows for problem in row["problems"]]
+    parts.end(record, lambda: render("verify.txt", {"rows": rows}), problems=problems)
 
 
 @click.command()
@@ -299,13 +286,11 @@ def export(
 
     # Claims, and the demand for every density, are about runs of all routes.
     loaded = replace(loaded, expect=None, densities_asked=False)
-    methods = [
-        m
-        for m in all_methods(tol=tol, **settings)
-        if (simulate and m.route.method == "montecarlo")
-        or m.route.solves != "full"
-        or (m.route.quick and not m.route.sampled)
-    ]
+    methods = []
+    for method in all_methods(tol=tol, **settings):
+        route = method.route
+        theory = route.solves != "full" or (route.quick and not route.sampled)
+        methods += [method] if theory or (simulate and route.method == "montecarlo") else []
     outcome = parts.outcome_of(loaded, methods)
     if not any(map(len, outcome.curves)):
         reason = f"no stationary density: {outcome.curves[0].absence}"

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 from typing import Literal
 
@@ -22,9 +21,6 @@ from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
 
 Verdict = Literal["holds", "does not hold", "undecided", "not checked"]
-
-OPPOSITE: dict[Verdict, Verdict] = {"holds": "does not hold", "does not hold": "holds"}
-"""Verdict on the opposite of a claim, by the verdict on the claim."""
 
 ALMOST_L1 = 0.05
 """Largest L1 distance of an almost Gaussian density to the fitted Gaussian: no probability is wrong
@@ -68,36 +64,81 @@ def findings(expect: Expect | None, curves: Sequence[Answers]) -> Iterator[Findi
     """Yield the finding on every claim of ``expect``, for every curve to which it applies."""
     if expect is None:
         return
-    symbol = curves[0].label.partition(" =")[0]
+    of, symbol = expect.of, curves[0].label.partition(" =")[0]
     for wanted, values, words in (
         (False, expect.non_gaussian, "non-Gaussian"),
         (True, expect.almost_gaussian, "almost Gaussian"),
     ):
-        if values is not None:
-            sign, holds = RELATIONS[values.relation]
-            claim = f"{observable_name(expect.of)} {words} for {symbol} {sign} {values.limit:g}"
-            for curve in curves:
-                if curve.value is not None and holds(curve.value, values.limit):
-                    yield _gaussian(claim, curve, expect.of, wanted=wanted)
+        if values is None:
+            continue
+        sign, holds = RELATIONS[values.relation]
+        for curve in curves:
+            if curve.value is None or not holds(curve.value, values.limit):
+                continue
+            claim = f"{observable_name(of)} {words} for {symbol} {sign} {values.limit:g}"
+            if (density := _reference(curve, of)) is None:
+                yield Finding(claim, curve.label, "no answer for the full system", "not checked")
+                continue
+            shape = shape_of(density)
+            measured = f"L1 to the fitted Gaussian {shape.l1:.3f}"
+            measured += f", excess kurtosis {shape.kurtosis:+.3f}"
+            almost = shape.almost_gaussian
+            verdict = _verdict(None if almost is None else almost == wanted)
+            yield Finding(claim, curve.label, measured, verdict)
     if (direction := expect.nonintegrable_better_with) is not None:
         # Neighbours along the varied number, the better one last.
         claim = f"nonintegrable better with {direction} {symbol}"
         ordered = sorted(curves, key=lambda c: c.value or 0.0, reverse=direction == "smaller")
         for worse, better in pairwise(ordered):
-            pair = [_distance(c, expect.of, "nonintegrable") for c in (better, worse)]
+            pair = [_distance(c, of, "nonintegrable") for c in (better, worse)]
             yield _nearer(claim, f"{worse.label} to {better.label}", *pair)
+    limit = ACCEPTABLE_L1, 0.0
     for curve in curves:
-        yield from _theories(expect, curve)
+        if expect.better is not None:
+            pair = [_distance(curve, of, theory) for theory in expect.better]
+            yield _nearer("{} better than {}".format(*expect.better), curve.label, *pair)
+        if (rule := expect.clearance_rule) is not None:
+            yield _clearance_rule(curve, rule, _distance(curve, of, "integrable"))
+        for name in expect.acceptable:
+            yield _nearer(f"{name} acceptable", curve.label, _distance(curve, of, name), limit)
+
+
+def _clearance_rule(curve: Answers, rule: float, distance: tuple[float, float] | None) -> Finding:
+    """Whether modal averaging, at ``distance``, is acceptable beyond ``rule`` rms, not below."""
+    stops = curve.system.fact(stop_clearances)
+    ratios = [stop.ratio for stop in stops if stop.ratio is not None]
+    claim = f"integrable acceptable for clearance > {rule:g} rms"
+    if len(ratios) < max(len(stops), 1):
+        return Finding(claim, curve.label, "the rms is not known", "not checked")
+    found = _nearer(claim, curve.label, distance, (ACCEPTABLE_L1, 0.0))
+    verdict, ratio = found.verdict, min(ratios)
+    if ratio <= rule:  # the rule itself says nothing here
+        claim = f"converse of the rule: not acceptable for clearance ≤ {rule:g} rms"
+        opposite: dict[Verdict, Verdict] = {"holds": "does not hold", "does not hold": "holds"}
+        verdict = opposite.get(verdict, verdict)
+    return Finding(claim, curve.label, f"clearance {ratio:.3g} rms, {found.measured}", verdict)
 
 
 def shape_of(density: AnyDensity) -> Shape:
-    """Return excess kurtosis and L1 distance to the Gaussian of the same mean and variance."""
-    kurtosis = density.kurtosis()
-    distance, error = _to_gaussian(density, density.mean().value, density.std().value)
-    excess = kurtosis.value - 3.0
+    """Return excess kurtosis and L1 distance to the Gaussian of the same mean and variance.
+
+    The mass of the Gaussian outside of the support is included. The integral over the bins of a
+    sample has no error.
+    """
+    mean, scale, kurtosis = density.mean().value, density.std().value, density.kurtosis()
+    (nodes,), excess = density.panels, kurtosis.value - 3.0
+    shares = np.diff(ndtr((nodes - mean) / scale))
     if isinstance(density, SampledDensity):
+        shares -= density.values * np.diff(nodes)
+        distance = float(np.sum(np.abs(shares)) + abs(np.sum(shares)))
         chance = float(np.sum(density.standard_error * np.diff(density.edges[0])))
         return Shape(distance, chance, excess, 3.0 * kurtosis.error)
+
+    def gaussian(x: Array) -> Array:
+        return np.asarray(np.exp(-0.5 * ((x - mean) / scale) ** 2) / (np.sqrt(2.0 * np.pi) * scale))
+
+    distance, error = distance_with_error(density, replace(density, pdf=gaussian))
+    distance += 1.0 - float(np.sum(shares))
     return Shape(distance, 2.0 * density.l1_error + error, excess, kurtosis.error)
 
 
@@ -105,43 +146,6 @@ def _reference(curve: Answers, of: Observable) -> AnyDensity | None:
     """The most accurate density of the full system; certified ones first."""
     full = (d for route, d in curve.densities(of).items() if route.solves == "full")
     return min(full, key=lambda d: (not d.certificate.certified, d.l1_error), default=None)
-
-
-def _gaussian(claim: str, curve: Answers, of: Observable, *, wanted: bool) -> Finding:
-    density = _reference(curve, of)
-    if density is None:
-        return Finding(claim, curve.label, "no answer for the full system", "not checked")
-    shape = shape_of(density)
-    measured = f"L1 to the fitted Gaussian {shape.l1:.3f}, excess kurtosis {shape.kurtosis:+.3f}"
-    almost = shape.almost_gaussian
-    holds = None if almost is None else almost == wanted
-    return Finding(claim, curve.label, measured, _verdict(holds))
-
-
-def _theories(expect: Expect, curve: Answers) -> Iterator[Finding]:
-    """The claims about the theories of one curve."""
-    distance = partial(_distance, curve, expect.of)
-    if expect.better is not None:
-        claim = "{} better than {}".format(*expect.better)
-        yield _nearer(claim, curve.label, *map(distance, expect.better))
-    if (rule := expect.clearance_rule) is not None:
-        stops = curve.system.fact(stop_clearances)
-        ratios = [stop.ratio for stop in stops if stop.ratio is not None]
-        claim = f"integrable acceptable for clearance > {rule:g} rms"
-        if len(ratios) < max(len(stops), 1):
-            yield Finding(claim, curve.label, "the rms is not known", "not checked")
-        else:
-            ratio, limit = min(ratios), (ACCEPTABLE_L1, 0.0)
-            found = _nearer(claim, curve.label, distance("integrable"), limit)
-            found = replace(found, measured=f"clearance {ratio:.3g} rms, {found.measured}")
-            if ratio <= rule:  # the rule itself says nothing here
-                claim = f"converse of the rule: not acceptable for clearance ≤ {rule:g} rms"
-                opposite = OPPOSITE.get(found.verdict, found.verdict)
-                found = replace(found, claim=claim, verdict=opposite)
-            yield found
-    for name in expect.acceptable:
-        claim = f"{name} acceptable"
-        yield _nearer(claim, curve.label, distance(name), (ACCEPTABLE_L1, 0.0))
 
 
 def _nearer(
@@ -172,29 +176,26 @@ def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
         for replies in curve.passages:
             question = replies.question
             assert isinstance(question, PassageQuestion)
-            for words, limits in (
+            # Differences of the solved averaged equation to the full system.
+            wanted = "averaging", "relative", question.theory
+            own = [c for c in replies.comparisons if (c.measures, c.norm, c.a.method) == wanted]
+            for what, limits in (
                 ("failure rate", question.rate_error),
-                ("P(T ≤ ", question.failure_error),
+                ("P(T ≤ t)", question.failure_error),
             ):
                 if limits is None:
                     continue
                 sign, holds = RELATIONS[limits.relation]
-                what = "P(T ≤ t)" if words.startswith("P") else words
                 claim = (
                     f"{question.name}: averaging error of the {what} by the {question.theory}"
                     f" theory {sign} {limits.limit:g}"
                 )
-                # Differences of the solved averaged equation to the full system.
-                of, wanted = f"{question.name}: {words}", ("averaging", "relative", question.theory)
-                own = [
-                    c
-                    for c in replies.comparisons
-                    if (c.measures, c.norm, c.a.method) == wanted and c.observable.startswith(of)
-                ]
-                if not own:
+                of = f"{question.name}: {what.removesuffix('t)')}"
+                known = [c for c in own if c.observable.startswith(of)]
+                if not known:
                     yield Finding(claim, curve.label, "no answer to compare with", "not checked")
                     continue
-                c = min(own, key=lambda c: c.error)
+                c = min(known, key=lambda c: c.error)
                 measured = f"relative {with_error(c.L1, c.error)}, {c.a.label} against {c.b.label}"
                 undecided = abs(c.L1 - limits.limit) <= 2.0 * c.error
                 verdict = _verdict(None if undecided else holds(c.L1, limits.limit))
@@ -208,23 +209,3 @@ def _below(value: float, limit: float, slack: float) -> bool | None:
 
 def _verdict(holds: bool | None) -> Verdict:
     return "undecided" if holds is None else "holds" if holds else "does not hold"
-
-
-def _to_gaussian(density: AnyDensity, mean: float, scale: float) -> tuple[float, float]:
-    """L1 distance to the Gaussian of this mean and standard deviation ``scale``, and its error.
-
-    The mass of the Gaussian outside of the support is included. The integral over the bins of a
-    sample has no error.
-    """
-    (nodes,) = density.panels
-    shares = np.diff(ndtr((nodes - mean) / scale))
-    if isinstance(density, SampledDensity):
-        shares -= density.values * np.diff(nodes)
-        outside = abs(np.sum(shares))
-        return float(np.sum(np.abs(shares)) + outside), 0.0
-
-    def gaussian(x: Array) -> Array:
-        return np.asarray(np.exp(-0.5 * ((x - mean) / scale) ** 2) / (np.sqrt(2.0 * np.pi) * scale))
-
-    distance, error = distance_with_error(density, replace(density, pdf=gaussian))
-    return distance + 1.0 - float(np.sum(shares)), error

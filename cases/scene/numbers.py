@@ -170,19 +170,6 @@ VARIED = {
 """Keys of ``[vary]`` with their symbols: one number for all contacts, or a whole matrix."""
 
 
-def with_value(system: System, key: str, value: Any) -> System:
-    """Return the system with another ``value``, number or matrix, of a ``key`` of ``VARIED``."""
-    place = place_of(key, system)
-    if place.factor:
-        return replace(system, **{place.field: value})
-    return with_numbers(system, {key: value})
-
-
-def _read(system: System, key: str) -> Array:
-    """The matrix of the system, or the number of every contact."""
-    return place_of(key, system).read(system)
-
-
 def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> tuple[Curve, ...]:
     """Return the curves, the system's own first; values equal to its own are not doubled.
 
@@ -198,29 +185,31 @@ def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> t
     key, values = given[0]
     if key.startswith("contact.") and not system.contacts:
         raise InvalidInput(f"vary.{key}", values, "the scene has no [[contact]] to vary")
-    systems = [system]
+    place, systems = place_of(key, system), [system]
     for i, value in enumerate(values, start=1):
-        with about_key(f"vary.{key}[{i}]", value):
-            other = with_value(system, key, value)
-        if not any(np.array_equal(_read(other, key), _read(s, key)) for s in systems):
+        with about_key(f"vary.{key}[{i}]", value):  # a matrix is no factor of the system's own
+            whole = {place.field: value}
+            other = replace(system, **whole) if place.factor else with_numbers(system, {key: value})
+        if not any(np.array_equal(place.read(other), place.read(s)) for s in systems):
             systems.append(other)
-    if key == "system.damping" and all(_common_ratio(s) is not None for s in systems):
-        ratios = [_common_ratio(s) for s in systems]
-        return tuple(Curve(f"c/D = {r:g}", s, r, key) for r, s in zip(ratios, systems, strict=True))
-    values = [_read(s, key) for s in systems]
-    return tuple(
-        Curve(f"{VARIED[key]} = {_words(v)}", s, float(np.trace(v) if v.ndim == 2 else v[0]), key)
-        for s, v in zip(systems, values, strict=True)
-    )
+    ratios = [_common_ratio(s) for s in systems]
+    curves = []
+    for s, ratio in zip(systems, ratios, strict=True):
+        v = place.read(s)
+        label, number = f"{VARIED[key]} = {_words(v)}", float(np.trace(v) if v.ndim == 2 else v[0])
+        if key == "system.damping" and ratio is not None and None not in ratios:
+            label, number = f"c/D = {ratio:g}", ratio
+        curves.append(Curve(label, s, number, key))
+    return tuple(curves)
 
 
 def _common_ratio(system: System) -> float | None:
     """The common ratio c_i/D_i if both are diagonal and it is the same for all i, else None."""
-    c, d = system.damping, system.noise_matrix
-    diagonals = np.diag(c), np.diag(d)
-    if not all(map(np.array_equal, (c, d), map(np.diag, diagonals))) or not np.all(diagonals[1]):
+    matrices = system.damping, system.noise_matrix
+    c, d = map(np.diag, matrices)
+    if not all(map(np.array_equal, matrices, map(np.diag, (c, d)))) or not np.all(d):
         return None
-    ratios = diagonals[0] / diagonals[1]
+    ratios = c / d
     return float(ratios[0]) if np.allclose(ratios, ratios[0], rtol=1e-12) else None
 
 
@@ -229,5 +218,5 @@ def _words(value: Array) -> str:
         value = np.diag(value)
     elif value.ndim == 1 and np.ptp(value) == 0:  # the same value at every contact
         value = value[:1]
-    entries = [f"{x:g}" for x in value.ravel()]
-    return entries[0] if len(entries) == 1 else f"({', '.join(entries)})"
+    words = ", ".join(f"{x:g}" for x in value.ravel())
+    return words if value.size == 1 else f"({words})"

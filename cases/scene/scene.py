@@ -172,21 +172,19 @@ def _scene(path: Path, label: str) -> Scene:
         raise BadInput(f"{label}: {error.key or 'scene'} {given}: {error.remedy}") from None
     title, source = tables.get("title") or path.stem, tables.get("source", "")
     asked = observables, curves, expect, passages, transients
-    return Scene(
-        path.stem, title, source, text, system, *asked, units=tables.get("units", NO_UNITS),
-        exceedance=exceedance, densities_asked="densities" in observe,
-    )  # fmt: skip
+    own = tables.get("units", NO_UNITS), exceedance, "densities" in observe
+    return Scene(path.stem, title, source, text, system, *asked, *own)
 
 
 def _system(tables: dict[str, Any]) -> System:
     contacts, terms = (tuple(tables.get(key, ())) for key in ("contact", "damping_term"))
+    own: Any = {
+        "contacts": contacts,
+        "damping_terms": terms,
+        "modulation": tables.get("modulation"),
+    }
     try:
-        return System(
-            **tables["system"],
-            contacts=contacts,
-            damping_terms=terms,
-            modulation=tables.get("modulation"),
-        )
+        return System(**tables["system"], **own)
     except InvalidInput as error:
         place = "system." if error.key in tables["system"] else ""
         raise InvalidInput(place + error.key, error.value, error.remedy) from None
@@ -200,10 +198,9 @@ def _observables(densities: list[str] | None, system: System) -> tuple[Observabl
     observables: list[Observable] = []
     for k, name in enumerate(densities, start=1):
         with about_key(f"observe.densities[{k}]", name):
-            observable = parse_observable(name, system.n)
-        if observable in observables:
+            observables.append(parse_observable(name, system.n))
+        if observables[-1] in observables[:-1]:
             raise InvalidInput(f"observe.densities[{k}]", name, "is asked for twice; leave one out")
-        observables.append(observable)
     return tuple(observables)
 
 

@@ -4,7 +4,8 @@ The core alone is used: to import pydantic itself takes longer than many an answ
 its key as the user would look for it, ``contact[1].clearance`` say, counted from 1.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, get_args
 from unicodedata import category
 
@@ -43,15 +44,24 @@ def _list(items: core.CoreSchema, *, least: int = 1, most: int = MAX_MASSES) -> 
     return core.list_schema(items, min_length=least, max_length=most, strict=True)
 
 
-def _table(
-    required: Mapping[str, core.CoreSchema], optional: Mapping[str, core.CoreSchema]
-) -> core.TypedDictSchema:
-    """A table of ``required`` and ``optional`` keys, others refused; absent keys stay absent."""
+def _table(required: str, **keys: Any) -> core.TypedDictSchema:
+    """A table with some ``required`` keys, others than ``keys`` refused; absent keys stay absent.
+
+    A key has a schema, or a schema with its description and further metadata.
+    """
     fields = {
-        key: core.typed_dict_field(schema, required=key in required)
-        for key, schema in {**required, **optional}.items()
+        key: core.typed_dict_field(
+            _said(*schema) if isinstance(schema, tuple) else schema,
+            required=key in required.split(),
+        )
+        for key, schema in keys.items()
     }
     return core.typed_dict_schema(fields, extra_behavior="forbid")
+
+
+def _records(make: Callable[..., Any], table: core.CoreSchema, most: int = MAX_MASSES) -> Any:
+    """A list of tables, each made a record by ``make``."""
+    return _list(_then(lambda keys: make(**keys), table), least=0, most=most)
 
 
 def _in_range(value: float) -> float:
@@ -81,8 +91,8 @@ def _list_or_matrix(value: Any) -> str:
     return "<matrix>" if nested else "<list>"
 
 
-def _said(schema: Any, description: str, **more: Any) -> Any:
-    """The schema with a ``description`` and further metadata for its JSON Schema."""
+def _said(schema: Any, description: str, more: Mapping[str, Any] = MappingProxyType({})) -> Any:
+    """The schema with a ``description`` and ``more`` metadata for its JSON Schema."""
     return {**schema, "metadata": {"description": description, **more}}
 
 
@@ -106,151 +116,128 @@ POWERS = _then(
 )
 VALUES = _list(NUMBER, most=12)
 MATRICES = _list(NUMBERS_OR_MATRIX, most=12)
-RANGE = _table(
-    {}, {key: _said(NUMBER, f"claimed to be {key.replace('_', ' ')}") for key in RELATIONS}
-)
+RANGE = _table("", **{key: (NUMBER, f"claimed to be {key.replace('_', ' ')}") for key in RELATIONS})
 THEORY = core.literal_schema(["nonintegrable", "integrable"])
 TIMES = _list(NUMBER, most=MOST_TIMES)
-
-SYSTEM = _table(
-    {
-        "mass": _said(NUMBERS, "m_i of the chain, mass 1 nearest to the wall"),
-        "stiffness": _said(NUMBERS, "k_i joins mass i to mass i-1, k_1 to the wall"),
-        "damping": _said(NUMBERS_OR_MATRIX, "c_i, or a full matrix"),
-        "noise_intensity": _said(
-            NUMBERS_OR_MATRIX, "D_l with E[W W'] = 2 D delta, or a full matrix"
-        ),
-    },
-    {"noise_gain": _said(MATRIX, "f_il; the identity where it is left out")},
-)
-CONTACT = _table(
-    {
-        "mass": _said(MASS, "number of the mass, counted from 1"),
-        "side": _said(TEXT, "where the stop stands", enum=list(get_args(Side))),
-        "stiffness": _said(NUMBER, "B: force / length**exponent"),
-        "clearance": _said(NUMBER, "gap at rest"),
-    },
-    {
-        "law": _said(TEXT, "hertz where it is left out", enum=sorted(LAWS)),
-        "exponent": _said(NUMBER, "of the law power only"),
-    },
-)
-DAMPING_TERM = _table(
-    {
-        "i": _said(MASS, "row of the damping matrix: the mass that feels the force"),
-        "j": _said(MASS, "column: the mass whose velocity makes it"),
-        "coefficient": _said(NUMBER, "what c_ij gains, times the powers"),
-    },
-    {
-        "q": _said(POWERS, "powers of displacements by mass, as { 1 = 2 } for q_1^2"),
-        "v": _said(POWERS, "powers of velocities by mass"),
-        "energy": _said(WHOLE, "power of the total energy H"),
-    },
-)
 UNIT = core.str_schema(strict=True, pattern=r"^[A-Za-zµμΩÅ]{1,16}$")
-UNITS = _table(
-    {key: _said(UNIT, f"name of the unit of {key}") for key in ("length", "mass", "time")}, {}
-)
-EXPECT = {
-    "of": _said(TEXT, "the density that the claims are about; the first observed if left out"),
-    "non_gaussian": RANGE,
-    "almost_gaussian": RANGE,
-    "nonintegrable_better_with": _said(
-        core.literal_schema(["larger", "smaller"]), "where along [vary] energy averaging is better"
-    ),
-    "better": _said(
-        _then(_distinct, _list(THEORY, least=2, most=2)), "the first is nearer to the full system"
-    ),
-    "acceptable": _said(
-        _then(_distinct, _list(THEORY, most=2)), "within 0.1 in L1 of the full system"
-    ),
-    "clearance_rule": _said(
-        _then(_in_range, core.float_schema(strict=True, allow_inf_nan=False, gt=0)),
-        "modal averaging is acceptable beyond so many rms",
-    ),
-}
-PASSAGE = _table(
-    {"limit": _said(TEXT, "H=1.5, H1=0.4,H2=0.6 (either) or q2=1.2 (|q2|)")},
-    {
-        "start": _said(TEXT, "rest where it is left out; H=0.3, q1=0.2,p1=0.1 or noise=0.5"),
-        "times": _said(TIMES, "times of the reliability"),
-        "theory": _said(THEORY, "what the claims are about; nonintegrable where it is left out"),
-    }
-    | {"rate_error": RANGE, "failure_error": RANGE},
-)
+
 SCENE = _table(
-    {"system": SYSTEM},
-    {
-        "title": _said(TEXT, "what the scene shows"),
-        "source": _said(TEXT, "where its values come from"),
-        "units": _then(lambda keys: Units(**keys), UNITS),
-        "contact": _list(_then(lambda keys: Contact(**keys), CONTACT), least=0),
-        "damping_term": _list(
-            _then(lambda keys: DampingTerm(**keys), DAMPING_TERM), least=0, most=MAX_TERMS
+    "system",
+    system=_table(
+        "mass stiffness damping noise_intensity",
+        mass=(NUMBERS, "m_i of the chain, mass 1 nearest to the wall"),
+        stiffness=(NUMBERS, "k_i joins mass i to mass i-1, k_1 to the wall"),
+        damping=(NUMBERS_OR_MATRIX, "c_i, or a full matrix"),
+        noise_intensity=(NUMBERS_OR_MATRIX, "D_l with E[W W'] = 2 D delta, or a full matrix"),
+        noise_gain=(MATRIX, "f_il; the identity where it is left out"),
+    ),
+    title=(TEXT, "what the scene shows"),
+    source=(TEXT, "where its values come from"),
+    units=_then(
+        lambda keys: Units(**keys),
+        _table(
+            "length mass time",
+            **{key: (UNIT, f"name of the unit of {key}") for key in ("length", "mass", "time")},
         ),
-        "passage": _list(PASSAGE, least=0, most=MOST_QUESTIONS),
-        "transient": _list(
-            _table(
-                {
-                    "of": _said(TEXT, "one coordinate, as H"),
-                    "times": _said(TIMES, "times after the start"),
-                },
-                {"start": _said(TEXT, "as of [[passage]]")},
+    ),
+    contact=_records(
+        Contact,
+        _table(
+            "mass side stiffness clearance",
+            mass=(MASS, "number of the mass, counted from 1"),
+            side=(TEXT, "where the stop stands", {"enum": list(get_args(Side))}),
+            stiffness=(NUMBER, "B: force / length**exponent"),
+            clearance=(NUMBER, "gap at rest"),
+            law=(TEXT, "hertz where it is left out", {"enum": sorted(LAWS)}),
+            exponent=(NUMBER, "of the law power only"),
+        ),
+    ),
+    damping_term=_records(
+        DampingTerm,
+        _table(
+            "i j coefficient",
+            i=(MASS, "row of the damping matrix: the mass that feels the force"),
+            j=(MASS, "column: the mass whose velocity makes it"),
+            coefficient=(NUMBER, "what c_ij gains, times the powers"),
+            q=(POWERS, "powers of displacements by mass, as { 1 = 2 } for q_1^2"),
+            v=(POWERS, "powers of velocities by mass"),
+            energy=(WHOLE, "power of the total energy H"),
+        ),
+        MAX_TERMS,
+    ),
+    passage=_list(
+        _table(
+            "limit",
+            limit=(TEXT, "H=1.5, H1=0.4,H2=0.6 (either) or q2=1.2 (|q2|)"),
+            start=(TEXT, "rest where it is left out; H=0.3, q1=0.2,p1=0.1 or noise=0.5"),
+            times=(TIMES, "times of the reliability"),
+            theory=(THEORY, "what the claims are about; nonintegrable where it is left out"),
+            rate_error=RANGE,
+            failure_error=RANGE,
+        ),
+        least=0,
+        most=MOST_QUESTIONS,
+    ),
+    transient=_list(
+        _table(
+            "of times",
+            of=(TEXT, "one coordinate, as H"),
+            times=(TIMES, "times after the start"),
+            start=(TEXT, "as of [[passage]]"),
+        ),
+        least=0,
+        most=MOST_QUESTIONS,
+    ),
+    modulation=_then(
+        lambda keys: Modulation(**keys),
+        _table(
+            "times factor",
+            times=(NUMBERS, "ascending from 0"),
+            factor=(NUMBERS, "e at these times, linear between and constant after: noise e(t)^2 D"),
+        ),
+    ),
+    observe=_table(
+        "densities",
+        densities=(_list(TEXT, most=MOST_OBSERVED), "q1.., p1.., H, H1.., or a pair a,b"),
+        exceedance=(
+            core.dict_schema(
+                _said(TEXT, "observable"), _list(NUMBER, most=MOST_LEVELS), max_length=MOST_OBSERVED
             ),
-            least=0,
-            most=MOST_QUESTIONS,
+            "levels a of P(X > a), as { q2 = [0.6, 0.8] }; X is observed",
         ),
-        "modulation": _then(
-            lambda keys: Modulation(**keys),
-            _table(
-                {
-                    "times": _said(NUMBERS, "ascending from 0"),
-                    "factor": _said(
-                        NUMBERS,
-                        "e at these times, linear between and constant after: noise e(t)^2 D",
-                    ),
-                },
-                {},
-            ),
+    ),
+    vary=_table(
+        "",
+        contact=_table(
+            "",
+            stiffness=(VALUES, "B of every contact, a curve for each value"),
+            clearance=(VALUES, "gap of every contact, a curve for each value"),
         ),
-        "observe": _table(
-            {
-                "densities": _said(
-                    _list(TEXT, most=MOST_OBSERVED), "q1.., p1.., H, H1.., or a pair a,b"
-                )
-            },
-            {
-                "exceedance": _said(
-                    core.dict_schema(
-                        _said(TEXT, "observable"),
-                        _list(NUMBER, most=MOST_LEVELS),
-                        max_length=MOST_OBSERVED,
-                    ),
-                    "levels a of P(X > a), as { q2 = [0.6, 0.8] }; X is observed",
-                )
-            },
+        system=_table(
+            "",
+            noise_intensity=(MATRICES, "D, a curve for each list or matrix"),
+            damping=(MATRICES, "c, a curve for each list or matrix"),
         ),
-        "vary": _table(
-            {},
-            {
-                "contact": _table(
-                    {},
-                    {
-                        "stiffness": _said(VALUES, "B of every contact, a curve for each value"),
-                        "clearance": _said(VALUES, "gap of every contact, a curve for each value"),
-                    },
-                ),
-                "system": _table(
-                    {},
-                    {
-                        "noise_intensity": _said(MATRICES, "D, a curve for each list or matrix"),
-                        "damping": _said(MATRICES, "c, a curve for each list or matrix"),
-                    },
-                ),
-            },
+    ),
+    expect=_table(
+        "",
+        of=(TEXT, "the density that the claims are about; the first observed if left out"),
+        non_gaussian=RANGE,
+        almost_gaussian=RANGE,
+        nonintegrable_better_with=(
+            core.literal_schema(["larger", "smaller"]),
+            "where along [vary] energy averaging is better",
         ),
-        "expect": _table({}, EXPECT),
-    },
+        better=(
+            _then(_distinct, _list(THEORY, least=2, most=2)),
+            "the first is nearer to the full system",
+        ),
+        acceptable=(_then(_distinct, _list(THEORY, most=2)), "within 0.1 in L1 of the full system"),
+        clearance_rule=(
+            _then(_in_range, core.float_schema(strict=True, allow_inf_nan=False, gt=0)),
+            "modal averaging is acceptable beyond so many rms",
+        ),
+    ),
 )
 """The whole file."""
 

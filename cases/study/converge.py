@@ -20,14 +20,7 @@ from cases.study import OwnStudy
 from cases.study.equations import DENSITY_ROUND_OFF, ELEMENTS, EQUATIONS, Equation
 from cases.study.levels import Ladder, Study
 from cases.study.orders import LIMITS
-from cases.study.simulation import (
-    ORDERS,
-    SECONDS,
-    SampleSlope,
-    WeakOrder,
-    sample_slope,
-    weak_order,
-)
+from cases.study.simulation import ORDERS, SECONDS, WeakOrder, sample_slope, weak_order
 from fpk.answer.method import Progress, silent
 from fpk.numeric.errors import NotApplicable, NotCertified
 from sim.montecarlo import MonteCarlo
@@ -57,7 +50,7 @@ class ConvergenceStudy:
     scene: Scene
     equations: list[dict[str, Any]] = field(default_factory=list)
     schemes: list[WeakOrder] = field(default_factory=list)
-    samples: SampleSlope | None = None
+    samples: dict[str, Any] | None = None
     refusals: dict[str, str] = field(default_factory=dict)
     seconds: float = 0.0
     name: str = "converge"
@@ -91,8 +84,7 @@ class ConvergenceStudy:
     def page(self) -> Page:
         """Return the tables and pictures of the command, for the terminal and for files."""
         units, tables = self.scene.units, self._ladder_tables()
-        square = units.of(DIMENSIONS["q"], DIMENSIONS["q"])
-        time = units.time
+        square, time = units.of(DIMENSIONS["q"], DIMENSIONS["q"]), units.time
         steps = [
             {"scheme": s.scheme, **asdict(run), "step error": error, "its error": bar}
             for s in self.schemes
@@ -102,9 +94,10 @@ class ConvergenceStudy:
         weak = [{k: v for k, v in vars(s).items() if k not in listed} for s in self.schemes]
         samples, slope, of = list[dict[str, Any]](), "", ""
         if s := self.samples:
-            pairs = zip(s.sampled, s.errors, strict=True)
+            pairs = zip(s["sampled"], s["errors"], strict=True)
             samples = [{"paths x time": time, "standard error": error} for time, error in pairs]
-            of, slope = s.observable, f"slope {s.slope:.3f} ± {s.slope_error:.3f}, theory -0.5"
+            slope = "slope {slope:.3f} ± {slope_error:.3f}, theory -0.5".format(**s)
+            of = s["observable"]
         step_words = (
             f"Order: of the best fit to all steps; order error: from and to one standard error,"
             f" {ORDERS[0]:g} or {ORDERS[-1]:g} where none is known. Orders: of consecutive resolved"
@@ -113,36 +106,17 @@ class ConvergenceStudy:
             " errors are larger than wanted, in the time given. Unstable: no step is stable and"
             " cheap enough."
         )
+        of_steps = dict.fromkeys(("value", "error", "step error", "its error"), square)
+        of_steps |= {"dt": time, "sampled": time}
+        of_order = dict.fromkeys(("limit", "limit_error", "wanted"), square)
+        of_samples = {"paths x time": time, "standard error": square}
+        refused = [{"route": route, "reason": why} for route, why in self.refusals.items()]
+        errors = f"Simulation: standard error of {of} in samples"
         tables += [
-            Table(
-                "steps",
-                f"Simulation: errors of the step in {of}",
-                steps,
-                units={
-                    "dt": time,
-                    "sampled": time,
-                    **dict.fromkeys(("value", "error", "step error", "its error"), square),
-                },
-            ),
-            Table(
-                "weak",
-                "Simulation: weak order in the step",
-                weak,
-                (step_words,),
-                dict.fromkeys(("limit", "limit_error", "wanted"), square),
-            ),
-            Table(
-                "samples",
-                f"Simulation: standard error of {of} in samples",
-                samples,
-                (slope,),
-                {"paths x time": time, "standard error": square},
-            ),
-            Table(
-                "refusals",
-                "Routes that do not apply",
-                [{"route": route, "reason": why} for route, why in self.refusals.items()],
-            ),
+            Table("steps", f"Simulation: errors of the step in {of}", steps, units=of_steps),
+            Table("weak", "Simulation: weak order in the step", weak, (step_words,), of_order),
+            Table("samples", errors, samples, (slope,), of_samples),
+            Table("refusals", "Routes that do not apply", refused),
         ]
         title = f"{self.name.replace('converge', 'Convergence')}: {self.scene.title}"
         return Page(self.name, self.scene, title, tables, study_panels(self))
@@ -166,10 +140,8 @@ class ConvergenceStudy:
             if "by_tolerance" in e
         ]
         about += [f"{e['equation']}: {e['help']}" for e in self.equations if "help" in e]
-        units, subject = (
-            self.scene.units,
-            "Averaged equations" if self.name == "converge" else self.name,
-        )
+        units, own = self.scene.units, self.name != "converge"
+        subject = self.name if own else "Averaged equations"
         of_errors = {"mean energy": units.quantity("energy")}
         if len(dimensions := {e["dimension"] for e in self.equations}) == 1 and units:
             powers = np.array(DIMENSIONS["H"]) * -dimensions.pop()
@@ -189,9 +161,8 @@ def chosen_routes(route: str | None, of: str | None) -> tuple[str, ...]:
     chosen = tuple(n for n, o in known.items() if route in (None, n) and of in (None, o))
     if not chosen:
         asked = " ".join(f"--{k} {v}" for k, v in (("route", route), ("of", of)) if v is not None)
-        raise BadInput(
-            f"{asked}: use --route {', '.join(known)}, or --of H for (24), H1,H2 for (17)"
-        )
+        one = f"use --route {', '.join(known)}, or --of H for (24), H1,H2 for (17)"
+        raise BadInput(f"{asked}: {one}")
     return chosen
 
 
@@ -233,18 +204,11 @@ def study_convergence(
                     measured.append(free.study(free.degrees()).ladder())
                 except (NotApplicable, NotCertified) as reason:  # stops may be what makes it stable
                     study.refusals[f"{route} without contact"] = str(reason)
-            study.equations.append(
-                {
-                    "theory": route,
-                    "equation": equation.name,
-                    "observable": equation.reference.name,
-                    "dimension": equation.dimension,
-                    "reference": equation.reference_words,
-                    "reference_error": equation.reference.l1_error,
-                    "by_tolerance": equation.words,
-                    "ladders": measured,
-                }
-            )
+            about: dict[str, Any] = {"theory": route, "equation": equation.name}
+            about |= {"observable": equation.reference.name, "dimension": equation.dimension}
+            about |= {"reference": equation.reference_words}
+            about |= {"reference_error": equation.reference.l1_error}
+            study.equations.append({**about, "by_tolerance": equation.words, "ladders": measured})
         except (NotApplicable, NotCertified) as reason:
             if len(routes) == 1:  # it was asked for, and there is nothing else to show
                 raise
@@ -261,26 +225,19 @@ def study_own(
     Raises what ``own.studies`` and the solvers raise.
     """
     start, studies, subjects = perf_counter(), own.studies(scene, seed), dict[str, dict[str, Any]]()
-    for study, ladder in zip(studies, ladders(studies, own.name, progress=progress), strict=True):
-        new = {
-            "theory": own.name,
-            "equation": study.equation,
-            "dimension": study.dimension,
-            "help": own.help,
-            "ladders": [],
-        }
-        subjects.setdefault(study.equation, new)["ladders"].append(ladder)
-    result = ConvergenceStudy(scene, [*subjects.values()], name=own.name)
-    result.seconds = perf_counter() - start
-    return result
+    for ladder in ladders(studies, own.name, progress=progress):
+        new = {"theory": own.name, "equation": ladder.equation, "dimension": ladder.dimension}
+        subject = subjects.setdefault(ladder.equation, {**new, "help": own.help, "ladders": []})
+        subject["ladders"].append(ladder)
+    seconds = perf_counter() - start
+    return ConvergenceStudy(scene, [*subjects.values()], seconds=seconds, name=own.name)
 
 
 def families(equation: Equation) -> list[Study]:
     """Return studies in h of three degrees, one in p, one by tolerance of the route by elements."""
-    route = next(iter(equation.by_tolerance))
     by_degree = map(equation.elements, [*ELEMENTS[equation.dimension]][:3])
-    first = [*by_degree, equation.degrees(), equation.to_tolerance(route)]
-    return [equation.study(each) for each in first]
+    by_tolerance = equation.to_tolerance(next(iter(equation.by_tolerance)))
+    return [equation.study(first) for first in (*by_degree, equation.degrees(), by_tolerance)]
 
 
 def ladders(
@@ -304,33 +261,29 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
         axis: dict[str, Any] = {"limits": (1e-16, 10.0)}
         y = f"{key} error"
         if "observable" in e:
-            y, axis["floor"] = (
-                f"L₁ error of p({e['observable']})",
-                e["reference_error"] + DENSITY_ROUND_OFF,
-            )
-        curves = [_in_unknowns(ladder, key) for ladder in own]
-        panels.append(Panel(f"{name}; dashed: order of theory", "unknowns N", y, curves, **axis))
-        in_degree = [x for x in e["ladders"] if x.family == "p" and e["dimension"] == 1]
+            y = f"L₁ error of p({e['observable']})"
+            axis["floor"] = e["reference_error"] + DENSITY_ROUND_OFF
         curves = []
-        for ladder in in_degree:
+        for ladder in own:
+            N = np.array([level.unknowns for level in ladder.levels], dtype=float)
+            errors = np.array([level.errors[key] for level in ladder.levels])
+            own_curve: dict[str, Any] = {"notes": [level.settings for level in ladder.levels]}
+            verdict, label = ladder.verdicts[key], ladder.name
+            if verdict.theory is not None:
+                slope = -(verdict.theory / ladder.dimension)
+                own_curve["dashed"] = N[-3:], 0.5 * errors[-1] * (N[-3:] / N[-1]) ** slope
+                label += f": order {verdict.order:.2f}"
+            curves.append(Curve(label, N, errors, **own_curve))
+        panels.append(Panel(f"{name}; dashed: order of theory", "unknowns N", y, curves, **axis))
+        curves = []
+        for ladder in [x for x in e["ladders"] if x.family == "p" and e["dimension"] == 1]:
             degrees = [-np.log(level.size) for level in ladder.levels]
             label = f"{ladder.equation}: exp(−{ladder.verdicts[key].order:.1f} p)"
             curves.append(Curve(label, degrees, [level.errors[key] for level in ladder.levels]))
-        if in_degree:
+        if curves:
             x, axis["logarithmic"] = "degree p on a fixed mesh", False
             panels.append(Panel("exponential in p", x, y, curves, **axis))
     return [*panels, _step_panel(study.schemes, study.scene.units)] if study.schemes else panels
-
-
-def _in_unknowns(ladder: Ladder, key: str) -> Curve:
-    """Return the error of name ``key`` over the unknowns, with the order of theory, if any."""
-    N = np.array([level.unknowns for level in ladder.levels], dtype=float)
-    e = np.array([level.errors[key] for level in ladder.levels])
-    notes, verdict = [level.settings for level in ladder.levels], ladder.verdicts[key]
-    if verdict.theory is None:
-        return Curve(ladder.name, N, e, notes=notes)
-    dashed = N[-3:], 0.5 * e[-1] * (N[-3:] / N[-1]) ** -(verdict.theory / ladder.dimension)
-    return Curve(f"{ladder.name}: order {verdict.order:.2f}", N, e, dashed=dashed, notes=notes)
 
 
 def _step_panel(schemes: Sequence[WeakOrder], units: Units) -> Panel:

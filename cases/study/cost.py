@@ -2,8 +2,9 @@
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import itemgetter
 from time import perf_counter
 from typing import Any
 
@@ -19,7 +20,6 @@ from cases.study.equations import ELEMENTS, EQUATIONS, TOLERANCE_DIGITS, Equatio
 from cases.study.law import FULL, Law, price_averaged_simulation, price_schemes, price_solutions
 from cases.study.levels import Discretisation, Level, time_call, timing
 from cases.study.prices import (
-    Cheapest,
     NotTimed,
     Priced,
     by_equation,
@@ -30,7 +30,7 @@ from cases.study.prices import (
 )
 from cases.study.simulation import Reference, deterministic, full_reference
 from fpk.answer.method import Progress, silent
-from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System
 
 STRIDE = 2
@@ -51,34 +51,21 @@ MEANING = (
 )
 
 
-@dataclass(frozen=True)
-class Model:
-    """An averaged theory as an answer to the full system: averaging error, never numerical.
-
-    ``distance`` is the L1 distance of p(q_i) to the full system, known to ``error``; ``seconds``
-    the processor time of the theory's fastest route.
-    """
-
-    theory: str
-    observable: str
-    distance: float
-    error: float
-    seconds: float
-
-
 @dataclass
 class CostStudy:
     """Priced routes, routes not timed with the reason, laws of sampling, and averaging errors.
 
-    ``floors`` are the errors of the references by equation; ``full_reference`` names the reference
-    of the full system.
+    ``models`` are the averaged theories as answers to the full system: the L1 ``distance`` of the
+    ``observable`` to it, known to ``error``, and the processor time in ``seconds`` of the theory's
+    fastest route. ``floors`` are the errors of the references by equation; ``full_reference`` names
+    the reference of the full system.
     """
 
     scene: Scene
     routes: list[Priced] = field(default_factory=list)
     not_timed: list[NotTimed] = field(default_factory=list)
     laws: list[Law] = field(default_factory=list)
-    models: list[Model] = field(default_factory=list)
+    models: list[dict[str, Any]] = field(default_factory=list)
     floors: dict[str, float] = field(default_factory=dict)
     full_reference: str = "not simulated"
     seconds: float = 0.0
@@ -106,48 +93,34 @@ class CostStudy:
 
     def page(self) -> Page:
         """Return what ``fpk cost`` shows and writes."""
-        columns = {
-            "settings": "settings",
-            "error": "L1 error",
-            "stated": "stated",
-            "unknowns": "unknowns",
-            "seconds": "seconds",
-            "spread": "quartiles ±",
-            "first": "first call more",
-            "coefficients": "coefficients",
-            "memory": "memory",
-        }
+        shown = ("settings", "error", "stated", "unknowns", "seconds", "spread", "first")
+        words = {"error": "L1 error", "spread": "quartiles ±", "first": "first call more"}
+        words |= {"step": "seconds a step"}
         measured = [
             {"equation": route.equation, "route": route.route}
-            | {column: getattr(point, key) for key, column in columns.items()}
+            | {words.get(k, k): getattr(point, k) for k in (*shown, "coefficients", "memory")}
             for route in self.routes
             for point in route.points
             if not point.modelled
         ]
         models = []
         for m in self.models:  # beside each the fastest simulation to its error, if one reaches it
-            error = np.array(max(m.distance, m.error))
+            error = np.array(max(m["distance"], m["error"]))
             seconds = [r.seconds_for(error) for r in self.routes if r.equation == FULL]
             fastest = float(np.fmin.reduce(seconds, initial=np.nan))
-            models.append({**asdict(m), "simulation to this": fastest})
+            models.append({**m, "simulation to this": fastest})
         averaging = (
             f"Averaging error: L1 to the full system ({self.full_reference}); no solver lowers it."
         )
         axes = tuple(dict.fromkeys(f"{r.equation}: {r.axis}" for r in self.routes))
-        lost = [{k: v for k, v in asdict(n).items() if k != "baseline"} for n in self.not_timed]
-        prices = [_price(c) for c in price_list(self.routes)]
-        promised = [_price(c) for c in price_list(self.routes, promised=True) if c.point]
+        lost = [{k: v for k, v in vars(n).items() if k != "baseline"} for n in self.not_timed]
+        prices = [_price(**c) for c in price_list(self.routes)]
+        promised = [_price(**c) for c in price_list(self.routes, promised=True) if c["point"]]
         promise = (
             "Numbers of elements above are right for this scene. A tolerance is met on every scene,"
             " or the answer is not certified: --tol of fpk run and fpk density is this setting."
         )
-        laws = [
-            {
-                "seconds a step" if key == "step" else key: value
-                for key, value in asdict(law).items()
-            }
-            for law in self.laws
-        ]
+        laws = [{words.get(key, key): v for key, v in vars(law).items()} for law in self.laws]
         law = (
             "L1 = noise/√(paths x time) + bias dt^order, the bias an upper bound where it is not"
             " resolved; (dt, N) is the cheapest path under it, one thread."
@@ -196,9 +169,8 @@ def study_cost(
             known = best if best and best.density.l1_error <= JUDGE else None
             reference = known or full_reference(system, seed=seed)
             study.full_reference, study.floors[FULL] = reference.words, reference.density.l1_error
-            results, study.laws = price_schemes(
-                system, reference, seed=seed, unit=scene.units.time, progress=progress
-            )
+            own: Any = {"seed": seed, "unit": scene.units.time, "progress": progress}
+            results, study.laws = price_schemes(system, reference, **own)
             tried += results
             study.models += _models(system, reference)
     for question in scene.passages[:1]:
@@ -234,11 +206,8 @@ def equation_routes(
     axis = f"numerical: L1 of p({equation.reference.name}), {equation.name}"
     words = f"differs from the {equation.reference_words} by more than both state"
     for k, first in enumerate(offered, start=1):
-        names = first.name, equation.name
-        try:
-            results.append(price_route(*names, axis, _time_levels(equation, first), words))
-        except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
-            results.append(NotTimed(*names, reason=str(error)))
+        levels = _time_levels(equation, first)
+        results.append(price_route(first.name, equation.name, axis, levels, words))
         progress(k, len(offered), f"cost of {equation.name}")
     return results
 
@@ -255,9 +224,9 @@ def _time_levels(equation: Equation, first: Discretisation) -> Iterator[Level]:
             break
 
 
-def _models(system: System, reference: Reference) -> list[Model]:
+def _models(system: System, reference: Reference) -> list[dict[str, Any]]:
     """Return the averaging error of each theory in p(q_i), and the time of its fastest route."""
-    models: dict[str, Model] = {}
+    models: dict[str, dict[str, Any]] = {}
     of = reference.density.observable
     for method in deterministic("averaged"):
         if method.refusal(system, of) is None:
@@ -265,8 +234,9 @@ def _models(system: System, reference: Reference) -> list[Model]:
             result, first = time_call(work)
             distance, error, _ = distance_between(result.densities[0], reference.given)
             theory, seconds = method.route.method, timing(work, first)["seconds"]
-            model = Model(theory, reference.density.name, distance, error, seconds)
-            models[theory] = min(model, models.get(theory, model), key=lambda m: m.seconds)
+            model: dict[str, Any] = {"theory": theory, "observable": reference.density.name}
+            model |= {"distance": distance, "error": error, "seconds": seconds}
+            models[theory] = min(model, models.get(theory, model), key=itemgetter("seconds"))
     return list(models.values())
 
 
@@ -293,11 +263,11 @@ def _overtaking(study: CostStudy) -> tuple[str, ...]:
     return tuple(words)
 
 
-def _price(c: Cheapest) -> dict[str, Any]:
-    p, route = c.point, c.route or "reached by none here"
-    by = p and ("law of sampling" if p.modelled else "measurement")
-    price = {key: getattr(p, key, None) for key in ("settings", "seconds", "memory")}
-    return {"equation": c.equation, "digits": c.digits, "route": route, **price, "priced by": by}
+def _price(equation: str, digits: int, route: str, point: Level | None) -> dict[str, Any]:
+    by = point and ("law of sampling" if point.modelled else "measurement")
+    price = {key: getattr(point, key, None) for key in ("settings", "seconds", "memory")}
+    names = {"equation": equation, "digits": digits, "route": route or "reached by none here"}
+    return {**names, **price, "priced by": by}
 
 
 def _point_note(point: Level) -> str:
@@ -315,7 +285,7 @@ def _cost_panels(study: CostStudy) -> list[Panel]:
     error, which no solver lowers.
     """
     panels = []
-    models = [(m.distance, f"error of {theory_of_route(m.theory)}") for m in study.models]
+    models = [(m["distance"], f"error of {theory_of_route(m['theory'])}") for m in study.models]
     for equation, routes in by_equation(study.routes).items():
         curves = []
         for route in routes:
@@ -326,17 +296,12 @@ def _cost_panels(study: CostStudy) -> list[Panel]:
                 and not (p.modelled and p.seconds > DRAWN_SECONDS)
             ]
             if drawn:
-                style = ":" if drawn[-1].modelled else "-"
                 times, errors = [p.seconds for p in drawn], [p.error for p in drawn]
-                curves.append(
-                    Curve(
-                        route.route, times, errors, style=style, notes=list(map(_point_note, drawn))
-                    )
-                )
+                style, notes = "-:"[drawn[-1].modelled], list(map(_point_note, drawn))
+                curves.append(Curve(route.route, times, errors, style=style, notes=notes))
         x, floor = "processor time in seconds, one thread", study.floors.get(equation, 0.0)
         lowest = 0.4 * min([DRAWN_ERROR, *(min(curve.y) for curve in curves)])
         marks, limits = (models, (lowest, 1.0)) if equation == FULL else ((), (2e-16, 2.0))
         y = "L₁ error" if equation in study.floors else "relative error"
-        panel = Panel(equation, x, y, curves, max(floor, 2e-15), marks, limits=limits)
-        panels.append(panel)
+        panels.append(Panel(equation, x, y, curves, max(floor, 2e-15), marks, limits=limits))
     return panels

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from math import exp, inf
+from typing import Any
 
 import numpy as np
 
@@ -57,9 +58,6 @@ as another processor takes them, differ by half of it."""
 DENSITY_NORMS = ("L1", "L2", "max")
 FUNCTIONALS = ("mean energy", "integral of p²")
 """Moments of a density: E H (of two energies, E H1 + E H2), and ∫p²."""
-UNIFORM_WORDS = (
-    "elements of scikit-fem of one degree, all halved until the tolerance is met or they end."
-)
 Solution = StationarySolution | ZeroFluxDensity | PlaneSolution
 """Density of one or two energies, with its error estimate, by finite elements or quadrature."""
 
@@ -93,22 +91,13 @@ def measure_density(solution: Solution, reference: Density) -> Level:
     The unknowns of a quadrature are its points.
     """
     p = energy_density(reference.observable, solution)
-    norms, moments, elements = errors(p, reference), errors(p), p.panels[0].size - 1
-    return Level(
-        settings=", w = 1" if isinstance(solution, PlaneSolution) and solution.weight.plain else "",
-        error=norms["L1"],
-        stated=p.l1_error,
-        seconds=0.0,
-        distance=norms["L1"],
-        estimate=p.l1_error + reference.l1_error,
-        unknowns=(
-            ENERGY_RULES[0] * elements
-            if isinstance(solution, ZeroFluxDensity)
-            else solution.unknowns
-        ),
-        errors=norms,
-        functionals={key: moments[key] for key in FUNCTIONALS},
-    )
+    norms, moments = errors(p, reference), errors(p)
+    points = ENERGY_RULES[0] * (p.panels[0].size - 1)
+    plain = isinstance(solution, PlaneSolution) and solution.weight.plain
+    unknowns = points if isinstance(solution, ZeroFluxDensity) else solution.unknowns
+    words, L1, functionals = ", w = 1" * plain, norms["L1"], {k: moments[k] for k in FUNCTIONALS}
+    own: Any = {"unknowns": unknowns, "errors": norms, "functionals": functionals}
+    return Level(words, L1, p.l1_error, 0.0, L1, p.l1_error + reference.l1_error, **own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +105,9 @@ class Equation:
     """One averaged equation: its process, its reference, and the routes that solve it.
 
     ``ends`` are the last energies of given meshes along each axis; ``by_tolerance`` are the routes
-    that are given a tolerance, elements first, which ``words`` describe; ``clock`` counts the time
-    that all spend in the coefficients of ``process``. ``solver``, "fem" or "scikit-fem", solves on
-    given meshes.
+    that are given a tolerance, elements first, which ``words`` describe, by ``fem_words`` if the
+    ``solver``, "fem" or "scikit-fem", on given meshes is "fem"; ``clock`` counts the time that all
+    spend in the coefficients of ``process``.
     """
 
     name: str
@@ -128,8 +117,14 @@ class Equation:
     reference_words: str
     ends: Sequence[float]
     by_tolerance: Mapping[Route, Callable[..., Solution]]
-    words: str
+    fem_words: str
     solver: str = "fem"
+
+    @property
+    def words(self) -> str:
+        """The elements of the first route by tolerance in words."""
+        uniform = "of one degree, all halved until the tolerance is met or they end."
+        return self.fem_words if self.solver == "fem" else f"elements of scikit-fem {uniform}"
 
     @property
     def dimension(self) -> int:
@@ -139,15 +134,11 @@ class Equation:
     def elements(self, degree: int, halvings: int = 0) -> Discretisation:
         """Return elements of one degree, refined by bisection of the coarsest mesh."""
         nodes = self.mesh(degree, halvings)
-        return Discretisation(
-            "h",
-            f"elements of degree {degree}",
-            " x ".join(str(x.size - 1) for x in nodes) + " elements",
-            partial(solve_on, self.process, nodes, degree, self.solver),
-            partial(self.elements, degree, halvings + 1),
-            size=2.0**-halvings,
-            degree=degree,
-        )
+        words = " x ".join(str(x.size - 1) for x in nodes) + " elements"
+        solve = partial(solve_on, self.process, nodes, degree, self.solver)
+        names, finer = ("h", f"elements of degree {degree}"), partial(self.elements, degree)
+        own: Any = {"size": 2.0**-halvings, "degree": degree}
+        return Discretisation(*names, words, solve, partial(finer, halvings + 1), **own)
 
     def degrees(self, first: int = 0) -> Discretisation:
         """Return ``P_DEGREES`` on one mesh with the contact energies among its nodes."""
@@ -173,15 +164,9 @@ class Equation:
         if first.degree:
             orders |= dict.fromkeys(DENSITY_NORMS, first.degree + 1.0)
             orders |= dict.fromkeys(FUNCTIONALS, 2.0 * first.degree)
-        return Study(
-            equation=self.name,
-            first=first,
-            count=count,
-            measure=partial(measure_density, reference=self.reference),
-            theory=orders,
-            floor=self.floors(given_mesh=first.family != "tol"),
-            dimension=self.dimension,
-        )
+        measure = partial(measure_density, reference=self.reference)
+        floors = self.floors(given_mesh=first.family != "tol")
+        return Study(self.name, first, count, measure, orders, floors, self.dimension)
 
     def floors(self, *, given_mesh: bool) -> dict[str, float]:
         """Return the size of each error below which the reference resolves nothing.
@@ -245,7 +230,7 @@ def energy_equation(system: System, solver: str = "fem") -> Equation:
         tol = EQUATION_TOL[1]
         solution = solve_by_quadrature(process, tol=tol)
         words = f"quadrature of (11), tol {tol:g}"
-
+    elements = {NonIntegrable(solver).route: partial(solve_energies, solver=solver)}
     return Equation(
         name=EQUATIONS["nonintegrable"][0],
         process=replace(process, coefficients=clock),
@@ -253,14 +238,10 @@ def energy_equation(system: System, solver: str = "fem") -> Equation:
         reference=energy_density(observable, solution),
         reference_words=words,
         ends=[probe_process(process).extent(MASS_BEYOND[1])],
-        by_tolerance={
-            NonIntegrable(solver).route: partial(solve_energies, solver=solver),
-            NonIntegrable("quadrature").route: solve_by_quadrature,
-        },
+        by_tolerance={**elements, NonIntegrable("quadrature").route: solve_by_quadrature},
         solver=solver,
-        words=UNIFORM_WORDS
-        if solver == "scikit-fem"
-        else "elements whose number and degree follow from the tolerance, cut until it is met.",
+        fem_words="elements whose number and degree follow from the tolerance, cut until it is"
+        " met.",
     )
 
 
@@ -292,8 +273,8 @@ def modal_equation(system: System, solver: str = "fem") -> Equation:
             raise NotCertified("plain elements, the reference of (17), have no finite error")
         reference = energy_density(observable, solution)
         count = " x ".join(str(nodes.size - 1) for nodes in solution.nodes)
-        words = f"plain elements (w = 1) of scikit-fem, degree {solution.degree}, {count} on a mesh"
-        words += " of their own"
+        words = f"degree {solution.degree}, {count} on a mesh of their own"
+        words = f"plain elements (w = 1) of scikit-fem, {words}"
     ends = flux_free_weight(process).ends(-float(np.log(MASS_BEYOND[2])))
     return Equation(
         name=EQUATIONS["integrable"][0],
@@ -304,13 +285,9 @@ def modal_equation(system: System, solver: str = "fem") -> Equation:
         ends=list(ends),
         by_tolerance={Integrable(solver).route: partial(solve_energies, solver=solver)},
         solver=solver,
-        words=UNIFORM_WORDS
-        if solver == "scikit-fem"
-        else (
-            "p = w u with a positive weight w near p and u a polynomial of high degree on few"
-            " panels; plain elements (levels marked w = 1) where that misses the tolerance. With"
-            " constant damping w itself is the density, (34)."
-        ),
+        fem_words="p = w u with a positive weight w near p and u a polynomial of high degree on few"
+        " panels; plain elements (levels marked w = 1) where that misses the tolerance. With"
+        " constant damping w itself is the density, (34).",
     )
 
 

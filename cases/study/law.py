@@ -18,6 +18,7 @@ from cases.study.simulation import (
     SMALL_STEP,
     SMALLEST_FACTOR,
     Reference,
+    Run,
     displacement_of_study,
     largest_stable,
     time_simulation,
@@ -35,10 +36,10 @@ from sim.step.schemes import SCHEMES
 FULL = "full system (6)"
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
 """L1 errors asked of solvers of (6), until one is out of reach of the work ``fpk run`` allows."""
-HALVINGS = 2
-"""Halvings of the step while a scheme disagrees with its order of theory, at most."""
 FEWEST = 256
 """Paths of the simulation of (24)."""
+HALVINGS = 2
+"""Halvings of the step while a scheme disagrees with its order of theory, at most."""
 MAX_PATHS = 2.0**20
 """Paths of a modelled run at most; beyond, each is sampled for longer."""
 BYTES_A_PATH = 48.0
@@ -103,12 +104,7 @@ def _settings(paths: str, time: str, dt: str, unit: str) -> str:
 
 
 def price_schemes(
-    system: System,
-    reference: Reference,
-    *,
-    seed: int,
-    unit: str = "",
-    progress: Progress = silent,
+    system: System, reference: Reference, *, seed: int, unit: str = "", progress: Progress = silent
 ) -> tuple[list[Priced | NotTimed], list[Law]]:
     """Measure the schemes: one run of each, and by its law the cheapest (dt, N) for each error.
 
@@ -121,11 +117,9 @@ def price_schemes(
         method = MonteCarlo(scheme=scheme, seed=seed, threads=1)
         baseline = scheme != MonteCarlo.scheme
         factor = largest_stable(system, method, patience=SHARE_OF_A_TRIAL * SECONDS)
-        words = (
-            f"no usable step: none down to {SMALLEST_FACTOR:g} of the chosen one is stable and"
-            " cheap"
-        )
-        route: Priced | NotTimed = NotTimed(scheme, FULL, reason=words, baseline=baseline)
+        words = f"none down to {SMALLEST_FACTOR:g} of the chosen one is stable and cheap"
+        none = f"no usable step: {words}"
+        route: Priced | NotTimed = NotTimed(scheme, FULL, reason=none, baseline=baseline)
         factors = [] if factor is None else [factor * 0.5**k for k in range(HALVINGS + 1)]
         for own in factors:  # next to its limit of stability a scheme has no order yet
             law, level = _law(system, method, own, reference.density, unit)
@@ -154,43 +148,32 @@ def _law(
     and speed from a second run at 0.7 of it or at the chosen step. The distance of the second run
     must agree with the law: an error that is equal at both steps is no bias of the step.
     """
-    order, observables = SCHEMES[method.scheme].weak_order, [reference.observable]
+    order = SCHEMES[method.scheme].weak_order
     few = replace(method, relaxations=4.0 * PILOT)
     if factor < SMALL_STEP:
         few = replace(method, paths=LEAST_PATHS, relaxations=PILOT)
-    first, result = time_simulation(system, replace(few, step_factor=factor), observables)
-    distance, expected, _ = distance_between(result.densities[0], reference)
+
+    def measured(step_factor: float) -> tuple[Run, Report, tuple[float, float, float]]:
+        own = replace(few, step_factor=step_factor)
+        run, result = time_simulation(system, own, [reference.observable])
+        assert isinstance(result.report, Report)
+        return run, result.report, distance_between(result.densities[0], reference)
+
+    first, _, (distance, expected, _) = measured(factor)
     noise = hypot(expected - reference.l1_error, reference.l1_error)
     resolved = distance > MIN_ORDER_SIGNAL * noise
     bias = sqrt(distance**2 - noise**2) if resolved else MIN_ORDER_SIGNAL * noise
-    usual, result = time_simulation(
-        system, replace(few, step_factor=min(0.7 * factor, 1.0)), observables
-    )
-    distance, expected, allowed = distance_between(result.densities[0], reference)
-    assert isinstance(result.report, Report)
-    at, share = result.report, (usual.dt / first.dt) ** order
-    law = Law(
-        scheme=method.scheme,
-        noise=(expected - reference.l1_error) * sqrt(usual.sampled),
-        bias=bias / first.dt**order,
-        bias_resolved=resolved,
-        order=order,
-        step=usual.seconds * at.dt / (at.paths * (at.time + at.burn_in)),
-        largest=first.dt,
-        relaxation=at.relaxation_time,
-    )
+    usual, at, (distance, expected, allowed) = measured(min(0.7 * factor, 1.0))
+    share = (usual.dt / first.dt) ** order
+    A, B = (expected - reference.l1_error) * sqrt(usual.sampled), bias / first.dt**order
+    step = usual.seconds * at.dt / (at.paths * (at.time + at.burn_in))
+    law = Law(method.scheme, A, B, resolved, order, step, first.dt, at.relaxation_time)
     error = law.error(usual.sampled, usual.dt)
-    level = Level(
-        _settings(f"{at.paths}", f"{at.time:.3g}", f"{at.dt:.3g}", unit),
-        error,
-        error,
-        usual.seconds,
-        distance,
-        # The bias itself is known to the noise of the run that it was read from. Twice the error of
-        # the reference: its mean is what chance makes of it, not the worst case.
-        allowed + (bias + noise) * share + reference.l1_error,
-    )
-    return law, level
+    settings = _settings(f"{at.paths}", f"{at.time:.3g}", f"{at.dt:.3g}", unit)
+    # The bias itself is known to the noise of the run that it was read from. Twice the error of the
+    # reference: its mean is what chance makes of it, not the worst case.
+    allowed += (bias + noise) * share + reference.l1_error
+    return law, Level(settings, error, error, usual.seconds, distance, allowed)
 
 
 def price_averaged_simulation(
@@ -201,8 +184,7 @@ def price_averaged_simulation(
     method = AveragedSimulation("nonintegrable", seed=seed, threads=1, paths=FEWEST)
     result, seconds = time_call(lambda: method.solve(system, [p.observable]))
     distance, expected, allowed = distance_between(result.densities[0], p)
-    settings = f"{method.paths} paths, step {method.step:g}"
-    mean = expected - p.l1_error
+    settings, mean = f"{method.paths} paths, step {method.step:g}", expected - p.l1_error
     level = Level(settings, mean, mean, seconds, distance, allowed)
     axis = "sampling error: expected L1 of p(H), within chance of the reference"
     words = f"differs from the {equation.reference_words} by more than chance explains"
@@ -219,14 +201,21 @@ def price_solutions(
     """
     results: list[Priced | NotTimed] = []
     best: Reference | None = None
+    of = displacement_of_study(system)
+
+    def density(method: Method, tol: float) -> Density:
+        """Return the density; if the allowed work ends before ``tol``, it states a larger error."""
+        asked: Method = replace(method, tol=tol)  # type: ignore[type-var]
+        (p,) = asked.solve(system, [of], progress=progress).densities
+        assert isinstance(p, Density)
+        return p
+
     for route in all_routes():
         if route.solves != "full" or route.sampled or route.quick:
             continue
         try:
-            method = route.make().unasked(system)
-            answers = answers_by_tolerance(
-                partial(_density_within, method, system, progress), lambda p: p.l1_error, TOLERANCES
-            )
+            solve = partial(density, route.make().unasked(system))
+            answers = answers_by_tolerance(solve, lambda p: p.l1_error, TOLERANCES)
         except (NotApplicable, NotCertified) as reason:
             results.append(NotTimed(route.label, FULL, reason=str(reason)))
             continue
@@ -237,18 +226,7 @@ def price_solutions(
         for level, p in answers:
             distance, allowed, _ = distance_between(p, finest)
             points.append(replace(level, distance=distance, estimate=allowed))
-        axis = f"numerical, as stated: L1 of p({observable_name(displacement_of_study(system))})"
+        axis = f"numerical, as stated: L1 of p({observable_name(of)})"
         words = "differs from its own finest answer by more than both state"
         results.append(price_route(route.label, FULL, axis, points, words))
     return results, best
-
-
-def _density_within(method: Method, system: System, progress: Progress, tol: float) -> Density:
-    """Return the density of ``displacement_of_study`` to the L1 tolerance ``tol``.
-
-    If the work that ``method`` allows ends before, its certificate states the error reached.
-    """
-    asked: Method = replace(method, tol=tol)  # type: ignore[type-var]
-    (p,) = asked.solve(system, [displacement_of_study(system)], progress=progress).densities
-    assert isinstance(p, Density)
-    return p

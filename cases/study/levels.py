@@ -161,16 +161,9 @@ class Study:
             setting = setting.refined() if k else setting
             solution, seconds = time_call(setting.solve)
             level = self.measure(solution)
-            yield (
-                setting,
-                replace(
-                    level,
-                    settings=setting.settings + level.settings,
-                    seconds=seconds,
-                    size=exp(-sqrt(level.unknowns)) if setting.family == "tol" else setting.size,
-                    promised=setting.promised,
-                ),
-            )
+            size = exp(-sqrt(level.unknowns)) if setting.family == "tol" else setting.size
+            own: Any = {"settings": setting.settings + level.settings, "size": size}
+            yield setting, replace(level, **own, seconds=seconds, promised=setting.promised)
 
     def ladder(self) -> Ladder:
         """Return all levels with their observed orders, of two equal sizes only the first level."""
@@ -179,19 +172,13 @@ class Study:
             most = np.maximum.accumulate([0, *(level.unknowns for level in levels)])
             levels = [level for level, n in zip(levels, most, strict=False) if level.unknowns > n]
         h, degree = [level.size for level in levels], self.first.degree
-        verdicts = {
-            key: convergence(
-                h, [v.errors[key] for v in levels], theory=self.theory.get(key), floor=low
-            )
-            for key, low in self.floor.items()
-        }
-        grid = {
-            key: grid_convergence(
-                [v.functionals[key] for v in levels], theory=order, floor=self.floor[key]
-            )
-            for key, order in self.theory.items()
-            if key in levels[-1].functionals
-        }
+        verdicts, grid = dict[str, Convergence](), dict[str, GridConvergence]()
+        for key, low in self.floor.items():
+            theory, errors = self.theory.get(key), [level.errors[key] for level in levels]
+            verdicts[key] = convergence(h, errors, theory=theory, floor=low)
+            if theory is not None and key in levels[-1].functionals:
+                values = [level.functionals[key] for level in levels]
+                grid[key] = grid_convergence(values, theory=theory, floor=low)
         name = f"h, p = {degree}" if degree else self.first.name
         of = self.equation, self.dimension, self.first.family, degree
         return Ladder(name, *of, tuple(levels), verdicts, grid)

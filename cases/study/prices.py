@@ -79,15 +79,19 @@ def price_route(
 ) -> Priced | NotTimed:
     """Return the priced route; not timed from its first measured point that is not sound.
 
-    ``reason`` says why, unless the point states no finite error. Takes no further ``points``.
+    ``reason`` says why, unless the point states no finite error. Takes no further ``points``; if
+    these raise a refusal, the route is not timed for it.
     """
     priced = []
-    for p in points:
-        if not (p.modelled or p.sound):
-            if p.honest:
-                reason = "states no finite error of its own: its density does not fall off"
-            return NotTimed(route, equation, p.settings, p.distance, p.estimate, reason)
-        priced.append(p)
+    try:
+        for p in points:
+            if not (p.modelled or p.sound):
+                if p.honest:
+                    reason = "states no finite error of its own: its density does not fall off"
+                return NotTimed(route, equation, p.settings, p.distance, p.estimate, reason)
+            priced.append(p)
+    except (NotCertified, NotApplicable, InvalidInput, np.linalg.LinAlgError) as error:
+        return NotTimed(route, equation, reason=str(error))
     return Priced(route, equation, axis, tuple(priced))
 
 
@@ -103,32 +107,18 @@ def answers_by_tolerance(
         work = partial(solve, tol)
         answer, first = time_call(work)
         error = error_of(answer)
-        level = Level(
-            settings=f"tol = {tol:.0e}" + ", not met" * (not error <= tol),
-            error=error,
-            stated=error,
-            promised=max(tol, error),
-            **timing(work, first),
-        )
-        rows.append((level, answer))
+        settings = f"tol = {tol:.0e}" + ", not met" * (not error <= tol)
+        timed = timing(work, first)
+        rows.append((Level(settings, error, error, promised=max(tol, error), **timed), answer))
         if not error <= tol:
             break
     return rows
 
 
-@dataclass(frozen=True)
-class Cheapest:
-    """The cheapest route for an error 10^−digits and its point, None if no route reaches it."""
-
-    equation: str
-    digits: int
-    route: str
-    point: Level | None
-
-
-def price_list(routes: Sequence[Priced], *, promised: bool = False) -> tuple[Cheapest, ...]:
+def price_list(routes: Sequence[Priced], *, promised: bool = False) -> list[dict[str, Any]]:
     """Return the cheapest measured or modelled point of each equation for errors 10^−digits.
 
+    Rows of ``equation``, ``digits``, ``route`` and ``point``, None if no route reaches the error.
     ``promised``: among the points that were given a tolerance, by the tolerance instead of the
     error that the point happened to reach.
     """
@@ -138,8 +128,8 @@ def price_list(routes: Sequence[Priced], *, promised: bool = False) -> tuple[Che
         for d in PRICED_DIGITS if min(error for *_, error in points) < inf else ():
             offers = [(route, p) for route, p, error in points if error <= 10.0**-d]
             route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
-            prices.append(Cheapest(equation, d, route, point))
-    return tuple(prices)
+            prices.append({"equation": equation, "digits": d, "route": route, "point": point})
+    return prices
 
 
 def crossovers(routes: Sequence[Priced]) -> list[dict[str, Any]]:
@@ -162,8 +152,10 @@ def crossovers(routes: Sequence[Priced]) -> list[dict[str, Any]]:
 
 def by_equation(routes: Sequence[Priced]) -> dict[str, list[Priced]]:
     """Return the routes of every equation."""
-    equations = dict.fromkeys(route.equation for route in routes)
-    return {name: [route for route in routes if route.equation == name] for name in equations}
+    own: dict[str, list[Priced]] = {}
+    for route in routes:
+        own.setdefault(route.equation, []).append(route)
+    return own
 
 
 def passage_routes(
@@ -181,6 +173,7 @@ def passage_routes(
     """
     routes: list[Priced | NotTimed] = []
     answers = []
+    best: dict[str, Number] = {}
     for route in all_routes():
         method: Any = route.make()
         if not hasattr(method, "passage") or (route.sampled and not simulate):
@@ -191,20 +184,23 @@ def passage_routes(
             if route.sampled:
                 method = replace(method, paths=LEAST_PATHS, seed=seed, threads=1)
             ask = partial(_rate, method, system, question, progress)
-            tolerances = (10.0**-d for d in PRICED_DIGITS[1::2])
-            measured = (
-                _price_sampling(ask)
-                if route.sampled
-                else answers_by_tolerance(ask, _relative, tolerances)
-            )
+            if route.sampled:  # by the fewest paths; the square of the error falls with the time
+                rate, seconds = time_call(partial(ask, None))
+                error, own = _relative(rate), f"{LEAST_PATHS} paths"
+                measured = [(Level(own, error, error, seconds), rate)]
+                for e in (10.0**-d for d in PRICED_DIGITS[:4]):
+                    more = (error / e) ** 2
+                    settings = f"{LEAST_PATHS * more:.2g} paths", e, e, seconds * more
+                    measured.append((Level(*settings, modelled=True, repeats=0), rate))
+            else:
+                tolerances = (10.0**-d for d in PRICED_DIGITS[1::2])
+                measured = answers_by_tolerance(ask, _relative, tolerances)
         except (NotApplicable, NotCertified, InvalidInput) as reason:
             routes.append(NotTimed(route.label, equation, reason=str(reason)))
         else:
             answers.append((route, equation, measured))
-    best: dict[str, Number] = {}
-    for _, equation, measured in answers:
-        for _, rate in measured:
-            best[equation] = min(best.get(equation, rate), rate, key=_relative)
+            for _, rate in measured:
+                best[equation] = min(best.get(equation, rate), rate, key=_relative)
     for route, equation, measured in answers:
         # An answer may be off by what it states, four times that where it is sampled, and the best.
         finest, sure, points = best[equation], 4.0 if route.sampled else 1.0, []
@@ -237,21 +233,6 @@ def _rate(
     if answer.rate is None or not answer.rate.value > 0.0:
         raise NotApplicable("the route gives no failure rate")
     return answer.rate
-
-
-def _price_sampling(rate_at: Callable[[None], Number]) -> list[tuple[Level, Number]]:
-    """Return the rate by the fewest paths, and the price of other errors.
-
-    The square of the error falls with the time.
-    """
-    rate, seconds = time_call(partial(rate_at, None))
-    error = _relative(rate)
-    levels = [Level(f"{LEAST_PATHS} paths", error, error, seconds)]
-    for e in (10.0**-d for d in PRICED_DIGITS[:4]):
-        more = (error / e) ** 2
-        words = f"{LEAST_PATHS * more:.2g} paths"
-        levels.append(Level(words, e, e, seconds * more, modelled=True, repeats=0))
-    return [(level, rate) for level in levels]
 
 
 def _relative(rate: Number) -> float:

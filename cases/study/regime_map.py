@@ -12,6 +12,7 @@ from cases.scene.numbers import with_numbers
 from cases.scene.scene import Scene
 from cases.show.pictures.panel import Field, Panel, curves_over, spans_decades
 from cases.show.pictures.style import COLOURS, symbol_of
+from cases.show.records import Record
 from cases.show.study_page import Page, Table
 from cases.show.variables import Variables
 from cases.show.words import reader_words, stationary_note
@@ -27,33 +28,20 @@ UNDECIDED, NEITHER = "undecided", "neither"
 
 
 @dataclass(frozen=True)
-class MapPoint:
-    """Measured distances of the theories to the full system at one grid point.
-
-    ``L1`` and ``error`` are by theory, without the theories that do not apply. ``reference`` is the
-    route that solved the full system, empty if no theory applies; ``rms_ratio`` the smallest
-    clearance over the rms displacement without contact; ``winner`` the nearer theory, or
-    ``UNDECIDED``, or ``NEITHER``; ``problems`` are failures and answers that are not certified.
-    """
-
-    values: tuple[float, ...]
-    L1: dict[str, float]
-    error: dict[str, float]
-    reference: str
-    rms_ratio: float | None
-    winner: str
-    problems: tuple[str, ...]
-    seconds: float
-
-
-@dataclass(frozen=True)
 class RegimeMap:
-    """The points of a map in the order of the ``sweep`` of averaging errors that it is made of."""
+    """The points of a map in the order of the ``sweep`` of averaging errors that it is made of.
+
+    A point has its ``values``; ``L1`` and ``error``, distances to the full system by theory,
+    without the theories that do not apply; ``reference``, the route that solved the full system,
+    empty if no theory applies; ``rms_ratio``, the smallest clearance over the rms displacement
+    without contact; ``winner``, the nearer theory, or ``UNDECIDED``, or ``NEITHER``; ``problems``,
+    failures and answers that are not certified; and its ``seconds``.
+    """
 
     scene: Scene
     observable: Observable
     sweep: Sweep
-    points: tuple[MapPoint, ...]
+    points: tuple[Record, ...]
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -71,11 +59,10 @@ class RegimeMap:
         swept, name = self.sweep, observable_name(self.observable)
         keys = tuple(axis.dimension for axis in swept.axes)
         shape = [axis.values.size for axis in swept.axes]
-        ratio = np.array([p.rms_ratio for p in self.points], dtype=float).reshape(shape)
-        texts = {
-            key: np.array([getattr(p, key) for p in self.points], dtype=str).reshape(shape)
-            for key in ("winner", "reference")
-        }
+
+        def by_point(key: str, kind: type) -> Any:
+            return np.array([p[key] for p in self.points], dtype=kind).reshape(shape)
+
         distance = f"L1 distance of p({name}) to the full system"
         moved = "how far chance and the solvers may have moved L1"
         words = "smallest clearance over rms displacement without contact"
@@ -84,8 +71,8 @@ class RegimeMap:
             **swept.coordinates(),
             "L1": (("theory", *keys), swept.field("value")[0], {"long_name": distance}),
             "error": (("theory", *keys), swept.field("error")[0], {"long_name": moved}),
-            "rms_ratio": (keys, ratio, {"long_name": words}),
-            **{key: (keys, own, {}) for key, own in texts.items()},
+            "rms_ratio": (keys, by_point("rms_ratio", float), {"long_name": words}),
+            **{key: (keys, by_point(key, str), {}) for key in ("winner", "reference")},
         }
 
     def page(self) -> Page:
@@ -93,16 +80,15 @@ class RegimeMap:
         swept, theories = self.sweep, self.sweep.methods
         rows = [
             {
-                **dict(zip(swept.heads(), p.values, strict=True)),
-                **{f"L1 {reader_words(t)}": p.L1.get(t) for t in theories},
-                **{f"error {reader_words(t)}": p.error.get(t) for t in theories},
-                "winner": p.winner,
-                "reference": p.reference,
-                "rms_ratio": p.rms_ratio,
+                **swept.numbers(of),
+                **{
+                    f"{k} {reader_words(t)}": p[k].get(t) for k in ("L1", "error") for t in theories
+                },
+                **{key: p[key] for key in ("winner", "reference", "rms_ratio")},
             }
-            for p in self.points
+            for of, p in zip(swept.points, self.points, strict=True)
         ]
-        counts = Counter(p.winner for p in self.points)
+        counts = Counter(p["winner"] for p in self.points)
         winners = [word for word in (*theories, UNDECIDED, NEITHER) if counts[word]]
         summary = (
             f"p({observable_name(self.observable)}), {len(self.points)} points"
@@ -177,16 +163,16 @@ def build_map(scene: Scene, vary: Sequence[str], **settings: Any) -> RegimeMap:
             if a.value is not None and a.error is not None
         }
         points.append(
-            MapPoint(
-                values=point.values,
-                L1={name: value for name, (value, _) in distances.items()},
-                error={name: error for name, (_, error) in distances.items()},
-                reference=max(a.reference for a in point.answers),
-                rms_ratio=min(ratios, default=None),
-                winner=winner_of(distances),
-                problems=point.problems,
-                seconds=point.seconds,
-            )
+            {
+                "values": point.values,
+                "L1": {name: value for name, (value, _) in distances.items()},
+                "error": {name: error for name, (_, error) in distances.items()},
+                "reference": max(a.reference for a in point.answers),
+                "rms_ratio": min(ratios, default=None),
+                "winner": winner_of(distances),
+                "problems": point.problems,
+                "seconds": point.seconds,
+            }
         )
     return RegimeMap(scene, observable, swept, tuple(points))
 

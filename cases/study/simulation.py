@@ -46,8 +46,6 @@ SHARE_OF_A_TRIAL = 0.2
 LEVELS, FEW_LEVELS = 5, 4
 """Number of steps of a study; the second if they are small, as each then takes long, and for the
 study in samples, each level of which takes four times as long."""
-STEP_RATIO = sqrt(2.0)
-"""Ratio of neighbouring steps: five levels then fit between the stable and the chosen step."""
 PILOT = 4.0
 """Sampled relaxation times of a pilot run, after its burn-in."""
 MIN_ORDER_SIGNAL = 2.0
@@ -156,8 +154,7 @@ def best_answer(
 
 def full_density(system: System, observable: Observable) -> Reference | None:
     """Return a certified density of the full system that is not sampled, None if there is none."""
-    answer = best_answer(deterministic("full"), system, observable, [])
-    label, density = answer or ("", None)
+    label, density = best_answer(deterministic("full"), system, observable, []) or ("", None)
     if isinstance(density, Density) and density.certificate.certified:
         return Reference(label, density, density)
     return None
@@ -172,8 +169,8 @@ def full_reference(system: System, *, seed: int) -> Reference:
     observable = displacement_of_study(system)
     if known := full_density(system, observable):
         return known
-    long = MonteCarlo(relaxations=REFERENCE_RELAXATIONS, seed=seed + SEED_STEP)
-    method = replace(long, step_factor=sqrt(0.5))
+    own: Any = {"relaxations": REFERENCE_RELAXATIONS, "seed": seed + SEED_STEP}
+    method = MonteCarlo(**own, step_factor=sqrt(0.5))
     (sampled,) = method.solve(system, [observable]).densities
     assert isinstance(sampled, SampledDensity)
     few, own = join_bins(sampled), sampled.certificate
@@ -244,12 +241,10 @@ def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrd
     def result(relaxations: float) -> tuple[WeakOrder, float]:
         # Different seeds: the regression takes the values at different steps as independent.
         seed = method.seed + 1000 * ceil(relaxations)
-        levels = [
-            replace(
-                method, relaxations=relaxations, step_factor=first / STEP_RATIO**k, seed=seed + k
-            )
-            for k in range(count)
-        ]
+        own = replace(method, relaxations=relaxations)
+        # The ratio of ``largest_stable``: five levels fit between the stable and the chosen step.
+        steps = [(seed + k, first / sqrt(2.0) ** k) for k in range(count)]
+        levels = [replace(own, seed=seed, step_factor=factor) for seed, factor in steps]
         try:
             runs = [time_simulation(system, level)[0] for level in levels]
         except NotCertified:  # an unstable step
@@ -280,8 +275,8 @@ def with_order(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) ->
     errors of the profile (χ² + 4) exclude the order of theory, "not resolved" if the order is known
     to worse than twice ``ORDER_ERROR`` or the slope is below three of its standard errors.
     """
-    dt, value, error = np.array([(run.dt, run.value, run.error) for run in levels]).T
-    points = np.array([dt, value, error])
+    points = np.array([(run.dt, run.value, run.error) for run in levels]).T
+    dt, value, error = points.copy()
     if truth is not None:  # a value at dt = 0 with nearly no error
         points = np.column_stack([points, [0.0, truth, KNOWN_LIMIT_ERROR * error.min()]])
     origin = points[1, -1]
@@ -299,9 +294,8 @@ def with_order(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) ->
     elif abs(slope) < 3.0 * slope_error or max(order - low, high - order) > 2.0 * ORDER_ERROR:
         verdict = "not resolved"
     errors, bars = np.abs(value - limit), np.hypot(error, limit_error)
-    relative = bars / errors
+    relative, resolved = bars / errors, MIN_ORDER_SIGNAL * bars < errors
     order_bars = np.hypot(relative[1:], relative[:-1]) / -np.diff(np.log(dt))
-    resolved = relative < 1.0 / MIN_ORDER_SIGNAL
     orders = np.stack([observed_orders(dt, errors), order_bars], axis=1)
     # No width is less than the spacing of the orders that are tried.
     width = 0.5 * max(high - low, ORDERS[1] - ORDERS[0])
@@ -326,28 +320,20 @@ def with_order(scheme: WeakOrder, levels: Sequence[Run], truth: float | None) ->
     )
 
 
-@dataclass(frozen=True)
-class SampleSlope:
-    """Standard errors of E q_i² by sampled time, with their log-log slope, −1/2 in theory."""
-
-    observable: str
-    sampled: tuple[float, ...]
-    errors: tuple[float, ...]
-    slope: float
-    slope_error: float
-
-
-def sample_slope(system: System, method: MonteCarlo) -> SampleSlope:
+def sample_slope(system: System, method: MonteCarlo) -> dict[str, Any]:
     """Return how the standard error falls as the simulation is refined, from the chosen step on.
 
-    Each error is good to 1/√(2·63) of itself at least, as errors from 64 batches would be.
+    The ``errors`` of E q_i², the ``observable``, by ``sampled`` time, with their log-log ``slope``,
+    −1/2 in theory, and ``slope_error``. Each error is good to 1/√(2·63) of itself at least, as
+    errors from 64 batches would be.
     """
     levels = [replace(method, relaxations=1.0)]
     while len(levels) < FEW_LEVELS:
         levels.append(levels[-1].refined())
     runs = [time_simulation(system, level)[0] for level in levels]
-    sampled, errors = tuple(r.sampled for r in runs), tuple(r.error for r in runs)
+    sampled, errors = [r.sampled for r in runs], [r.error for r in runs]
     weights = np.full(len(runs), sqrt(2.0 * 63.0))
     line, covariance = np.polyfit(np.log(sampled), np.log(errors), 1, w=weights, cov="unscaled")
+    slope = {"slope": float(line[0]), "slope_error": sqrt(covariance[0, 0])}
     of = f"E {square_name(system)}"
-    return SampleSlope(of, sampled, errors, float(line[0]), sqrt(covariance[0, 0]))
+    return {"observable": of, "sampled": sampled, "errors": errors, **slope}

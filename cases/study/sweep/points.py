@@ -2,8 +2,7 @@
 
 import json
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from hashlib import sha256
 from os.path import lexists
 from pathlib import Path
@@ -62,16 +61,6 @@ class SweepPoint:
             )
         )
 
-    @classmethod
-    def read(cls, record: Record) -> "SweepPoint":
-        """Return the point of its record in JSON."""
-        own = [Value(**{**r, "failures": tuple(r["failures"])}) for r in record["answers"]]
-        return cls(tuple(record["values"]), tuple(own), record["seconds"])
-
-    def by(self, methods: Sequence[str]) -> "SweepPoint":
-        """Return the point with the answers of ``methods`` alone."""
-        return replace(self, answers=tuple(a for a in self.answers if a.method in methods))
-
 
 POINTS_FILE = "points.jsonl"
 """Name of the file in a grid's folder."""
@@ -101,18 +90,20 @@ class PointStore:
             return
         what = "the file of a grid's points"
         stored = read_text(self._path, str(self._path), most=POINTS_BYTES, what=what)
-        own, whole = self._hash, 0
+        identity_hash, whole = self._hash, 0
         head, *lines = stored.removesuffix("\n").split("\n")
-        for line in lines if head == own else ():
+        for line in lines if head == identity_hash else ():
             body = line.rpartition(CHECK)[0] + "}"
             if self._line(body) != line:
                 break
             self._append(body)
-            point = SweepPoint.read(json.loads(body))
-            self.points[point.values] = point
+            record = json.loads(body)
+            own = [Value(**{**r, "failures": tuple(r["failures"])}) for r in record["answers"]]
+            values = tuple(record["values"])
+            self.points[values] = SweepPoint(values, tuple(own), record["seconds"])
             whole += 1
-        rest = lines[whole:] if head == own else [head, *lines]
-        if len(rest) > 1 or not own.startswith(head):
+        rest = lines[whole:] if head == identity_hash else [head, *lines]
+        if len(rest) > 1 or not identity_hash.startswith(head):
             raise BadInput(
                 f"{self._path}: is damaged or another run's; give another --out or remove the file"
             )

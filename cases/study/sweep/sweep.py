@@ -25,10 +25,10 @@ from cases.show.records import Record
 from cases.show.study_page import Page, Table
 from cases.show.variables import Axis, Variables
 from cases.show.words import reader_words, stationary_note
-from cases.study.sweep.answering import REFERENCE_TOL, SIMULATION, sweep_point
+from cases.study.sweep.answering import REFERENCE_TOL, SIMULATION, Asked, sweep_point
 from cases.study.sweep.grid import parse_axes, place_words
 from cases.study.sweep.points import PointStore, SweepPoint
-from fpk.answer.method import Method, Progress, silent
+from fpk.answer.method import Progress, silent
 from fpk.answer.names import observable_name
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
@@ -99,30 +99,26 @@ class Sweep:
 
     def field(self, key: str) -> Any:
         """Return the field ``key`` of all values, (quantity, method, axes); NaN for None."""
-        sizes = [axis.values.size for axis in self.axes]
         rows = [[getattr(answer, key) for answer in point.answers] for point in self.points]
-        kind = float if key in ("value", "error") else None
-        array = np.array(rows, dtype=kind).T
+        array = np.array(rows, dtype=float if key in ("value", "error") else None).T
+        sizes = [axis.values.size for axis in self.axes]
         return array.reshape(len(self.quantities), len(self.methods), *sizes)
 
-    def heads(self) -> list[str]:
-        """Return the paths of the parameters with their units."""
-        return [axis.key + in_brackets(axis.unit) for axis in self.axes]
+    def numbers(self, point: SweepPoint) -> dict[str, float]:
+        """Return the numbers of a point by the paths of the parameters with their units."""
+        heads = [axis.key + in_brackets(axis.unit) for axis in self.axes]
+        return dict(zip(heads, point.values, strict=True))
 
-    def labels(self) -> list[str]:
-        """Return the quantities with their units."""
-        return [q + in_brackets(unit) for q, unit in zip(self.quantities, self.units, strict=True)]
+    @property
+    def labels(self) -> dict[str, str]:
+        """The quantities with their units, by quantity."""
+        pairs = zip(self.quantities, self.units, strict=True)
+        return {quantity: quantity + in_brackets(unit) for quantity, unit in pairs}
 
     def coordinates(self) -> Variables:
         """Return the parameters as variables of their own dimensions."""
-        return {
-            a.dimension: (
-                (a.dimension,),
-                a.values,
-                {"units": attribute(a.unit), "symbol": a.symbol},
-            )
-            for a in self.axes
-        }
+        of = [(a, {"units": attribute(a.unit), "symbol": a.symbol}) for a in self.axes]
+        return {a.dimension: ((a.dimension,), a.values, words) for a, words in of}
 
     def variables(self) -> Variables:
         """Return ``value``, ``error``, ``error_kind``, ``certified`` (quantity, route, axes)."""
@@ -142,11 +138,10 @@ class Sweep:
 
     def table(self, remarks: tuple[str, ...] = ()) -> Table:
         """Return every value with its error, in the order of the grid."""
-        labels = dict(zip(self.quantities, self.labels(), strict=True))
-        solves = dict(zip(self.methods, self.solves, strict=True))
+        labels, solves = self.labels, dict(zip(self.methods, self.solves, strict=True))
         rows = [
             {
-                **dict(zip(self.heads(), p.values, strict=True)),
+                **self.numbers(p),
                 "quantity": labels[a.quantity],
                 "method": a.method,
                 "solves": solves[a.method],
@@ -161,17 +156,10 @@ class Sweep:
         return Table("points", "Values", rows, remarks, parameters=len(self.axes))
 
     def page(self) -> Page:
-        """Return what ``fpk sweep`` shows and writes: every value, as a table and as a picture.
-
-        Needs a ``scene``.
-        """
+        """Return the page of ``fpk sweep``, of a ``scene``: every value, as table and picture."""
         assert self.scene is not None
-        reasons = dict.fromkeys(
-            f"{a.quantity} by {a.method}: {a.reason}"
-            for p in self.points
-            for a in p.answers
-            if a.reason
-        )
+        answers = [answer for point in self.points for answer in point.answers]
+        reasons = [f"{a.quantity} by {a.method}: {a.reason}" for a in answers if a.reason]
         summary = (
             f"{', '.join(self.quantities)} by {'; '.join(map(reader_words, self.methods))}:"
             f" {len(self.points)} points ({self.reused} from disk)"
@@ -181,22 +169,20 @@ class Sweep:
         remarks = [
             summary,
             "An error is an estimate of the numerical error, or one standard error of sampling.",
-            f"{', '.join(both)}: of both sides of the contact, added up; one side is"
-            f" {both[0].replace(')', ',left)')}."
-            if both
-            else "",
-            stationary_note(system),
-            *map(reader_words, self.averaging_notes),
-            "averaging error not measured: add --method phase-space or --method montecarlo."
-            if self.averaging_notes
-            else "",
-            *reasons,
         ]
+        if both:
+            words = "of both sides of the contact, added up; one side is"
+            left = both[0].replace(")", ",left)")
+            remarks.append(f"{', '.join(both)}: {words} {left}.")
+        remarks += [stationary_note(system), *map(reader_words, self.averaging_notes)]
+        if self.averaging_notes:
+            how = "add --method phase-space or --method montecarlo."
+            remarks.append(f"averaging error not measured: {how}")
         return Page(
             "result",
             self.scene,
             f"Sweep of {', '.join(a.key for a in self.axes)}: {self.scene.title}",
-            [self.table(tuple(filter(None, remarks)))],
+            [self.table(tuple(filter(None, [*remarks, *dict.fromkeys(reasons)])))],
             self.panels(),
             summary=summary,
             gridded=self.variables(),
@@ -204,11 +190,8 @@ class Sweep:
 
     def panels(self) -> list[Panel] | list[Field]:
         """Return a panel for each quantity, over two axes one for each method with a value."""
-        values, errors = self.field("value"), self.field("error")
-        names, each = (
-            list(map(reader_words, self.methods)),
-            zip(self.labels(), values, errors, strict=True),
-        )
+        names, fields = list(map(reader_words, self.methods)), map(self.field, ("value", "error"))
+        each = zip(self.labels.values(), *fields, strict=True)
         if len(self.axes) == 1:
             (axis,) = self.axes
             return [
@@ -223,11 +206,12 @@ class Sweep:
                 )
                 for quantity, own, bars in each
             ]
+        x, y = self.axes
         return [
             Field(
                 f"{quantity} by {name}",
-                self.axes[0],
-                self.axes[1],
+                x,
+                y,
                 one,
                 bar,
                 logarithmic=spans_decades(own),
@@ -319,14 +303,19 @@ def sweep(
     axes = parse_axes(texts if isinstance(vary, Mapping) else list(vary), system, units)
     wanted = {str(q): q for q in (parse_definition(text, system) for text in quantities)}
     names = tuple(dict.fromkeys(methods)) or METHODS
-    asked = tuple((method, _solvers_of(method, tol, simulation)) for method in names)
+    asked: list[Asked] = []
+    for name in names:  # solvers that sample are left out unless named
+        method, _, by = name.partition("/")
+        own = methods_of(method, by or None, tol=tol)
+        unsampled = tuple(m for m in own if m.route.sampled == own[0].route.sampled)
+        asked.append((name, (simulation,) if isinstance(own[0], MonteCarlo) else unsampled))
     simulated = reference == SIMULATION.route.method
     solver = None if simulated else method_for(reference, tol=REFERENCE_TOL)
     about = {
         "system": system,
         "keys": [axis.key for axis in axes],
         "quantities": [*wanted.values()],
-        "methods": asked,
+        "methods": tuple(asked),
         "reference": solver,
         "simulation": simulation,
         "program": program_checksum(),
@@ -337,10 +326,10 @@ def sweep(
     for values in product(*(axis.values.tolist() for axis in axes)):  # the last axis fastest
         numbers = dict(zip((axis.key for axis in axes), values, strict=True))
         try:
-            own = with_numbers(system, numbers)
+            at = with_numbers(system, numbers)
         except InvalidInput as error:
             raise BadInput(f"--vary: at {place_words(axes, values)}: {error}") from None
-        tasks[values] = partial(sweep_point, own, values, tuple(wanted.values()), asked, solver)
+        tasks[values] = partial(sweep_point, at, values, tuple(wanted.values()), asked, solver)
     sampled = any(m.route.sampled for _, each in asked for m in each)
     against_samples = solver is None and any(q.kind == AVERAGING for q in wanted.values())
     with claim_folder(folder, identity):
@@ -351,32 +340,29 @@ def sweep(
         for done, point in enumerate(finished, start=1):
             store.add(point)
             progress(done, len(todo), "points of the grid")
-    points = tuple(store.points[values] for values in tasks)
+    points = [store.points[values] for values in tasks]
     answers = [answer for point in points for answer in point.answers]
     if not silent_methods:
-        asked_for = [("method", m) for m in methods] + [("quantity", q) for q in wanted]
-        for key, text in asked_for:
-            of_it = [a for a in answers if getattr(a, key) == text]
-            if not any(a.applies for a in of_it):
-                raise NotApplicable(f"{text}: no value anywhere: {of_it[0].reason}")
-        names = tuple(m for m in names if any(a.method == m and a.applies for a in answers))
+        applies = {text for a in answers if a.applies for text in (a.method, a.quantity)}
+        for text in [t for t in (*methods, *wanted) if t not in applies]:
+            reason = next(a.reason for a in answers if text in (a.method, a.quantity))
+            raise NotApplicable(f"{text}: no value anywhere: {reason}")
+        names = tuple(method for method in names if method in applies)
     valued = {(a.quantity, a.method) for a in answers if a.value is not None}
     routes = {method: each[0].route for method, each in asked}
-    by_quantity = [
-        (
-            text,
-            [route for method, route in routes.items() if (text, method) in valued],
-            q.limit is not None or q.kind == RELAXATION,
-        )
-        for text, q in wanted.items()
-        if q.kind != AVERAGING
-    ]
+    by_quantity = []
+    for text, q in wanted.items():
+        solved_by = [route for method, route in routes.items() if (text, method) in valued]
+        if q.kind != AVERAGING:
+            by_quantity.append((text, solved_by, q.limit is not None or q.kind == RELAXATION))
     return Sweep(
         scene=scene,
         axes=axes,
         quantities=tuple(wanted),
         methods=names,
-        points=tuple(p.by(names) for p in points),
+        points=tuple(
+            replace(p, answers=tuple(a for a in p.answers if a.method in names)) for p in points
+        ),
         reused=len(tasks) - len(todo),
         seconds=perf_counter() - start,
         units=tuple(units.number(q.kind, observable_name(q.observable)) for q in wanted.values()),
@@ -405,15 +391,3 @@ def _finish_points(
             pool.shutdown(wait=False, cancel_futures=True)
     else:
         yield from (point(method) for point in todo)
-
-
-def _solvers_of(name: str, tol: float | None, simulation: MonteCarlo) -> tuple[Method, ...]:
-    """Return the method ``name`` by each of its solvers, the default first, to the L1 ``tol``.
-
-    Solvers that sample are left out unless named. ``simulation`` is the method "montecarlo".
-    """
-    method, _, solver = name.partition("/")
-    own = methods_of(method, solver or None, tol=tol)
-    if isinstance(own[0], MonteCarlo):
-        return (simulation,)
-    return tuple(m for m in own if m.route.sampled == own[0].route.sampled)

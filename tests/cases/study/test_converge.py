@@ -223,7 +223,7 @@ def test_an_exact_scene_knows_its_moment_and_derives_its_sample():
     system, unsolved = load_scene("fig3a").system, load_scene("fig6b").system
     assert full_density(unsolved, displacement_of_study(unsolved)) is None
     slope = sample_slope(load_scene("cir").system, MonteCarlo(paths=4096))
-    assert abs(slope.slope + 0.5) < 4.0 * slope.slope_error
+    assert abs(slope["slope"] + 0.5) < 4.0 * slope["slope_error"]
     found = weak_order(system, MonteCarlo(scheme="baoab", paths=4096), seconds=0.5)
     assert found.known and found.limit_error < 1e-5 * found.levels[0].error
     assert found.verdict in ("as theory", "not resolved", "pre-asymptotic")

@@ -135,17 +135,17 @@ def test_the_averaging_error_is_what_regime_maps():
     assert swept.methods == ("nonintegrable", "integrable")
     q = np.linspace(-8.0, 8.0, 40_001)  # p(8) < exp(-32): the largest rms is 1
     for k, point in enumerate(mapped.points):
-        system = with_numbers(scene.system, {"contact.clearance": point.values[0]})
+        system = with_numbers(scene.system, {"contact.clearance": point["values"][0]})
         methods = ("exact", *swept.methods)
         exact, *theories = (face.solve(system, ["q2"], methods=[m])["q2"](q) for m in methods)
         for j, theory in enumerate(swept.methods):
             expected = np.trapezoid(np.abs(theories[j] - exact), q)
             # The trapezoidal rule is off by the step times the total variation at most.
             variation = np.abs(np.diff(theories[j])).sum() + np.abs(np.diff(exact)).sum()
-            allowed = (q[1] - q[0]) * variation + point.error[theory]
-            assert abs(point.L1[theory] - expected) <= allowed
-            assert swept.field("value")[0, j, k] == point.L1[theory]
-            assert swept.points[k].answers[j].reference == point.reference == "exact"
+            allowed = (q[1] - q[0]) * variation + point["error"][theory]
+            assert abs(point["L1"][theory] - expected) <= allowed
+            assert swept.field("value")[0, j, k] == point["L1"][theory]
+            assert swept.points[k].answers[j].reference == point["reference"] == "exact"
 
 
 def test_a_value_whose_error_is_beyond_it_is_not_certified():
