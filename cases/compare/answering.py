@@ -1,9 +1,10 @@
 """Answers to one question in time: windows of densities, splitting for rare failure."""
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cache
 from functools import partial as partial_of
+from operator import methodcaller
 from time import perf_counter
 from typing import Any
 
@@ -12,9 +13,10 @@ import numpy as np
 from cases.compare.attempts import Attempts, Budget
 from cases.compare.in_time import Given, Replies, failure_of
 from cases.compare.rare import SPLITTING, split_passage, splitting_of
+from cases.compare.routes import with_settings
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
 from fpk.answer.dynamics import Passage
-from fpk.answer.method import Method, Progress, silent
+from fpk.answer.method import Method, silent
 from fpk.answer.question import QUESTIONS
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
@@ -41,21 +43,18 @@ def replies_of(
     system: System,
     question: Question,
     methods: Sequence[Method],
+    attempts: Attempts | None = None,
     *,
-    progress: Progress = silent,
-    partial: bool = False,
-    relax: bool = False,
     tol: float | None = None,
-    budget: Budget | None = None,
 ) -> Replies:
     """Return the answers of all ``methods`` that can answer ``question``.
 
-    ``partial``: Ctrl-C ends the work, the answers so far are returned. ``relax``: default
-    tolerances may be loosened. ``tol``: tolerance of solvers, None: their defaults. ``budget``:
-    wall time of all simulations, which run until the last time. Splitting replaces the simulation
-    of the full system if that is not certified, or would see few failures by an earlier answer.
+    ``attempts``, without refusals so far, say how they are asked; ``tol``: tolerance of solvers,
+    None: their defaults. Simulations run until the last time. Splitting replaces the simulation of
+    the full system if that is not certified, or would see few failures by an earlier answer.
     """
-    attempts, names, budget = Attempts(partial, relax), (question.name,), budget or Budget()
+    attempts, names = attempts or Attempts(), (question.name,)
+    budget = attempts.budget
     kind = QUESTIONS["passage" if isinstance(question, PassageQuestion) else "transient"]
     able: list[Any] = [method for method in methods if hasattr(method, kind.name)]
     # One more for splitting, or for the choice of the window.
@@ -82,17 +81,16 @@ def replies_of(
         bounds: dict[str, Any] = {"checkpoint": None, "partial": False}
         if isinstance(question, PassageQuestion) and question.times:
             bounds["time"] = question.times[-1]
-        known = {f.name for f in fields(method)}
-        bounded = replace(method, **{k: v for k, v in bounds.items() if k in known})
+        bounded: Any = with_settings(method, bounds)
         start, times = question.start, np.array(question.times)
 
         def at_tolerance(tol: float | None) -> Any:
-            how: Any = {"tol": tol, "progress": progress}
+            how: Any = {"tol": tol, "progress": attempts.progress}
             if isinstance(question, PassageQuestion):
                 return bounded.passage(system, question.limit, start, times, **how)
             return bounded.transient(system, question.of, start, times, (points,), **how)
 
-        if not relax:
+        if not attempts.relax:
             return at_tolerance(None if method.route.sampled else tol)
         label = f"{question.name}: {method.route.label}"
         return attempts.at_default(label, at_tolerance, lambda answer: [answer.certificate])
@@ -109,17 +107,13 @@ def replies_of(
         asked = question.times and system.modulation is None and not known
         plain = next((m for m in able if m.route.solves == "full" and m.route.sampled), None)
 
-        def split(_: Any) -> Passage:
-            def work(own: Any) -> Passage:
-                settings, later = splitting_of(own), sum(t > 0.0 for t in question.times)
-                if budget.seconds is not None:
-                    settings = replace(settings, seconds=settings.seconds / max(1, later))
-                return split_passage(system, question, settings, progress=progress)
+        def split(own: Any) -> Passage:
+            settings, later = splitting_of(own), sum(t > 0.0 for t in question.times)
+            if budget.seconds is not None:
+                settings = replace(settings, seconds=settings.seconds / max(1, later))
+            return split_passage(system, question, settings, progress=attempts.progress)
 
-            answer: Passage = budget.spend(plain, work)
-            return answer
-
-        if plain and asked and ask(SPLITTING, split):
+        if plain and asked and ask(SPLITTING, lambda _: budget.spend(plain, split)):
             replaced = [g for g in given if g.route == plain.route]
             given = [g for g in given if g not in replaced]
             for words in (w for g in replaced for w in g.answer.certificate.failures):
@@ -155,15 +149,26 @@ def window_of(
     A window has ``WINDOW_POINTS`` and follows from a quick answer of the first of ``methods`` that
     gives one within the ``budget``; without any there are no windows.
     """
-    at = _wide(system, question)
+    (coordinate,), values = question.of, question.start.values
+    damping, noise = np.diag(system.damping), np.diag(system.noise_matrix)
+    warm = noise.sum() / damping.sum() if damping.sum() > 0.0 else noise.sum()
+    energy = float(max(warm, 1e-300) * max(1.0, values.get("noise", 1.0)))
+    energy = max([energy, *(v for k, v in values.items() if k.startswith("H"))])
+    if question.start.kind == "state":
+        energy = max(energy, float(system.hamiltonian(*question.start.state(system.n))))
+    if coordinate.kind == "H":  # points up to the larger scale: by the noise, or by the start
+        at = np.concatenate([[0.0], energy * np.logspace(*DECADES, MANY)])
+    else:
+        row = coordinate.row
+        unit = system.mass[row] if coordinate.kind == "p" else system.compliance[row, row]
+        at = np.linspace(-SCALES, SCALES, MANY) * float(np.sqrt(2.0 * energy * unit))
+    asked = system, question.of, question.start, np.array(question.times), (at,)
+    few = {"paths": LEAST_PATHS, "checkpoint": None, "partial": False}
     for method in methods:
-        known = {f.name for f in fields(method)}
-        few = {"paths": LEAST_PATHS, "checkpoint": None, "partial": False}
-        quick = replace(method, **{k: v for k, v in few.items() if k in known})
-        asked = system, question.of, question.start, np.array(question.times), (at,)
+        tol = None if method.route.sampled else WINDOW_SHARE
+        ask = methodcaller("transient", *asked, tol=tol, progress=silent)
         try:
-            work = partial_of(_transient, asked, None if method.route.sampled else WINDOW_SHARE)
-            answer = budget.spend(quick, work)
+            answer = budget.spend(with_settings(method, few), ask)
             grids = []
             for density in answer.values:
                 inside = np.flatnonzero(density > WINDOW_SHARE * density.max())
@@ -176,24 +181,3 @@ def window_of(
         points = np.unique(np.concatenate(grids))
         return points, tuple(np.searchsorted(points, grid) for grid in grids)
     return at, ()
-
-
-def _transient(asked: Any, tol: float | None, method: Any) -> Any:
-    return method.transient(*asked, tol=tol, progress=silent)
-
-
-def _wide(system: System, question: TransientQuestion) -> Array:
-    """Points up to the larger scale of the coordinate: by the noise, or by the start."""
-    (coordinate,) = question.of
-    damping, noise = np.diag(system.damping), np.diag(system.noise_matrix)
-    warm = noise.sum() / damping.sum() if damping.sum() > 0.0 else noise.sum()
-    values = question.start.values
-    energy = float(max(warm, 1e-300) * max(1.0, values.get("noise", 1.0)))
-    energy = max([energy, *(v for k, v in values.items() if k.startswith("H"))])
-    if question.start.kind == "state":
-        energy = max(energy, float(system.hamiltonian(*question.start.state(system.n))))
-    if coordinate.kind == "H":
-        return np.concatenate([[0.0], energy * np.logspace(*DECADES, MANY)])
-    row = coordinate.row
-    unit = system.mass[row] if coordinate.kind == "p" else system.compliance[row, row]
-    return np.linspace(-SCALES, SCALES, MANY) * float(np.sqrt(2.0 * energy * unit))

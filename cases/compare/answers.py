@@ -7,12 +7,7 @@ from typing import Any
 
 from cases.compare.attempts import Refusal
 from cases.compare.compare import Comparison, compare_densities, discrepancies
-from cases.compare.doubt import (
-    incompatibility,
-    notes_in_words,
-    tails_off,
-    unknown_averaging_errors,
-)
+from cases.compare.doubt import incompatibility, notes_in_words, tails_off, unknown_averaging_errors
 from cases.compare.in_time import Replies
 from cases.compare.quantities import (
     Quantity,
@@ -66,12 +61,14 @@ class Answers(Mapping[Any, AnyDensity]):
         """The reason why a method does not give all observables, by the label of the method."""
         return {refusal.route.label: refusal.reason for refusal in self.refused}
 
+    @property
+    def _averaging_is_exact(self) -> bool:
+        return incompatibility(self.system) is None
+
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
         """Distances of all pairs of densities of one observable, judged where that is possible."""
-        return compare_densities(
-            self.results, averaging_is_exact=incompatibility(self.system) is None
-        )
+        return compare_densities(self.results, averaging_is_exact=self._averaging_is_exact)
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -81,7 +78,7 @@ class Answers(Mapping[Any, AnyDensity]):
     @cached_property
     def quantity_comparisons(self) -> tuple[Comparison, ...]:
         """Differences of all pairs of routes in one quantity, judged where that is possible."""
-        exact = incompatibility(self.system) is None
+        exact = self._averaging_is_exact
         return compare_quantities(self.results, self.quantities, averaging_is_exact=exact)
 
     def densities(self, observable: Observable) -> dict[Route, AnyDensity]:
@@ -130,8 +127,7 @@ class Answers(Mapping[Any, AnyDensity]):
 
     def is_exact(self, route: Route) -> bool:
         """Whether ``route`` gives the exact density: by itself, or as condition (8) holds."""
-        exact = incompatibility(self.system) is None and not self.neglects(route)
-        return exact or route.solves == "full"
+        return route.solves == "full" or (self._averaging_is_exact and not self.neglects(route))
 
     @cached_property
     def unknown_averaging_errors(self) -> dict[str, list[str]]:

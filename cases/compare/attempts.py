@@ -10,7 +10,7 @@ from math import ceil, inf, isnan, log10
 from typing import Any, TypeVar
 
 from fpk.answer.certificate import Certificate
-from fpk.answer.method import Route
+from fpk.answer.method import Progress, Route, silent
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.numeric.machine import working_time
 
@@ -92,11 +92,13 @@ class Attempts:
 
     ``partial``: Ctrl-C sets ``interrupted``, the running route has failed and all later routes are
     refused; without it ``KeyboardInterrupt`` is raised. ``relax``: all tolerances are defaults,
-    which may be loosened; ``notes`` say which were missed.
+    which may be loosened; ``notes`` say which were missed. ``budget``: wall time of simulations.
     """
 
-    partial: bool
+    partial: bool = False
     relax: bool = False
+    budget: Budget = field(default_factory=Budget)
+    progress: Progress = silent
     refused: list[Refusal] = field(default_factory=list)
     interrupted: bool = False
     notes: list[str] = field(default_factory=list)
@@ -117,11 +119,10 @@ class Attempts:
 
         An error of a type in ``failures`` counts as failed.
         """
-        if self.interrupted:
-            self.refuse(route, observables, INTERRUPTED)
-            return None
         try:
-            return work()
+            if not self.interrupted:
+                return work()
+            self.refuse(route, observables, INTERRUPTED)
         except KeyboardInterrupt:
             if not self.partial:
                 raise
@@ -135,37 +136,36 @@ class Attempts:
     def at_default(
         self,
         label: str,
-        ask: Callable[[float | None], Answer],
+        ask: Callable[..., Answer],
         certificates: Callable[[Answer], Iterable[Certificate]],
     ) -> Answer:
-        """Return ``ask(None)``, with ``relax`` by ``loosen_tolerance``.
+        """Return ``ask(tol=None)``, with ``relax`` by ``loosen_tolerance``.
 
         ``label`` begins the note on it.
         """
         if not self.relax:
-            return ask(None)
+            return ask(tol=None)
         answer, note = loosen_tolerance(ask, certificates)
         self.notes += [f"{label}: {note}"] if note else []
         return answer
 
 
 def loosen_tolerance(
-    ask: Callable[[float | None], Answer],
-    certificates: Callable[[Answer], Iterable[Certificate]],
+    ask: Callable[..., Answer], certificates: Callable[[Answer], Iterable[Certificate]]
 ) -> tuple[Answer, str]:
-    """Return the answer ``ask(tol)`` at its default tolerance (None), or at a looser one.
+    """Return the answer ``ask(tol=)`` at its default tolerance (None), or at a looser one.
 
     If the default is missed: the answer at the least power of ten that its error meets, up to
     ``LOOSEST``, and a note on that tolerance; the default answer without a note if no such answer
     is certified by all its ``certificates``.
     """
-    first = answer = ask(None)
+    first = answer = ask(tol=None)
     note = ""
     while errors := [c.missed for c in certificates(answer) if c.missed is not None]:
         if not (missed := max(inf if isnan(error) else error for error in errors)) <= LOOSEST:
             break
         tol = 10.0 ** ceil(log10(missed))
         note = f"certified to {tol:.0e}, as the default tolerance could not be met"
-        answer = ask(tol)
+        answer = ask(tol=tol)
     certified = all(certificate.certified for certificate in certificates(answer))
     return (answer, note) if certified else (first, "")

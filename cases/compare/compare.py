@@ -92,11 +92,12 @@ def compare_densities(
     comparisons = []
     answers = [(r, d, _with_error(d)) for r in results for d in r.densities]
     for (of_a, a, first), (of_b, b, second) in combinations(answers, 2):
-        if a.observable != b.observable:
-            continue
         both_sampled = isinstance(a, SampledDensity) and isinstance(b, SampledDensity)
-        if both_sampled and not all(map(np.array_equal, a.panels, b.panels)):
-            continue  # bin by bin; a function between them is compared with both
+        if a.observable != b.observable or (
+            # bin by bin; a function between them is compared with both
+            both_sampled and not all(map(np.array_equal, a.panels, b.panels))
+        ):
+            continue
         routes = (of_a.method.route, of_b.method.route)
         exact = averaging_is_exact and not (of_a.neglected or of_b.neglected)
         kind = what_is_measured(*routes, averaging_is_exact=exact)
@@ -104,9 +105,8 @@ def compare_densities(
         allowed = None if kind == "averaging" else band
         pairs = zip(routes, (a, b), strict=True)
         uncertified = tuple(route for route, d in pairs if not d.certificate.certified)
-        comparisons.append(
-            Comparison(a.name, *routes, kind, distance, allowed, expected, uncertified)
-        )
+        own = a.name, *routes, kind, distance, allowed, expected, uncertified
+        comparisons.append(Comparison(*own))
     return tuple(sorted(comparisons, key=lambda c: c.observable))
 
 
@@ -203,9 +203,6 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
 
 
 def join_bins(sampled: SampledDensity, bins: int | None = None) -> SampledDensity:
-    """Return the histogram with neighbouring bins joined to about ``bins`` on each axis.
-
-    ``bins`` None: ``BINS_1D`` or ``BINS_2D``.
-    """
+    """Return the histogram in about ``bins`` bins on each axis, None: ``BINS_1D``, ``BINS_2D``."""
     wanted = bins or (BINS_1D if len(sampled.edges) == 1 else BINS_2D)
     return sampled.joined(min(sampled.values.shape) // wanted)

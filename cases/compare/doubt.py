@@ -46,7 +46,7 @@ def tails_off(densities: Mapping[Route, AnyDensity]) -> Iterator[dict[str, Any]]
     best = densities[reference]
     sides = ["above"] if best.observable[0].kind == "H" else ["above", "below"]
     for theory in theories.values():
-        rows = []
+        rows: list[dict[str, Any]] = []
         for side in sides:
             for share in REPORTED_TAILS:
                 level = best.quantile(1.0 - share if side == "above" else share).value
@@ -56,18 +56,14 @@ def tails_off(densities: Mapping[Route, AnyDensity]) -> Iterator[dict[str, Any]]
                 if slack <= 0.1:
                     ratio = other.value / known.value
                     error = other.error / known.value + ratio * slack
-                    own: dict[str, Any] = {
-                        "theory": theory.method,
-                        "reference": reference.label,
-                        "side": side,
-                    }
-                    own |= {"level": level, "probability": known.value}
-                    rows.append({**own, "ratio": ratio, "error": error})
+                    row = {"side": side, "level": level, "probability": known.value}
+                    rows.append({**row, "ratio": ratio, "error": error})
                     break
         off = [(max(r["ratio"] - r["error"], 1.0 / (r["ratio"] + r["error"])), r) for r in rows]
         worst, row = max(off, key=lambda pair: pair[0], default=(0.0, {}))
         if worst > TAIL_FACTOR:
-            yield {"observable": best.name, **row}
+            names = {"theory": theory.method, "reference": reference.label}
+            yield {"observable": best.name, **names, **row}
 
 
 def incompatibility(system: System) -> str | None:
@@ -139,10 +135,8 @@ def _note(system: System, theories: list[str], in_time: bool) -> str:
         doubt = in_time and damping_ratio > ACCEPTABLE_L1
         if "nonintegrable" in theories:
             doubt |= max(1.0 - low, high - 1.0) > ACCEPTABLE_L1
-            gives = (
-                f"nonintegrable gives {low:.3g} to {high:.3g} times the exact rms of each q and v"
-            )
-            words.append(f"without contacts {gives}")
+            gives = f"nonintegrable gives {low:.3g} to {high:.3g} times the exact rms of each q"
+            words.append(f"without contacts {gives} and v")
         words.append(f"modal temperatures differ by a factor of {spread:.2g}")
         words.append(f"damping ratios are up to {damping_ratio:.2g}")
     near = [s.ratio for s in system.fact(stop_clearances) if s.beyond_rule is False and s.ratio]

@@ -16,13 +16,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from cases.compare.attempts import Refusal
-from cases.compare.compare import (
-    ROUND_OFF,
-    Comparison,
-    Norm,
-    discrepancies,
-    what_is_measured,
-)
+from cases.compare.compare import ROUND_OFF, Comparison, Norm, discrepancies, what_is_measured
 from cases.scene.questions import Question
 from fpk.answer.dynamics import LARGEST_ERROR, Passage, Transient
 from fpk.answer.method import Route

@@ -16,7 +16,7 @@ from scipy.special import stdtrit
 
 from cases.compare.compare import ROUND_OFF, Comparison, discrepancies, what_is_measured
 from cases.compare.quantity import UPCROSSING, Definition, definitions_of
-from fpk.answer.density import AnyDensity, Density
+from fpk.answer.density import AnyDensity
 from fpk.answer.dynamics import upcrossings
 from fpk.answer.method import Result, Route, silent
 from fpk.answer.names import Coordinate, Level, observable_name
@@ -73,15 +73,10 @@ def quantities_of(
     Routes are in the order of ``Answers.densities``. ``exceedance``: levels a of P(X > a).
     """
     rows = [row for result in results for row in _rows(system, result, exceedance)]
-    observables = list(dict.fromkeys(q.definition.observable for q in rows))
-    order = [
-        definition for o in observables for definition in definitions_of(system, o, exceedance)
-    ]
-
-    def place(q: Quantity) -> tuple[int, bool, bool]:
-        return order.index(q.definition), q.route.sampled, q.route.solves != "full"
-
-    return tuple(sorted(rows, key=place))
+    observables = dict.fromkeys(q.definition.observable for q in rows)
+    order = [d for o in observables for d in definitions_of(system, o, exceedance)]
+    rows.sort(key=lambda q: (order.index(q.definition), q.route.sampled, q.route.solves != "full"))
+    return tuple(rows)
 
 
 def compare_quantities(
@@ -92,27 +87,25 @@ def compare_quantities(
     The ``band`` is the sum of both ``reach``; None for averaging errors, and if a sample is too
     small to bound its error.
     """
-    by_route = {r.method.route: r for r in results}
+    neglected = {r.method.route for r in results if r.neglected}
+    failed = [
+        (r.method.route, d.name)
+        for r in results
+        for d in r.densities
+        if not d.certificate.certified
+    ]
     comparisons = []
     for a, b in combinations(quantities, 2):
-        if a.definition != b.definition:
+        difference, routes = abs(a.number.value - b.number.value), (a.route, b.route)
+        if a.definition != b.definition or not isfinite(difference):
             continue
-        difference = abs(a.number.value - b.number.value)
-        if not isfinite(difference):
-            continue
-        of = by_route[a.route], by_route[b.route]
-        exact = averaging_is_exact and not any(r.neglected for r in of)
-        measures = what_is_measured(a.route, b.route, averaging_is_exact=exact)
+        exact = averaging_is_exact and neglected.isdisjoint(routes)
+        measures = what_is_measured(*routes, averaging_is_exact=exact)
         band = a.reach + b.reach
         allowed = band if measures != "averaging" and isfinite(band) else None
-        uncertified = tuple(
-            r.method.route
-            for r in of
-            for d in r.densities
-            if d.name == a.observable and not d.certificate.certified
-        )
+        uncertified = tuple(route for route in routes if (route, a.observable) in failed)
         names, error = f"{a.observable}: {a.quantity}", a.number.error + b.number.error
-        own = names, a.route, b.route, measures, difference, allowed, error, uncertified
+        own = names, *routes, measures, difference, allowed, error, uncertified
         comparisons.append(Comparison(*own, norm="absolute"))
     return tuple(comparisons)
 
@@ -173,10 +166,8 @@ def _rates(
     kind = "numerical" if joint is None else joint.error_kind
     for definition, value, error in zip(definitions, values, errors, strict=True):
         rate = Number(float(value), float(error))
-        reach = rate.error + ROUND_OFF * abs(rate.value)
-        if joint is not None:
-            reach = reach_of(joint, rate, 0.0, count)
-        yield Quantity(definition, definition.words(system), method.route, rate, kind, reach)
+        reach = reach_of(joint, rate, 0.0, count)
+        yield Quantity(definition, definition.words(system), route, rate, kind, reach)
 
 
 def _reach(definition: Definition, density: AnyDensity, number: Number, count: int) -> float:
@@ -200,14 +191,14 @@ def _reach(definition: Definition, density: AnyDensity, number: Number, count: i
     return reach_of(density, number, size, count)
 
 
-def reach_of(density: AnyDensity, number: Number, size: float, count: int) -> float:
-    """Return a bound of the error of ``number``, which follows from ``density``.
+def reach_of(density: AnyDensity | None, number: Number, size: float, count: int) -> float:
+    """Return a bound of the error of ``number``, which follows from ``density``, None: from none.
 
     For a sample: Student's t of the batches, and Bernstein's term for a number of the order of
     ``size`` from few independent samples. ``count`` quantities share the rate ``FALSE_ALARMS``.
     """
     value, error = abs(number.value), number.error
-    if isinstance(density, Density):
+    if not isinstance(density, SampledDensity):
         return error + ROUND_OFF * value
     if error == 0.0:  # a stop beyond all samples: nothing is known
         return np.inf

@@ -83,22 +83,14 @@ class Definition:
         inside += [] if self.at is None else [number_text(self.at)]
         return f"{self.kind}({','.join(filter(None, inside))})"
 
-    @property
-    def of_density(self) -> bool:
-        """Whether the number follows from the density of ``observable``."""
-        kinds = {*PLAIN, *PAIR, *AT_NUMBER, *AT_STOP} - {UPCROSSING}
-        return self.kind in kinds
-
     def words(self, system: System) -> str:
         """Return the name in tables of a run, such as ``contact probability, left stop``."""
-        for words, p in QUANTILES.items():
-            if (self.kind, self.at) == ("quantile", p):
-                return words
+        words = self.kind.replace("_", " ")
         if self.kind == "exceedance" and self.at is not None:
             return f"probability above {number_text(self.at)}"
-        words = self.kind.replace("_", " ")
         if self.contact is None:
-            return words
+            of_quantiles = {p: name for name, p in QUANTILES.items() if self.kind == "quantile"}
+            return of_quantiles.get(self.at or 0.0, words)
         (stop,) = self.stops(system)
         alone = [(s.mass, s.side) for s in system.stops].count((stop.mass, stop.side)) == 1
         where = "" if alone else f" at {stop.sign * stop.clearance:g}"
@@ -125,14 +117,11 @@ class Definition:
         if self.contact is None:
             number: Number = getattr(density, self.kind)(*(() if self.at is None else (self.at,)))
             return number
-
-        def over_all_time(name: str) -> Number:
-            return total([contact_quantity(name, stop, density) for stop in self.stops(system)])
-
         what, _, share = self.kind.partition("_in_")
-        if not share:
-            return over_all_time(self.kind.replace("_", " "))
-        return ratio(over_all_time(f"mean {what}"), over_all_time("contact probability"))
+        names = [f"mean {what}", "contact probability"] if share else [what.replace("_", " ")]
+        stops = self.stops(system)
+        sums = [total([contact_quantity(name, stop, density) for stop in stops]) for name in names]
+        return ratio(*sums) if share else sums[0]
 
     def failures(
         self, number: Number, density: AnyDensity | None, system: System
@@ -145,11 +134,11 @@ class Definition:
         density from which the number follows, None if from none.
         """
         force = 0.0
-        if self.kind not in PASSAGE:
-            if density is None or self.contact is None or "force" not in self.kind:
-                return ()
+        if density is not None and self.contact is not None and "force" in self.kind:
             index = system.contacts[self.contact].index
             force = system.stiffness_matrix[index, index] * density.rms().value
+        elif self.kind not in PASSAGE:
+            return ()
         if abs(number.value) > number.error or number.error < RESOLVED * force:
             return ()
         return (f"the error {number.error:.2g} is not below the value {number.value:.2g}",)
@@ -221,9 +210,8 @@ def parse_definition(text: str, system: System) -> Definition:
 def _observable(text: str, system: System, sizes: Sequence[int] = (1,)) -> Observable:
     observable = parse_observable(text, system.n)
     if len(observable) not in sizes:
-        words = "is a pair; name one coordinate"
-        if sizes == (2,):
-            words = "is one coordinate; name a pair, as q1,p1"
+        one = "is one coordinate; name a pair, as q1,p1"
+        words = one if sizes == (2,) else "is a pair; name one coordinate"
         raise InvalidInput("observable", text, words)
     return observable
 

@@ -48,12 +48,7 @@ at the last time: it is computed as 1 − reliability, which has no digits below
 
 
 def passage_answer(
-    method: Any,
-    system: System,
-    question: PassageQuestion,
-    *,
-    tol: float | None,
-    progress: Progress,
+    method: Any, system: System, question: PassageQuestion, *, tol: float | None, progress: Progress
 ) -> Passage:
     """Return the first passage by ``method``, or by splitting if a simulation sees few failures.
 
@@ -121,37 +116,26 @@ def split_passage(
     if not np.any(times > 0.0):
         raise NotApplicable("splitting needs a time after the start")
     score = score_of_averaged_energy(system, question)
-    rows = []
-    for k, t in enumerate(times):
-        if t > 0.0:
-            asked = system, question.limit, question.start, float(t)
-            rows.append(rare_failure(*asked, score=score, settings=settings, progress=progress))
-            failure[k], errors[k] = rows[-1].probability, rows[-1].error
-            if not failure[k] > 0.0:
-                errors[k] = rows[-1].upper_bound
-    later = times > 0.0
-    words = [
-        f"P(T ≤ {t:g}) = {row.probability:.2g} is known to"
-        f" {bound(row.error)} only, and {bound(row.upper_bound)} at most (95 %)"
-        for t, row in zip(times[later], rows, strict=True)
-        if not row.error <= MOST_ERROR * row.probability
-    ]
-    shares = errors[later] / np.where(failure[later] > 0.0, failure[later], errors[later])
-    relative = float(np.max(shares))
+    words, shares, steps = list[str](), list[float](), list[float]()
+    for k in np.flatnonzero(times > 0.0):
+        asked = system, question.limit, question.start, float(times[k])
+        row = rare_failure(*asked, score=score, settings=settings, progress=progress)
+        failure[k] = row.probability
+        errors[k] = row.error if failure[k] > 0.0 else row.upper_bound
+        shares.append(errors[k] / (failure[k] if failure[k] > 0.0 else errors[k]))
+        steps.append(row.dt)
+        if not row.error <= MOST_ERROR * row.probability:
+            least = f"{bound(row.error)} only, and {bound(row.upper_bound)} at most (95 %)"
+            words.append(f"P(T ≤ {times[k]:g}) = {row.probability:.2g} is known to {least}")
     measured = Measured(
-        l1_error=relative, mass_defect=None, minimum=float(failure.min()), residual=None,
-        tail_mass=None, failures=tuple(words),
+        l1_error=float(np.max(shares)), mass_defect=None, minimum=float(failure.min()),
+        residual=None, tail_mass=None, failures=tuple(words),
     )  # fmt: skip
+    how = {name: getattr(settings, name) for name in ("replicas", "repetitions", "seed")}
+    how |= {"score": "averaged reliability" if score else "least action", "dt": min(steps)}
     return Passage(
         Number(nan, inf), Number(nan, inf), None, times, 1.0 - failure, errors, "sampling",
-        certify(measured, tol=inf if tol is None else tol, sampled=True), None,
-        {
-            "replicas": settings.replicas,
-            "repetitions": settings.repetitions,
-            "seed": settings.seed,
-            "score": "averaged reliability" if score else "least action",
-            "dt": min(row.dt for row in rows),
-        },
+        certify(measured, tol=inf if tol is None else tol, sampled=True), None, how,
         failure, errors,
     )  # fmt: skip
 
@@ -164,20 +148,16 @@ def score_of_averaged_energy(system: System, question: PassageQuestion) -> Score
     """
     if question.limit.kind != "H":
         return None
-    try:
-        process = energy_process(system)
-    except NotApplicable:
-        return None
     limit, last = question.limit.value, np.array([question.times[-1]])
 
     def score(energies: Array, times: Array) -> Array:
-        failure, _ = chain_first_passage(process, limit, times=times, tol=SCORE_TOL).failure(
-            times, energies
-        )
+        passage = chain_first_passage(process, limit, times=times, tol=SCORE_TOL)
+        failure, _ = passage.failure(times, energies)
         return np.asarray(np.log(np.maximum(failure, 1e-300)))
 
     try:
+        process = energy_process(system)
         at_rest = float(score(np.zeros(1), last)[0, 0])
-    except InvalidInput:  # a limit out of reach of double precision
+    except (NotApplicable, InvalidInput):  # also a limit out of reach of double precision
         return None
     return score if at_rest > np.log(LEAST_SCORE) else None

@@ -100,8 +100,12 @@ def settings_of(method: Method) -> set[str]:
     return {f.name for f in fields(method)}  # type: ignore[arg-type]  # methods are dataclasses
 
 
-def _make_method(route: Route, settings: Mapping[str, Any]) -> Method:
-    method = route.make()
+def with_settings(method: Method, settings: Mapping[str, Any]) -> Method:
+    """Return the method with those of ``settings`` that are its fields."""
     known = settings_of(method)
-    given = {k: v for k, v in settings.items() if v is not None and k in known}
+    given = {key: value for key, value in settings.items() if key in known}
     return replace(method, **given)  # type: ignore[type-var]
+
+
+def _make_method(route: Route, settings: Mapping[str, Any]) -> Method:
+    return with_settings(route.make(), {k: v for k, v in settings.items() if v is not None})

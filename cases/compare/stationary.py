@@ -9,11 +9,12 @@ from typing import Any
 
 from cases.compare.answering import replies_of
 from cases.compare.answers import Answers
-from cases.compare.attempts import INTERRUPTED, REFUSALS, Attempts, Budget, budget_of
+from cases.compare.attempts import INTERRUPTED, REFUSALS, Attempts, budget_of
 from cases.compare.in_time import Replies
 from cases.scene.questions import Question
 from cases.scene.scene import Scene
 from cases.scene.written import bound
+from fpk.answer.certificate import Certificate
 from fpk.answer.density import Density
 from fpk.answer.method import Method, Plan, Progress, Result, silent
 from fpk.answer.names import Coordinate, Observable, observable_name
@@ -32,107 +33,77 @@ def answers_of(
     system: System,
     observables: Sequence[Observable],
     methods: Sequence[Method],
+    attempts: Attempts | None = None,
     *,
-    progress: Progress = silent,
-    partial: bool = False,
-    relax: bool = False,
     share: float | None = None,
     rates: bool = False,
-    budget: Budget | None = None,
 ) -> Answers:
     """Return the answers of ``methods``, each for the observables that it gives.
 
-    ``share``: the methods were not named, and each runs as its ``unasked`` with this share of the
-    work; None: they were named. ``partial``: Ctrl-C ends the work, the answers so far are returned.
-    ``relax``: all tolerances are defaults; a missed one is ``loosened``, with a note. ``rates``:
-    the joint densities from which impact rates follow are computed ``beside``. ``budget``: wall
-    time of the simulations.
+    ``attempts``, without refusals so far, say how they are asked. ``share``: the methods were not
+    named, and each runs as its ``unasked`` with this share of the work; None: they were named.
+    ``rates``: the joint densities from which impact rates follow are computed ``beside``.
     """
-    budget = budget or Budget()
-    budget.begin(sum(m.route.sampled and _is_taken(m, system, share) for m in methods))
-    results: list[Result] = []
-    attempts = Attempts(partial, relax)
+    attempts = attempts or Attempts()
+    offers: list[tuple[Method, Plan | str]] = []
     for method in methods:
+        try:
+            taken = method if share is None else method.unasked(system, share=share)
+            offers.append((taken, taken.planned(system, ())))
+        except NotApplicable as error:
+            offers.append((method, str(error)))
+    attempts.budget.begin(sum(m.route.sampled and isinstance(plan, Plan) for m, plan in offers))
+    results: list[Result] = []
+    for method, (taken, plan) in zip(methods, offers, strict=True):
         refuse = partial_of(attempts.refuse, method.route)
         if attempts.interrupted:
             refuse(map(observable_name, observables), INTERRUPTED)
             continue
-        reasons: dict[Observable, str | None]
-        try:
-            taken = method if share is None else method.unasked(system, share=share)
-            plan = taken.planned(system, ())
-            reasons = {observable: plan.refusal(observable) for observable in observables}
-        except NotApplicable as error:
-            reasons = dict.fromkeys(observables, str(error))
+        reasons = {o: plan if isinstance(plan, str) else plan.refusal(o) for o in observables}
         for reason in dict.fromkeys(filter(None, reasons.values())):
             refuse((observable_name(o) for o, r in reasons.items() if r == reason), reason)
         given = [observable for observable, reason in reasons.items() if not reason]
         if not given:
             continue
 
-        def solve(own: Method, taken: Method = taken, plan: Plan = plan, given: Any = given) -> Any:
+        def solve(own: Any, taken: Method = taken, plan: Any = plan, given: Any = given) -> Result:
+            """Return the answer of ``own``, at a looser tolerance if ``attempts`` relax."""
+            beside = joint_at_stops(system, given) if rates else []
             plan = plan if own is taken else own.prepare(system)
-            answer = partial_of(own.solve, plan=plan, progress=progress)
-            return _solve_curve(answer, system, given, attempts, progress, rates)
+            how: Any = {"beside": beside, "progress": attempts.progress}
+            result: Result = own.solve(system, given, plan=plan, **how)
+
+            def ask(tol: float | None) -> Result:
+                if tol is None:
+                    return result
+                looser: Method = replace(result.method, tol=tol)  # type: ignore[type-var]
+                return looser.solve(system, given, **how)
+
+            def certificates(answer: Result) -> list[Certificate]:
+                judged = answer.densities if hasattr(result.method, "tol") else ()
+                return [density.certificate for density in judged]
+
+            return attempts.at_default(result.method.route.label, ask, certificates)
 
         result = attempts.answer_of(
             method.route,
             map(observable_name, given),
-            partial_of(budget.spend, taken, solve),
+            partial_of(attempts.budget.spend, taken, solve),
             failures=REFUSALS if taken is method else (),
         )
         if result is None:
             continue
         attempts.interrupted |= result.partial
-        if taken is not method and _worst_error(result) > getattr(taken, "tol", inf):
+        worst = max((d.l1_error for d in result.densities if isinstance(d, Density)), default=0.0)
+        if taken is not method and worst > getattr(taken, "tol", inf):
             route = method.route
             attempts.notes.append(
-                f"{route.label}: certified to {bound(_worst_error(result))}; its work is bounded"
-                f" as no method was named; fpk density --method {route.method} goes further"
+                f"{route.label}: certified to {bound(worst)}; its work is bounded as no method was"
+                f" named; fpk density --method {route.method} goes further"
             )
         results.append(result)
     refused, notes = tuple(attempts.refused), tuple(attempts.notes)
     return Answers(system, tuple(results), refused, notes=notes, interrupted=attempts.interrupted)
-
-
-def _is_taken(method: Method, system: System, share: float | None) -> bool:
-    """Whether the method, named (``share`` None) or unasked, applies to the system."""
-    try:
-        (method if share is None else method.unasked(system, share=share)).planned(system, ())
-    except NotApplicable:
-        return False
-    return True
-
-
-def _solve_curve(
-    solve: Callable[..., Result],
-    system: System,
-    observables: Sequence[Observable],
-    attempts: Attempts,
-    progress: Progress,
-    rates: bool,
-) -> Result:
-    """The answer by ``solve``, at a looser tolerance if ``attempts`` relax."""
-    beside = joint_at_stops(system, observables) if rates else []
-    result = solve(system, observables, beside=beside)
-
-    def ask(tol: float | None) -> Result:
-        if tol is None:
-            return result
-        method: Any = replace(result.method, tol=tol)  # type: ignore[type-var]  # methods are dataclasses
-        again: Result = method.solve(system, observables, beside=beside, progress=progress)
-        return again
-
-    own = hasattr(result.method, "tol")
-    label = result.method.route.label
-    return attempts.at_default(
-        label, ask, lambda r: [d.certificate for d in r.densities] if own else []
-    )
-
-
-def _worst_error(result: Result) -> float:
-    """Largest L1 error that a solver states, 0 for samples."""
-    return max((d.l1_error for d in result.densities if isinstance(d, Density)), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -169,13 +140,13 @@ def run_scene(
     start, share = perf_counter(), 1.0 / len(scene.curves)
     questions = 1 + len(scene.passages) + len(scene.transients)
     budget = budget_of(methods, len(scene.curves) * questions)
-    options: Any = {"progress": progress, "partial": partial, "relax": relax, "budget": budget}
+    attempts = partial_of(Attempts, partial, relax, budget, progress)
     curves: list[Answers] = []
     for k, curve in enumerate(scene.curves, start=1):
         interrupted = any(c.interrupted for c in curves)
         wanted = [] if interrupted else methods
-        stationary: Any = {"share": share, "rates": True, **options}
-        answers = answers_of(curve.system, scene.observables, wanted, **stationary)
+        of = curve.system, scene.observables, wanted, attempts()
+        answers = answers_of(*of, share=share, rates=True)
         own: Any = {"label": curve.label, "value": curve.value, "exceedance": scene.exceedance}
         own["asked"] = scene.observables if scene.densities_asked else ()
         answers = replace(answers, **own)
@@ -186,7 +157,8 @@ def run_scene(
                 if any(r.interrupted for r in replies):
                     replies.append(Replies(question, interrupted=True))
                 else:
-                    replies.append(replies_of(curve.system, question, methods, tol=tol, **options))
+                    asked_of = curve.system, question, methods, attempts()
+                    replies.append(replies_of(*asked_of, tol=tol))
             count = len(scene.passages)
             absence = answers.absence if replies and answers.asked else None
             none = [f"no stationary density: {absence}"] if absence else []

@@ -2,23 +2,16 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from functools import cache, partial
-from math import isfinite
+from functools import cache
+from math import isfinite, nan
 from time import perf_counter
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from cases.compare.attempts import REFUSALS
 from cases.compare.compare import distance_between
-from cases.compare.quantity import (
-    AVERAGING,
-    PASSAGE,
-    RELAXATION,
-    UPCROSSING,
-    Definition,
-    total,
-)
+from cases.compare.quantity import AVERAGING, PASSAGE, RELAXATION, UPCROSSING, Definition, total
 from cases.compare.rare import passage_answer
 from cases.compare.stationary import answers_of
 from cases.scene.questions import PassageQuestion
@@ -27,20 +20,15 @@ from cases.study.sweep.points import SweepPoint, Value
 from fpk.answer.density import AnyDensity
 from fpk.answer.dynamics import Curve, Passage, Rates
 from fpk.answer.method import Method, silent
-from fpk.answer.names import REST, Observable, observable_name, parse_limit
+from fpk.answer.names import REST, Observable, observable_name, parse_limit, parse_observable
 from fpk.answer.quantities import Number
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
-Answer = TypeVar("Answer", Passage, Curve, Rates)
 Asked = tuple[str, tuple[Method, ...]]
 """The name of a method and its solvers in the order in which they are tried."""
-Reading = tuple[Number | None, str, tuple[str, ...], str]
-"""A number, None if the method does not give it, the kind of its error, failed checks, and the
-route of the full system that it was compared with (empty for none)."""
-Reference = Callable[[Observable], tuple[str, AnyDensity, tuple[str, ...]]]
-"""Returns route and density of the full system for comparison, and the failed checks of both."""
+Answer = AnyDensity | Passage | Curve | Rates
 SIMULATION = MonteCarlo(relaxations=38.0)
 """Simulation of a point: with 38 relaxation times a path the sampling error of the L1 distance of
 one displacement is about 0.001."""
@@ -68,6 +56,7 @@ def sweep_point(
 
     @cache
     def reference(observable: Observable) -> tuple[str, AnyDensity, tuple[str, ...]]:
+        """Return route and density of the full system, and its failed checks."""
         problems: list[str] = []
         best = best_answer(deterministic("full"), system, observable, problems)
         if best is None and solver is not None:
@@ -95,142 +84,124 @@ def _values(
     methods: Sequence[Method],
     system: System,
     quantities: Sequence[Definition],
-    reference: Reference,
+    reference: Callable[[Observable], tuple[str, AnyDensity, tuple[str, ...]]],
 ) -> Iterator[Value]:
     """Yield the quantities by one method, which solves for all their densities together."""
     averaged = methods[0].route.solves == "averaged"
-    own = [q for q in quantities if q.of_density or (averaged and q.kind == AVERAGING)]
-    densities, refused = _densities(methods, system, list(dict.fromkeys(q.observable for q in own)))
-    crossed = [q for q in quantities if q.kind == UPCROSSING]
+    own = [q for q in quantities if averaged or q.kind != AVERAGING]
+    crossed = [q for q in own if q.kind == UPCROSSING]
     levels = {
-        o: sorted({x for q in crossed if q.observable == o for x in q.levels(system)})
-        for o in dict.fromkeys(q.observable for q in crossed)
+        of: sorted({x for q in crossed if _subject(q)[1] == of for x in q.levels(system)})
+        for _, of in map(_subject, crossed)
     }
+    most = int(max((q.at or 0.0 for q in own if q.kind == RELAXATION), default=0.0))
 
-    @cache
-    def passage(limit: str) -> Passage | Exception:
-        """Return the first passage of ``limit`` from rest; by its name, as a limit has no hash."""
-        question = PassageQuestion(parse_limit(limit, system.n), REST)
-        ask = partial(passage_answer, system=system, question=question)
-        return _first(methods, "passage", "first passage", ask)
+    def ask(method: Any, question: str, of: str) -> Answer:
+        """Return the first passage from rest, all upcrossing rates, or the slowest rates."""
+        how: Any = {"tol": None, "progress": silent}
+        if question == "passage":
+            first = PassageQuestion(parse_limit(of, system.n), REST)
+            return passage_answer(method, system, first, **how)
+        if question == "relaxation":
+            rates: Rates = method.relaxation(system, most, **how)
+            return rates
+        at = parse_observable(of, system.n), np.array(levels[of])
+        curve: Curve = method.crossings(system, *at, **how)
+        return curve
 
-    @cache
-    def crossings(observable: Observable) -> Curve | Exception:
-        """Return the upcrossing rates of all ``levels`` of the observable."""
+    answers = _answers(methods, system, list(dict.fromkeys(map(_subject, own))), ask)
 
-        def ask(method: Any, **how: Any) -> Any:
-            return method.crossings(system, observable, np.array(levels[observable]), **how)
-
-        return _first(methods, "crossings", "upcrossing rate", ask)
-
-    @cache
-    def relaxation() -> Rates | Exception:
-        """Return the slowest rates, as many as the quantities need."""
-        most = int(max(q.at or 0.0 for q in quantities if q.kind == RELAXATION))
-
-        def ask(method: Any, **how: Any) -> Any:
-            return method.relaxation(system, most, **how)
-
-        return _first(methods, "relaxation", "relaxation rate", ask)
-
-    def read(quantity: Definition) -> Reading:
-        """Return the number of ``quantity``; raises ``REFUSALS``, also of an earlier quantity."""
-        if quantity.limit is not None:
-            first = _or_raise(passage(str(quantity.limit)))
-            number = getattr(first, PASSAGE[quantity.kind])
-            more = () if number is None else quantity.failures(number, None, system)
-            return number, first.error_kind, (*first.certificate.failures, *more), ""
-        if quantity.kind == UPCROSSING:
-            curve, at = _or_raise(crossings(quantity.observable)), levels[quantity.observable]
-            rows = [at.index(level) for level in quantity.levels(system)]
-            number = total([Number(float(curve.values[k]), float(curve.errors[k])) for k in rows])
-            return number, curve.error_kind, curve.certificate.failures, ""
-        if quantity.kind == RELAXATION:
-            rates, k = _or_raise(relaxation()), int(quantity.at or 1.0) - 1
-            if k >= rates.values.size:
-                raise NotApplicable(f"gives {rates.values.size} rates")
-            number = Number(float(rates.values[k].real), float(rates.errors[k]))
-            return number, "numerical", rates.certificate.failures, ""
+    def read(quantity: Definition) -> tuple[Number, str, tuple[str, ...], str]:
+        """Return number, kind of its error, failed checks, and the route it is compared with."""
         if quantity not in own:
             raise NotApplicable("is no averaged theory")
-        if quantity.observable not in densities:
-            raise refused[observable_name(quantity.observable)]
-        density = densities[quantity.observable]
-        failures = density.certificate.failures
-        if quantity.kind != AVERAGING:
-            number = quantity.of(density, system)
-            failures = (*failures, *quantity.failures(number, density, system))
-            return number, density.error_kind, failures, ""
-        route, full, problems = reference(quantity.observable)
-        kinds = density.error_kind, full.error_kind
-        L1, error, _ = distance_between(density, full)
-        return Number(L1, error), max(kinds), (*failures, *problems), route  # "sampling" is last
+        question, route = _subject(quantity)[0], ""
+        answer = answers.get(_subject(quantity))
+        if answer is None:
+            words = {"passage": "first passage", "crossings": "upcrossing rate"}
+            raise NotApplicable(f"gives no {words.get(question, 'relaxation rate')}")
+        if isinstance(answer, Exception):
+            raise answer
+        failures = answer.certificate.failures
+        kind = "numerical" if isinstance(answer, Rates) else answer.error_kind
+        if isinstance(answer, Curve):
+            rows = [levels[_subject(quantity)[1]].index(x) for x in quantity.levels(system)]
+            number = total([Number(float(answer.values[k]), float(answer.errors[k])) for k in rows])
+        elif isinstance(answer, Rates):
+            k = int(quantity.at or 1.0) - 1
+            if k >= answer.values.size:
+                raise NotApplicable(f"gives {answer.values.size} rates")
+            number = Number(float(answer.values[k].real), float(answer.errors[k]))
+        elif isinstance(answer, Passage):
+            number = getattr(answer, PASSAGE[quantity.kind]) or Number(nan, nan)
+            failures = (*failures, *quantity.failures(number, None, system))
+        elif quantity.kind == AVERAGING:
+            route, full, problems = reference(quantity.observable)
+            number = Number(*distance_between(answer, full)[:2])
+            kind = max(kind, full.error_kind)  # "sampling" is last
+            failures = (*failures, *problems)
+        else:
+            number = quantity.of(answer, system)
+            failures = (*failures, *quantity.failures(number, answer, system))
+        if not (isfinite(number.value) and isfinite(number.error)):
+            raise NotApplicable("gives no such number with an error that has a bound")
+        return number, kind, tuple(dict.fromkeys(failures)), route
 
     for quantity in quantities:
         try:
             number, kind, failures, route = read(quantity)
-            if number is None or not (isfinite(number.value) and isfinite(number.error)):
-                raise NotApplicable("gives no such number with an error that has a bound")
         except REFUSALS as error:
             failed = not isinstance(error, NotApplicable)
             yield Value(str(quantity), name, reason=str(error), failed=failed)
             continue
-        checks = tuple(dict.fromkeys(failures))
         yield Value(
-            str(quantity), name, number.value, number.error, kind, certified=not checks,
-            failures=checks, reference=route,
+            str(quantity), name, number.value, number.error, kind, certified=not failures,
+            failures=failures, reference=route,
         )  # fmt: skip
 
 
-def _densities(
-    methods: Sequence[Method], system: System, wanted: Sequence[Observable]
-) -> tuple[dict[Observable, AnyDensity], dict[str, Exception]]:
-    """Return the density of each observable, and by name the refusal of each that has none.
+def _subject(q: Definition) -> tuple[str, str]:
+    """Return the question whose answer gives the quantity, and what it is about, by its name."""
+    if q.limit is not None:
+        return "passage", str(q.limit)
+    questions = {UPCROSSING: "crossings", RELAXATION: "relaxation"}
+    return questions.get(q.kind, "density"), observable_name(q.observable)
 
-    A density is by the first of ``methods`` that certifies it, else by the first that gives it.
+
+def _answers(
+    methods: Sequence[Method],
+    system: System,
+    subjects: Sequence[tuple[str, str]],
+    ask: Callable[[Any, str, str], Answer],
+) -> dict[tuple[str, str], Answer | Exception]:
+    """Return each answer by the first of ``methods`` that certifies it, else the first answer.
+
+    All densities of a method are solved for together, other answers are by ``ask``. Without any
+    answer it is the exception of the first method; a subject that no method has is left out.
     """
-    densities: dict[Observable, AnyDensity] = {}
-    refused: dict[str, Exception] = {}
+    known: dict[tuple[str, str], Answer | Exception] = {}
     for method in methods:
-        certified = {o for o, d in densities.items() if d.certificate.certified}
-        if missing := [o for o in wanted if o not in certified]:
-            answers = answers_of(system, missing, [method])
-            for density in (d for r in answers.results for d in r.densities):
-                if density.certificate.certified or density.observable not in densities:
-                    densities[density.observable] = density
+        offers: dict[tuple[str, str], Answer | Exception] = {}
+        missing = [s for s in subjects if not _certified(known.get(s))]
+        observables = [parse_observable(of, system.n) for q, of in missing if q == "density"]
+        if observables:
+            answers = answers_of(system, observables, [method])
             for refusal in answers.refused:
                 kind = NotCertified if refusal.failed else NotApplicable
-                for name in refusal.observables:
-                    refused.setdefault(name, kind(refusal.reason))
-    return densities, refused
+                offers |= {("density", o): kind(refusal.reason) for o in refusal.observables}
+            offers |= {("density", d.name): d for r in answers.results for d in r.densities}
+        for question, of in missing:
+            if question != "density" and hasattr(method, question):
+                try:
+                    offers[question, of] = ask(method, question, of)
+                except REFUSALS as error:
+                    offers[question, of] = error
+        for subject, answer in offers.items():
+            first = isinstance(known.get(subject), Exception) and not isinstance(answer, Exception)
+            if first or subject not in known or _certified(answer):
+                known[subject] = answer
+    return known
 
 
-def _first(
-    methods: Sequence[Method], question: str, what: str, ask: Callable[..., Answer]
-) -> Answer | Exception:
-    """Return the answer of the first of ``methods`` that certifies it, else the first answer.
-
-    ``ask`` takes a method that has the function ``question``; ``what`` names such answers in words.
-    Without any answer the exception of the first method is returned, not raised, to be cached.
-    """
-    refused: list[Exception] = []
-    answers: list[Answer] = []
-    for method in methods:
-        if hasattr(method, question):
-            try:
-                answer = ask(method, tol=None, progress=silent)
-            except REFUSALS as error:
-                refused.append(error)
-                continue
-            if answer.certificate.certified:
-                return answer
-            answers.append(answer)
-    if answers:
-        return answers[0]
-    return refused[0] if refused else NotApplicable(f"gives no {what}")
-
-
-def _or_raise(answer: Answer | Exception) -> Answer:
-    if isinstance(answer, Exception):
-        raise answer
-    return answer
+def _certified(answer: Answer | Exception | None) -> bool:
+    return not isinstance(answer, Exception | None) and answer.certificate.certified

@@ -11,6 +11,7 @@ from scipy.special import expi
 
 from cases.compare import answering
 from cases.compare.answering import replies_of
+from cases.compare.attempts import Attempts
 from cases.compare.claims import time_findings
 from cases.compare.in_time import Given, Replies
 from cases.compare.rare import passage_answer
@@ -188,8 +189,8 @@ class Stub(Method):
         return replace(self.says, certificate=certify(measured, tol=asked.tol or 1e-5))
 
 
-def replies(*methods, **options):
-    return replies_of(CIR.system, PASSAGE, methods, **options)
+def replies(*methods, tol=None, **options):
+    return replies_of(CIR.system, PASSAGE, methods, Attempts(**options), tol=tol)
 
 
 def test_rare_failure_is_left_to_splitting(monkeypatch):
