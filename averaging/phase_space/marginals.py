@@ -68,9 +68,9 @@ def marginal(
 def _marginal_density(
     e: Expansion, forms: list[tuple[float, float, Array]], share: float
 ) -> Callable[..., Array]:
-    """Return the density of ``forms``, the contact displacement first if it is one of them.
+    """Return the density of ``forms``, each as ``linear_form`` returns it.
 
-    ``marginal`` explains ``share``.
+    The contact displacement must be the first if it is one of two. ``share`` is as in ``marginal``.
     """
     b = e.basis
     known = not np.any(forms[0][2])

@@ -78,7 +78,7 @@ def relaxation(asked: Asked, rates: int) -> None:
 
 
 def command_of(name: str) -> click.Command | None:
-    """Return the command of a question about a displacement, None where there is none."""
+    """Return the command of the question ``name`` if it is about a displacement, else None."""
     question = QUESTIONS.get(name)
     if question is None or not question.of_displacement:
         return None

@@ -131,7 +131,10 @@ class Answers(Mapping[Any, AnyDensity]):
 
     @cached_property
     def unknown_averaging_errors(self) -> dict[str, list[str]]:
-        """Notes on averaged answers beside which none solves the full system, and their names."""
+        """Observables and questions that only averaged equations answer, by the note on them.
+
+        Where averaging is exact there is no note.
+        """
         of = dict.fromkeys(d.observable for d in self.values())
         densities = [(observable_name(o), self.densities(o), False) for o in of]
         in_time = [(r.question.name, [g.route for g in r.given], True) for r in self.in_time]

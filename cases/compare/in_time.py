@@ -192,8 +192,9 @@ def _worst(
 
 
 def _band(errors: Any, sampled: Sequence[bool], count: int) -> tuple[Any, Any]:
-    """The band of each of ``count`` differences judged together, and its standard uncertainty.
+    """The band of each of ``count`` differences judged together, and its uncertainty.
 
+    The uncertainty is one standard error plus the errors of solvers.
     ``errors`` of the two answers; errors of solvers add up. Standard errors (``sampled``) add in
     squares; the band has as many of them as Student's t for ``BATCHES`` asks (Bonferroni).
     """

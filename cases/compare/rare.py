@@ -88,7 +88,7 @@ def passage_answer(
 def splitting_of(method: MonteCarlo, **settings: Any) -> Splitting:
     """Return splitting with step, seed, threads, cluster and seconds of ``method``.
 
-    ``settings`` are further fields, which take precedence.
+    ``settings`` are further fields and take precedence, also over ``REPLICAS``, ``REPETITIONS``.
     """
     own = {name: getattr(method, name) for name in ("dt", "seed", "threads", "cluster")}
     own |= {"seconds": method.seconds} if method.seconds else {}

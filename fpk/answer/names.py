@@ -130,7 +130,7 @@ class Named:
     values: Mapping[str, float]
 
     def __str__(self) -> str:
-        """Return the text that users write, such as ``H1=0.4,H2=0.6``."""
+        """Return the text that users write, such as ``H1=0.4,H2=0.6``; ``rest`` without values."""
         return ",".join(f"{k}={number_text(v)}" for k, v in self.values.items()) or "rest"
 
 

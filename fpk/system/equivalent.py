@@ -147,8 +147,11 @@ def _last_root(x: Array, share: Array) -> float:
 
 
 def _polynomial_balance(system: System, constant: float, noise: float) -> Balance:
-    """``damping_balance`` without stops; ``constant`` = Σ c_ii/m_i, ``noise`` = Σ (f D fᵀ)_ii/m_i.
-    ``power`` holds the coefficients of ascending powers of θ."""
+    """``damping_balance`` without stops: the mean dissipated power is a polynomial in θ.
+
+    ``constant`` is Σ c_ii/m_i of constant damping, ``noise`` is Σ (f D fᵀ)_ii/m_i.
+    """
+    # ``power``: its coefficients, of ascending powers of θ.
     n, power = system.n, np.zeros(2 + max((t.degree // 2 for t in system.damping_terms), default=0))
     power[1] = constant
     size = np.abs(power)

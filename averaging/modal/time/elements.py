@@ -47,7 +47,10 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
 
 
 def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
-    """Return the first passage of one or two modal energies, or of the sum of two."""
+    """Return the first passage of limits on one or two modal energies, or on the sum of two.
+
+    Raises ``NotApplicable`` unless exactly two modal energies are to be solved for.
+    """
     limit, times, tol = asked.limit, require_times(asked.times), asked.tol
     limits = modal_limits(limit, asked.start)
     pair, stationary, start = _pair_problem(modes, limits or range(modes.n), asked.start, tol)

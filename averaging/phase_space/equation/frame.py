@@ -117,9 +117,10 @@ def make_reference(frame: Frame, slope: Array, offset: Array, covariance: Array)
 
 
 def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
-    """Return the reference with ``mean`` (2n,) and ``covariance`` (2n, 2n) of (y, r, v).
+    """Return the reference whose slope, offset and S follow from moments of (y, r, v).
 
-    Raises as ``make_reference``.
+    The means of v in ``mean`` (2n,) are not used, and w(y) follows from the force and S₁₁, not from
+    the moments of y; ``covariance`` is (2n, 2n). Raises as ``make_reference``.
     """
     n = frame.n
     slope = covariance[1:n, 0] / covariance[0, 0]

@@ -125,7 +125,7 @@ def solver_pair(
 
 
 def style_of(route: Route) -> str:
-    """Return the dashes of a theory, the same in all pictures; solid is the full system."""
+    """Return the name in ``DASHES`` of a theory's line; the line of the full system is solid."""
     averaged = list(dict.fromkeys(r.method for r in ROUTES.values() if r.solves == "averaged"))
     place = averaged.index(route.method) + 1 if route.method in averaged else 0
     return list(DASHES)[min(place, len(DASHES) - 1)]

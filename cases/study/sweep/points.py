@@ -52,7 +52,7 @@ class SweepPoint:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Each answer that failed or is not certified, in words."""
+        """One sentence for each failure of a certificate and for each answer that failed."""
         return tuple(
             f"{a.quantity} by {a.method} {words}"
             for a in self.answers

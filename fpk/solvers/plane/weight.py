@@ -97,8 +97,10 @@ UNIT_WEIGHT = Weight(np.zeros((1, 1)), (1.0, 1.0))
 
 
 def negligible_rise(tol: float, height: float = 0.0, level: int = 0) -> float:
-    """Return the rise of −ln w at which a mesh ends: p beyond is negligible for the L1 ``tol``.
-    ``height`` is −ln w at the start; each ``level`` of refinement adds ``RISE``."""
+    """Return −ln w at the ends of a mesh, beyond which p is negligible for the L1 ``tol``.
+
+    It contains ``height``, −ln w at the start; each ``level`` of refinement adds ``RISE``.
+    """
     return height - float(np.log(EDGE_WEIGHT * tol)) + level * RISE
 
 

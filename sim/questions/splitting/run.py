@@ -74,7 +74,7 @@ class Splitting:
     partial: bool = False
 
     def __post_init__(self) -> None:
-        """Check every field."""
+        """Check all numbers; raise ``InvalidInput`` if one cannot be used."""
         replicas = "replicas", 2, 8190  # times 2048 levels: a seed has 2**24 streams
         others = ("killed", 1, self.replicas - 1), ("repetitions", LEAST_REPETITIONS, 2**20)
         check_settings(self, ("dt", "tol", "seconds"), replicas, *others)

@@ -204,9 +204,10 @@ def estimate_error(
 ) -> tuple[Transition, Array, Array]:
     """Return the transition of the solution ``own`` with its error, and the errors by elements.
 
-    The error is based on ``distance`` (times, elements, points), by default to the enriched
-    solution ``finer``. The last two arrays (elements,) are the shares of each element in the
-    distance and in ``Question.common_error``.
+    ``distance`` (times, elements, points) is |p − p of a better solution| at the Gauss points of
+    ``own``, by default of the enriched solution ``finer``. The last two arrays (elements,) are the
+    integrals over each element of ``distance`` and of ``Question.common_error``, each the largest
+    of all times.
     """
     answer, enriched = own.elements, finer.elements
     x, w = answer.x, answer.weight

@@ -150,10 +150,10 @@ def plane_first_passage(
 
 
 def _hopeless(distances: list[float], left: int, tol: float) -> bool:
-    """Whether ``left`` further levels gain nothing, or cannot reach ``tol``.
+    """Whether ``left`` further levels gain nothing (distance <= 0.1 ``tol``), or cannot reach it.
 
-    ``distances`` are between successive levels so far. A level is assumed to gain at most the
-    square of the factor that the last level gained. The finest levels take a minute.
+    ``distances`` are between successive levels so far. The factor that a level gains is assumed
+    to be at best the square of the factor of the level before. The finest levels take a minute.
     """
     if distances[-1] <= tol or len(distances) < 2 or not left:
         return distances[-1] <= 0.1 * tol
