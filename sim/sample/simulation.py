@@ -141,7 +141,7 @@ class Record:
         return {f"record_{f.name}": np.array(getattr(self, f.name)) for f in fields(self)[1:]}
 
     def restore(self, saved: Any) -> None:
-        """Set all fields but the ensemble from ``saved``, arrays as the method ``saved`` returns."""
+        """Set all fields but the ensemble from ``saved``, arrays as ``self.saved()`` returns."""
         for f in fields(self)[1:]:
             setattr(self, f.name, type(getattr(self, f.name))(saved[f"record_{f.name}"]))
 
