@@ -126,7 +126,7 @@ def force_means(e: Expansion) -> tuple[Array, Array, Array]:
     first: Polynomial = {(0, 0): Matrix(([1.0], ([0], [0])), shape=(1, len(space.level)))}
 
     def given(*factors: Polynomial) -> Array:
-        """Return the mean of the product of ``factors`` given y, times the basis's weights."""
+        """Return E(Π ``factors`` | y) at the basis's points y, times its weights, (points,)."""
         row, total = first, np.zeros(b.points.size)
         for factor in factors:
             row = polynomial_product(row, factor)

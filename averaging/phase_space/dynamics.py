@@ -42,8 +42,9 @@ only."""
 SAME_RATE = 1e-6
 """Relative difference below which two eigenvalues count as a multiple eigenvalue."""
 OVERLAP = 0.9
-"""Share of the distance of a shift to the nearest eigenvalue that has not converged, within which
-all eigenvalues are taken for found, and of the step to the next shift."""
+"""Share of the distance from a shift to the nearest eigenvalue that has not converged, within which
+all are taken as found. The next shift lies beyond the covered line by this share of the shortest
+half of that line in a disc."""
 DISCS = 40
 """Largest number of shifts at which eigenvalues are sought: a minute if eliminations are fast."""
 

@@ -127,9 +127,10 @@ def credible_ratio(frame: Frame) -> float:
 def error_by_distances(last: float, earlier: float | None, share: float) -> tuple[float, float]:
     """Return the credible distance of the last two solutions, and the error of the finer solution.
 
-    ``last`` is their distance, ``earlier`` the credible distance of the two solutions before, None
-    if there are none, ``share`` is ``credible_ratio``. If distances d go on falling by the factor
-    r, the error is d/(r − 1); the estimate is the larger of this and d, times ``DISTANCE_SAFETY``.
+    ``last`` is their distance, ``earlier`` the credible distance before, or None. The credible d is
+    the larger of ``last`` and ``share`` (``credible_ratio``) times ``earlier``; the error is the
+    larger of d and d/(r − 1), r = ``earlier``/d >= ``SLOWEST_FALL``, times ``DISTANCE_SAFETY``.
+    Without ``earlier`` it is d times ``DISTANCE_SAFETY`` and ``FIRST_SAFETY``.
     """
     if earlier is None:
         return last, FIRST_SAFETY * DISTANCE_SAFETY * last

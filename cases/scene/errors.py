@@ -63,7 +63,10 @@ def misspelt(word: str, known: Iterable[str]) -> str | None:
 
 
 def toml_value(value: Any) -> str:
-    """Return ``value`` on one short line, written as TOML writes it."""
+    """Return ``value`` on one line as TOML writes it, cut with … to at most ``WIDTH`` characters.
+
+    A whole number of more than 20 digits is replaced by words.
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

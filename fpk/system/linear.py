@@ -103,9 +103,9 @@ class LinearCovariance:
 
 
 def linear_covariance(system: System) -> LinearCovariance:
-    """Return the covariance of the modes of the system without contacts, from A Σ + Σ Aᵀ + b = 0.
+    """Return the covariance Σ of (ω Q, P) of the modes without contacts, from A Σ + Σ Aᵀ + b = 0.
 
-    In (ω Q, P) every entry of A is a rate of its own mode, and none is lost beside faster modes.
+    So every entry of A is a rate of its own mode, and none is lost beside faster modes.
     The error estimate is the sum of the last of two corrections, of the effect of a residual of the
     size of its round-off, and of the effect of a round-off of ω with alternating signs.
 

@@ -215,8 +215,9 @@ def with_errors(
 ) -> tuple[Array, Array, Array, list[str]]:
     """Return ``estimates`` at half the step, their errors, their differences to the step, failures.
 
-    See ``passage_of`` for ``sampled``, ``estimates`` for ``times`` and ``begin``. Errors: the
-    jackknife over groups, and the difference between the two steps, added in squares.
+    ``sampled`` (3, paths): failure times at half the step and at the step, and times of censoring,
+    as in ``passage_of``; ``estimates`` explains ``times`` and ``begin``. Errors: the jackknife over
+    groups, and the difference between the two steps, added in squares; inf where that is NaN.
     """
     fine, coarse, until = sampled
     best = estimates(fine, until, times, begin)

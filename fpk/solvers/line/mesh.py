@@ -47,7 +47,8 @@ LENGTH_RATIO = 1.6
 NODE_DISTANCE = 1e-3
 """Length of an element, relative to its neighbours, below which one of its nodes is dropped."""
 LAYER = 0.5
-"""Length of the elements at a start or a limit, in units of √(b t) at the first time t."""
+"""Length of the elements at a start or a limit, in units of √(b t), t the first time; at a start in
+units of ½ b' t if that is longer."""
 FAST = 20.0
 """Largest |z| t of Laplace variables z that contribute to a density at the time t."""
 LARGEST_VALUE = 100.0

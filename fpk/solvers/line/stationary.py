@@ -74,7 +74,10 @@ class StationarySolution:
         return self.answer(energy, log_factor=self._log_states(energy))
 
     def phase_space_density(self, energy: Array) -> Array:
-        """Return p_h/T at ``energy`` of any shape, in the unit of ``Coefficients``; 0 outside."""
+        """Return p_h/T at ``energy`` of any shape, T the density of states; 0 outside the mesh.
+
+        The unit is that of T in ``Coefficients``.
+        """
         return self.answer(energy)
 
     def pointwise_error(self, energy: Array) -> Array:

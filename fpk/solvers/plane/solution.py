@@ -122,11 +122,11 @@ def gauss_points(nodes: Nodes, degree: int, weight: Weight) -> int:
 
 
 def tails(p: Array, grids: list[tuple[Array, Array]], points: int) -> tuple[Array, Array]:
-    """Return the mass beyond each far edge (2,) and the e-folding energies there (2,).
+    """Return the mass beyond each far edge (2,) and the e-folding energies measured there (2,).
 
     ``p`` is given on the ``grids`` of Gauss points and weights. From its fall over the last
     ``points`` of each axis the marginal is continued with half of its logarithmic slope, as the
-    slope may decrease. The mass is infinite if the marginal does not fall.
+    slope may decrease. If the marginal does not fall, the mass is infinite, the e-folding energy 0.
     """
     beyond, e_fold = np.zeros(2), np.zeros(2)
     (x, v), (y, w) = grids
