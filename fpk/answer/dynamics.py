@@ -188,7 +188,8 @@ class Passage:
     the method does not compute it. ``mean`` and ``variance`` are inf if some motions never fail.
     ``survival`` is P(T > t) at ``times``, with ``survival_error``, (times,) each. ``failure`` is
     P(T <= t), with ``failure_error``, if the method computes it more accurately than
-    1 − ``survival``. ``starts``: the moments as functions of the start, if computed.
+    1 − ``survival``. ``starts``: the moments as functions of the start energy, if computed: arrays
+    (starts,) named ``starts``, ``mean``, ``mean_error``, ``variance``, ``variance_error``.
     ``error_kind``: estimate of the numerical error, or one standard error of sampling. ::
 
         limit, times = parse_limit("H=1", 2), np.array([10.0, 100.0])
