@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from averaging.modal.analysis import modal_analysis
+from averaging.modal.resonance import correlations
 from cases.compare.routes import method_for
 from cases.show.digest import digest_of
 from cases.show.page import as_script_data
@@ -24,10 +26,10 @@ AT = {
 OBSERVABLES = tuple(AT)
 
 SCRIPT = """
-  const out = {values: {}, resonant: {}};
+  const out = {values: {}, resonant: {}, neglected: {}};
   for (const [key, factors] of Object.entries(ASKED.factors)) {
     const forms = report.closedForms(factors);
-    out.values[key] = {}; out.resonant[key] = forms.resonant;
+    out.values[key] = {}; out.resonant[key] = forms.resonant; out.neglected[key] = forms.neglected;
     for (const [of, points] of Object.entries(ASKED.at)) {
       const both = forms(of);
       const values = ([theory, f]) => [theory, points.map(f)];
@@ -103,6 +105,9 @@ def test_closed_forms_are_those_of_python(name, browser, solved, scene_text, tmp
     outcome = solved(text, "nonintegrable/closed-form", "integrable/closed-form")
     out = page_says(browser, outcome, tmp_path)
     system = outcome.scene.system
+    for key, factors in (("as run", {}), ("varied", FACTORS), ("damped", DAMPED)):
+        largest = correlations(modal_analysis(varied(system, **factors))).max()
+        assert out["neglected"][key] == pytest.approx(largest, rel=1e-9)
     for key, factors in (("as run", {}), ("varied", FACTORS)):
         for theory, method in (("energy", "nonintegrable"), ("modal", "integrable")):
             for of, expected in by_python(varied(system, **factors), method).items():
